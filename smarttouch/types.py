@@ -16,7 +16,6 @@ from smarttouch.base.errors import EmergencyStopError as EmergencyStopError
 from smarttouch.base.errors import ExperimentError as ExperimentError
 from smarttouch.base.errors import KernelTableError as KernelTableError
 from smarttouch.base.errors import LineLostError as LineLostError
-from smarttouch.base.errors import MarkersError as MarkersError
 from smarttouch.base.errors import OtherDeviceError as OtherDeviceError
 from smarttouch.base.errors import PageError as PageError
 from smarttouch.base.errors import ReadingError as ReadingError

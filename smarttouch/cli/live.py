@@ -26,9 +26,8 @@ def live(
         str | None,
         argument(
             "A file, words, or a source by its URL: page:, text:, camera:, video:, "
-            "frames:, serial-array:, brltty:, osc:, lsl:, socket:, mcap:, "
-            "recording:, texture:, vibration:. Options follow: "
-            "'scan.png?dpi=300&speed_mm_s=40'. A sample page is shown without one.",
+            "frames:, serial-array:, brltty:, socket:, recording:, texture:, vibration:. Options "
+            "follow: 'scan.png?dpi=300&speed_mm_s=40'. A sample page is shown without one.",
             "SOURCE",
             callback=or_standard_input,
         ),

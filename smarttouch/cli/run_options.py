@@ -90,9 +90,6 @@ class RunOptionGroup(OptionGroup):
         str, option("Name the participant in the recording.", "NAME", panel=KEPT)
     ] = ""
     note: Annotated[str, option("Add a note to the recording.", "TEXT", panel=KEPT)] = ""
-    stream: Annotated[
-        str | None, option("Send the live run to the Lab Streaming Layer.", "lsl:", panel=KEPT)
-    ] = None
     json_file: JsonOption = None
     window: Annotated[
         int | None, option("Open a page in the browser that shows and steers the run.", "[PORT]")
@@ -230,10 +227,7 @@ class RunOptionGroup(OptionGroup):
         given: dict[str, Any] = {
             each.name: getattr(self, each.name, None) for each in fields(Outputs)
         }
-        if self.stream not in (None, "lsl:"):
-            raise not_offered("stream", self.stream, ("lsl:",))
-        given |= {"finger": seed, "anatomy": anatomy, "plain": plain}
-        outputs = Outputs(**given | {"markers": self.stream is not None})
+        outputs = Outputs(**given | {"finger": seed, "anatomy": anatomy, "plain": plain})
         with nullcontext() if self.force is None else open_force(self.force, profile) as force:
             if self.on_a_finger:
                 display = self.display(source.narrowed(profile))

@@ -52,7 +52,6 @@ class Outputs:
     finger: int = 1
     anatomy: str = "branched"
     record: Path | None = None
-    markers: bool = False
     json_file: Path | None = None
     window: int | None = None
     quiet: bool = False
@@ -70,10 +69,6 @@ class Outputs:
 
     def listeners(self) -> Iterator[Listener]:
         """Yield a listener for each output that is wanted."""
-        if self.markers:
-            from smarttouch.views.lsl_markers import Markers
-
-            yield Markers()
         if self.felt is not None:
             yield DeliveredPicture(self.felt, self.finger, self.anatomy)
         if self.record is not None:
