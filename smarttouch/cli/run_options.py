@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display
     from smarttouch.sources.source_contract import Source
-    from smarttouch.views.window import Window
 
 
 _SETTINGS = {"scan": 0, "hold": 0, "softness": 0, "measure": 0, "balance": 0}.keys()
@@ -217,7 +216,7 @@ class RunOptionGroup(OptionGroup):
         config: "RunConfig",
         ready: "Display | None" = None,
         **more: Any,
-    ) -> "Window | None":
+    ) -> None:
         """Run a source in the terminal until its end, as `run_in_terminal` does with `more`."""
         from smarttouch.sources.force import open_force
         from smarttouch.views.terminal_session import Outputs, run_in_terminal
@@ -233,4 +232,4 @@ class RunOptionGroup(OptionGroup):
                 display = self.display(source.narrowed(profile))
             else:
                 display = ready or self.display(profile)
-            return run_in_terminal(source, display, config, outputs, force=force, **more)
+            run_in_terminal(source, display, config, outputs, force=force, **more)

@@ -107,7 +107,7 @@ class Steering:
         return True
 
 
-ASKED = ("run", "record", "note")  # requests beside those of keys
+ASKED = ("record", "note")  # requests beside those of keys
 MOST_PAGES = 16
 MOST_HZ = 60
 MOST_MESSAGES_PER_S = 400  # limit for one page; one that sends more loses its connection
@@ -121,7 +121,6 @@ class ConnectedPage:
     """One connected page, and what it has seen."""
 
     number: int
-    run: int = 0  # number of the run that it was greeted for
     waits: bool = True  # whether it has drawn what it was sent last
     ended: str = ""  # how this run ended, as it was sent
     shown: StepResult | None = None
@@ -132,21 +131,12 @@ class ConnectedPage:
     received: int = 0  # messages of this second
     second: int = 0
 
-    def begin(self, run: int) -> None:
-        """Reset what it has been sent of the run before."""
-        self.run, self.ended, self.waits = run, "", True
-        self.shown, self.events, self.felt, self.sheet = None, 0, "", None
-
 
 class PageState(Protocol):
     """State of a run as JSON messages to pages."""
 
     @property
     def steering(self) -> Steering: ...
-    @property
-    def number(self) -> int:
-        """Number of the run."""
-
     @property
     def hello(self) -> str:
         """The first message of a run."""
@@ -284,16 +274,14 @@ class Pages:
                 # It may not have seen yet that another page steers: from here the run only stops.
                 await self._stop()
         else:
-            # It may look for the driver of a board, open a file, or end the run that is on.
+            # It may open a file.
             await asyncio.to_thread(self._state.ask, page.number, verb, rest)
 
     async def _feed(self, socket: "WebSocket", page: ConnectedPage) -> None:
         """Send a page the newest state whenever it has drawn the last one."""
         state, sent_s = self._state, 0.0
+        await socket.send_text(state.hello)
         while True:
-            if page.run != state.number:
-                page.begin(state.number)
-                await socket.send_text(state.hello)
             ended, over = state.ended, self._over.is_set()
             idle = state.has_seen(page) and time.monotonic() - sent_s < _BEAT_S
             news = ended != page.ended

@@ -66,7 +66,6 @@ function greet(hello) {
   over = false;
   newest = null;
   find("stop").disabled = false;
-  offer(hello.choices);
   array = hello.array;
   keys = hello.keys;
   find("keys").textContent = hello.keys_help.trim();
@@ -264,22 +263,6 @@ function end({ reason, failed }) {
   alertUser(failed ? `The run has failed: ${reason}` : `The run is over: ${reason || "it was ended"}. All electrodes are off.`);
   disable(true);
   find("stop").disabled = true;
-  find("again-more").open = true;
-}
-
-// Sources and boards of the next run.
-function offer(choices) {
-  find("again-card").hidden = !choices;
-  if (!choices || find("source").children.length) return;
-  find("source").append(...choices.sources.map((each) => new Option(each, each)), new Option("words …", ""));
-  find("boards").append(...choices.boards.map((each) => new Option(each, each)));
-  find("board").value = choices.boards[0];
-  find("words").maxLength = choices.words;
-}
-
-function again() {
-  const source = find("source").value || `text:${find("words").value}`;
-  say(`run ${JSON.stringify({ source, board: find("board").value, confirmed: find("confirmed").checked })}`);
 }
 
 find("stop").addEventListener("click", stop);
@@ -287,7 +270,6 @@ find("less").addEventListener("click", () => say("do less"));
 find("more").addEventListener("click", () => say("do more"));
 find("none").addEventListener("click", () => say("do none"));
 find("pause").addEventListener("click", () => say(state?.paused ? "do resume" : "do pause"));
-find("again").addEventListener("click", again);
 find("slider").addEventListener("input", () => {
   slidAt = performance.now();
   say(`do level:${Number(find("slider").value) / 100}`);
@@ -298,9 +280,6 @@ find("mark").addEventListener("click", () => {
   find("note").value = "";
 });
 find("sum-clear").addEventListener("click", () => views.sum?.clear());
-find("source").addEventListener("change", () => {
-  find("words-row").hidden = find("source").value !== "";
-});
 find("steer").addEventListener("click", () => say(state?.steers === "you" ? "leave" : "steer"));
 
 const ARROWS = { ArrowLeft: "left", ArrowRight: "right", Enter: "\n" };
