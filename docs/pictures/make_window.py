@@ -61,18 +61,6 @@ def main():
                 page.wait_for_timeout(3000)
                 take(page, name, whole=width < 1000)
                 page.close()
-        with running("draw:") as address:
-            page = opened(address, 1440)
-            page.wait_for_selector("#draw-card:not([hidden])")
-            page.select_option("#library", "turn")
-            page.wait_for_selector("#patterns li")
-            page.fill("#letter", "S")
-            page.wait_for_timeout(500)
-            page.click("#keep")
-            page.wait_for_selector("#felt[data-spikes]")
-            page.wait_for_timeout(4000)
-            take(page, "window-draw.png", whole=True)
-            page.close()
         browser.close()
 
 

@@ -46,14 +46,12 @@ class Spots(StimulusSource):
 class Run:
     """A run with a window."""
 
-    def __init__(self, profile, source, board, rate_hz=None, books=None, **options):
+    def __init__(self, profile, source, board, rate_hz=None, **options):
         self.stop, self.results = StopRequest(), {}
         self.display, self.source = st.open_display(board, profile), source
         options = {"finger": None, "keys": source.keys, "show": lambda _: None} | options
         self.window = Window(self.stop, **options)
         self.board = self.display.board
-        if books is not None:
-            self.board.keep_books(books)
         self.runner = Runner(
             source, self.display, st.RunConfig(intensity=1.0, rate_hz=rate_hz), stop=self.stop,
             # Kept before a page can show it.

@@ -38,7 +38,7 @@ export const latencyOf = (picture) =>
 export const calm = () => window.matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 // A canvas in millimeters, with the array's own places.
-export class Field {
+class Field {
   constructor(canvas, halfWidth, halfHeight, longest = 560) {
     this.canvas = canvas;
     this.scale = longest / (2 * Math.max(halfWidth, halfHeight));
