@@ -74,14 +74,14 @@ class Study(Table):
     def _something_felt(self) -> Self:
         if not (self.letters or self.pages):
             raise UnfitError(
-                "letters is empty and there are no pages: give one of them", about="letters"
+                "letters is empty and there are no pages: give one of them", key="letters"
             )
         return self
 
     @model_validator(mode="after")
     def _own_letters(self) -> Self:
         if self.pages and "own" in self.levels:
-            raise UnfitError("pages are felt at the profile's level: leave out own", about="levels")
+            raise UnfitError("pages are felt at the profile's level: leave out own", key="levels")
         return self
 
     @field_validator("letters")

@@ -31,8 +31,7 @@ class Afferents:
         if not self.depth_mm > 0:
             raise DesignError(
                 f"a {self.afferent.name} fiber at a depth of {self.depth_mm:g} mm lies outside "
-                "the skin: depths are measured below the surface, above 0",
-                about="depth_mm",
+                "the skin: depths are measured below the surface, above 0"
             )
 
 
@@ -253,8 +252,7 @@ def _check_shapes(electrodes: ElectrodeArray, skin: Skin) -> None:
     if skin.layers and any(shape == "rectangle" for shape, _ in electrodes.kinds):
         raise DesignError(
             "layered skin is offered for point, disc and annulus electrodes, not for "
-            "rectangles: use medium 'half-space'",
-            about="skin.medium",
+            "rectangles: use medium 'half-space'"
         )
 
 

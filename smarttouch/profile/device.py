@@ -55,11 +55,11 @@ class Output(Table):
                 twice = next(each for each in values if values.count(each) > 1)
                 yield UnfitError(
                     f"output.{key} lists {twice} more than once: give each once",
-                    about=f"output.{key}",
+                    key=f"output.{key}",
                 )
             if min(values, default=0) < 0:
                 yield UnfitError(
-                    f"output.{key} lists {min(values)}: numbers begin at 0", about=f"output.{key}"
+                    f"output.{key} lists {min(values)}: numbers begin at 0", key=f"output.{key}"
                 )
 
 
@@ -109,7 +109,7 @@ class ForceLaw(Table):
     def _ordered(self) -> Self:
         if self.full_n <= self.contact_n:
             raise UnfitError(
-                f"full_n {self.full_n} must exceed contact_n {self.contact_n}", about="force.full_n"
+                f"full_n {self.full_n} must exceed contact_n {self.contact_n}", key="force.full_n"
             )
         return self
 
@@ -263,10 +263,10 @@ def layer_misfits(layers: Sequence[SkinLayer], about: str) -> Iterator[UnfitErro
     infinite = [np.isinf(each.thickness_mm) for each in layers]
     if layers and not infinite[-1]:
         yield UnfitError(
-            f"the last of {about} is infinitely thick: leave out thickness_mm", about=about
+            f"the last of {about} is infinitely thick: leave out thickness_mm", key=about
         )
     if any(infinite[:-1]):
-        yield UnfitError(f"each of {about} but the last needs its thickness_mm", about=about)
+        yield UnfitError(f"each of {about} but the last needs its thickness_mm", key=about)
 
 
 class Skin(Table):
@@ -319,8 +319,7 @@ class Skin(Table):
             yield UnfitError(
                 "a layered medium takes its conductivities from skin.layers, any other one from "
                 "skin.conductivity_s_per_m: give only that",
-                about="skin.medium",
-                remedy="skin.layers" if layered else "skin.conductivity_s_per_m",
+                key="skin.medium",
             )
         yield from layer_misfits(self.layers, "skin.layers")
 

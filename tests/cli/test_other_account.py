@@ -81,9 +81,7 @@ def has_steps(path):
         return False
 
 
-def test_another_account_gets_in_by_no_door(
-    start_program, other_account, open_folder, monkeypatch
-):
+def test_another_account_gets_in_by_no_door(start_program, other_account, open_folder, monkeypatch):
     browser, path, door = (open_folder / each for each in ("browser", "run.mcap", "door"))
     browser.write_text(BROWSER)
     browser.chmod(0o755)
