@@ -48,13 +48,14 @@ if TYPE_CHECKING:
     from smarttouch.stimulation.safety_gate import SafetyLimits
     from smarttouch.stimulation.scan_sequence import ScanSequence
     from smarttouch.views.outputs import DeliveredPicture
+    from smarttouch.views.vibrator import Vibrator
 
 __all__ = [
     "Afferent", "Board", "BoardError", "DeliveredPicture", "Display", "Finger", "Frame",
     "LevelNotReachedError", "Listener", "OpticalSource", "Profile", "ProfileError", "RecordedRun",
     "Recorder", "RunConfig", "RunStatistics", "SafetyError", "SafetyLimits", "ScanSequence",
     "Session", "Shown", "SmartTouchError", "SourceError", "StepResult", "Stimulus",
-    "StimulusSource", "TactileImage", "__version__", "design_kernel", "list_profiles",
+    "StimulusSource", "TactileImage", "Vibrator", "__version__", "design_kernel", "list_profiles",
     "load_kernels", "load_profile", "load_recording", "open_display", "open_source", "replay",
     "run", "show_together", "steps",
 ]  # fmt: skip
@@ -83,6 +84,7 @@ if not TYPE_CHECKING:  # else any name would be one to a type checker
         "stimulation.safety_gate": "SafetyLimits",
         "stimulation.scan_sequence": "ScanSequence",
         "views.outputs": "DeliveredPicture",
+        "views.vibrator": "Vibrator",
     }
     __getattr__ = lazy_names(__name__, _WHERE)
 

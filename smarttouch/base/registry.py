@@ -36,7 +36,6 @@ _OWN = {
         "link": "smarttouch.boards.link.link_board:LinkBoard",
         "memory": "smarttouch.boards.open:MemoryBoard",
         "simulated": "smarttouch.emulator.emulated_boards:SimulatedBoard",
-        "vibrators": "smarttouch.boards.vibrators.vibrator_board:VibratorBoard",
     },
 }
 """The package's own, by entry-point group; no other package can take their names."""

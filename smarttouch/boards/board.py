@@ -69,8 +69,6 @@ class Board(TimedBoard, ABC):
     """Whether such boards can store kernels, so that slots should be sums of them."""
     on_a_finger: ClassVar[bool] = True
     """Whether a finger may be on it."""
-    shares_budget: ClassVar[bool] = True
-    """Whether its current counts towards the total of all displays of a user."""
     drives_in_send: ClassVar[bool] = True
     """Whether `_send` itself writes, at once: it is then called within `_driving`. A driver whose
     `_send` waits, or that writes from a thread of its own, sets this to False and makes each
@@ -411,8 +409,7 @@ class Board(TimedBoard, ABC):
     @final
     def budget_ua(self) -> int:
         """Its share of the current that all displays of a user may drive together, µA."""
-        counts = self.on_a_finger and self.shares_budget
-        return self._gate.limits.total_ua if counts else 0
+        return self._gate.limits.total_ua if self.on_a_finger else 0
 
     def keep_kernels(self, table: KernelTable) -> None:
         """Give the board the kernels of the sequences to come, if it keeps any.

@@ -21,7 +21,7 @@ class Capabilities:
     """Capabilities of a board."""
 
     electrodes: int
-    output: Literal["weighted", "three-state", "one-against-all", "vibration"]
+    output: Literal["weighted", "three-state", "one-against-all"]
     max_current_ma: float
     max_slots: int
     time_to_zero_ms: float | None
@@ -37,8 +37,6 @@ class Capabilities:
     """Whether it measures the finger's force."""
     compliance_v: float | None = None
     """Compliance voltage of its source, if it is known."""
-    vibrates: bool = False
-    """Whether it has mechanical vibrators."""
     recharges: bool = False
     """Whether it can end a scan with a recharge phase."""
     emergency_switch: bool = False
@@ -60,11 +58,6 @@ class Capabilities:
             raise BoardError(
                 f"the sequence is for {electrodes} electrodes, the board has "
                 f"{self.electrodes}: use the profile of this board"
-            )
-        if sequence.vibration is not None and not self.vibrates:
-            raise BoardError(
-                "the sequence asks for mechanical vibration, and this board has no vibrators: "
-                "give it some"
             )
         if sequence.recharge_ua is not None and not self.recharges:
             raise BoardError(

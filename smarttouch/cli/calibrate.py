@@ -170,11 +170,9 @@ def registration(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
     target: Annotated[Path | None, option("Write the target, to be printed.", "FILE.png")] = None,
-    dot_pitch_mm: Annotated[
+    size_mm: Annotated[
         float | None,
-        option(
-            "Set the pitch of the target's dots; it is chosen to suit the field otherwise.", "MM"
-        ),
+        option("Set the side of the target; it suits the sensor's field otherwise.", "MM"),
     ] = None,
     frames: _Frames = 16,
     yes: _Yes = False,
@@ -182,33 +180,34 @@ def registration(
 ) -> None:
     """Find each electrode's position in the sensor's image with a printed target."""
     from smarttouch.experiments.calibration.contact import show_registration
-    from smarttouch.experiments.calibration.dot_target import target_for
-    from smarttouch.experiments.calibration.page_registration import register
+    from smarttouch.experiments.calibration.page_registration import (
+        bench_view,
+        register,
+        target_for,
+    )
     from smarttouch.experiments.calibration.sensor_optics import images_of
     from smarttouch.profile import load_profile
     from smarttouch.sources.preprocess import mean_image
 
-    grid = target_for(load_profile(calibration.begun()), dot_pitch_mm)
+    made = target_for(load_profile(calibration.begun()), size_mm)
     if target is not None:
         if target.exists() and not calibration.overwrite:
             message = f"{target} exists already: give another file, or add --overwrite"
             raise CalibrationError(message)
-        grid.draw(target)
-        typer.echo(f"{target}: dots {grid.pitch_mm:g} mm apart; print it at 100 %, black on white.")
+        made.draw(target)
+        typer.echo(f"{target}: {made.side_mm:g} mm across; print it at 100 %, black on white.")
     if calibration.output is None and target is not None and source is None and not simulate:
         return
     file = calibration.file("registration", simulate)
     if simulate:
-        from smarttouch.experiments.calibration.page_registration import bench_view
-
-        image = bench_view(grid, file.profile.optics)
+        image = bench_view(made, file.profile.optics)
     elif source is None:
         raise CalibrationError("give --source or --simulate")
     else:
-        ask("Lay the target under the sensor, the L upright under the array's middle.", yes)
+        ask("Lay the target under the sensor, its text on top, its middle under the array's.", yes)
         mean = mean_image(images_of(source, file.profile, frames, corrected=True))
         image = mean.round().astype("uint8")
-    found = register(image, file.profile, grid)
+    found = register(image, file.profile, made)
     show_registration(found)
     file.set("optics.homography", [float(f"{each:.12g}") for each in found.homography.ravel()])
     file.set("optics.sensor_columns", found.shape[1])

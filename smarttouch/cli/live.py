@@ -75,7 +75,7 @@ def _show(
     from smarttouch.sources.virtual_finger import READER_MM_S
 
     asked = None if mode is None else parse_mode(mode)
-    offered = {"mode": asked, "rate_hz": rate_hz, "display": ready}
+    offered = {"mode": asked, "rate_hz": rate_hz, "display": ready, "vibrated": bool(run.vibrators)}
     if run.is_watched:
         offered |= {"passes": 0, "speed_mm_s": READER_MM_S}
     taken = options_taken(url)

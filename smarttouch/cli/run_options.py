@@ -47,7 +47,7 @@ class RunOptionGroup(OptionGroup):
     ] = None
     vibrators: Annotated[
         str | None,
-        option("Drive vibration actuators for PC instead of current.", "URL", panel=BOARD),
+        option("Drive PC by a vibrator: a new WAV file or sound:.", "WAV|sound:", panel=BOARD),
     ] = None
     set_: Annotated[
         list[str] | None,
@@ -149,7 +149,7 @@ class RunOptionGroup(OptionGroup):
         """Return the display, not opened yet."""
         from smarttouch.running.display import Display
 
-        return Display(self.board_url, profile, self.vibrators)
+        return Display(self.board_url, profile)
 
     def config(self, mode: str, **more: Any) -> "RunConfig":
         """Return the configuration of the run; what a command has as usual comes before --set."""

@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Callable
 from contextlib import closing, suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -47,8 +47,6 @@ def emulate_board(
         int | None, option("With --tcp: UDP port to answer ETK? on.", "N")
     ] = None,
     ramp_ms: Annotated[int, option("Least time to full of a link board; 0 for tests.", "N")] = 500,
-    slots: Annotated[int | None, option("Most slots at once of a link board.", "N")] = None,
-    packet: Annotated[int | None, option("Largest packet of a link board.", "BYTES")] = None,
     event: Annotated[
         list[str] | None,
         option(
@@ -78,15 +76,12 @@ def emulate_board(
     electrodes = BOARDS[name] if electrodes is None else electrodes
     volts = COMPLIANCE_V if compliance is None else compliance
     # Kernels of all classes, however many electrodes there are.
-    usual = Room(kernels=max(MOST_KERNELS, len(Afferent) * electrodes))
-    room = replace(usual, slots=slots or usual.slots, packet_bytes=packet or usual.packet_bytes)
+    room = Room(kernels=max(MOST_KERNELS, len(Afferent) * electrodes))
     least = 61 if name == "kajimoto61" else 1
     _require(
         ("electrodes", electrodes, least, _MOST_ELECTRODES[name]),
         ("compliance", volts, *_COMPLIANCES_V),
         ("ramp_ms", ramp_ms, 0, 10_000),
-        ("slots", room.slots, 1, usual.slots),
-        ("packet", room.packet_bytes, 64 + 8 * electrodes, usual.packet_bytes),
         ("discovery_port", 1 if discovery_port is None else discovery_port, 1, 65_535),
     )
     kind = next((each for each in OUTPUTS if each == output), None)

@@ -103,7 +103,7 @@ def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.i
 PC_RATE_HZ = 150.0
 """Most pulses of PC a second, so one for every second cycle at its best frequency. Ours; faster
 ones were of little use to the paper's subjects in PC mode (Section III-C.1, above 100 Hz)."""
-VIBRATION_US = 20_000  # interval of new amplitudes of vibrators; our own choice
+VIBRATION_US = 20_000  # interval of new amplitudes of a vibrator; our own choice
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ class Mixture:
     ideal_us: dict[Afferent, Times]  # (K,) int64, µs: when each pulse of a class should be
     carried: dict[Afferent, NDArray[np.intp]]  # (K,): which stimulus carries it
     left_out: tuple[Afferent, ...]  # classes that answer, but the board cannot drive
-    vibrated: bool  # whether the row of PC is for vibrators, held until the next stimulus
+    vibrated: bool  # whether the row of PC is for a vibrator, held until the next stimulus
     answers: Mapping[Afferent, ReceptorResponse]  # response of each class to the trace
 
     @property
@@ -161,7 +161,7 @@ def mix_colors(
     bank: KernelBank,  # its kernels determine which classes the board can drive
     sites: Collection[int] | None = None,  # electrodes that pulse; those of `disc` if not given
     timing: ScanTiming | None = None,  # scan timing fixed by the board
-    vibrated: bool = False,  # whether mechanical vibrators do what PC is to feel
+    vibrated: bool = False,  # whether a mechanical vibrator drives PC
     pc_rate_hz: float = PC_RATE_HZ,  # most pulses of PC a second
 ) -> Mixture:
     """Return the pulses that reproduce a trace.

@@ -1,12 +1,7 @@
-"""A mixture as a source of stimuli, and the crosstalk of what it sends.
-
-PC lies below RA and SAI, and no current from the skin reaches it alone (paper, Section II-D;
-the best kernels that there are do more to another class than to PC, `smarttouch.kernels`).
-"""
+"""A mixture as a source of stimuli."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,47 +9,12 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.imaging.array_window import reading_force_n
-from smarttouch.instruments.color_mix import Mixture, Times, mix_colors, parse_places, stimulated
+from smarttouch.instruments.color_mix import Mixture, Times, mix_colors, parse_places
 from smarttouch.instruments.skin_trace import open_trace
-from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import Profile
 from smarttouch.running.display import Display
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
-
-
-@dataclass(frozen=True, eq=False)
-class PacinianCrosstalk:
-    """Crosstalk of PC pulses into other classes."""
-
-    # (S,) float64: activating function at the worst node of another class over that at PC's, by
-    # electrode
-    times: NDArray[np.float64]
-    worst: tuple[Afferent, ...]  # (S,): class of that node
-
-    @property
-    def mean(self) -> float:
-        """Mean of ``times`` over the electrodes."""
-        return float(self.times.mean())
-
-    def __str__(self) -> str:
-        names = " or ".join(each.name for each in Afferent if each in self.worst)
-        return (
-            f"PC pulses also reach {names}, {self.mean:.1f} times as strongly as PC (mean of "
-            f"{len(self.times)} electrodes, at most {self.times.max():.1f}): current cannot drive "
-            "PC alone"
-        )
-
-
-def pacinian_crosstalk(
-    profile: Profile, bank: KernelBank, sites: NDArray[np.intp]
-) -> PacinianCrosstalk | None:
-    """Return the crosstalk of PC stimulation at sites, (S,); None where it cannot be driven."""
-    places = stimulated(profile, Afferent.PC, sites)
-    if Afferent.PC not in bank.weights or not len(places):
-        return None
-    worst = tuple(Afferent(int(each)) for each in bank.worst_class[Afferent.PC][places])
-    return PacinianCrosstalk(np.asarray(bank.off_target[Afferent.PC][places], np.float64), worst)
-
 
 LONGEST_US = 20_000
 """Longest time between stimuli without a pulse, so that a lifted finger is noticed."""
@@ -93,7 +53,7 @@ class ColorSource(StimulusSource):
         self._given_us[first : self._next] = now_us
         drive = mixture.drive[first : self._next].max(axis=0, initial=0.0)
         if mixture.vibrated and first == self._next > 0:
-            # Vibrators go on with their last amplitudes.
+            # The vibrator goes on with its last amplitude.
             drive[Afferent.PC] = mixture.drive[first - 1, Afferent.PC]
         more = self._next < len(mixture.time_us)
         wait_us = int(mixture.time_us[self._next] if more else mixture.end_us) - now_us
@@ -133,19 +93,24 @@ def open_vibration(
     seconds: float = 2.0,
     seed: int = 0,
     display: Display | None = None,
+    vibrated: bool = False,
 ) -> ColorSource:
     """Open ``vibration:SPEC`` or ``vibration:CSV``: what `open_trace` takes, mixed for each class.
 
     Each class pulses as it would answer the vibration, at ``sites`` (27,28,35-36 or all). The
-    display's board and vibrators decide what can be mixed; without one, any board can.
+    display's board decides what can be mixed; without one, any board can. If ``vibrated``, a
+    mechanical vibrator drives PC.
     """
     trace = open_trace(rest, seconds, seed)
     bank, places = load_bank(profile), parse_places(profile, sites)
     timing = None if display is None else display.board.timing
-    shaken = display is not None and display.vibrators_url is not None
-    mixture = mix_colors(trace, profile, bank, places, timing, shaken)
+    mixture = mix_colors(trace, profile, bank, places, timing, vibrated)
     source = ColorSource(trace.title, profile, mixture, reading_force_n(profile))
     source.notes += notes(mixture)
     if mixture.pulses(Afferent.PC):
-        source.notes.append(str(pacinian_crosstalk(profile, bank, mixture.sites)))
+        most = bank.off_target[Afferent.PC].max()
+        source.notes.append(
+            f"PC pulses reach another class up to {most:.1f} times as strongly as PC: current "
+            "cannot drive PC alone"
+        )
     return source

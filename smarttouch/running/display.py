@@ -27,8 +27,6 @@ class Display(DisplayBoard):
     url : str or type
         Board, for example ``emulator:`` or ``link:/dev/ttyACM0``, or a driver's class.
     profile : Profile
-    vibrators_url : str, optional
-        Mechanical vibrators, which drive PC instead of current.
 
     Attributes
     ----------
@@ -71,8 +69,6 @@ class Display(DisplayBoard):
 def open_display(
     url: str | type[Board],
     profile: Profile | str | None = None,
-    *,
-    vibrators_url: str | None = None,
     **options: Any,
 ) -> Display:
     """Return a display by the URL of its board; its line is opened when it is run.
@@ -84,8 +80,6 @@ def open_display(
         or the class of a driver of your own.
     profile : Profile or str, optional
         Device and finger; the board's usual one if not given.
-    vibrators_url : str, optional
-        Mechanical vibrators, which drive PC instead of current.
     **options
         Of the driver.
 
@@ -101,4 +95,4 @@ def open_display(
     'electric-mouse'
     """
     usual = default_profile(url) if isinstance(url, str) else url.default_profile
-    return Display(url, load_profile(profile or usual), vibrators_url, **options)
+    return Display(url, load_profile(profile or usual), **options)

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.stopping import Closing, StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import make_board, require_gate
@@ -19,7 +18,6 @@ class DisplayBoard(Closing):
         self,
         url: str | type[Board],
         profile: Profile,
-        vibrators_url: str | None = None,
         **options: Any,
     ) -> None:
         limits = SafetyLimits.of(profile)
@@ -34,18 +32,7 @@ class DisplayBoard(Closing):
             url = f"{url.__module__}.{url.__qualname__}:"
         self.url: str = url
         self.profile: Profile = profile
-        self.vibrators_url: str | None = vibrators_url
         self._stop = StopRequest()
-        if vibrators_url is not None:
-            from smarttouch.boards.vibrators.vibrator_board import HybridBoard, make_vibrators
-
-            shaking = make_vibrators(vibrators_url, limits, profile.electrodes)
-            board = HybridBoard(board, shaking)
-        elif url.startswith("vibrators:"):
-            raise SmartTouchError(
-                "vibrators drive PC alone and make no current: give them beside a board of "
-                "electrodes"
-            )
         self.board: Board = board
         # Also without a run: a program may drive the board itself.
         self._stop.always_on_stop(board.halt)

@@ -16,15 +16,17 @@ from smarttouch.kernels.weighted_design import design_kernel as unbounded_kernel
 from smarttouch.profile import Profile, load_profile
 from smarttouch.running.config import RunConfig, RunOptions
 from smarttouch.running.display import Display, open_display
-from smarttouch.running.listener import Listener
+from smarttouch.running.listener import Listener, as_listeners
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import RecordedControls, RecordingSource
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.runner import Operation, Runner
 from smarttouch.running.step import Step, StepResult
+from smarttouch.sources import open_source, options_taken
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.given_sources import Given, Imaging, OwnImaging, checked_input, source_of
+from smarttouch.sources.source_contract import Source
 
 Listeners = Iterable[Listener | Callable[[StepResult], object]]
 
@@ -82,10 +84,19 @@ def run(
     """
     config = RunConfig(mode=mode, **settings)
     display = open_display(display) if isinstance(display, str) else display
-    opened = source_of(source, display.profile, light_on_dark=config.light_on_dark)
+    listeners = as_listeners(listeners)
+    opened = _open(source, display.profile, config, listeners)
     if imaging is not None:
         opened = OwnImaging(opened, imaging, display.profile)
     return Runner(opened, display, config, force=force, listeners=listeners, stop=stop).run()
+
+
+def _open(source: Given, profile: Profile, config: RunConfig, listeners: list[Listener]) -> Source:
+    """Return the source of a run; it is told if a vibrator drives PC."""
+    vibrated = any(each.vibrates_pc for each in listeners)
+    if vibrated and isinstance(source, str) and "vibrated" in options_taken(source):
+        return open_source(source, profile, vibrated=True)
+    return source_of(source, profile, light_on_dark=config.light_on_dark)
 
 
 def steps(

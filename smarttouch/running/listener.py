@@ -47,6 +47,8 @@ class Listener:
     ----------
     notes : list of str
         Sentences for the user after the run.
+    vibrates_pc : bool
+        Whether PC gets vibration from it, and so no current.
 
     Examples
     --------
@@ -63,6 +65,7 @@ class Listener:
     """
 
     notes: list[str]
+    vibrates_pc: bool = False
 
     def __init__(self) -> None:
         self.notes = []

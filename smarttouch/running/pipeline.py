@@ -100,6 +100,11 @@ class Pipeline:
         return tuple(modes)
 
     def _scan(self, mode: Mode) -> ScanScheduler:
+        if self._vibrated and mode is Mode.PC:
+            raise SmartTouchError(
+                "mode PC drives PC by current, and a vibrator takes its place: leave the vibrator "
+                "out, or show a vibration: source"
+            )
         if mode not in self._scans:
             bank, config, vibrated = self._bank, self._config, self._vibrated
             classes, vibrated = mode.afferents, vibrated and mode is Mode.COLOR

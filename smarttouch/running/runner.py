@@ -80,6 +80,7 @@ class Runner:
         self._force_url = force if isinstance(force, str) else None
         self.statistics: RunStatistics = RunStatistics()
         self._listeners = as_listeners(listeners)
+        self._vibrated = any(each.vibrates_pc for each in self._listeners)
         self._load_kernels = load_kernels
         self._operation = operation = operation or Operation()
         self._level = operation.first_level
@@ -145,10 +146,10 @@ class Runner:
                 self._require_force()
                 profile = masked_where_broken(board, profile, self._advise)
         bank = self.statistics.kernels = self._load_kernels(profile)
-        vibrated = self.display.vibrators_url is not None
         pipeline = Pipeline(
-            profile, bank, config, board.timing, vibrated=vibrated, in_sums=board.keeps_kernels
-        )
+            profile, bank, config, board.timing, vibrated=self._vibrated,
+            in_sums=board.keeps_kernels,
+        )  # fmt: skip
         first = 1.0 if self._level is None else self._level
         state = ControlState(pipeline.mode, first)
         offered = (state.mode,) if source.fixed_mode else pipeline.offered()
@@ -204,13 +205,12 @@ class Runner:
         source, display = self.source, self.display
         return {
             **self.config.settings(profile),
-            "vibrated": display.vibrators_url is not None,
+            "vibrated": self._vibrated,
             "in_sums": display.board.keeps_kernels,
             "timing": asdict(display.board.timing),
             "sensor": source.url or source.title,
             "sensor_title": source.title,
             "board": display.url,
-            "vibrators": display.vibrators_url,
             "force": None if self._force is None else self._force.url or self._force.title,
         }
 

@@ -13,7 +13,7 @@ from smarttouch.base.url_options import joined_options, read_options
 from smarttouch.profile import Profile, load_profile
 from smarttouch.sources.source_contract import Source
 
-_NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display")  # what the whole run needs as well
+_NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display", "vibrated")  # of the whole run
 _SUFFIXES = {"recording": (".mcap",), "video": (".avi", ".mkv", ".mov", ".mp4", ".webm")}
 
 

@@ -272,8 +272,8 @@ class ScanSequence:
     time_ns : int
         Time of the frame it came from.
     vibration : ndarray, (E,) float32, in [0, 1], optional
-        Amplitude of mechanical vibration of the skin under each site for the whole
-        period; none if not given.
+        Amplitude of mechanical vibration of the skin under each site, for a `Vibrator`
+        beside the board; none if not given.
     proof : SelectivityReport, optional
         Selectivity of shared slots.
     recharge_ua : ndarray, (E,) int16, µA, optional

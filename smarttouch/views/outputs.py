@@ -41,7 +41,7 @@ class DeliveredPicture(Listener):
 
         load_anatomy(self._anatomy)
         moves = self.path.suffix.lower() == ".gif"
-        board = getattr(run.board, "electric", run.board)
+        board = run.board
         if isinstance(board, EmulatorBoard):
             from smarttouch.emulator.firmware import read_delivered
 

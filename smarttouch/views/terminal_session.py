@@ -51,6 +51,7 @@ class Outputs:
     finger: int = 1
     anatomy: str = "branched"
     record: Path | None = None
+    vibrators: str | None = None
     json_file: Path | None = None
     window: int | None = None
     quiet: bool = False
@@ -74,6 +75,10 @@ class Outputs:
             from smarttouch.running.recorder import Recorder
 
             yield Recorder(self.record)
+        if self.vibrators is not None:
+            from smarttouch.views.vibrator import Vibrator
+
+            yield Vibrator(self.vibrators)
 
 
 def run_in_terminal(

@@ -7,8 +7,7 @@ import pytest
 
 from smarttouch.base.errors import BoardError, BoardStoppedError
 from smarttouch.base.wire.device_lines import PtyLine
-from smarttouch.boards.open import MemoryBoard, make_board
-from smarttouch.boards.vibrators.vibrator_board import HybridBoard, VibratorBoard
+from smarttouch.boards.open import make_board
 from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
@@ -102,13 +101,3 @@ def recover(board, raised):
         board._recover(BoardError("the line broke"))
     except BoardError as error:
         raised.append(error)
-
-
-def test_both_boards_of_a_hybrid_are_halted(tmp_path):
-    electric = MemoryBoard("", LIMITS)
-    shaking = VibratorBoard(str(tmp_path / "out.wav"), LIMITS)
-    board = HybridBoard(electric, shaking)
-    board.halt()
-    for each in (board, electric, shaking):
-        with pytest.raises(BoardStoppedError):
-            each.open()

@@ -9,7 +9,6 @@ from smarttouch.boards.kits.etactilekit import SENSE_SCANS
 from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
 from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.open import MemoryBoard, make_board
-from smarttouch.boards.vibrators.vibrator_board import HybridBoard, VibratorBoard
 
 from ..raising import raises
 from .test_etactilekit import OPEN, PING, QUIET, ZERO, make  # noqa: F401
@@ -23,12 +22,9 @@ NO_SENSE = b"\xf9\0\0\xf8\0\0"
 SENSE = QUIET + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, 50, 0xF9, 100])
 
 
-@pytest.fixture(params=["emulator:", "hybrid"])
-def board(request, tmp_path, make_limits):
-    limits = make_limits()
-    if request.param != "hybrid":
-        return make_board(request.param, limits)
-    return HybridBoard(MemoryBoard("", limits), VibratorBoard(str(tmp_path / "a.wav"), limits))
+@pytest.fixture
+def board(make_limits):
+    return make_board("emulator:", make_limits())
 
 
 @pytest.mark.parametrize("how", STOPS)

@@ -18,7 +18,6 @@ from smarttouch.boards import stoppable
 from smarttouch.boards.announced import running, stop_all
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import make_board
-from smarttouch.boards.vibrators.vibrator_board import HybridBoard, VibratorBoard
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA, CEILING_USER_MA
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -209,18 +208,6 @@ def test_of_boards_that_open_at_once_too_many_never_do():
             most = max(most, count)
     os.close(looked)
     assert 1 <= most <= 2
-
-
-def test_a_board_with_vibrators_counts_once(profile, tmp_path):
-    limits = SafetyLimits.of(profile)
-
-    def hybrid(name):
-        electric = Plain(limits.total_ma, limits)
-        return HybridBoard(electric, VibratorBoard(str(tmp_path / f"{name}.wav"), limits))
-
-    with hybrid("a"), hybrid("b"):
-        assert running() == [os.getpid()]
-        assert sum(stoppable._program._boards.values()) == 2 * round(1000 * limits.total_ma)
 
 
 def test_stopping_a_board_that_confirms_no_zero_is_an_error():

@@ -14,6 +14,7 @@ from smarttouch.base.errors import (
     ProfileError,
     RecordingError,
     ScheduleError,
+    SmartTouchError,
     SourceError,
 )
 from smarttouch.profile.toml_files import profile_path
@@ -34,6 +35,7 @@ def folder(tmp_path):
     shipped = profile_path("line-7").read_text(encoding="utf-8")
     (tmp_path / "wrong.toml").write_text(f"foo = 1\n{shipped}")
     (tmp_path / "taken.mcap").write_text("precious")
+    (tmp_path / "taken.wav").write_text("precious")
     return tmp_path
 
 
@@ -58,7 +60,10 @@ def no_place(name):
     ("live --board nobody:", says(BoardError, value="nobody:")),
     ("live --board link: --intensity 1", says(BoardError, "link: ", "link:/dev/ttyACM0")),
     ("live --board link:/dev/nothing --intensity 1", says(BoardError, "/dev/nothing")),
-    ("live --board vibrators:x.wav", says()),
+    ("live --board vibrators:x.wav", says(BoardError, "--vibrators")),
+    ("live --vibrators x.mp3", says(SmartTouchError, "x.mp3", "sound:")),
+    ("live --vibrators taken.wav", says(SmartTouchError, "taken.wav")),
+    ("live --vibrators x.wav --mode PC", says(SmartTouchError, "mode PC", "vibrator")),
     ("live --set scan=frame", no_choice("scan", "frame", "auto", "points")),
     ("live --mode color", no_choice("mode", "color", "RA", "SAI", "PC", "natural")),
     ("live --rate 1000", says(ScheduleError, " 1000 Hz", "200 Hz")),
@@ -113,23 +118,6 @@ def test_help_names_every_command(program_here):
     done = program_here("--help").fine()
     for command in ("live", "profiles", "design"):
         assert command in done.stdout
-
-
-@pytest.mark.parametrize(("arguments", "options"), [
-    ("live --board vibrators:x.wav", "--board, --vibrators"),
-    ("live texture: --rate 300 --board memory:", "--rate"),
-    ("read text:hi --as braille --seconds 0 --board memory:", "--seconds"),
-    ("read text:hi --pause -1 --board memory:", "--pause"),
-    ("calibrate registration --dot-pitch-mm 0", "--dot-pitch-mm"),
-    ("calibrate force --simulate --output run.txt", "--output"),
-    ("devices test memory: --current-ma 9 --seconds 1", "--current-ma"),
-])  # fmt: skip
-def test_options_end_the_sentence(program_here, tmp_path, arguments, options):
-    Image.new("L", (20, 20)).save(tmp_path / "page.png")
-    done = program_here(*arguments.split(" "))
-    refused(done)
-    assert done.stderr.endswith(f" ({options})\n")
-    assert done.stderr.count("(--") == 1
 
 
 @pytest.mark.parametrize("arguments", ["profiles show nobody", "devices extra", "live --seed x"])

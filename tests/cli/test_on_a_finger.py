@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("patient_boards")
 
 
 @pytest.mark.parametrize(("url", "finger"), [
-    ("link:x", True), ("kajimoto61:x", True), ("etactilekit:x", True), ("vibrators:x", True),
+    ("link:x", True), ("kajimoto61:x", True), ("etactilekit:x", True),
     ("emulator:", False), ("simulated:", False), ("memory:", False),
 ])  # fmt: skip
 def test_which_boards_a_finger_may_be_on(url, finger):

@@ -11,7 +11,7 @@ COMMANDS = {
         (*LIVE, "--record", "run.mcap", "--json", "run.json"),
     ),
     "felt": ((*LIVE, "--felt", "felt.png"),),
-    "vibrations": ((*LIVE, "--vibrators", "vibrators:out.wav"),),
+    "vibrations": ((*LIVE, "--vibrators", "out.wav"),),
     "experiment": (
         ("experiment", "run", "frequency?standards=30&train_s=0.15&repetitions=1&gap_s=0.1",
          "--simulate", "model", "--output", "a.csv"),

@@ -37,7 +37,7 @@ def test_a_panel_for_the_trace_and_one_for_each_class(profile, pressed):
     for axes, name in ((ra, "RA"), (sai, "SAI"), (pc, "PC")):
         text, drawn = axes.texts[0].get_text(), pulses.get(name)
         assert text.startswith(name)
-        assert numbers_in(text) == [drawn] * bool(drawn), "pulses; none where vibrators shake"
+        assert numbers_in(text) == [drawn] * bool(drawn), "pulses; none where a vibrator plays"
         if drawn:
             assert len(axes.collections[1].get_segments()) == drawn
     assert pc.lines[0].get_color() == CLASS_COLORS[Afferent.PC]

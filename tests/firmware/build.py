@@ -63,8 +63,8 @@ def library():
     return built("library", "libst.so", "cc")
 
 
-def host(more=""):
-    return built("host", "st_host", "cc", more=f"-DST_SILENCE_US={silence_ms}000u {more}".strip())
+def host():
+    return built("host", "st_host", "cc", more=f"-DST_SILENCE_US={silence_ms}000u")
 
 
 def cortex_m3(more=""):

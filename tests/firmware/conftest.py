@@ -14,10 +14,10 @@ def start_firmware():
     """Return a starter of the C core behind a pseudo-terminal: the process and its port."""
     started = []
 
-    def start(*arguments, electrodes=8, output="weighted", built=None):
+    def start(*arguments, electrodes=8, output="weighted"):
         options = (f"--electrodes={electrodes}", f"--output={output}", "--linger=2", *arguments)
         process = subprocess.Popen(
-            [built or build.host(), *options],
+            [build.host(), *options],
             stdout=subprocess.PIPE,
             text=True,
             start_new_session=True,

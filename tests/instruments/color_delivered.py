@@ -1,5 +1,6 @@
 """A trace all the way to the skin: what each class got, recovered from delivered currents alone."""
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,14 +8,13 @@ import numpy as np
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.stopping import StopRequest
-from smarttouch.boards.vibrators.vibrator_board import HybridBoard
 from smarttouch.emulator.emulated_boards import SimulatedBoard
 from smarttouch.instruments.color_mix import mix_colors
 from smarttouch.instruments.color_source import ColorSource
 from smarttouch.instruments.skin_trace import open_trace
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import as_listeners
+from smarttouch.running.listener import Listener, as_listeners
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
@@ -41,13 +41,10 @@ class Got:
         return (len(self.time_s) - 1) / np.ptp(self.time_s)
 
 
-def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
-    """Return what each class got, by afferent class, and the sensor that asked for it.
-
-    What ``shaking``, a board of vibrators, is to do it is told.
-    """
+def feel(spec, profile, bank, seconds=2.0, vibrator=None, **options):
+    """Return what each class got, by afferent class, and the sensor that asked for it."""
     trace = open_trace(spec, seconds)
-    vibrated = shaking is not None
+    vibrated = vibrator is not None
     mixture = mix_colors(trace, profile, bank, vibrated=vibrated, **options)
     sensor = ColorSource(spec, profile, mixture, force_n=2 * profile.force.full_n)
     began_s = {}
@@ -56,15 +53,16 @@ def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
         began_s[sent.number] = sent.step.sequence.time_ns / 1e9
 
     board = SimulatedBoard("", SafetyLimits.of(profile), profile.output)
-    whole = HybridBoard(board, shaking) if vibrated else board
-    with whole:
+    if vibrated:
+        vibrator.prepare(None)
+    with board, contextlib.closing(vibrator or Listener()):
         run_loop(
             sensor,
             Pipeline(profile, bank, RunConfig(mode=mixture.mode, scan="points"), vibrated=vibrated),
-            whole,
+            board,
             stop=StopRequest(),
             statistics=RunStatistics(),
-            listeners=as_listeners([watch]),
+            listeners=as_listeners([watch, *([vibrator] if vibrated else [])]),
             controls=Controls(ControlState(mixture.mode, LEVEL)),
             clock=SimulatedClock(),
         )

@@ -7,10 +7,9 @@ import pytest
 from scipy.io import wavfile
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.boards.vibrators.vibrator_board import VibratorBoard
 from smarttouch.instruments.receptor_responses import split_trace
 from smarttouch.instruments.skin_trace import open_trace
-from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.views.vibrator import Vibrator
 
 from ..whole import sample
 from .color_delivered import LEVEL, feel
@@ -62,11 +61,10 @@ def test_all_three_mixed_give_back_all(profile, bank):
     }
 
 
-@pytest.mark.usefixtures("patient_boards")
-def test_vibrators_shake_as_pc_answers_and_get_no_pulses(profile, bank, tmp_path):
-    path = tmp_path / "shaken.wav"
-    shaking = VibratorBoard(f"{path}?grid=1x1", SafetyLimits.of(profile), profile.output)
-    got, _ = feel("+".join(spec for spec, _ in ALONE.values()), profile, bank, shaking=shaking)
+def test_a_vibrator_plays_as_pc_answers_and_pc_gets_no_pulses(profile, bank, tmp_path):
+    path = tmp_path / "pc.wav"
+    spec = "+".join(spec for spec, _ in ALONE.values())
+    got, _ = feel(spec, profile, bank, vibrator=Vibrator(path))
     assert set(got) == {Afferent.RA, Afferent.SAI}
     assert got[Afferent.RA].rate_hz == pytest.approx(30, rel=RATE_WITHIN)
     rate_hz, wave = wavfile.read(path)

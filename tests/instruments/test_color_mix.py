@@ -88,7 +88,7 @@ def test_pc_is_slowed_to_what_current_can_do(profile, bank):
     np.testing.assert_allclose([pc_us(hz) for hz in (100, 250, 400)], [10000, 8000, 7500], atol=1)
 
 
-def test_vibrators_do_it_instead_of_pulses_of_pc(profile, bank):
+def test_a_vibrator_does_it_instead_of_pulses_of_pc(profile, bank):
     mixture = mix_colors(open_trace(ALL, 1.0), profile, bank, vibrated=True)
     assert mixture.vibrated
     assert Afferent.PC not in mixture.ideal_us

@@ -5,10 +5,8 @@ import pytest
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.instruments.color_mix import mix_colors
-from smarttouch.instruments.color_source import LONGEST_US, ColorSource, notes, pacinian_crosstalk
+from smarttouch.instruments.color_source import LONGEST_US, ColorSource, notes, open_vibration
 from smarttouch.instruments.skin_trace import open_trace
-from smarttouch.kernels.bank import load_bank
-from smarttouch.profile import load_profile
 
 from ..said import numbers_in
 
@@ -62,7 +60,7 @@ def test_where_sequences_are_longer_pulses_wait_and_none_is_lost(make_source):
         assert -mixture.least_us // 2 <= moved_us.min() < 0
 
 
-def test_vibrators_go_on_between_requests(make_source):
+def test_a_vibrator_goes_on_between_requests(make_source):
     source, mixture = make_source("tone:250Hz,1.5um", vibrated=True)
     row = Afferent.PC, mixture.sites[0]
     levels = [each.activation[row] for time, each in asked(source, 0.3) if 1e5 < time < 4e5]
@@ -81,26 +79,15 @@ def test_whose_word_on_force_counts(profile, make_source):
     assert pressing.read(500_000_000) is None
 
 
-def test_the_price_of_pc_is_that_of_its_kernels(profile, bank, make_source):
-    _, mixture = make_source("tone:250Hz,1.5um")
-    crosstalk = pacinian_crosstalk(profile, bank, mixture.sites)
-    # Felt at 27, 28, 35 and 36, stimulated a pitch below.
-    assert crosstalk.mean == pytest.approx(bank.off_target[Afferent.PC][[35, 36, 43, 44]].mean())
-    assert crosstalk.worst[0] is Afferent.RA
-    assert "RA" in str(crosstalk)
-    assert numbers_in(str(crosstalk))[0] == pytest.approx(crosstalk.mean, abs=0.05)
+def test_a_note_says_what_pc_costs_unless_a_vibrator_plays_it(profile, bank):
+    source = open_vibration("tone:250Hz,1.5um", profile, seconds=0.5)
+    (note,) = source.notes
+    assert numbers_in(note) == [pytest.approx(bank.off_target[Afferent.PC].max(), abs=0.05)]
     # Not only by the bank's word: the kernel's own activation of RA nodes is beyond PC's.
     kernel = bank.weights[Afferent.PC][35]
-    reached = bank.receptor[Afferent.RA] @ kernel
-    own = bank.receptor[Afferent.PC][35] @ kernel
-    assert own == pytest.approx(1, rel=1e-5)
-    assert 1 < reached.max() <= crosstalk.times[0] * 1.001
-
-
-def test_where_pc_cannot_be_driven_it_has_no_price(profile, bank):
-    without = load_profile("kajimoto-61")
-    assert pacinian_crosstalk(without, load_bank(without), np.arange(3)) is None
-    assert pacinian_crosstalk(profile, bank, np.array([60])) is None  # nothing lies below
+    assert bank.receptor[Afferent.PC][35] @ kernel == pytest.approx(1, rel=1e-5)
+    assert 1 < (bank.receptor[Afferent.RA] @ kernel).max() < numbers_in(note)[0]
+    assert open_vibration("tone:250Hz,1.5um", profile, vibrated=True).notes == []
 
 
 def test_notes_count_what_was_sent(profile, bank, make_source):

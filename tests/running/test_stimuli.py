@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.clock import SimulatedClock
-from smarttouch.base.errors import BoardError, SafetyError, ScheduleError
-from smarttouch.boards.open import make_board
+from smarttouch.base.errors import SafetyError, ScheduleError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
@@ -124,7 +123,7 @@ def test_all_classes_at_once_need_periods(profile, bank):
         pipeline.process(asking({Afferent.RA: (27,)}, None, now))
 
 
-def test_vibrators_take_pc_over(profile, bank):
+def test_a_vibrator_takes_pc_over(profile, bank):
     pipeline, now = settled(profile, bank, Mode.COLOR, vibrated=True)
     frame = asking({Afferent.PC: (35, 36), Afferent.RA: (4,)}, time_ns=now, level=0.5)
     sequence = pipeline.process(frame).sequence
@@ -169,15 +168,6 @@ def test_every_point_is_felt_within_half_a_cell_of_where_it_should_be(
     beyond = place[~here] + shift
     outside = np.abs(beyond) > np.abs(place).max(axis=0) + np.array(profile.electrodes.cell_mm) / 2
     assert outside.any(axis=1).all()
-
-
-def test_boards_without_vibrators_refuse_vibration(profile, bank):
-    pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.COLOR, scan="points"), vibrated=True)
-    with (
-        make_board("memory:", SafetyLimits.of(profile)) as board,
-        raises(BoardError, names="vibration"),
-    ):
-        board.send(pipeline.process(asking({})).sequence)
 
 
 BRIGHTER_NS = 1_200_000_000

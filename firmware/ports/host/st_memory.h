@@ -7,16 +7,10 @@
 #include "st_board.h"
 
 #define ST_MOST_ELECTRODES 1024u
-#ifndef ST_PACKET_BYTES /* a small board: less of each */
 #define ST_PACKET_BYTES (1u << 20)
-#endif
-#ifndef ST_KERNEL_BYTES
 #define ST_KERNEL_BYTES (1u << 23)
 #define ST_MOST_KERNELS 4096u
-#endif
-#ifndef ST_MOST_SLOTS
 #define ST_MOST_SLOTS 4096u
-#endif
 
 typedef struct {
     uint8_t buffer[ST_BUFFERS][ST_PACKET_BYTES];

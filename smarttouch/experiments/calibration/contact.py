@@ -148,19 +148,15 @@ def show_optics(found: "OpticsFound") -> None:
 
 
 def show_registration(found: "RegistrationFound") -> None:
-    """Show the places of electrodes, and the residuals of the dots."""
+    """Show the places of electrodes, and how well the image agrees with the target."""
     outside = set(found.outside.tolist())
     rows = [
         (str(index), f"{column:.2f}", f"{row:.2f}", "beyond the image" * (index in outside))
         for index, (column, row) in enumerate(found.electrode_pixel)
     ]
     print_table(rows, ("electrode", "column", "row", ""), left=4)
-    worst = ("worst", float(found.residual_px.max()), found.worst_mm)
-    fit = [
-        (name, f"{px:.3f}", f"{mm:.4f}", f"{mm / found.pitch_mm:.4f}")
-        for name, px, mm in (("rms", found.rms_px, found.rms_mm), worst)
-    ]
-    print_table(fit, ("residual", "px", "mm", "pitch on the page"), left=4)
+    fit = (str(found.markers), f"{found.correlation:.3f}", f"{found.tilt_deg:.1f}")
+    print_table([fit], ("markers", "correlation", "tilt, degrees"), left=3)
 
 
 def show_force(found: "ForceFound") -> None:

@@ -1,49 +1,118 @@
-"""Electrodes in the image of a sensor, found by the printed target; a simulated camera over it."""
+"""Electrodes in the image of a sensor, found by a printed target; a simulated camera over it."""
 
 import math
 from dataclasses import dataclass
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 
-from smarttouch.base.errors import CalibrationError
-from smarttouch.experiments.calibration.dot_target import Dots, DotTarget, Points, apply, find_dots
+from smarttouch.base.errors import CalibrationError, require_within
+from smarttouch.base.files import write_bytes
 from smarttouch.profile import Optics, Profile
 
-FEWEST_DOTS = 12
-MOST_RESIDUAL = 0.25  # largest residual of a dot, as a part of an electrode's pitch on the page
+Matrix = NDArray[np.floating[Any]]
+Gray = NDArray[np.integer[Any] | np.floating[Any]]
+
+MARKERS = 3  # in a row of the target
+MODULES = 7 * MARKERS - 1  # across the target: 6 for each marker and one between two
+FIELD_SHARE = 1.5  # side of the target, as a part of the field: it need not be laid exactly
+FEWEST_PIXELS = 24  # fewest pixels a side; with fewer, no marker is recognized
+LEAST_CORRELATION = 0.8  # of the image with the target; 0.9 and more where it lies flat
 MOST_OUTSIDE = 0.25  # largest part of the electrodes outside the image
-_OUTLIER = 5.0  # factor of the median residual beyond which dots are dirt
-_ROUNDS = 4
+DOTS_PER_MM = 50  # of the print
+_SIZES_MM = (1.0, 200.0)
+_MARGIN_MM = 8.0
+_WORKING_SIDE = 240  # pixels of the shorter side at which markers are detected
+_MODULE_PX, _QUIET = 12, 2  # pixels of a module in `picture`, and modules of white around it
+
+
+@dataclass(frozen=True)
+class PageTarget:
+    """Square of ArUco markers on paper; its middle is laid under the middle of the array."""
+
+    module_mm: float
+
+    @property
+    def side_mm(self) -> float:
+        return MODULES * self.module_mm
+
+    @property
+    def to_mm(self) -> Matrix:
+        """Map, (3, 3), from pixels of `picture` to millimeters around the middle."""
+        scale = self.module_mm / _MODULE_PX
+        middle = (MODULES + 2 * _QUIET) / 2 * self.module_mm
+        return np.array([[scale, 0, scale / 2 - middle], [0, scale, scale / 2 - middle], [0, 0, 1]])
+
+    def draw(self, path: Path) -> None:
+        """Write the target as a PNG file with its resolution."""
+        margin, side = round(_MARGIN_MM * DOTS_PER_MM), round(self.side_mm * DOTS_PER_MM)
+        image = Image.new("L", (side + 2 * margin,) * 2, 255)
+        image.paste(Image.fromarray(_board().generateImage((side, side))), (margin, margin))
+        text = f"SmartTouch, this side up: print at 100 %, measure {self.side_mm:g} mm across"
+        pen, size = ImageDraw.Draw(image), 2.2 * DOTS_PER_MM
+        while pen.textlength(text, font_size=size) > image.width - 2 * DOTS_PER_MM:
+            size *= 0.9
+        pen.text((DOTS_PER_MM, DOTS_PER_MM), text, fill=0, font_size=size)
+        content = BytesIO()
+        image.save(content, format="PNG", dpi=(25.4 * DOTS_PER_MM,) * 2)
+        write_bytes(path, content.getvalue(), CalibrationError)
+
+
+def target_for(profile: Profile, size_mm: float | None = None) -> PageTarget:
+    """Return the target for a sensor, somewhat larger than its field, or of about a given side."""
+    optics = profile.optics
+    pixels = min(optics.sensor_columns, optics.sensor_rows)
+    if size_mm is None:
+        if pixels < FEWEST_PIXELS:
+            raise CalibrationError(
+                f"{optics.sensor_columns} × {optics.sensor_rows} pixels are too coarse for a "
+                f"target: {FEWEST_PIXELS} a side are needed; set optics.rotation_deg, offset_x_mm "
+                "and offset_y_mm by hand, or give the size if the sensor is finer than that"
+            )
+        size_mm = FIELD_SHARE * min(optics.field_width_mm, optics.field_height_mm)
+    require_within(CalibrationError, "size_mm", size_mm, *_SIZES_MM)
+    return PageTarget(max(1, round(size_mm / MODULES * DOTS_PER_MM)) / DOTS_PER_MM)
+
+
+@cache
+def _board() -> Any:
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    return cv2.aruco.GridBoard((MARKERS, MARKERS), 6, 1, dictionary)
+
+
+@cache
+def picture() -> NDArray[np.uint8]:
+    """Return the target's gray levels, with some paper around it."""
+    printed = _board().generateImage((MODULES * _MODULE_PX,) * 2)
+    around = (_QUIET * _MODULE_PX,) * 4
+    made = cv2.copyMakeBorder(printed, *around, cv2.BORDER_CONSTANT, value=255)
+    return np.asarray(made, np.uint8)
+
+
+def apply(homography: Matrix, points: Matrix) -> NDArray[np.float64]:
+    """Return the points, (N, 2), mapped by a homography."""
+    carried = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    return np.asarray(carried[:, :2] / carried[:, 2:])
 
 
 @dataclass(frozen=True, eq=False)
 class RegistrationFound:
-    """A fit, and its residuals."""
+    """A fit, and how well the image agrees with it."""
 
     # (3, 3): millimeters on the page around the middle of what the array covers to pixels
     homography: NDArray[np.float64]
     shape: tuple[int, int]  # rows and columns of the image
-    electrode_pixel: Points  # (E, 2): column and row at which each electrode looks
-    # residual_px, residual_mm: (N,), of each dot, in the image and on the page
-    residual_px: NDArray[np.float64]
-    residual_mm: NDArray[np.float64]
-    pitch_mm: float  # of the electrodes, on the page
+    electrode_pixel: NDArray[np.float64]  # (E, 2): column and row at which each electrode looks
+    markers: int  # number of markers recognized
+    correlation: float  # of the image with the target there, 1 where they are alike
     tilt_deg: float  # by how much a square on the page is foreshortened
     mirrored: bool  # the sensor sees the page as in a mirror
-
-    @property
-    def rms_mm(self) -> float:
-        return float(np.sqrt(np.mean(self.residual_mm**2)))
-
-    @property
-    def worst_mm(self) -> float:
-        return float(self.residual_mm.max())
-
-    @property
-    def rms_px(self) -> float:
-        return float(np.sqrt(np.mean(self.residual_px**2)))
 
     @property
     def outside(self) -> NDArray[np.intp]:
@@ -56,96 +125,97 @@ class RegistrationFound:
     def sentence(self) -> str:
         """Return the sentence for the profile."""
         return (
-            f"{len(self.residual_px)} dots in {self.shape[1]} × {self.shape[0]} pixels, residual "
-            f"rms {self.rms_px:.2f} px, {self.rms_mm:.4f} mm, {self.rms_mm / self.pitch_mm:.3f} "
-            f"of a pitch on the page, worst {self.residual_px.max():.2f} px, "
-            f"{self.worst_mm:.4f} mm, {self.worst_mm / self.pitch_mm:.3f}; "
-            f"tilt {self.tilt_deg:.1f}°"
+            f"{self.markers} markers in {self.shape[1]} × {self.shape[0]} pixels, correlation "
+            f"{self.correlation:.3f}; tilt {self.tilt_deg:.1f}°"
             + (", mirrored" if self.mirrored else "")
             + (f"; {len(self.outside)} electrodes look beyond the image" * bool(len(self.outside)))
         )
 
 
-def register(image: NDArray[np.uint8], profile: Profile, target: DotTarget) -> RegistrationFound:
+def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> RegistrationFound:
     """Fit the place on the page of each pixel, from one image (H, W) of the target or a mean of
-    several.
-
-    The center of the array is the middle of the L.
-    """
-    dots = find_dots(image)
-    dots = _within(dots, target)
-    homography, kept = _fit(dots, target)
-    measured, page_mm = dots.pixel[kept], _page_mm(dots, target)[kept]
-    expected = _seen_centers(homography, page_mm, target.radius_mm(*dots.cell[kept].T))
-    back = np.linalg.inv(homography)
-    residual_mm = np.linalg.norm(apply(back, measured) - apply(back, expected), axis=1)
-    electrodes = profile.electrodes
-    places_mm = electrodes.position_mm / profile.optics.magnification
-    scale, mirrored = _linear(homography)
-    found = RegistrationFound(
-        homography,
-        (image.shape[0], image.shape[1]),
-        apply(homography, places_mm),
-        np.linalg.norm(measured - expected, axis=1),
-        residual_mm,
-        electrodes.pitch_mm / profile.optics.magnification,
-        float(np.degrees(np.arccos(min(1.0, scale[1] / scale[0])))),
-        mirrored,
-    )
-    _require_good(found)
-    return found
-
-
-def _within(dots: Dots, target: DotTarget) -> Dots:
-    there = np.abs(dots.cell).max(axis=1, initial=0) <= target.reach
-    if there.sum() < FEWEST_DOTS:
+    several."""
+    rows, columns = image.shape
+    if min(rows, columns) < FEWEST_PIXELS:
         raise CalibrationError(
-            f"{int(there.sum())} dots of the target are seen, {FEWEST_DOTS} are needed: bring more "
-            "of it into view, or print it with dots closer together"
+            f"an image of {columns} × {rows} pixels is too coarse: {FEWEST_PIXELS} a side are "
+            "needed"
         )
-    return Dots(dots.pixel[there], dots.cell[there])
+    scale = _WORKING_SIDE / min(rows, columns)
+    size = round(columns * scale), round(rows * scale)
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    working = cv2.resize(image, size, interpolation=method)
+    mirror = np.eye(3)
+    found = _markers(working)
+    if found is None:
+        mirror = np.array([[-1.0, 0, size[0] - 1], [0, 1, 0], [0, 0, 1]])
+        working = np.ascontiguousarray(working[:, ::-1])
+        found = _markers(working)
+    if found is None:
+        raise CalibrationError(
+            "no marker of the target is recognized: lay it under the sensor, light it, and bring "
+            "it into focus"
+        )
+    to_working, correlation = _aligned(working, *found)
+    if not correlation >= LEAST_CORRELATION:
+        raise CalibrationError(
+            f"the image agrees with the target to {correlation:.2f}, below "
+            f"{LEAST_CORRELATION:g}: lay the target flat, bring more of it into view, and check "
+            "the lens"
+        )
+    grown = np.array(
+        [[1 / scale, 0, 0.5 / scale - 0.5], [0, 1 / scale, 0.5 / scale - 0.5], [0, 0, 1]]
+    )
+    homography = grown @ mirror @ to_working @ np.linalg.inv(target.to_mm)
+    homography /= homography[2, 2]
+    places_mm = profile.electrodes.position_mm / profile.optics.magnification
+    axes, mirrored = _linear(homography)
+    tilt_deg = float(np.degrees(np.arccos(min(1.0, axes[1] / axes[0]))))
+    registered = RegistrationFound(
+        homography, (rows, columns), apply(homography, places_mm), len(found[0]) // 4, correlation,
+        tilt_deg, mirrored,
+    )  # fmt: skip
+    _require_in_view(registered)
+    return registered
 
 
-def _page_mm(dots: Dots, target: DotTarget) -> Points:
-    return np.asarray(dots.cell * target.pitch_mm, np.float64)
+def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
+    """Return the corners of the markers in an image, (N, 2): in modules of the target, and in
+    pixels; None if there are none."""
+    parameters = cv2.aruco.DetectorParameters()
+    # A module is up to 15 pixels wide in an image that was enlarged so much.
+    parameters.adaptiveThreshWinSizeMax = 53
+    detector = cv2.aruco.ArucoDetector(_board().getDictionary(), parameters)
+    corners, ids, _ = detector.detectMarkers(working)
+    if ids is None:
+        return None
+    modules, pixels = _board().matchImagePoints(corners, ids)
+    if modules is None:
+        return None
+    return modules.reshape(-1, 3)[:, :2].astype(np.float64), pixels.reshape(-1, 2)
 
 
-def _fit(dots: Dots, target: DotTarget) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the homography from page to pixels, and the dots it was fitted to."""
-    page_mm, radius = _page_mm(dots, target), target.radius_mm(*dots.cell.T)
-    kept = np.ones(len(page_mm), bool)
-    aim = dots.pixel.copy()
-    homography = np.eye(3)
-    for _ in range(_ROUNDS):
-        fitted, _ = cv2.findHomography(page_mm[kept], aim[kept], 0)
-        if fitted is None:
-            raise CalibrationError("the dots lie on one line: bring more of the target into view")
-        homography = np.asarray(fitted, np.float64)
-        # A tilted disc is seen as an ellipse, and its middle is not where the disc's middle is.
-        aside = _seen_centers(homography, page_mm, radius) - apply(homography, page_mm)
-        aim = dots.pixel - aside
-        away = np.linalg.norm(apply(homography, page_mm) - aim, axis=1)
-        fine = away <= _OUTLIER * max(float(np.median(away)), 0.02)
-        if fine.sum() >= FEWEST_DOTS:
-            kept = fine
-    return homography / homography[2, 2], kept
+def _aligned(working: Gray, modules: Matrix, pixels: Matrix) -> tuple[Matrix, float]:
+    """Return the homography from pixels of `picture` to those of an image, and how well they
+    correlate.
 
-
-def _seen_centers(
-    homography: NDArray[np.float64], page_mm: Points, radius_mm: NDArray[np.float64]
-) -> Points:
-    """Return the centers of the ellipses that discs appear as.
-
-    By dual conics: a disc's is p pᵀ − r² diag(1, 1, 0), a homography H takes it to
-    H C Hᵀ, and an ellipse's middle is its dual conic's last column (Hartley and Zisserman,
-    Multiple View Geometry, Section 2.2.3).
+    Blur moves the corners of markers, so they are the first guess alone: the whole picture is then
+    laid on the image (Evangelidis and Psarakis 2008, enhanced correlation coefficient).
     """
-    place = np.column_stack([page_mm, np.ones(len(page_mm))])
-    conic = place[:, :, None] * place[:, None, :]
-    conic[:, 0, 0] -= radius_mm**2
-    conic[:, 1, 1] -= radius_mm**2
-    seen = homography @ conic @ homography.T
-    return np.asarray(seen[:, :2, 2] / seen[:, 2:, 2])
+    guess, _ = cv2.findHomography((modules + _QUIET) * _MODULE_PX - 0.5, pixels, 0)
+    if guess is None:
+        return np.eye(3), 0.0
+    blurred = cv2.GaussianBlur(picture(), (0, 0), _MODULE_PX / 3)
+    ends = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-5)
+    start = guess.astype(np.float32)
+    try:
+        correlation, fitted = cv2.findTransformECC(
+            blurred, working, start, cv2.MOTION_HOMOGRAPHY, ends
+        )
+    except cv2.error:
+        # It goes astray where nothing fits.
+        return np.eye(3), 0.0
+    return np.asarray(fitted, np.float64), float(correlation)
 
 
 def _linear(homography: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
@@ -155,24 +225,16 @@ def _linear(homography: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]
     return np.linalg.svd(linear, compute_uv=False), bool(np.linalg.det(linear) < 0)
 
 
-def _require_good(found: RegistrationFound) -> None:
-    worst = found.worst_mm / found.pitch_mm
-    if not worst <= MOST_RESIDUAL:
-        raise CalibrationError(
-            f"the dots are up to {worst:.2f} of an electrode's pitch from where they should be, "
-            f"above {MOST_RESIDUAL:g}: lay the target flat, check its dots and the lens"
-        )
+def _require_in_view(found: RegistrationFound) -> None:
     count = len(found.electrode_pixel)
     if len(found.outside) > MOST_OUTSIDE * count:
         raise CalibrationError(
             f"{len(found.outside)} of {count} electrodes look beyond the image: move the target's "
-            "L under the middle of the array, or check optics.magnification"
+            "middle under the middle of the array, or check optics.magnification"
         )
 
 
-_SAMPLES, _FINE_SAMPLES = 4, 2
-"""Rays per pixel and axis, of coarse images and of fine ones, whose pixels are blurred anyway."""
-_FINE = 256
+_SAMPLES = 4  # rays per pixel and axis
 _INK_LEVEL = 0.15  # reflectance of black print
 
 
@@ -211,18 +273,19 @@ class View:
         return np.asarray(seen / seen[2, 2])
 
     def render(
-        self, target: DotTarget, optics: Optics, shape: tuple[int, int]
+        self, target: PageTarget, optics: Optics, shape: tuple[int, int]
     ) -> NDArray[np.uint8]:
         """Return the camera's image of the target."""
         random = np.random.default_rng(self.seed)
-        back = np.linalg.inv(self.homography(optics, shape))
         rows, columns = shape
-        samples = _SAMPLES if min(shape) < _FINE else _FINE_SAMPLES
-        fine = [(np.arange(side * samples) + 0.5) / samples - 0.5 for side in (columns, rows)]
-        x, y = np.meshgrid(*fine)
-        x_mm, y_mm = apply(back, np.column_stack([x.ravel(), y.ravel()])).T
-        ink = target.ink(x_mm, y_mm).reshape(rows, samples, columns, samples).mean(axis=(1, 3))
-        blurred = cv2.GaussianBlur(1 - (1 - _INK_LEVEL) * ink, (0, 0), max(self.blur_px, 1e-3))
+        half = (_SAMPLES - 1) / 2
+        fine = np.array([[_SAMPLES, 0, half], [0, _SAMPLES, half], [0, 0, 1]])
+        seen = fine @ self.homography(optics, shape) @ target.to_mm
+        size = columns * _SAMPLES, rows * _SAMPLES
+        rays = cv2.warpPerspective(picture(), seen, size, borderValue=(255,))
+        paper = cv2.resize(rays, (columns, rows), interpolation=cv2.INTER_AREA) / 255
+        reflected = _INK_LEVEL + (1 - _INK_LEVEL) * paper
+        blurred = cv2.GaussianBlur(reflected, (0, 0), max(self.blur_px, 1e-3))
         image = 190 * np.asarray(blurred, np.float64) * self._light(random, shape)
         image += self.noise_levels * random.standard_normal(shape)
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
@@ -234,7 +297,7 @@ class View:
         return np.asarray(1 + self.uneven * (0.5 * slope - 0.25 * (x * x + y * y)))
 
 
-def bench_view(target: DotTarget, optics: Optics) -> NDArray[np.uint8]:
+def bench_view(target: PageTarget, optics: Optics) -> NDArray[np.uint8]:
     """Return the view of a slightly tilted camera, for demonstrations."""
     view = View(tilt_deg=12, toward_deg=40, turn_deg=5, offset_mm=(0.1, -0.05), zoom=0.9)
     return view.render(target, optics, (optics.sensor_rows, optics.sensor_columns))

@@ -1,1 +1,0 @@
-"""Mechanical vibrators as a board, alone or beside electrodes."""
