@@ -6,30 +6,34 @@ The same tables are on the page "Install", section "From 1.0rc1".
 from typing import Any
 
 COMMANDS = {
-    "report": "give the output of smarttouch devices and the text of the error",
-    "recordings view": "open the file in Foxglove",
-    "recordings repair": "a damaged file opens up to its last whole chunk",
-    "recordings export": "load_recording(FILE).arrays in Python gives the arrays",
     "calibrate level": "set the level with the keys + and - during a run",
+    "recordings export": "st.load_recording(FILE).arrays has the arrays; numpy.savez writes them",
+    "recordings repair": "every command reads a damaged recording up to its last whole chunk",
+    "recordings view": "open the recording in Foxglove",
+    "report": "send smarttouch --version, pip list and the command that went wrong",
 }
 OPTIONS = {
-    "--stream": "run examples/bridges/lsl.py",
-    "--robust": "leave it out",
+    "--compare": "design one kind after the other; the profile's output.kind decides",
+    "--dot-pitch-mm": "give --size-mm, the side of the target",
+    "--leave-out": "leave it out; characters without cells are always left out and named",
+    "--overwrite": "remove the file, or give another name",
+    "--robust": "leave it out; kernels are designed for the nominal finger",
+    "--stream": "run examples/bridges/lsl_bridge.py",
     "--three-state": "leave it out; the profile's output.kind decides",
 }
 URLS = {
-    "draw": "use socket:PATH, or Session.put in Python",
-    "lsl": "run examples/bridges/lsl.py",
-    "mcap": "run examples/bridges/ros.py",
-    "osc": "run examples/bridges/osc.py",
-    "vibrators": "use the option --vibrators FILE.wav",
+    "draw": "send patterns to socket:PATH, or by Session.put in Python",
+    "lsl": "run examples/bridges/lsl_bridge.py, or send JSON lines to socket:PATH",
+    "mcap": "run examples/bridges/mcap_bridge.py; a recording of a run is recording:FILE",
+    "osc": "run examples/bridges/osc_bridge.py, or send JSON lines to socket:PATH",
+    "vibrators": "give --vibrators FILE.wav or --vibrators sound:",
 }
 PROFILE_KEYS = {
-    "kernels.objective": "remove it; kernels are designed for nodes",
     "kernels.anatomy": "remove it; kernels are designed for nodes",
     "kernels.fingers": "remove it; kernels are designed for nodes",
-    "perception.level": "remove it, and set the level with the keys during a run",
+    "kernels.objective": "remove it; kernels are designed for nodes",
     "perception.anatomy": "remove it, and choose the simulated finger with --finger",
+    "perception.level": "remove it, and set the level with the keys during a run",
     "skin.layers": "remove it; set medium = 'half-space' and conductivity_s_per_m",
     "skin.spread": "remove it; kernels are designed for the nominal finger",
 }

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.removed import URLS, instead_of
 from smarttouch.base.files import owner_only, unwritable
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
@@ -37,6 +38,9 @@ class Vibrator(Listener):
         super().__init__()
         self._target = target
         self._output: _WavFile | _SoundCard | None = None
+        name, colon, _ = str(target).partition(":")
+        if colon and (sentence := instead_of(URLS, name)):
+            raise SmartTouchError(sentence)
         if target != "sound:" and Path(target).suffix != ".wav":
             raise SmartTouchError(f"{target} is not a WAV file, such as pc.wav, nor sound:")
 
