@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.removed import URLS, instead_of
 from smarttouch.base.files import owner_only, unwritable
+from smarttouch.base.removed import URLS, instead_of
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 
