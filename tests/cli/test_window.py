@@ -35,8 +35,7 @@ def test_the_port_may_be_left_out(words, expected):
 @pytest.mark.parametrize("port", ["-1", "65536"])
 def test_an_impossible_port_is_refused(program_here, port):
     done = program_here("live --window", port, "--board", "simulated:")
-    said = {"about": "window", "value": int(port)}
-    says(SmartTouchError, **said)(refused(done))
+    says(SmartTouchError, value=int(port))(refused(done))
 
 
 @pytest.mark.parametrize("library", ["uvicorn", "starlette"])

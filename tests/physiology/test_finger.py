@@ -221,5 +221,5 @@ def test_electrodes_beyond_the_contact_deliver_nothing(small):
 
 
 def test_a_seed_is_no_negative_number(profile):
-    with raises(ProfileError, key="seed", value=-1):
+    with raises(ProfileError, names="seed", value=-1):
         Finger(profile, -1)

@@ -30,7 +30,7 @@ def wrong(key, value=None, allowed=None):
          wrong("array.layout", "ring", ("grid", "hexagon-61", "lines", "free"))),
         ('layout = "grid"', "", wrong("array.layout")),
         ("node_spacing_mm = 0.1", "node_spacing_mm = 0.5",
-         wrong("skin.node_spacing_mm", 0.5, 0.25, "0.1")),
+         wrong("skin.node_spacing_mm", 0.5, 0.25)),
         ("threshold_ma = 1.2", "threshold_ma = [1.2, 1.3]",
          wrong("perception.threshold_ma", 2, 64)),
         ("threshold_ma = 1.2", "threshold_ma = nan",

@@ -99,35 +99,18 @@ def run(source="text:a", display="memory:", **settings):
 
 
 @pytest.mark.parametrize(
-    ("kind", "about", "name", "act"),
+    ("kind", "name", "act"),
     [
-        (st.SmartTouchError, "listeners", "Follower", lambda: run(listeners=[Follower()])),
-        (st.SmartTouchError, "listeners", "Strongest", lambda: run(listeners=[Strongest()])),
-        (st.SmartTouchError, "listeners", "Follower", lambda: run(listeners=[Follower])),
-        (st.SmartTouchError, "listeners", "str", lambda: run(listeners=["screen"])),
-        (st.SourceError, "source", "Ring", lambda: run(Ring())),
-        (st.SourceError, "source", "Ring", lambda: next(
-            st.steps(Ring(), st.load_profile("electric-mouse")))),
-        (st.SourceError, "source", "Camera", lambda: run(Camera(np.zeros((9, 9), np.uint8)))),
-        (st.SourceError, "image", "Camera", lambda: run(Camera(st.Frame(np.zeros((9, 9)), 0)))),
-        (st.SourceError, "force", "Scale", lambda: run(force=Scale())),
-        (st.SourceError, "read", "Scale", lambda: run(force=Scale("0.5"))),
-        (st.BoardError, "board", "Silent", lambda: run(display=Silent)),
-        (st.BoardError, "board", "Silent", lambda: Silent("", None).open()),
-        (st.BoardError, "_send", "NoNumber", lambda: run(display=NoNumber)),
-        (st.BoardError, "take_volts", "NoVoltages", lambda: run(display=NoVoltages)),
-        (st.SourceError, "patience_ns", "Waiting", lambda: run(Waiting(0.5), "emulator:")),
-        (st.SourceError, "narrowed", "Waiting", lambda: run(
-            Waiting(0, "finer"), Touched, force="fixed:1", intensity=0.1)),
-        (st.ProfileError, "profile", "4", lambda: st.open_source("text:a", 4)),
-        (st.BoardError, "report", "NoReport", lambda: run(display=NoReport)),
-        (st.BoardError, "_measure", "NoImpedance", lambda: run(display=NoImpedance, measure=True)),
+        (st.SmartTouchError, "Follower", lambda: run(listeners=[Follower])),
+        (st.SmartTouchError, "str", lambda: run(listeners=["screen"])),
+        (st.SourceError, "Camera", lambda: run(Camera(np.zeros((9, 9), np.uint8)))),
+        (st.SourceError, "Camera", lambda: run(Camera(st.Frame(np.zeros((9, 9)), 0)))),
+        (st.ProfileError, "4", lambda: st.open_source("text:a", 4)),
     ],
-)  # fmt: skip
-def test_the_sentence_names_the_class(kind, about, name, act):
-    with raises(kind) as caught:
+)
+def test_the_sentence_names_the_class(kind, name, act):
+    with raises(kind, names=name):
         act()
-    assert name in str(caught.value)
 
 
 def test_a_profile_may_be_named_wherever_one_is_taken():

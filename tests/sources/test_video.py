@@ -242,8 +242,8 @@ def tiny(path, width):
 
 
 @pytest.mark.parametrize(("url", "kind", "place", "make", "attributes"), [
-    ("video:", "file", "", None, {"remedy": "frames:"}),
-    ("frames:notes.txt", "folder", "notes.txt", None, {"remedy": "video:"}),
+    ("video:", "file", "", None, {"names": "frames:"}),
+    ("frames:notes.txt", "folder", "notes.txt", None, {"names": "video:"}),
     ("frames:nowhere", "folder", "nowhere", None, {}),
     ("frames:empty", "folder", "empty", Path.mkdir, {}),
     ("frames:", "file", "b11.png", lambda path: tiny(path, 9), {"allowed": (8, 6)}),
@@ -254,8 +254,8 @@ def test_what_is_neither_a_video_nor_a_folder(profile, folder, url, kind, place,
     if make is not None:
         make(folder / place)
     scheme, _, opened = url.partition(":")
-    if "remedy" in attributes:
-        attributes = {"remedy": f"{attributes['remedy']}{folder / opened}"}
+    if "names" in attributes:
+        attributes = {"names": f"{attributes['names']}{folder / opened}"}
     with raises(SourceError, value=folder / place, **attributes):
         open_source(f"{scheme}:{folder / opened}", profile)
 

@@ -104,24 +104,20 @@ def test_a_weighing_is_robust():
     assert found.force_n == pytest.approx(0.02 * STANDARD_GRAVITY)
 
 
-def wrong(about, value):
-    return {"about": about, "value": value}
-
-
 def nonsense():
     """Each a name, weights, readings, and what is wrong with them."""
     line = {0: 0, 20: 2e4, 50: 5e4, 100: 1e5}
-    yield "nothing moves", UP, lambda g: 5.0, {**wrong("readings", 0), "allowed": 0}
-    noisy = {**wrong("readings", 0), "allowed": lambda noise: noise > 15}
+    yield "nothing moves", UP, lambda g: 5.0, {"value": 0, "allowed": 0}
+    noisy = {"value": 0, "allowed": lambda noise: noise > 15}
     yield "only noise", UP, lambda g: 0.0, noisy
-    turned = wrong("readings", (20, 50))
+    turned = {"value": (20, 50)}
     yield "turns back", (0, 20, 50, 100), {**line, 50: 1e4}.get, turned
-    bent = wrong("residual", lambda residual_n: residual_n > 0.05 * 0.9)
+    bent = {"value": lambda residual_n: residual_n > 0.05 * 0.9}
     yield "one step", (0, 20, 50, 100), {**line, 50: 2.1e4}.get, bent
-    yield "two weights", (0, 0, 100), line.get, wrong("weights", 2)
-    yield "too light", (0, 5, 10), lambda g: 1e3 * g, wrong("weights", 10)
-    yield "negative", (-5, 50, 100), lambda g: 1e3 * g, wrong("weights", -5)
-    yield "no number", (np.nan, 50, 100), lambda g: 1.0, wrong("weights", np.nan)
+    yield "two weights", (0, 0, 100), line.get, {"value": 2}
+    yield "too light", (0, 5, 10), lambda g: 1e3 * g, {"value": 10}
+    yield "negative", (-5, 50, 100), lambda g: 1e3 * g, {"value": -5}
+    yield "no number", (np.nan, 50, 100), lambda g: 1.0, {"value": np.nan}
 
 
 @pytest.mark.parametrize(("name", "grams", "reading", "attributes"), list(nonsense()))

@@ -63,7 +63,7 @@ def test_another_package_has_one(tmp_path, monkeypatch):
     install(tmp_path, "theirs", points, {"their_gap": EXAMPLE.read_text("utf-8")})
     assert find_experiment("gap").about == "which had a gap: width, mm"
     assert new_experiment("gap", MOUSE, WANTED).procedure.total == 9
-    with raises(ExperimentError, value="theirs", names="their_gap:make"):
+    with raises(ExperimentError, value="Experiment", names="other"):
         find_experiment("other")
     install(tmp_path, "more", points, {})
     with raises(ExperimentError, value="more and theirs", names="experiment"):
