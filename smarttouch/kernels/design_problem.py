@@ -23,7 +23,6 @@ from smarttouch.physiology.activating_function import (
     directions,
     everywhere,
     flat_directions,
-    skin_variants,
     targets,
     tilted_directions,
 )
@@ -209,7 +208,7 @@ class Problem:
             )
         sets = {each: self._might_be(everywhere(profile, each)) for each in Afferent}
         aims = self._might_be(targets(profile, afferent))
-        skins = list(skin_variants(profile.skin)) if spread else [profile.skin]
+        skins = [profile.skin]
         made = {} if made is None else made
         for number, skin in enumerate(skins):
             for each in {afferent, *others} - {known for which, known in made if which == number}:

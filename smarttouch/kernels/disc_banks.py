@@ -49,7 +49,6 @@ def lone_discs(profile: Profile, bank: KernelBank) -> KernelBank:
         gap=bank.gap | nothing,
         seconds=bank.seconds | nothing,
         receptor=bank.receptor | nowhere,
-        absolute=bank.absolute,
         discs=tuple(discs),
     )
 

@@ -8,10 +8,9 @@ import numpy as np
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
-from smarttouch.kernels.bank import KernelBank, design_confined, kernels_at_nodes
+from smarttouch.kernels.bank import KernelBank, design_confined
 from smarttouch.kernels.batch_design import Design, Timed, design_sites, part_of
 from smarttouch.kernels.design_problem import Kernel, Problem
-from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.switched_design import design_one_of_n, design_three_state, designer
 from smarttouch.kernels.weighted_design import design_any_node, design_kernel
 from smarttouch.profile import Profile
@@ -111,14 +110,6 @@ def kernels_designed(
         return kernels_of_bank(profile, design_confined(profile, sites, progress), modes, sites)
     design_one = DESIGNS[kind] if kind in DESIGNS else designer(profile)
     found = []
-    if kind is None and profile.kernels.objective == "finger":
-        on_fingers = FingerKernels(profile, kernels_at_nodes(profile))
-        for index, mode in enumerate(modes):
-            timed = on_fingers.kernels(mode, sites, part_of(progress, index, len(modes)))
-            found += [
-                SiteKernel(mode, site, *each) for site, each in zip(sites, timed, strict=True)
-            ]
-        return found
     for index, mode in enumerate(modes):
         problem = Problem(profile, mode, spread=robust)
         timed = design_sites(problem, design_one, sites, part_of(progress, index, len(modes)))
@@ -214,11 +205,6 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
         "Worst other and own spill are activations of the target's own: above 1 another class "
         "fires first."
     )
-    if profile.kernels.objective == "finger":
-        note = (
-            "Worst other is the part of the afferents that fire, on the fingers of the design, "
-            "which are of other classes; own spill the part of the own class beyond a pitch."
-        )
     return WordTable(
         f"{names} kernels of {profile.name}: {profile.title}", heading, list(rows.values()), note
     )

@@ -4,9 +4,9 @@ import math
 from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ProfileError
@@ -16,11 +16,9 @@ from smarttouch.physiology.driving_function import (
     free_ending,
     load_driving,
 )
-from smarttouch.profile.device import FINGER_PAD, SkinLayer, layer_misfits
-from smarttouch.profile.toml_tables import Positive, Table, load_model, raise_all
+from smarttouch.profile.toml_tables import Positive, Table, load_model
 
 _SHIPPED = Path(__file__).with_name("anatomies")
-_LAYERED = "-layered"
 
 
 class Bystander(IntEnum):
@@ -127,20 +125,12 @@ class Anatomy(Table):
     """Area of contact at 1 N; electrodes beyond it deliver nothing. All touch if none."""
     contact_exponent: float = Field(default=1 / 3, ge=0, le=1)
     """Power of the force with which the area grows. Ours."""
-    layers: tuple[SkinLayer, ...] = ()
-    """Layers of the skin from the surface down, as in a profile; the profile's medium if none, and
-    under line electrodes in a plane."""
     ra: ClassAnatomy
     sai: ClassAnatomy
     pc: ClassAnatomy
     saii: BystanderAnatomy | None = None
     a_delta: BystanderAnatomy | None = None
     c: BystanderAnatomy | None = None
-
-    @model_validator(mode="after")
-    def _layered(self) -> Self:
-        raise_all(layer_misfits(self.layers, "layers"))
-        return self
 
     def of(self, afferent: Afferent) -> ClassAnatomy:
         return (self.ra, self.sai, self.pc)[afferent]
@@ -159,17 +149,15 @@ class Anatomy(Table):
 
 
 def list_anatomies() -> list[str]:
-    """Return the names of the shipped anatomies, each also with layers of skin."""
-    return sorted(path.stem + skin for path in _SHIPPED.glob("*.toml") for skin in ("", _LAYERED))
+    """Return the names of the shipped anatomies."""
+    return sorted(path.stem for path in _SHIPPED.glob("*.toml"))
 
 
 def load_anatomy(name: str | Path) -> Anatomy:
     """Load a shipped anatomy by name, or any by its TOML file; ProfileError if it is not valid."""
     known = list_anatomies()
     if str(name) in known:
-        plain = str(name).removesuffix(_LAYERED)
-        skin = {} if plain == name else {"layers": FINGER_PAD}
-        return load_model(_SHIPPED / f"{plain}.toml", Anatomy, name=str(name), **skin)
+        return load_model(_SHIPPED / f"{name}.toml", Anatomy, name=str(name))
     path = Path(name)
     if not path.exists():
         raise ProfileError(

@@ -15,7 +15,7 @@ from smarttouch.physiology import activating_function as nominal
 from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import Anatomy, Bystander, ClassAnatomy, load_anatomy
 from smarttouch.physiology.driving_function import DrivingFunction
-from smarttouch.profile import Profile, Skin, load_profile
+from smarttouch.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
 
@@ -104,15 +104,6 @@ class FingerAfferents:
         """Class of each afferent, (A,)."""
         count = [len(one.factor) for one in self.populations.values()]
         return np.repeat(np.arange(len(count), dtype=np.int8), count)
-
-    @cached_property
-    def skin(self) -> Skin:
-        """Conductor around the afferents: the anatomy's layers, if it has any, or the profile's."""
-        skin, layers = self.profile.skin, self.anatomy.layers
-        if not layers or skin.medium == "plane":
-            return skin
-        own = {"medium": "layered", "layers": layers, "conductivity_s_per_m": None}
-        return skin.model_copy(update=own)
 
     @property
     def touching(self) -> NDArray[np.bool_]:
@@ -248,7 +239,7 @@ class FingerAfferents:
         points = axon_path_points(
             population, part, max(nodes, len(driving.near_end.T) + 4), spacing
         )
-        drive = driving.drive(potential_mv(self.profile, points, skin=self.skin))
+        drive = driving.drive(potential_mv(self.profile, points))
         drive /= population.factor[population.owner[part]][:, None, None]
         longest = strength(self.profile.limits.pulse_us, population.anatomy.chronaxie_us)
         longest /= strength(self.profile.pulse.width_us, population.anatomy.chronaxie_us)

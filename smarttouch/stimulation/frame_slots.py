@@ -99,13 +99,8 @@ class FrameSlots:
         self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
         each = np.flatnonzero(np.tile(self._driven, len(afferents)))
         self._points_do = np.full((2, len(self._points_ma)), np.nan)
-        if bank.absolute:
-            self._points_do[:, each] = _selectivity(
-                judge, self._points_ma[each], np.eye(len(self._points_ma))[each]
-            )
-        else:
-            for row, column in zip(self._points_do, (bank.off_target, bank.spill), strict=True):
-                row[each] = np.concatenate([column[mode] for mode in afferents])[each]
+        for row, column in zip(self._points_do, (bank.off_target, bank.spill), strict=True):
+            row[each] = np.concatenate([column[mode] for mode in afferents])[each]
         frames = profile.frames
         self._bounds = FrameBounds(frames.other, frames.spill, frames.uneven)
         self._planned_bounds = FrameBounds(

@@ -34,10 +34,6 @@ def unsupported_reason(profile: Profile) -> tuple[str, str] | None:
     """Return a profile's key and the reason why its board shows only single points, or None."""
     if (kind := profile.output.kind) != "weighted":
         return "output.kind", f"the board is {kind}, with one source for all electrodes"
-    if profile.kernels.objective == "finger":
-        return "kernels.objective", (
-            "kernels.objective is 'finger', and what points do together is proved at nodes"
-        )
     if profile.pulse.carrier == "width":
         return "pulse.carrier", "pulse.carrier is 'width', one for all points of a slot"
     if not profile.shares:

@@ -118,12 +118,6 @@ def test_lone_discs_stand_in_place_of_two_classes(profile, bank):
         lone_discs(load_profile("kajimoto-61"), bank)
 
 
-def test_what_a_finger_is_like_asks_for_no_other_kernels(profile, changed):
-    fingers = changed(profile, {"kernels.objective": "finger"})
-    known = {"perception.level": 0.5, "perception.anatomy": "branched"}
-    assert problem_hash(changed(fingers, known)) == problem_hash(fingers)
-
-
 @pytest.fixture
 def mine():
     """A profile that no bank is shipped for."""

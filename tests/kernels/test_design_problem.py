@@ -116,11 +116,6 @@ def test_a_spread_has_rows_for_every_depth_and_direction(profile, changed):
     assert spread.target == pytest.approx(nominal.target)
 
 
-def test_a_spread_of_layers_has_rows_for_every_conductivity(profile, layered):
-    mine = layered(profile, **{"array.rows": 2, "array.columns": 2, SPACING: 0.5})
-    assert len(Problem(mine, Afferent.RA, spread=True).rows) == 5
-
-
 @pytest.mark.parametrize("others", [[], [Afferent.RA], [Afferent.RA, Afferent.PC]])
 def test_a_class_cannot_be_selected_against_itself(profile, others):
     with raises(DesignError, about="others", value=tuple(others)):

@@ -52,9 +52,9 @@ def test_electrodes_in_another_order_are_where_they_are(profile, changed):
     assert there.rows(np.array([7])) == pytest.approx(af_matrix(shuffled, nodes)[[7]], abs=1e-4)
 
 
-def test_layers_and_ending_are_the_skin_s(profile, layered):
+def test_the_ending_is_the_skin_s(profile, changed):
     keys = {"array.rows": 3, "array.columns": 4, "skin.ra_ending": "active"}
-    mine = layered(profile, **keys)
+    mine = changed(profile, keys)
     nodes = everywhere(mine, Afferent.RA)
     current = random_currents(mine)
     whole = current @ af_matrix(mine, nodes).T

@@ -6,7 +6,7 @@ import pytest
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
 from smarttouch.physiology import activating_function
-from smarttouch.physiology.activating_function import along_axon, everywhere, skin_variants, targets
+from smarttouch.physiology.activating_function import along_axon, everywhere, targets
 from smarttouch.profile import load_profile
 
 from ..raising import raises
@@ -67,13 +67,3 @@ def test_a_fiber_outside_the_skin_is_refused(profile):
             activating_function.Afferents(
                 Afferent.RA, inside.position_mm, depth_mm, inside.direction, None, inside.grid
             )
-
-
-def test_homogeneous_skin_has_no_variants(profile, layered):
-    assert list(skin_variants(profile.skin)) == [profile.skin]
-    found = [
-        tuple(layer.conductivity_s_per_m for layer in skin.layers)
-        for skin in skin_variants(layered(profile).skin)
-    ]
-    expected = [(0.02, 0.4), (0.02 / 1.5, 0.4), (0.03, 0.4), (0.02, 0.4 / 1.5), (0.02, 0.6)]
-    assert found == [pytest.approx(each) for each in expected]

@@ -16,7 +16,6 @@ from smarttouch.physiology.activating_function import (
     flat_directions,
     tilted_directions,
 )
-from smarttouch.physiology.activating_function import skin_variants as conductivities
 from smarttouch.profile import Skin
 
 Array = NDArray[np.float64]
@@ -48,23 +47,21 @@ def spread_judges(
 
     The own class is taken at each depth and in each direction by itself, as ratios are to it; of
     the other classes each depth is taken by itself, both classes shifted alike (the larger of the
-    two counts, so other combinations say nothing new), and all directions together. Conductivities
-    vary with depth, where skin is layered.
+    two counts, so other combinations say nothing new), and all directions together.
     """
     skin, afferent = judge.profile.skin, judge.afferent
     turn = skin.spread.angle_deg * part if angle else 0.0
     shifts = [0.0, 1.0, -1.0] if depth else [0.0]
     found = []
-    for layered in conductivities(skin) if depth and skin.layers else [skin]:
-        for other_shift in shifts:
-            others = None
-            for own_shift in shifts:
-                moved = _shifted(layered, afferent, own_shift * part, other_shift * part)
-                for vary in _turns(afferent, turn):
-                    found.append(
-                        FrameJudge(judge.profile, afferent, judge.wish_af, moved, vary, others)
-                    )
-                    others = found[-1].others
+    for other_shift in shifts:
+        others = None
+        for own_shift in shifts:
+            moved = _shifted(skin, afferent, own_shift * part, other_shift * part)
+            for vary in _turns(afferent, turn):
+                found.append(
+                    FrameJudge(judge.profile, afferent, judge.wish_af, moved, vary, others)
+                )
+                others = found[-1].others
     return found
 
 
