@@ -121,7 +121,7 @@ def _show(
             seed=seed or 0,
         )
         return run.start(
-            opened, chosen, run.at_level(config, chosen), ready, keys=opened.keys,
+            opened, chosen, config, ready, keys=opened.keys,
             keys_help=opened.keys_help, window=window, offered=_offered(run, url),
         )  # fmt: skip
 

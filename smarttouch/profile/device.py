@@ -192,11 +192,6 @@ class PerceptThresholds(Table):
     comfort_ma: tuple[Positive, ...] | None = None
     """Measured strongest comfortable current of each electrode; ``threshold_ma`` ×
     ``comfort_ratio`` if not given."""
-    level: float | None = Field(default=None, gt=0, le=1)
-    """Part of the strongest comfortable current at which letters are read best in RA mode, by
-    ``calibrate level``; ``live`` and ``read`` begin with it where no intensity is given."""
-    anatomy: Literal["paper", "branched"] | None = None
-    """Anatomy that the finger is like, by the thresholds of a lone disc (``calibrate level``)."""
     ra_shift_mm: tuple[Number, Number] = (0.0, 0.0)
     """Shift of the place where RA is felt, right of and below the stimulated point."""
     sai_shift_mm: tuple[Number, Number] = (0.0, 0.0)

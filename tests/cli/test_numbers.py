@@ -59,7 +59,6 @@ BASES = {
         f"calibrate thresholds --simulate {SMALL} --electrodes 0 --repeats 1 --output felt.toml "
         "--overwrite"
     ),
-    "calibrate level": "calibrate level --simulate --board memory: --output level.toml --overwrite",
     "calibrate contact": (
         f"calibrate contact --board emulator: {SMALL} --output contact.toml --overwrite"
     ),
