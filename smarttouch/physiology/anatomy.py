@@ -1,6 +1,5 @@
 """Anatomies of a finger: densities, courses and thresholds of its afferents, as TOML files."""
 
-import math
 from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
@@ -118,13 +117,6 @@ class Anatomy(Table):
     """Density beyond it (Johansson and Vallbo 1979: finger to tip as 1.6 to 4.2, in a step)."""
     margin_mm: float = Field(default=3.0, ge=0, le=20)
     """Skin around the electrodes that belongs to the finger."""
-    pad_radius_mm: Positive | None = None
-    """Radius of the pad's curvature: beyond the contact, depths grow by the gap to the array, as
-    if what fills it conducted like skin. Flat if none."""
-    contact_mm2: Positive | None = None
-    """Area of contact at 1 N; electrodes beyond it deliver nothing. All touch if none."""
-    contact_exponent: float = Field(default=1 / 3, ge=0, le=1)
-    """Power of the force with which the area grows. Ours."""
     ra: ClassAnatomy
     sai: ClassAnatomy
     pc: ClassAnatomy
@@ -140,12 +132,6 @@ class Anatomy(Table):
         """Classes that must not fire, if given."""
         given = zip(Bystander, (self.saii, self.a_delta, self.c), strict=True)
         return {each: anatomy for each, anatomy in given if anatomy is not None}
-
-    def contact_radius_mm(self, force_n: float) -> float:
-        """Return the radius of the area of contact; infinite where all touch."""
-        if self.contact_mm2 is None:
-            return math.inf
-        return math.sqrt(self.contact_mm2 * force_n**self.contact_exponent / math.pi)
 
 
 def list_anatomies() -> list[str]:

@@ -105,16 +105,6 @@ class FingerAfferents:
         count = [len(one.factor) for one in self.populations.values()]
         return np.repeat(np.arange(len(count), dtype=np.int8), count)
 
-    @property
-    def touching(self) -> NDArray[np.bool_]:
-        """Whether each electrode is within the contact at the force of full intensity, (E,)."""
-        from_middle = np.linalg.norm(self.profile.electrodes.position_mm, axis=1)
-        return np.asarray(from_middle <= self._contact_mm + 1e-9)
-
-    @property
-    def _contact_mm(self) -> float:
-        return self.anatomy.contact_radius_mm(self.profile.force.full_n)
-
     @cached_property
     def receptor_mm(self) -> Floats:
         """Places where spikes of each afferent are perceived, (A, 2) mm."""
@@ -145,7 +135,7 @@ class FingerAfferents:
             found.append(rows[order])
             starts.append(count + np.searchsorted(owner[order], every))
             count += len(rows)
-        return np.concatenate(found) * self.touching, np.concatenate(starts)
+        return np.concatenate(found), np.concatenate(starts)
 
     def _populate(self, afferent: Afferent | Bystander, anatomy: ClassAnatomy) -> Population:
         random = np.random.default_rng([self.seed, int(afferent)])
@@ -164,19 +154,10 @@ class FingerAfferents:
         lean = np.tan(np.radians(random.normal(0, anatomy.lean_deg, (count * endings, 2))))
         joint = receptor[owner]
         course = self._courses(anatomy, ending, joint, depths, turn, lean)
-        course[..., 2] += self._gap_mm(course[..., :2])
         factor = np.exp(random.normal(0, anatomy.threshold_spread, count))
         factor *= anatomy.threshold_factor
         middle = ending.reshape(count, endings, 2).mean(axis=1)
         return Population(afferent, middle, course, owner, factor, anatomy)
-
-    def _gap_mm(self, place_mm: Array) -> Array:
-        """Return the gap between the curved pad and the array beside the contact, mm."""
-        if self.anatomy.pad_radius_mm is None:
-            return np.zeros(place_mm.shape[:-1])
-        contact = 0.0 if self.anatomy.contact_mm2 is None else self._contact_mm
-        beyond = (place_mm**2).sum(axis=-1) - contact**2
-        return np.asarray(np.maximum(beyond, 0) / (2 * self.anatomy.pad_radius_mm))
 
     def _places(self, anatomy: ClassAnatomy, random: np.random.Generator) -> Array:
         """Return places all over the finger, (A, 2) mm, at the anatomy's density."""

@@ -153,32 +153,6 @@ def test_what_is_wrong_with_an_anatomy(tmp_path, small):
         Finger(small, 1, path)
 
 
-def test_a_curved_pad_lies_deeper_off_the_axis(small):
-    anatomy = load_anatomy("paper")
-    flat = Finger(small, 1, anatomy)
-    for contact_mm2, within_mm in ((None, 0.0), (np.pi * 9, 3 * small.force.full_n ** (1 / 6))):
-        update = {"pad_radius_mm": 10.0, "contact_mm2": contact_mm2}
-        curved = Finger(small, 1, anatomy.model_copy(update=update))
-        for afferent in Afferent:
-            before, after = (one.populations[afferent].axon_path_mm for one in (flat, curved))
-            away2 = (before[..., :2] ** 2).sum(axis=-1)
-            deeper = np.maximum(away2 - within_mm**2, 0) / 20
-            assert after[..., 2] - before[..., 2] == pytest.approx(deeper, abs=1e-9)
-
-
-def test_electrodes_beyond_the_contact_deliver_nothing(small):
-    anatomy = load_anatomy("paper")
-    small_contact = anatomy.model_copy(update={"contact_mm2": 12.0, "contact_exponent": 0.0})
-    finger, whole = Finger(small, 1, small_contact), Finger(small, 1, anatomy)
-    assert whole.touching.all()
-    away = np.linalg.norm(small.electrodes.position_mm, axis=1)
-    assert np.array_equal(finger.touching, away <= np.sqrt(12 / np.pi))
-    assert 0 < finger.touching.sum() < len(away)
-    assert not finger.rows[0][:, ~finger.touching].any()
-    touching = finger.touching
-    assert_close(finger.rows[0][:, touching], whole.rows[0][:, touching])
-
-
 def test_a_seed_is_no_negative_number(profile):
     with raises(ProfileError, about="seed", value=-1):
         Finger(profile, -1)
