@@ -10,8 +10,6 @@ from PIL import Image
 from smarttouch import Recorder, load_profile, open_display, open_source, run
 from smarttouch.base.files import data_folder
 
-from .braille.embossed import emboss
-
 WORDS = "A few words, to be read."
 
 
@@ -27,10 +25,6 @@ def make_named(text: str, folder: Path) -> None:
 def _page(path: Path) -> None:
     grey = cv2.imread(str(data_folder("sample_images") / "photo.png"), cv2.IMREAD_GRAYSCALE)
     Image.fromarray(grey).save(path, dpi=(300, 300))
-
-
-def _braille(path: Path) -> None:
-    Image.fromarray(emboss(["⠓⠑⠇⠇⠕⠀⠺⠕⠗⠇⠙", "⠞⠓⠑⠀⠟⠥⠊⠉⠅⠀⠋⠕⠭"]).page.grey).save(path, dpi=(200, 200))
 
 
 def _experiment(path: Path) -> None:
@@ -64,12 +58,6 @@ def _recording(path: Path) -> None:
         run(source, display, seconds=0.3, listeners=[Recorder(path)])
 
 
-def _cut(path: Path) -> None:
-    whole = path.with_name("whole.mcap")
-    _recording(whole)
-    path.write_bytes(whole.read_bytes()[:-2000])
-
-
 def _array(path: Path) -> None:
     places = [f"{2 * (at % 8)},{2 * (at // 8)}" for at in range(64)]
     path.write_text("\n".join(["x_mm,y_mm", *places]) + "\n", "utf-8")
@@ -78,7 +66,6 @@ def _array(path: Path) -> None:
 FILES = {
     "array.csv": _array,
     "gap.py": _experiment,
-    "braille-photo.jpg": _braille,
     "photo.jpg": _page,
     "scan.png": _page,
     "scan.tif": _page,
@@ -88,5 +75,4 @@ FILES = {
     "clip.mp4": _clip,
     "recorded.csv": _motion,
     "recordings/line-1.mcap": _recording,
-    "cut.mcap": _cut,
 }

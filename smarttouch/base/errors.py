@@ -191,10 +191,6 @@ class RecordingError(SmartTouchError):
     """A recording cannot be written or read."""
 
 
-class MarkersError(SmartTouchError):
-    """LSL markers cannot be sent."""
-
-
 def require_within(
     error: type[SmartTouchError],
     about: str,

@@ -8,20 +8,17 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple, TypeVar
 
 from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.removed import URLS, instead_of
 
 _OWN = {
     "smarttouch.sources": {
         "brltty": "smarttouch.reading.brltty_source:open_brltty",
         "camera": "smarttouch.sources.camera:open_camera",
-        "draw": "smarttouch.instruments.drawing_source:open_draw",
         "frames": "smarttouch.sources.video:open_frames",
-        "lsl": "smarttouch.instruments.lsl_source:open_lsl",
-        "mcap": "smarttouch.running.mcap_images:open_mcap",
-        "osc": "smarttouch.instruments.osc_source:open_osc",
         "page": "smarttouch.sources.virtual_finger:open_page",
         "recording": "smarttouch.running.recorded_source:open_recording",
         "serial-array": "smarttouch.sources.serial_array:open_serial_array",
-        "socket": "smarttouch.instruments.socket_source:open_socket",
+        "socket": "smarttouch.instruments.socket_source:SocketSource",
         "text": "smarttouch.sources.virtual_finger:open_text",
         "texture": "smarttouch.instruments.electric_mouse:open_texture_source",
         "vibration": "smarttouch.instruments.color_source:open_vibration",
@@ -113,6 +110,8 @@ def unknown(
 ) -> SmartTouchError:
     """Return the error of a URL that begins with no known name."""
     name, colon, _ = url.partition(":")
+    if colon and (sentence := instead_of(URLS, name)):
+        return error(sentence, about=kind)
     close = [name] if name in known else get_close_matches(name.lower(), known, 1, 0.75)
     meant = close[0] if close else ""
     if meant:

@@ -22,7 +22,7 @@ from smarttouch.cli.experiment import experiment, fit
 from smarttouch.cli.live import live, stop
 from smarttouch.cli.options import Commands
 from smarttouch.cli.read import braille, braille_display, read
-from smarttouch.cli.recordings import recordings, replay, report
+from smarttouch.cli.recordings import recordings, replay
 from smarttouch.cli.simulate import simulate
 
 _FEWEST_FILES = 64
@@ -32,7 +32,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
     "Read, Braille": {"read": read, "braille": braille, "braille-display": braille_display},
     "Calibrate": {"calibrate": calibrate},
     "Experiment": {"experiment": experiment},
-    "Devices": {"devices": devices, "report": report},
+    "Devices": {"devices": devices},
     "Recordings": {"replay": replay, "recordings": recordings},
     "Design": {"profiles": profiles, "design": design, "simulate": simulate},
 }

@@ -127,8 +127,6 @@ class _Form:
     table: str | None = None
     cells: str = "line"
     lines: int = 1
-    embossed: bool | None = None
-    light_from: float | None = None
     speed_mm_s: float | None = None
 
 
@@ -140,7 +138,7 @@ class FormOptions(OptionGroup):
         str | None,
         option(
             "Read shapes or braille. Options follow: 'shapes?style=thinned', "
-            "'braille?table=en-2&cells=cell&lines=2&speed_mm_s=40&embossed&light_from=90'.",
+            "'braille?table=en-2&cells=cell&lines=2&speed_mm_s=40'.",
             "FORM",
             "--as",
         ),
@@ -169,5 +167,4 @@ class FormOptions(OptionGroup):
         if choice_of("kind", text, ("shapes", "braille")) == "shapes":
             return shapes, form.speed_mm_s
         table = table_of(form.table, language)
-        braille = Braille(table, presentation, form.lines, form.embossed, form.light_from)
-        return braille, form.speed_mm_s
+        return Braille(table, presentation, form.lines), form.speed_mm_s

@@ -48,7 +48,7 @@ class Study(Table):
     """Number of fingers of each anatomy, by seeds from 1 on."""
     modes: tuple[Literal["RA", "SAI", "PC", "natural"], ...] = Field(default=("RA",), min_length=1)
     """Whose receptors."""
-    scans: tuple[Literal["points", "auto", "frame"], ...] = Field(default=("points",), min_length=1)
+    scans: tuple[Literal["points", "auto"], ...] = Field(default=("points",), min_length=1)
     """How points share slots."""
     intensities: tuple[float, ...] = Field(default=(1.0,), min_length=1, max_length=100)
     """Parts of the strongest comfortable current."""

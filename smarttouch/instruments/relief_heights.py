@@ -10,7 +10,6 @@ from PIL import ImageOps
 
 from smarttouch.base.errors import PageError, UnknownSizeError
 from smarttouch.base.files import MOST_ARRAY_BYTES, open_file
-from smarttouch.base.tables import read_array
 from smarttouch.pages.page_image import (
     check_scale_options,
     open_image,
@@ -129,7 +128,7 @@ def _load_array(
 ) -> tuple[NDArray[np.float64], float]:
     with open_file(path, PageError, MOST_ARRAY_BYTES) as file:
         try:
-            heights = np.asarray(read_array(file, path.stat().st_size), np.float64)
+            heights = np.asarray(np.lib.format.read_array(file, allow_pickle=False), np.float64)
         except (OSError, ValueError, TypeError) as error:
             message = f"cannot read the height map {path}: it is not an array of numbers ({error})"
             raise PageError(message, about="file") from None

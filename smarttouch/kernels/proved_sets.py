@@ -51,7 +51,7 @@ class SharedKernels:
         A node of the own class counts only if every active site is more than a pitch away: nearer
         ones add nothing.
         """
-        (judge,) = self.operator.judge.judges
+        judge = self.operator.judge
         others = np.concatenate([field(self.kernels) for field in judge.others], axis=1)
         own = np.maximum(judge.own(self.kernels), 0)
         for row, site in zip(own, self.sites, strict=True):
@@ -147,7 +147,7 @@ class Certainty:
     def _of_one(
         kernels: SharedKernels, aim: float, faintest: float, most_ma: float
     ) -> tuple[float, ...]:
-        (judge,) = kernels.operator.judge.judges
+        judge = kernels.operator.judge
         peaks_ma = np.abs(kernels.kernels).max(axis=1)
         error = _HALF_AMPLITUDE_MA / peaks_ma
         # A kernel's peak is no more than its total.

@@ -22,7 +22,6 @@ from smarttouch.pages.page_image import (
     require_pixels,
     require_size_mm,
 )
-from smarttouch.pages.structured_text import StructuredText
 from smarttouch.pages.text_layer import layered_page
 
 if TYPE_CHECKING:
@@ -101,14 +100,6 @@ class Document(Closing, ABC):
             raise PageError(f"{self.path} {_absent(index + 1, len(self))}", about="page")
         return self._load(index)
 
-    def about(self) -> StructuredText:
-        """Return what the document says of itself, without its text."""
-        return StructuredText(())
-
-    def printed_number(self, index: int) -> str:
-        """Return the number that a page has in print."""
-        return str(index + 1)
-
     @abstractmethod
     def _load(self, index: int) -> Page: ...
 
@@ -168,15 +159,6 @@ class PdfDocument(Document):
 
     def close(self) -> None:
         self._pdf.close()
-
-    def about(self) -> StructuredText:
-        """Return its title and author."""
-        said = self._pdf.get_metadata_dict()
-        return StructuredText((), title=said["Title"], author=said["Author"])
-
-    def printed_number(self, index: int) -> str:
-        """Return the label of a page; its place if it has none."""
-        return self._pdf.get_page_label(index).strip() or super().printed_number(index)
 
     def _load(self, index: int) -> Page:
         import pypdfium2

@@ -1,6 +1,7 @@
 """Documents of text with headings, lists, tables and emphasis, by pandoc."""
 
 import io
+import json
 import re
 import shutil
 import string
@@ -16,7 +17,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from smarttouch.base.errors import PageError
-from smarttouch.base.files import open_file, parse_json, read_bytes
+from smarttouch.base.files import open_file, read_bytes
 
 INSTALL = "apt install pandoc"
 MOST_BYTES, MOST_UNPACKED_BYTES = 50_000_000, 500_000_000
@@ -154,7 +155,7 @@ def read_structured_text(path: Path) -> StructuredText:
         if done.returncode:
             lines = done.stderr.decode("utf-8", "replace").split("\n")
             raise PageError(f"{path} cannot be read: {lines[0] or 'pandoc failed'}", about="file")
-        document = parse_json(done.stdout)
+        document = json.loads(done.stdout)
         if kind == "epub":
             _mark_pages(document["blocks"], _page_list(data))
         blocks = tuple(each for each in _blocks(document["blocks"]) if each.text.strip())

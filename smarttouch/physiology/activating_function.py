@@ -54,12 +54,6 @@ def flat_directions(angles_deg: tuple[float, ...]) -> NDArray[np.float64]:
     return np.column_stack([np.cos(radians), np.sin(radians), np.zeros(len(radians))])
 
 
-def tilted_directions(tilt_deg: float) -> NDArray[np.float64]:
-    """Return the vertical and four directions that lean from it, (5, 3)."""
-    sin, cos = np.sin(np.radians(tilt_deg)), np.cos(np.radians(tilt_deg))
-    return np.array([[0, 0, 1], [sin, 0, cos], [-sin, 0, cos], [0, sin, cos], [0, -sin, cos]])
-
-
 def targets(profile: Profile, afferent: Afferent) -> Afferents:
     """Return the node under each electrode that its kernel is to fire."""
     position, skin = profile.electrodes.position_mm, profile.skin

@@ -227,22 +227,6 @@ class Calibrated(Table):
     """Result and its quality in one sentence."""
 
 
-class Spread(Table):
-    """Largest deviation of a true finger from the nominal one; robust kernels keep their bounds
-    within it."""
-
-    ra_depth_mm: float = Field(default=0.1, ge=0)
-    """Largest error of the depth of RA, each way."""
-    sai_depth_mm: float = Field(default=0.1, ge=0)
-    """Largest error of the depth of SAI, each way."""
-    pc_depth_mm: float = Field(default=0.3, ge=0)
-    """Largest error of the depth of PC, each way."""
-    angle_deg: float = Field(default=10.0, ge=0, le=45)
-    """Largest turn of flat axons in the plane, and tilt of rising ones from the vertical."""
-    conductivity_factor: float = Field(default=1.5, ge=1, le=100)
-    """Factor by which the conductivity of each layer may be off, up and down."""
-
-
 class Skin(Table):
     """The conducting medium and the afferents in it (paper, Section II-D)."""
 
@@ -267,22 +251,6 @@ class Skin(Table):
     internode_mm: Positive = 0.079
     """Distance between the nodes of Ranvier of an axon near its ending; 79 µm by Nolano et al.
     2003."""
-    spread: Spread = Spread()
-
-    @model_validator(mode="after")
-    def _conducting(self) -> Self:
-        raise_all(self._misfits())
-        return self
-
-    def _misfits(self) -> Iterator[UnfitError]:
-        for name in ("ra", "sai", "pc"):
-            depth, spread = (getattr(each, f"{name}_depth_mm") for each in (self, self.spread))
-            if depth - spread <= 0:
-                yield UnfitError(
-                    f"spread.{name}_depth_mm {spread:g} reaches the surface from {name}_depth_mm "
-                    f"{depth:g}: no fiber lies outside the skin; lower it",
-                    about=f"skin.spread.{name}_depth_mm",
-                )
 
 
 class Kernels(Table):

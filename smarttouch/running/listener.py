@@ -1,4 +1,4 @@
-"""Listeners: whatever follows a run, such as screens, recorders, markers and pictures."""
+"""Listeners: whatever follows a run, such as screens, recorders and pictures."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

@@ -16,7 +16,6 @@ from smarttouch.base.events import Emit
 from smarttouch.profile import Profile
 from smarttouch.sources import kind_of, open_source
 from smarttouch.sources.source_contract import (
-    Canvas,
     Frame,
     Input,
     OpticalSource,
@@ -180,7 +179,6 @@ class OwnImaging(StimulusSource):
         super().__init__(source.title)
         self.url: str = source.url
         self.duration_s: float | None = source.duration_s
-        self.canvas: Canvas | None = source.canvas
         self.knows_force: bool = source.knows_force
         self.measures_force: bool = source.measures_force
         self.news: threading.Event | None = source.news

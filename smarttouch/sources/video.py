@@ -61,10 +61,6 @@ class Clip(ABC):
     def next(self) -> NDArray[np.uint8] | None:
         """Return the next image, grey, (H, W); None at the end."""
 
-    def due_ns(self, number: int) -> int:
-        """Return the time of the last or the next image, by its number from 0, since the first."""
-        return round(number * 1e9 / self.rate_hz)
-
     @abstractmethod
     def skip(self) -> bool:
         """Skip the next image; return False at the end."""
@@ -233,18 +229,13 @@ def _size(file: Path) -> tuple[int, int]:
         width, height = image.size
         if image.format in _TURNED and image.getexif().get(ExifTags.Base.Orientation, 1) >= 5:
             width, height = height, width
-    require_frame_size(str(file), width, height, "file")
-    return width, height
-
-
-def require_frame_size(what: str, width: int, height: int, about: str) -> None:
-    """Raise unless an image of some pixels can be a frame."""
     if min(width, height) < _FEWEST_PIXELS or width * height > _MOST_PIXELS:
         raise SourceError(
-            f"{what} has {width} x {height} pixels: a frame needs at least {_FEWEST_PIXELS} x "
+            f"{file} has {width} x {height} pixels: a frame needs at least {_FEWEST_PIXELS} x "
             f"{_FEWEST_PIXELS}, and at most {_MOST_PIXELS // 10**6} megapixels",
-            about=about,
+            about="file",
         )
+    return width, height
 
 
 def _load(file: Path) -> NDArray[np.uint8]:
@@ -333,7 +324,7 @@ class PacedClip(ImageDevice):
         return shot
 
     def _due_ns(self) -> int:
-        return (self._start_ns or 0) + self._clip.due_ns(self._number)
+        return (self._start_ns or 0) + round(self._number * 1e9 / self._clip.rate_hz)
 
     def _catch_up(self) -> None:
         """Skip images that are too late."""

@@ -59,8 +59,7 @@ def no_place(name):
     ("live --board link: --intensity 1", says(BoardError, "link: ", "link:/dev/ttyACM0")),
     ("live --board link:/dev/nothing --intensity 1", says(BoardError, "/dev/nothing")),
     ("live --board vibrators:x.wav", says(about="board", remedy="vibrators")),
-    ("live --set scan=all", no_choice("scan", "all", "auto", "points", "frame")),
-    ("live --set scan=frame --profile kajimoto-61", says(ScheduleError, "one-against-all")),
+    ("live --set scan=frame", no_choice("scan", "frame", "auto", "points")),
     ("live --mode color", no_choice("mode", "color", "RA", "SAI", "PC", "natural")),
     ("live --rate 1000", says(ScheduleError, " 1000 Hz", "200 Hz")),
     ("live --rate nan", says(ScheduleError, " nan Hz", "200 Hz")),
@@ -117,7 +116,6 @@ def test_help_names_every_command(program_here):
 
 
 @pytest.mark.parametrize(("arguments", "options"), [
-    ("live --board vibrators:x.wav --set scan=frame", "--board, --vibrators"),
     ("live --board vibrators:x.wav", "--board, --vibrators"),
     ("live texture: --rate 300 --board memory:", "--rate"),
     ("read text:hi --as braille --seconds 0 --board memory:", "--seconds"),

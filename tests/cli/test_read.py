@@ -24,7 +24,7 @@ from smarttouch.braille.code_tables import open_table
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.running.recording_reader import Recording
 
-from ..braille.embossed import emboss
+from ..braille.drawn_dots import draw_dots
 from .conftest import panels, refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
@@ -172,18 +172,12 @@ def test_bad_input_is_one_sentence(program_here, page_file, arguments, wrong):
     wrong(refused(program_here(f"read {arguments} --board simulated:")))
 
 
-def test_a_photograph_of_braille(program_here, figures_of, tmp_path):
-    lines = open_table("en-1").to_cells("Raised\ndots").split("\n")
-    photo = emboss(lines, skew_deg=2)
-    Image.fromarray(np.asarray(photo.page.grey)).save(tmp_path / "dots.png")
-    back = program_here("braille dots.png --back").fine()
-    assert back.stdout == "Raised\ndots\n"
-    # Nothing but progress.
-    assert len(back.stderr.splitlines()) == 1
-    assert "page 1" in back.stderr
-    figures = figures_of("simulate page dots.png --as braille")
-    assert figures["cell_error_rate"] == 0
-    assert figures["wanted"].split("\n") == lines
+def test_a_picture_of_braille_is_refused_and_shown_by_live(program_here, figures_of, tmp_path):
+    cells = open_table("en-1").to_cells("Raised\ndots of\na page").split("\n")
+    Image.fromarray(draw_dots(cells)).save(tmp_path / "dots.png", dpi=(150, 150))
+    for command in ("read", "read --as braille", "braille", "simulate page --as braille"):
+        says(PageError, "page 1", "Braille", ".brf")(refused(program_here(command, "dots.png")))
+    assert figures_of("live page:dots.png --board simulated: --seconds 1")["slots"] > 0
 
 
 def lines_of(path):

@@ -6,8 +6,6 @@ import zlib
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from PIL import Image, TiffImagePlugin
 
 from smarttouch.base.errors import PageError
@@ -152,11 +150,3 @@ def test_bad_scales(picture, tmp_path, options, about, value):
     picture.save(path)
     with raises(PageError, about=about, value=value):
         load_page(path, **options)
-
-
-@given(st.binary(max_size=300))
-def test_no_bytes_crash_the_loader(tmp_path_factory, data):
-    path = tmp_path_factory.mktemp("fuzz") / "page.png"
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + data)
-    with pytest.raises(PageError):
-        load_page(path, dpi=300)

@@ -57,8 +57,6 @@ def wrong(about, value=None, allowed=None, remedy=""):
         ("total_ma = 10.0", "electrode_ma = [1.0]", wrong("limits.electrode_ma", 1, 64)),
         ("total_ma = 10.0", f"electrode_ma = {[5.0] * 63 + [2.0]}",
          wrong("limits.electrode_ma", 2.4, 2, "perception.comfort_ratio")),
-        ("ra_depth_mm = 0.1", "ra_depth_mm = 0.8",
-         wrong("skin.spread.ra_depth_mm", 0.8, 0.7)),
         ("ra_depth_mm = 0.7", "ra_depth_mm = -0.7",
          wrong("skin.ra_depth_mm", -0.7, 0)),
         ("diameter_mm = 1.0", "diameter_mm = 1.0\ninner_diameter_mm = 1.0",
@@ -159,12 +157,6 @@ def test_impossible_arrays(edited, positions, shape, size, attributes):
             [("threshold_ma = 1.2", 'threshold_ma = [1.2, "x", -1.0]')],
             [("perception.threshold_ma.1", "x"),
              ("perception.threshold_ma.2", -1.0, 0)],
-        ),
-        (
-            [("ra_depth_mm = 0.1", "ra_depth_mm = 0.8"),
-             ("sai_depth_mm = 0.1", "sai_depth_mm = 2.0")],
-            [("skin.spread.ra_depth_mm", 0.8, 0.7),
-             ("skin.spread.sai_depth_mm", 2, 0.9)],
         ),
     ],
 )  # fmt: skip

@@ -15,6 +15,7 @@ from smarttouch.running.recorded_source import open_recording
 from smarttouch.running.step import StepResult
 
 from ..raising import raises
+from .forged_recordings import put_together, take_apart
 
 
 def test_at_the_recorded_times_all_comes_again(recording, steps, profile, bank):
@@ -50,17 +51,6 @@ def test_every_frame_is_read_or_dropped(recording, profile, times):
     assert source.frames == len(numbers) + source.dropped_frames
     if times and max(times) >= 8 * 10**8:
         assert source.frames == 20
-
-
-def test_unpaced_gives_the_next_at_each_look(recording, profile):
-    with open_recording(str(recording), profile, unpaced=True) as source:
-        frames = []
-        while (frame := source.read(len(frames))) is not None:
-            frames.append(frame)
-    assert [frame.number for frame in frames] == [index // 2 for index in range(40)]
-    assert [frame.time_ns for frame in frames] == list(range(40))
-    assert {frame.age_ns for frame in frames} == {0}
-    assert (source.frames, source.dropped_frames) == (20, 0)
 
 
 def test_what_was_stale_stays_stale(tmp_path, record, steps, profile):
@@ -101,3 +91,39 @@ def test_on_a_finger_the_profile_is_narrowed_and_stimuli_stay_on_their_array(
             assert source.narrowed(profile) is profile
             with raises(RecordingError, about="electrodes", value=64):
                 source.narrowed(load_profile(other))
+
+
+@pytest.fixture
+def forge(golden, tmp_path):
+    """Return a maker of recordings with changed messages."""
+
+    def make(change):
+        about, messages = take_apart(golden("ra"))
+        put_together(path := tmp_path / "forged.mcap", about, change(messages))
+        return path
+
+    return make
+
+
+@pytest.mark.parametrize(("topic", "key", "value"), [
+    ("/sequence", "period_us", 0), ("/sequence", "period_us", 2**63), ("/finger", "time_ns", 2**62),
+])  # fmt: skip
+def test_a_recording_does_not_wait_for_ever(forge, profile, topic, key, value):
+    def change(messages):
+        at = max(index for index, message in enumerate(messages) if message[0] == topic)
+        messages[at][1][key] = value
+        return messages
+
+    with (
+        open_recording(str(forge(change)), profile) as source,
+        pytest.raises(RecordingError, match="an impossible step"),
+    ):
+        source.read(10**12)
+
+
+def test_where_steps_are_missing_there_is_no_current(forge, profile):
+    # A step every 50 ms.
+    path = forge(lambda messages: [each for each in messages if not 5 <= each[3] <= 12])
+    with open_recording(str(path), profile) as source:
+        stale = [source.read(time_ms * 10**6).stale for time_ms in (240, 345, 355, 640, 655)]
+    assert stale == [False, False, True, True, False]

@@ -118,6 +118,12 @@ def test_color_is_not_for_images(profile, bank):
         )
 
 
+def test_all_classes_at_once_need_periods(profile, bank):
+    pipeline, now = settled(profile, bank, Mode.COLOR)
+    with raises(ScheduleError):
+        pipeline.process(asking({Afferent.RA: (27,)}, None, now))
+
+
 def test_vibrators_take_pc_over(profile, bank):
     pipeline, now = settled(profile, bank, Mode.COLOR, vibrated=True)
     frame = asking({Afferent.PC: (35, 36), Afferent.RA: (4,)}, time_ns=now, level=0.5)

@@ -6,8 +6,6 @@ import math
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from smarttouch.base.errors import SourceError
 from smarttouch.pages.page_image import Page
@@ -135,14 +133,3 @@ def test_bad_recorded_paths(tmp_path, text, about, value):
     with raises(SourceError, about=about, value=value) as caught:
         RecordedPath(file)
     assert str(file) in str(caught.value)
-
-
-@given(st.one_of(st.text(max_size=200), st.text(max_size=200).map(lambda tail: HEADER + tail)))
-def test_no_text_crashes_the_path(tmp_path_factory, text):
-    file = tmp_path_factory.mktemp("fuzz") / "path.csv"
-    file.write_text(text, encoding="utf-8", errors="replace", newline="")
-    try:
-        duration_s = RecordedPath(file).duration_s
-    except SourceError:
-        return
-    assert duration_s > 0

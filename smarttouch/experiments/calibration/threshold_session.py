@@ -14,7 +14,6 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import CalibrationError
 from smarttouch.base.files import (
     open_alone,
-    parse_json,
     read_bytes,
     sync_folder,
     unwritable,
@@ -76,7 +75,7 @@ class Progress(Closing):
         whole = data[: data.rfind(b"\n") + 1]
         try:
             first, *lines = whole.splitlines() if data else [json.dumps(settings).encode()]
-            before = dict(parse_json(first))
+            before = dict(json.loads(first))
             self.found = dict(map(_RESULT.validate_json, lines))
             felt = [each for each in self.found.values() if each.felt]
             if any(not 0 < each.threshold_ma <= each.comfort_ma for each in felt):

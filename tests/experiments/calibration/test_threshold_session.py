@@ -369,7 +369,7 @@ def test_two_programs_do_not_go_on_with_one_session(tmp_path):
 @pytest.mark.parametrize(
     "content",
     [
-        "[]", "{}", "null\n", "1\n", "{}\n[]\n", '{}\n["a", 1]\n', "\ud800\n", "[" * 5000 + "\n",
+        "[]", "{}", "null\n", "1\n", "{}\n[]\n", '{}\n["a", 1]\n', "\ud800\n",
         '{}\n[1, {"threshold_ma": 1}]\n',
         '{}\n[1, {"threshold_ma":3,"comfort_ma":2,"spread":0,"runs":1,"false_presses":0}]\n',
     ],
