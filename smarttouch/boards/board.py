@@ -3,7 +3,6 @@
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from numbers import Integral
 from types import TracebackType
 from typing import Any, ClassVar, Self, final
 
@@ -18,8 +17,6 @@ from smarttouch.base.errors import (
     BoardStoppedError,
     LineLostError,
     SequenceLateError,
-    require_made,
-    require_returned,
 )
 from smarttouch.boards.faults import latch, refuse_latched
 from smarttouch.boards.reports import (
@@ -129,7 +126,6 @@ class Board(TimedBoard, ABC):
             If the displays of this user could drive more current together than
             `CEILING_USER_MA`, and whatever keeps the board from opening.
         """
-        require_made(self, BoardError, "board")
         if self._opened:
             raise BoardError("the board is open already: close it first", about="board")
         self._require_seal()
@@ -241,9 +237,6 @@ class Board(TimedBoard, ABC):
             # On a stopped board any failure is due to the stop.
             self._go_on_unless_stopped()
             raise
-        if type(number) is not int:
-            wanted = "the number of the sequence on the board"
-            require_returned(self, "_send", number, Integral, wanted, BoardError)
         return number
 
     @final
@@ -332,7 +325,6 @@ class Board(TimedBoard, ABC):
         self._gate.restart()
         try:
             found = self._measure()
-            require_returned(self, "_measure", found, Impedance, "an Impedance", BoardError)
         except BoardError as error:
             # A board whose line is lost is at zero only if the stop has reached it.
             if self._zeroed or not isinstance(error, LineLostError):

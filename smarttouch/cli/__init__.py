@@ -13,7 +13,6 @@ from smarttouch.base.errors import SmartTouchError, TableError
 from smarttouch.base.posix import resource
 from smarttouch.base.stopping import RunStopped
 from smarttouch.base.terminal import guarded_output
-from smarttouch.base.url_options import named_options
 from smarttouch.base.version import __version__
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.design import design, profiles
@@ -110,10 +109,8 @@ def _outcome(error: BaseException) -> int:
         return 1
     if isinstance(error, SmartTouchError):
         found = error.complaints if isinstance(error, TableError) else [("", str(error))]
-        *others, last = [sentence for _, sentence in found]
-        for sentence in others:
+        for _, sentence in found:
             _say(sentence)
-        _say(last + named_options(error, _built(), sys.argv[1:]))
     elif isinstance(error, MemoryError):
         _say("this machine has too little memory: give less at once")
     elif isinstance(error, OSError):

@@ -62,15 +62,10 @@ class CalibrationOptions(OptionGroup):
         )
 
 
-def missing(about: str, message: str) -> CalibrationError:
-    """Return the error that no device is given to measure with, which could be simulated."""
-    return CalibrationError(message, about=about, remedy="simulate")
-
-
 def ask(what: str, yes: bool) -> None:
     """Wait until the user has put something in place."""
     if not yes:
-        _answer(f"{what} Then press Enter", "yes")
+        _answer(f"{what} Then press Enter")
 
 
 def weights_laid(listed: Sequence[float] | None, yes: bool) -> Iterator[float]:
@@ -81,18 +76,18 @@ def weights_laid(listed: Sequence[float] | None, yes: bool) -> Iterator[float]:
         ask(f"{grams:g} g on the cell, at rest.", yes)
         yield grams
     while listed is None:
-        answer = _answer("Grams on the cell, at rest (Enter: no more)", "weights")
+        answer = _answer("Grams on the cell, at rest (Enter: no more)")
         if not answer:
             return
         yield parse_grams(answer)[0]
 
 
-def _answer(question: str, remedy: str) -> str:
+def _answer(question: str) -> str:
     try:
         return str(typer.prompt(question, default="", show_default=False))
     except typer.Abort:
         message = "nobody answered, nothing was written: use a terminal, or give it beforehand"
-        raise CalibrationError(message, about="answer", remedy=remedy) from None
+        raise CalibrationError(message) from None
 
 
 def finish(
@@ -154,7 +149,7 @@ def optics(
     else:
         sources = (dark or source, white or source)
         if None in sources:
-            raise missing("source", "give a source, or dark and white frames, or simulate")
+            raise CalibrationError("give --source, or --dark and --white, or --simulate")
         asked = ("Cover the sensor: no light.", "Put it on blank white paper, in its usual light.")
         seen = []
         for url, question in zip(sources, asked, strict=True):
@@ -208,7 +203,7 @@ def registration(
 
         image = bench_view(grid, file.profile.optics)
     elif source is None:
-        raise missing("source", "give a source, or simulate")
+        raise CalibrationError("give --source or --simulate")
     else:
         ask("Lay the target under the sensor, the L upright under the array's middle.", yes)
         mean = mean_image(images_of(source, file.profile, frames, corrected=True))
@@ -247,7 +242,7 @@ def force(
     if simulate:
         weighings = weigh_simulated(listed, seconds)
     elif cell is None:
-        raise missing("cell", "give hx711:PORT or loadcell:PORT, or simulate")
+        raise CalibrationError("give --cell hx711:PORT or --cell loadcell:PORT, or --simulate")
     else:
         weighings = weigh_on(cell, weights_laid(listed, yes), seconds)
     found = fit_curve(weighings, file.profile.force)

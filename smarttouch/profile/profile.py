@@ -84,7 +84,7 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
 def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
     lowered = profile.limits.electrode_ma
     full_ma = profile.full_ma
-    strongest_of, strongest_key = _names_of_strongest(profile)
+    strongest_of = _strongest_of(profile)
     painful = full_ma <= profile.threshold_ma
     if painful.any():
         index = int(painful.argmax())
@@ -102,35 +102,32 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
             f"{strongest_of} is {full_ma[index]:.2f} mA at electrode {index}, above its "
             f"limits.electrode_ma {lowered[index]:g}: lower one of the two",
             about="limits.electrode_ma",
-            remedy=strongest_key,
             electrode=index,
         )
     yield from _misfits_of_strongest(profile)
 
 
-def _names_of_strongest(profile: "Profile") -> tuple[str, str]:
-    """Return the words for the strongest current, and its key."""
+def _strongest_of(profile: "Profile") -> str:
+    """Return the words for the strongest current."""
     if profile.perception.comfort_ma is not None:
-        return "comfort_ma", "perception.comfort_ma"
-    return "threshold_ma × comfort_ratio", "perception.comfort_ratio"
+        return "comfort_ma"
+    return "threshold_ma × comfort_ratio"
 
 
 def _misfits_of_strongest(profile: "Profile") -> Iterator[UnfitError]:
-    full_ma, (strongest_of, strongest_key) = profile.full_ma, _names_of_strongest(profile)
+    full_ma, strongest_of = profile.full_ma, _strongest_of(profile)
     limits, width_us, strongest = profile.limits, profile.pulse.width_us, float(full_ma.max())
     if strongest > limits.current_ma:
         yield UnfitError(
             f"{strongest_of} reaches {strongest:.2f} mA, above limits.current_ma "
             f"{limits.current_ma}: lower one of the two",
             about="limits.current_ma",
-            remedy=strongest_key,
         )
     if limits.total_ma is not None and limits.total_ma < strongest:
         yield UnfitError(
             f"limits.total_ma {limits.total_ma:g} is below the {strongest:.2f} mA that "
             f"{strongest_of} sends through one electrode: raise it, or lower one of the two",
             about="limits.total_ma",
-            remedy=strongest_key,
         )
     if width_us > limits.pulse_us:
         yield UnfitError(
@@ -143,7 +140,6 @@ def _misfits_of_strongest(profile: "Profile") -> Iterator[UnfitError]:
             f"the strongest pulse carries {charge:.3f} µC, above limits.charge_uc "
             f"{limits.charge_uc}: lower {strongest_of} or pulse.width_us",
             about="limits.charge_uc",
-            remedy=strongest_key,
         )
 
 

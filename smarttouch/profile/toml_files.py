@@ -82,7 +82,7 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
     except ProfileError as error:
         # Of the array alone, which names no file.
         message = f"{path}: {error}"
-        error.args, error.complaints = (message,), ((error.about, message),)
+        error.args, error.complaints = (message,), ((error.key, message),)
         raise
     except ValidationError as error:
         raise table_error(ProfileError, path, error) from None

@@ -93,7 +93,7 @@ def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Er
     sentences = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
     if len(found) > len(sentences):
         sentences.append(f"and {len(found) - len(sentences)} more")
-    complaints = [(each["about"], f"{name}: {words}") for words, each in found]
+    complaints = [(each["key"], f"{name}: {words}") for words, each in found]
     return kind(f"{name}: {'; '.join(sentences)}", complaints=complaints, **found[0][1])
 
 
@@ -107,9 +107,9 @@ def _complaints(error: ValidationError) -> Iterator[Found]:
         unfit = each.get("ctx", {}).get("error")
         if isinstance(unfit, AllUnfitError):
             for one in unfit.errors:
-                yield str(one), {"about": key} | one.attributes
+                yield str(one), {"key": key} | one.attributes
         else:
-            yield _in_words(key, each), {"about": key} | getattr(unfit, "attributes", {})
+            yield _in_words(key, each), {"key": key} | getattr(unfit, "attributes", {})
 
 
 def _key(error: Mapping[str, Any]) -> str:

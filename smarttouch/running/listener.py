@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from smarttouch.base.errors import SmartTouchError, kind_in_words, require_made
+from smarttouch.base.errors import SmartTouchError, kind_in_words
 from smarttouch.base.events import Event
 from smarttouch.running.step import StepResult
 
@@ -122,7 +122,5 @@ def as_listeners(given: Iterable[Listener | Callable[[StepResult], object]]) -> 
                 "of a StepResult",
                 about="listeners",
             )
-        listener = each if isinstance(each, Listener) else OnStep(each)
-        require_made(listener, SmartTouchError, "listeners")
-        listeners.append(listener)
+        listeners.append(each if isinstance(each, Listener) else OnStep(each))
     return listeners

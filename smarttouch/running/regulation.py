@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from smarttouch.base.errors import BoardError, require_returned
+from smarttouch.base.errors import BoardError
 from smarttouch.boards.board import Board
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
@@ -12,7 +12,6 @@ from smarttouch.stimulation.adaptation import RESERVED, Adaptation, Hold
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_recharge
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-_VOLTS = "a list of (sequence, volts at the end of each slot)"
 _WAITING_UC = 0.02  # charge that whole µA of the longest recharge phase may leave
 
 
@@ -42,8 +41,6 @@ class Regulator:
     def regulate(self, step: Step, board: Board) -> Step:
         """Return the step with its sequence as it is to be sent."""
         observed = board.take_volts()
-        if not isinstance(observed, list):
-            require_returned(board, "take_volts", observed, list, _VOLTS, BoardError)
         if observed:
             step = replace(step, observed=tuple(observed))
         if self.adaptation is not None:

@@ -9,12 +9,9 @@ from typing import Any
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.clock import Pace, SimulatedClock
 from smarttouch.base.errors import (
-    BoardError,
     BoardStoppedError,
     SmartTouchError,
     SourceError,
-    require_made,
-    require_returned,
 )
 from smarttouch.base.events import Advice, Note, RunFailed
 from smarttouch.base.stopping import StopRequest
@@ -80,8 +77,6 @@ class Runner:
         if force is None and display.on_a_finger:
             force = display.profile.force.source
         self._force = None if isinstance(force, str) else force
-        if self._force is not None:
-            require_made(self._force, SourceError, "force")
         self._force_url = force if isinstance(force, str) else None
         self.statistics: RunStatistics = RunStatistics()
         self._listeners = as_listeners(listeners)
@@ -145,7 +140,6 @@ class Runner:
         profile = self.display.profile
         if self.display.on_a_finger:
             profile = source.narrowed(profile)
-            require_returned(source, "narrowed", profile, Profile, "a Profile", SourceError)
         if config.measure:
             with self._opened(self._stop):
                 self._require_force()
@@ -200,7 +194,6 @@ class Runner:
             )
             board.stop()
             report = board.report()
-            require_returned(board, "report", report, BoardReport, "a BoardReport", BoardError)
         board.notes += [*regulator.notes(), *pipeline.notes(), *_refused_packets(board, report)]
         if self.display.on_a_finger:
             board.notes += [*_density(profile), *Pace(self.statistics.real_time).notes]

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from smarttouch.base.errors import SourceError, require_made
-from smarttouch.base.registry import find_opener
+from smarttouch.base.errors import SourceError
+from smarttouch.base.registry import find_opener, require_kind
 from smarttouch.base.tables import read_csv
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Device
@@ -35,11 +35,9 @@ class ForceSource(Device, ABC):
 
 def open_force(url: str, profile: Profile) -> ForceSource:
     """Open a source of finger force by its URL."""
-    opener, rest = find_opener(
-        "smarttouch.forces", url, SourceError, ForceSource, ("rest", "profile")
-    )
+    opener, rest = find_opener("smarttouch.forces", url, SourceError)
     source: ForceSource = opener(rest, profile)
-    require_made(source, SourceError, "force")
+    require_kind(source, ForceSource, url, SourceError)
     return source
 
 

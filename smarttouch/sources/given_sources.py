@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.electrodes import ElectrodeArray
-from smarttouch.base.errors import SourceError, kind_in_words, require_made
+from smarttouch.base.errors import SourceError, kind_in_words
 from smarttouch.base.events import Emit
 from smarttouch.profile import Profile
 from smarttouch.sources import kind_of, open_source
@@ -149,7 +149,6 @@ def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) ->
         If it is nothing of these, or cannot be opened.
     """
     if isinstance(given, Source):
-        require_made(given, SourceError, "source")
         return given
     if isinstance(given, str | Path):
         url = given if isinstance(given, str) else f"{kind_of(given)}:{given}"

@@ -156,8 +156,7 @@ class FlatField:
 
 
 def _no_field(message: str) -> SourceError:
-    key = "optics.flat_field"
-    return SourceError(message, about=key, remedy=key)
+    return SourceError(message)
 
 
 def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
