@@ -50,7 +50,7 @@ for url in "emulator:", "kajimoto61:/dev/ttyUSB0":
     try:
         st.run("text:a", url, force="fixed:0.5", seconds=0.1, intensity=0.1)
     except st.BoardError as error:
-        assert error.remedy == "simulated:", error
+        assert "simulated:" in str(error), error
     else:
         raise AssertionError(url)
 try:
@@ -63,7 +63,7 @@ from smarttouch.views.live_finger import LiveFinger
 try:
     st.run("text:a", "simulated:", seconds=0.1, listeners=[LiveFinger(st.Finger(profile))])
 except st.SmartTouchError as error:
-    assert error.about == "finger", error
+    assert "finger" in str(error), error
 else:
     raise AssertionError("a finger")
 sys.argv = ["smarttouch", "design", "27", "--mode", "RA", "--json", "kernels.json"]

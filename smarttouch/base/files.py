@@ -48,22 +48,22 @@ def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> N
     try:
         found = path.stat()
     except (FileNotFoundError, NotADirectoryError, ValueError):
-        raise error(f"no file {path}: check its name", about="file") from None
+        raise error(f"no file {path}: check its name") from None
     except OSError as failure:
         raise unreadable(error, path, failure) from None
     for is_kind, name in _KINDS:
         if is_kind(found.st_mode):
-            raise error(f"{path} is a {name}: give a file", about="file")
+            raise error(f"{path} is a {name}: give a file")
     if found.st_size > most_bytes:
         size_mb, most_mb = found.st_size / 1e6, most_bytes / 1e6
         message = f"{path} has {size_mb:,.1f} MB, above the limit of {most_mb:,.0f} MB"
-        raise error(message, about="file")
+        raise error(message)
 
 
 def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
     """Raise if a new file would replace anything but a file, such as a device."""
     if path.exists() and not path.is_file():
-        raise error(f"cannot write {path}: it is no file; give another name", about="file")
+        raise error(f"cannot write {path}: it is no file; give another name")
 
 
 def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> BinaryIO:
@@ -100,7 +100,7 @@ def decoded(data: bytes, path: Path, error: type[SmartTouchError]) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as failure:
         message = f"{path} is not a text in UTF-8 (byte {failure.start + 1}): save it as UTF-8"
-        raise error(message, about="file") from None
+        raise error(message) from None
 
 
 _FILE_NAME = re.compile(r"\.{0,2}/\S+|\S*\.[A-Za-z]\w{1,3}")
@@ -111,7 +111,7 @@ def named_file(name: str, error: type[SmartTouchError]) -> Path | None:
     there = file_at(name)
     if there is None and _FILE_NAME.fullmatch(name):
         message = f"there is no file {name}: check its name, or give text:{name} for these words"
-        raise error(message, about="file")
+        raise error(message)
     return there
 
 
@@ -129,7 +129,7 @@ def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as failure:
-        raise error(f"{path} is not a readable TOML file: {failure}", about="file") from None
+        raise error(f"{path} is not a readable TOML file: {failure}") from None
 
 
 def owner_only(path: str, flags: int) -> int:
@@ -188,7 +188,7 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
                 fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) & ~O_NONBLOCK)
             file.write(data)
     except ValueError:
-        raise error(f"cannot write {path}: no file has such a name", about="file") from None
+        raise error(f"cannot write {path}: no file has such a name") from None
     except OSError as failure:
         raise unwritable(error, path, failure) from None
 
@@ -214,7 +214,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             message = (
                 f"{path} is in use by another run: wait until that has ended, or give another file"
             )
-            raise error(message, about="file") from None
+            raise error(message) from None
         except OSError:
             return file
         # Its owner may have removed it just now: that lock then excludes no one.
@@ -243,20 +243,20 @@ def sync_folder(folder: Path) -> None:
 
 def unreadable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
     """Return the error for a file that cannot be read."""
-    return error(f"cannot read {path}: {failure.strerror}", about="file")
+    return error(f"cannot read {path}: {failure.strerror}")
 
 
 def unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
     """Return the error for a file that cannot be written."""
     reason = "nobody reads from it" if failure.errno == errno.ENXIO else failure.strerror
-    return error(f"cannot write {path}: {reason}", about="file")
+    return error(f"cannot write {path}: {reason}")
 
 
 def require_folder(path: Path | None) -> None:
     """Raise before any work is done if a file could not be written in the end."""
     if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
         message = f"cannot write {path}: give a file in a folder that exists"
-        raise SmartTouchError(message, about="file")
+        raise SmartTouchError(message)
 
 
 def write_json(path: Path, figures: Any) -> None:

@@ -89,8 +89,7 @@ def _plug_in(group: str, name: str, error: type[SmartTouchError]) -> EntryPoint 
     if len(packages) > 1:
         kind = _kind(group)
         raise error(
-            f"the packages {' and '.join(packages)} both have a {kind} {name}: remove one of them",
-            about=kind,
+            f"the packages {' and '.join(packages)} both have a {kind} {name}: remove one of them"
         )
     return points[0] if points else None
 
@@ -101,7 +100,7 @@ def unknown(
     """Return the error of a URL that begins with no known name."""
     name, colon, _ = url.partition(":")
     if colon and (sentence := instead_of(URLS, name)):
-        return error(sentence, about=kind)
+        return error(sentence)
     close = [name] if name in known else get_close_matches(name.lower(), known, 1, 0.75)
     meant = close[0] if close else ""
     if meant:
@@ -110,7 +109,7 @@ def unknown(
         way = f"a port does not say which board is on it; write its kind first, as in link:{url}"
     else:
         way = "it must begin with one of " + ", ".join(f"{each}:" for each in known)
-    return error(f"unknown {kind} {url!r}: {way}", about=kind, remedy=meant and f"{meant}:")
+    return error(f"unknown {kind} {url!r}: {way}")
 
 
 def given_options(
@@ -124,8 +123,7 @@ def given_options(
         if name not in taken:
             takes = ", ".join(taken) or "none"
             raise error(
-                f"{url.partition(':')[0]}: does not take {name}: leave it out (it takes {takes})",
-                about=name,
+                f"{url.partition(':')[0]}: does not take {name}: leave it out (it takes {takes})"
             )
     return given
 
@@ -168,4 +166,4 @@ def _loaded(point: EntryPoint, error: type[SmartTouchError]) -> Any:
 def refuse_rest(url: str, rest: str, error: type[SmartTouchError]) -> None:
     """Raise an error if something comes after the colon of a URL that takes nothing there."""
     if rest:
-        raise error(f"{url} takes nothing after the colon, not {rest!r}", about="board")
+        raise error(f"{url} takes nothing after the colon, not {rest!r}")

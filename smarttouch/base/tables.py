@@ -36,12 +36,12 @@ class CsvTable:
                 f"{self.path} has the columns {', '.join(self.head) or 'none'}: its first line "
                 f"must name {', '.join(names)}"
             )
-            raise self.error(message, about="columns")
+            raise self.error(message)
         places = [self.head.index(name) for name in names]
         values = np.array([self._row(row, places) for row in range(len(self.rows))])
         if len(values) < fewest:
             message = f"{self.path} has {len(values)} rows of numbers: give {fewest} or more"
-            raise self.error(message, about="rows")
+            raise self.error(message)
         falls = np.flatnonzero(np.diff(values[:, 0]) <= 0)
         if rising and len(falls):
             row = int(falls[0]) + 1
@@ -54,7 +54,7 @@ class CsvTable:
         """Return the error of a row, with its line."""
         line = self.lines[row]
         message = f"{self.path}, line {line}: {words}"
-        return self.error(message, about="line")
+        return self.error(message)
 
     def _row(self, row: int, places: list[int]) -> list[float]:
         cells = self.rows[row]
@@ -84,7 +84,7 @@ def parse_csv(
         found = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
     except csv.Error as failure:
         message = f"{path} is no CSV file ({failure}): save it as one in UTF-8"
-        raise error(message, about="file") from None
+        raise error(message) from None
     lines, (head, *rows) = [line for line, _ in found[1:]], [row for _, row in found] or [[]]
     return CsvTable(path, error, tuple(map(str.strip, head)), rows, lines)
 

@@ -33,16 +33,14 @@ def read_options(
     for name, text in parts:
         if name not in known:
             raise error(
-                f"{rest!r} has no option {name}: choose {', '.join(sorted(known))}, or leave it "
-                "out",
-                about=f"?{name}",
+                f"{rest!r} has no option {name}: choose {', '.join(sorted(known))}, or leave it out"
             )
         kind = known[name]
         value = _read_option(name, unquote(text), kind, error)
         if kind is Sequence:
             found.setdefault(name, []).append(value)
         elif name in found:
-            raise error(f"{rest!r} has {name} twice: give it once", about=f"?{name}")
+            raise error(f"{rest!r} has {name} twice: give it once")
         else:
             found[name] = value
     return place, found
@@ -53,7 +51,7 @@ def joined_options(
 ) -> dict[str, Any]:
     """Return the options given beside a URL and those in it; raises if one is in both."""
     if twice := sorted(given.keys() & in_url.keys()):
-        raise error(f"{twice[0]} is given in {url!r} and beside it: leave one out", about=twice[0])
+        raise error(f"{twice[0]} is given in {url!r} and beside it: leave one out")
     return given | in_url
 
 

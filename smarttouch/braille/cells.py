@@ -36,8 +36,7 @@ def require_cells(line: str) -> None:
         if not is_cell(character):
             raise BrailleError(
                 f"{character!r} at position {column + 1} is not a Braille cell: give characters "
-                "U+2800 to U+28FF",
-                about="cell",
+                "U+2800 to U+28FF"
             )
 
 
@@ -51,9 +50,7 @@ def cells_to_dots(cells: str) -> NDArray[np.bool_]:
 def dots_to_cells(dots: NDArray[Any]) -> str:
     """Return a line of cells from its dots, (N, 8) or (N, 6) bool; column k is dot k + 1."""
     if dots.ndim != 2 or dots.shape[1] not in (6, 8):
-        raise BrailleError(
-            f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)", about="dots"
-        )
+        raise BrailleError(f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)")
     patterns = np.packbits(dots.astype(bool), axis=1, bitorder="little")
     return "".join(chr(ord(BLANK) + int(each)) for each in patterns.ravel())
 
@@ -101,8 +98,7 @@ def _codes(line: str, where: str) -> str:
         if pattern(cell) >= SIX_DOT_PATTERNS:
             raise BrailleError(
                 f"{cell} ({where}, cell {column}) has dots 7 or 8, which BRF files cannot hold: "
-                "choose a table of 6 dots",
-                about="cell",
+                "choose a table of 6 dots"
             )
     return "".join(_CODE[pattern(cell)] for cell in line)
 
@@ -113,7 +109,6 @@ def _cells(line: str, name: str, count: int) -> str:
         if ord(cell) < ord(BLANK):
             raise BrailleError(
                 f"{name}, line {count}, column {column}: {code!r} is not ASCII Braille: is this a "
-                "BRF file?",
-                about="cell",
+                "BRF file?"
             )
     return cells

@@ -59,8 +59,7 @@ class BrailleTable:
             others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise BrailleError(
                 f"table {self.name} has no cells for {missing[0]!r} (U+{ord(missing[0]):04X})"
-                f"{others}: leave them out, or choose another table",
-                about="text",
+                f"{others}: leave them out, or choose another table"
             )
         tidy = tidy.translate(dict.fromkeys(map(ord, missing)))
         return "\n".join(self.code.encode(line) for line in tidy.split("\n"))
@@ -88,8 +87,7 @@ class BrailleTable:
         if not self.code.goes_back:
             raise BrailleError(
                 f"table {self.name} translates texts into cells only: choose another table to "
-                "translate back",
-                about="table",
+                "translate back"
             )
         lines = cells.split("\n")
         for line in lines:
@@ -182,18 +180,13 @@ def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
             return BrailleTable(name, LouisCode(name))
         raise BrailleError(
             f"unknown table {name!r}: choose one of {', '.join(_KNOWN)}, or give the tag of a "
-            "language (pt), or the file name of a table of liblouis",
-            about="table",
+            "language (pt), or the file name of a table of liblouis"
         )
     if known.file is not None and louis.has_table(known.file):
         code = _EnglishLouis if known.built_in is Grade1 else LouisCode
         return BrailleTable(name, code(known.file, known.goes_back))
     if known.built_in is None:
-        raise BrailleError(
-            f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}",
-            about="liblouis",
-            remedy=louis.INSTALL,
-        )
+        raise BrailleError(f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}")
     return BrailleTable(name, known.built_in(), MISSING_NOTE if known.file else None)
 
 

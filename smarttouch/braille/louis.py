@@ -48,9 +48,7 @@ class LouisCode:
 
     def __init__(self, table: str, goes_back: bool | None = None) -> None:
         if not has_table(table):
-            raise BrailleError(
-                f"liblouis has no table {table!r} here: {INSTALL}", about="table", remedy=INSTALL
-            )
+            raise BrailleError(f"liblouis has no table {table!r} here: {INSTALL}")
         self._table = table
         self.goes_back: bool = _goes_both_ways(table) if goes_back is None else goes_back
         self._known: dict[str, bool] = {}
@@ -239,9 +237,7 @@ def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
         if read.value == length and written.value <= room // 2:
             return outbuf.raw[: written.value * width].decode(encoding, "replace")
     way = "cells into a text" if back else "a text into cells"
-    raise BrailleError(
-        f"liblouis could not translate {way} with {table}: choose another table", about="table"
-    )
+    raise BrailleError(f"liblouis could not translate {way} with {table}: choose another table")
 
 
 def _cell(dots: str) -> str:

@@ -133,9 +133,7 @@ def _require_files() -> None:
     if most < _FEWEST_FILES:
         raise SmartTouchError(
             f"this program may open {most} files at once and needs {_FEWEST_FILES}: allow them "
-            f"with ulimit -n {_FEWEST_FILES}",
-            about="open files",
-            remedy="ulimit",
+            f"with ulimit -n {_FEWEST_FILES}"
         )
 
 

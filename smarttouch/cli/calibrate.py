@@ -55,7 +55,7 @@ class CalibrationOptions(OptionGroup):
         from smarttouch.profile import DEFAULT_PROFILE
 
         if self.output is None:
-            raise CalibrationError("give a file FILE.toml for what is measured", about="output")
+            raise CalibrationError("give a file FILE.toml for what is measured")
         usual = DEFAULT_PROFILE if board_url is None else default_profile(board_url)
         return file_to_calibrate(
             part, self.profile, usual, self.output, self.overwrite, simulated=simulated
@@ -86,7 +86,7 @@ def _answer(question: str) -> str:
     try:
         return str(typer.prompt(question, default="", show_default=False))
     except typer.Abort:
-        message = "nobody answered, nothing was written: use a terminal, or give it beforehand"
+        message = "nobody answered, nothing was written: use a terminal, or give it as an option"
         raise CalibrationError(message) from None
 
 
@@ -191,8 +191,8 @@ def registration(
     grid = target_for(load_profile(calibration.begun()), dot_pitch_mm)
     if target is not None:
         if target.exists() and not calibration.overwrite:
-            message = f"{target} exists already: give another file, or overwrite it"
-            raise CalibrationError(message, about="file", remedy="target or overwrite")
+            message = f"{target} exists already: give another file, or add --overwrite"
+            raise CalibrationError(message)
         grid.draw(target)
         typer.echo(f"{target}: dots {grid.pitch_mm:g} mm apart; print it at 100 %, black on white.")
     if calibration.output is None and target is not None and source is None and not simulate:
@@ -385,7 +385,7 @@ def scale(
             volts = float(answer)
         except ValueError:
             message = f"{answer!r} is no voltage: give a number of volts"
-            raise CalibrationError(message, about="volts") from None
+            raise CalibrationError(message) from None
     ratio = check_reading(volts, ohm, current_ma)
     scale_ua = measured_scale(url.partition(":")[0], display.board.ua_per_count, ratio)
     typer.echo(

@@ -61,8 +61,7 @@ def design(
             offered = tuple(each.name for each in modes)
             raise DesignError(
                 f"mode {afferent.name} is not possible with the board of {profile}: it offers "
-                f"{', '.join(offered) or 'none'}",
-                about="mode",
+                f"{', '.join(offered) or 'none'}"
             )
         modes = [afferent]
     with on_cluster(cluster), bank_progress(quiet=False) as progress:
@@ -208,14 +207,12 @@ def new(
     if len(tables) != (not grid):
         raise ProfileError(
             "give a table and the profile to write, or --grid 5x5 and the profile alone",
-            about="table",
+            key="table",
         )
     require_replaceable(file, ProfileError)
     if file.exists() and not overwrite:
         raise ProfileError(
-            f"{file} is there already: give another name, or let it be overwritten",
-            about="file",
-            remedy="overwrite",
+            f"{file} is there already: give another name, or add --overwrite", key="file"
         )
     table = grid_of(grid, pitch_mm, diameter_mm) if grid else tables[0]
     title = table.stem if isinstance(table, Path) else str(table)

@@ -84,7 +84,7 @@ def _show(
         suits = {"mode": asked or "RA"} | dict(opened.settings)
         if asked is not None and suits["mode"] != asked:
             message = f"{opened.title} chooses its classes by itself: leave out the mode"
-            raise SourceError(message, about="mode")
+            raise SourceError(message)
         config = run.config(
             **suits,
             rate_hz=None if "rate_hz" in taken else rate_hz,

@@ -122,12 +122,11 @@ def require_answers(
     if simulate and not board_url.startswith(boards):
         raise error(
             f"a simulation never drives a board that a finger may be on: not {board_url!r}, only "
-            f"{' or '.join(boards)}",
-            about="board",
+            f"{' or '.join(boards)}"
         )
     if not simulate and not sys.stdin.isatty():
-        message = "there is no keyboard to answer on: use a terminal, or simulate"
-        raise error(message, about="keyboard", remedy="simulate")
+        message = "there is no keyboard to answer on: use a terminal, or add --simulate"
+        raise error(message)
 
 
 BOARD = "The board"

@@ -42,13 +42,11 @@ def _file_of_standard_input() -> Iterator[Path]:
     data = sys.stdin.read().encode() if stream is None else stream.read(_MOST_BYTES + 1)
     if not data:
         raise SmartTouchError(
-            "standard input holds nothing: give a file, or pipe a text or a page into the command",
-            about="standard input",
+            "standard input holds nothing: give a file, or pipe a text or a page into the command"
         )
     if len(data) > _MOST_BYTES:
         raise SmartTouchError(
-            f"standard input holds more than {_MOST_BYTES / 1e6:,.0f} MB: give a file",
-            about="standard input",
+            f"standard input holds more than {_MOST_BYTES / 1e6:,.0f} MB: give a file"
         )
     with tempfile.TemporaryDirectory(prefix="smarttouch-") as folder:
         path = Path(folder) / "standard input"
@@ -160,7 +158,7 @@ class FormOptions(OptionGroup):
         if "?" in text:
             known = ", ".join(sorted(options_of(_Form)))
             message = f"{text!r} has an option that there is not: choose {known}"
-            raise ReadingError(message, about="kind")
+            raise ReadingError(message)
         form = _Form(**given)
         shapes = Shapes(choice_of("style", form.style, Style), named)
         presentation = choice_of("cells", form.cells, Presentation)

@@ -61,7 +61,7 @@ class Study(Table):
     def _something_felt(self) -> Self:
         if not (self.letters or self.pages):
             raise UnfitError(
-                "letters is empty and there are no pages: give one of them", about="letters"
+                "letters is empty and there are no pages: give one of them", key="letters"
             )
         return self
 

@@ -50,7 +50,7 @@ class EvdevMotion(HandMotion):
     def read(self, time_ns: int) -> tuple[float, float]:
         """Return the displacement of the mouse since the first read."""
         if self._gone:
-            raise SourceLostError(f"{self._path} is gone: plug the mouse in again", about="mouse")
+            raise SourceLostError(f"{self._path} is gone: plug the mouse in again")
         with self._lock:
             across, down = self._counts
         if self._first is None:

@@ -131,10 +131,10 @@ def _load_array(
             heights = np.asarray(np.lib.format.read_array(file, allow_pickle=False), np.float64)
         except (OSError, ValueError, TypeError) as error:
             message = f"cannot read the height map {path}: it is not an array of numbers ({error})"
-            raise PageError(message, about="file") from None
+            raise PageError(message) from None
     if heights.ndim != 2:
         message = f"{path} has {heights.ndim} axes: a height map has two, rows and columns"
-        raise PageError(message, about="axes")
+        raise PageError(message)
     require_pixels(str(path), heights.shape[1], heights.shape[0])
     if dpi is not None:
         return heights, 25.4 / dpi
@@ -145,7 +145,7 @@ def _load_array(
 
 def _unscaled(path: Path) -> UnknownSizeError:
     message = f"{path} does not say how large it is: give {_SCALE}"
-    return UnknownSizeError(message, about="size_mm", remedy=_SCALE)
+    return UnknownSizeError(message)
 
 
 def _like(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -163,5 +163,5 @@ def _stretched(name: str, values: NDArray[np.float64], least: float) -> NDArray[
         low, high = values.min(), values.max()
     if high - low <= max(least, 1e-12):
         message = f"{name} is flat: there is nothing on it that could be felt"
-        raise PageError(message, about="texture")
+        raise PageError(message)
     return np.asarray(np.clip((values - low) / (high - low), 0, 1), np.float32)

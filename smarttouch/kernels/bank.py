@@ -100,8 +100,7 @@ class KernelBank:
             )
             raise DesignError(
                 f"mode {afferent.name} is not possible with this profile's board: "
-                f"it offers {offered or 'none'}",
-                about="mode",
+                f"it offers {offered or 'none'}"
             )
         return self.weights[afferent]
 

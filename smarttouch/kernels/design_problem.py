@@ -157,8 +157,6 @@ def masked_site(site: int) -> DesignError:
     return DesignError(
         f"site {site} is masked: its electrode is not driven; choose another, or take it out of "
         "output.masked of the profile",
-        about="site",
-        remedy="output.masked",
         electrode=site,
     )
 
@@ -230,7 +228,7 @@ class Problem:
         if not 0 <= site < self.electrodes:
             last = self.electrodes - 1
             message = f"site {site} is out of range: the array has sites 0 to {last}"
-            raise DesignError(message, about="site", electrode=site)
+            raise DesignError(message, electrode=site)
         if site in self.profile.output.masked:
             raise masked_site(site)
 

@@ -113,9 +113,7 @@ def _kernel(profile: Profile, afferents: Afferents, dx: Array, dy: Array) -> Arr
     if len(array.kinds) > 1:
         raise DesignError(
             f"whole frames need electrodes of one shape, and this array has {len(array.kinds)}: "
-            "give points slots of their own",
-            about="array.shapes",
-            remedy="frames.share",
+            "give points slots of their own"
         )
     # One electrode is no array: the second one's column is not used.
     half = array.pitch_mm
@@ -160,5 +158,5 @@ class FrameBounds:
             most = 1 if name == "uneven" else np.inf
             if not 0 < value < most:
                 raise DesignError(
-                    f"bound {name} = {value} of a frame must be above 0, uneven below 1", about=name
+                    f"bound {name} = {value} of a frame must be above 0, uneven below 1"
                 )

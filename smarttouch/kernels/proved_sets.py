@@ -199,7 +199,7 @@ def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
     y, row = np.unique(array.position_mm[:, 1].round(6), return_inverse=True)
     if len(x) * len(y) != len(array):
         message = "color classes are for grids: give the sites of each set by yourself"
-        raise DesignError(message, about="array")
+        raise DesignError(message)
     color = (row % step) * step + column % step
     sets = (driven[color[driven] == each] for each in range(step * step))
     return [SharedKernels(operator, sites) for sites in sets if len(sites)]

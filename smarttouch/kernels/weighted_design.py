@@ -66,7 +66,6 @@ def design_kernel(
         raise DesignError(
             f"no kernel for {problem.describe(site)}: the target cannot be activated; change the "
             "array, or the depths of its profile",
-            about="site",
             electrode=site,
         )
     if rows.break_limits(program) and rows.limit(program):
@@ -75,8 +74,6 @@ def design_kernel(
             raise DesignError(
                 f"no kernel for {problem.describe(site)} keeps limits.total_ma and "
                 "limits.electrode_ma of the profile: raise them, or lower the strongest current",
-                about="limits",
-                remedy="limits.total_ma or limits.electrode_ma",
                 electrode=site,
             )
     if spill is not None and given_up > 0:

@@ -141,7 +141,7 @@ def read_structured_text(path: Path) -> StructuredText:
     program = shutil.which("pandoc")
     if program is None:
         message = f"{path}: this kind of document needs pandoc: {INSTALL}"
-        raise PageError(message, about="pandoc", remedy=INSTALL)
+        raise PageError(message)
     data = read_bytes(path, PageError, MOST_BYTES)
     if data.startswith(b"PK"):
         _require_modest(path, data)
@@ -154,7 +154,7 @@ def read_structured_text(path: Path) -> StructuredText:
         )  # fmt: skip
         if done.returncode:
             lines = done.stderr.decode("utf-8", "replace").split("\n")
-            raise PageError(f"{path} cannot be read: {lines[0] or 'pandoc failed'}", about="file")
+            raise PageError(f"{path} cannot be read: {lines[0] or 'pandoc failed'}")
         document = json.loads(done.stdout)
         if kind == "epub":
             _mark_pages(document["blocks"], _page_list(data))
@@ -162,9 +162,9 @@ def read_structured_text(path: Path) -> StructuredText:
         about = document["meta"]
     except subprocess.TimeoutExpired:
         message = f"{path} was not read within {_TIMEOUT_S:g} s: give a smaller document"
-        raise PageError(message, about="file") from None
+        raise PageError(message) from None
     except (*_DAMAGES, RecursionError) as error:
-        raise PageError(f"{path} cannot be read: {error}", about="file") from None
+        raise PageError(f"{path} cannot be read: {error}") from None
     title, author = _said(about.get("title")), _said(about.get("author") or about.get("creator"))
     language, date = _said(about.get("lang") or about.get("language")), _said(about.get("date"))
     if kind in ("docx", "gfm"):
@@ -189,12 +189,11 @@ def _require_modest(path: Path, data: bytes) -> None:
         with zipfile.ZipFile(io.BytesIO(data)) as packed:
             size = sum(each.file_size for each in packed.infolist())
     except _DAMAGES as error:
-        raise PageError(f"{path} is damaged: {error}", about="file") from None
+        raise PageError(f"{path} is damaged: {error}") from None
     if size > MOST_UNPACKED_BYTES:
         raise PageError(
             f"{path} would unpack to {size // 10**6} MB, above the limit of "
-            f"{MOST_UNPACKED_BYTES // 10**6}: give a smaller document",
-            about="file",
+            f"{MOST_UNPACKED_BYTES // 10**6}: give a smaller document"
         )
 
 

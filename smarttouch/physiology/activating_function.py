@@ -31,8 +31,7 @@ class Afferents:
         if not self.depth_mm > 0:
             raise DesignError(
                 f"a {self.afferent.name} fiber at a depth of {self.depth_mm:g} mm lies outside "
-                "the skin: depths are measured below the surface, above 0",
-                about="depth_mm",
+                "the skin: depths are measured below the surface, above 0"
             )
 
 

@@ -54,11 +54,11 @@ class Output(Table):
                 twice = next(each for each in values if values.count(each) > 1)
                 yield UnfitError(
                     f"output.{key} lists {twice} more than once: give each once",
-                    about=f"output.{key}",
+                    key=f"output.{key}",
                 )
             if min(values, default=0) < 0:
                 yield UnfitError(
-                    f"output.{key} lists {min(values)}: numbers begin at 0", about=f"output.{key}"
+                    f"output.{key} lists {min(values)}: numbers begin at 0", key=f"output.{key}"
                 )
 
 
@@ -108,7 +108,7 @@ class ForceLaw(Table):
     def _ordered(self) -> Self:
         if self.full_n <= self.contact_n:
             raise UnfitError(
-                f"full_n {self.full_n} must exceed contact_n {self.contact_n}", about="force.full_n"
+                f"full_n {self.full_n} must exceed contact_n {self.contact_n}", key="force.full_n"
             )
         return self
 

@@ -34,7 +34,7 @@ class GridLayout(Table):
             raise UnfitError(
                 f"inner_diameter_mm {self.inner_diameter_mm:g} must be below diameter_mm "
                 f"{self.diameter_mm:g}",
-                about="array.inner_diameter_mm",
+                key="array.inner_diameter_mm",
             )
         return self
 
@@ -118,7 +118,7 @@ class FreeLayout(Table):
                 yield UnfitError(
                     f"array.{key} lists {len(values or ())} of {count} electrodes: give one for "
                     "each, of both shapes and sizes_mm, or neither",
-                    about=f"array.{key}",
+                    key=f"array.{key}",
                 )
         for shape, size in zip(self.shapes or (), self.sizes_mm or (), strict=False):
             yield from _unsized(shape, size, "sizes_mm")
@@ -142,7 +142,7 @@ def _unsized(shape: Shape, size_mm: tuple[float, float], key: str) -> Iterator[U
         yield UnfitError(
             f"{key} {list(size_mm)} does not go with shape {shape!r}: give [diameter, 0] of a "
             "disc, [outer, inner] of an annulus, [width, height] of a rectangle",
-            about=f"array.{key}",
+            key=f"array.{key}",
         )
 
 

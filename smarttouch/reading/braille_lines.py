@@ -146,17 +146,13 @@ def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLa
         pixel_mm=pixel_pitch_mm(profile),
     )
     if lines < 1:
-        raise ReadingError(
-            f"{lines} lines of Braille at once are not possible: give 1 or more", about="lines"
-        )
+        raise ReadingError(f"{lines} lines of Braille at once are not possible: give 1 or more")
     if layout.height > rows or dot_x + 1 > columns:
         fewer = lines > 1 and replace(layout, lines=1).height <= rows
         raise ReadingError(
             f"{profile.name} has {rows} x {columns} electrodes, {lines} line{'s' * (lines > 1)} of "
             f"Braille with {8 if eight else 6} dots need {layout.height} x {dot_x + 1}: choose "
-            + ("fewer lines" if fewer else "another profile"),
-            about="profile",
-            remedy="lines" if fewer else "",
+            + ("fewer lines" if fewer else "another profile")
         )
     return layout
 
@@ -167,8 +163,7 @@ def _grid_of(electrodes: ElectrodeArray, name: str) -> tuple[int, int]:
     if len(x) * len(y) != len(electrodes):
         raise ReadingError(
             f"the electrodes of {name} are no grid of rows and columns, dots would fall between "
-            "them: choose another profile, or read letter shapes",
-            about="profile",
+            "them: choose another profile, or read letter shapes"
         )
     return len(y), len(x)
 

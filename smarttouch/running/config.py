@@ -126,9 +126,7 @@ class RunConfig:
         if self.hold is not None and sharing.afferents:
             raise SmartTouchError(
                 "hold learns from the voltage of each point, and several share a slot: choose "
-                "the scan points",
-                about="scan",
-                remedy="scan points",
+                "the scan points"
             )
         return sharing
 

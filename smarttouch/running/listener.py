@@ -119,8 +119,7 @@ def as_listeners(given: Iterable[Listener | Callable[[StepResult], object]]) -> 
             what = f"the class {each.__name__}" if isinstance(each, type) else kind_in_words(each)
             raise SmartTouchError(
                 f"{what} is no listener: give an object of a subclass of Listener, or a function "
-                "of a StepResult",
-                about="listeners",
+                "of a StepResult"
             )
         listeners.append(each if isinstance(each, Listener) else OnStep(each))
     return listeners

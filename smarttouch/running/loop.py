@@ -101,8 +101,7 @@ def run_loop(
     if controls is None and board.on_a_finger:
         raise BoardError(
             "there may be a finger on this board, and no intensity is set: give controls, for "
-            "example Controls(ControlState(mode, level=0)), and raise the level from there",
-            about="controls",
+            "example Controls(ControlState(mode, level=0)), and raise the level from there"
         )
     controls = controls or Controls(ControlState(pipeline.mode))
     if isinstance(source, Listener):

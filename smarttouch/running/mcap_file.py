@@ -124,10 +124,10 @@ class McapFile:
     def _look_through(self, file: BinaryIO) -> None:
         """Read everything but the messages."""
         if not file.seek(0, os.SEEK_END):
-            raise RecordingError(f"{self.path} is empty", about="file")
+            raise RecordingError(f"{self.path} is empty")
         file.seek(0)
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise RecordingError(f"{self.path} is no MCAP file", about="file")
+            raise RecordingError(f"{self.path} is no MCAP file")
         for opcode, at, length in records_in(file, len(MCAP0_MAGIC)):
             if opcode == Opcode.CHUNK and length >= _CHUNK.size:
                 file.seek(at)

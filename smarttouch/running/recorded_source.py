@@ -19,11 +19,7 @@ from smarttouch.sources.source_contract import Input, Source, Stimulus
 def open_recording(rest: str, profile: Profile) -> "RecordingSource":
     """Open ``recording:FILE``."""
     if not rest:
-        raise SourceError(
-            "recording: needs a file: give recording:FILE.mcap",
-            about="file",
-            remedy="recording:FILE.mcap",
-        )
+        raise SourceError("recording: needs a file: give recording:FILE.mcap")
     return RecordingSource(Recording(Path(rest)))
 
 
@@ -44,9 +40,7 @@ class RecordingSource(Source):
         self._now: RecordedStep | None = None
         self._seen = True
         if self._ahead is None:
-            raise SourceError(
-                f"{recording.path} holds no steps: nothing can be played from it", about="file"
-            )
+            raise SourceError(f"{recording.path} holds no steps: nothing can be played from it")
         if not recording.whole:
             self.notes.append(f"{recording.path} is cut: it is played as far as it goes")
 
@@ -76,9 +70,7 @@ class RecordingSource(Source):
         if count != recorded and first is not None and isinstance(first.step.input, Stimulus):
             raise RecordingError(
                 f"{self.title} holds stimuli for {recorded} electrodes, the profile {profile.name} "
-                f"has {count}: give the profile of the display that they are to go to",
-                about="electrodes",
-                remedy="profile",
+                f"has {count}: give the --profile of that display"
             )
         return stricter(profile, was)
 
@@ -138,8 +130,7 @@ class RecordedControls(Controls):
             if recorded.mode not in modes:
                 raise RecordingError(
                     f"{recording.path} has steps in mode {recorded.mode}, which this board does "
-                    "not offer: choose a board and profile that do",
-                    about="mode",
+                    "not offer: choose a board and profile that do"
                 )
 
     def state(self, time_ns: int) -> ControlState:

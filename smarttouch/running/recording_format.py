@@ -239,7 +239,7 @@ def read_settings(table: dict[str, Any]) -> RecordedSettings:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
-        raise RecordingError(f"{key}: {first['msg']}", about=f"settings.{key}") from None
+        raise RecordingError(f"{key}: {first['msg']}") from None
     if settings.shared.planned and settings.shared.primaries:
         raise RecordingError("the recording is of scan=frame, which 1.0.0rc1 had: replay it there")
     return settings

@@ -33,12 +33,11 @@ class Recording(McapFile):
         found = self.about.get("format")
         if found is None:
             message = f"{path} has nothing of a run: it is no recording of SmartTouch"
-            raise RecordingError(message, about="file")
+            raise RecordingError(message)
         if found != FORMAT:
             raise RecordingError(
                 f"{path} is a recording of format {found!r}, this version reads {FORMAT}: use the "
-                "version that made it",
-                about="format",
+                "version that made it"
             )
 
     @property
@@ -53,7 +52,7 @@ class Recording(McapFile):
             return int(self.about["started_unix_ns"])
         except (KeyError, ValueError):
             message = f"{self.path} does not say when its run began"
-            raise RecordingError(message, about="started_unix_ns") from None
+            raise RecordingError(message) from None
 
     @property
     def started(self) -> datetime:
@@ -62,8 +61,7 @@ class Recording(McapFile):
             return datetime.fromtimestamp(self.started_unix_ns / 1e9, UTC)
         except (OverflowError, ValueError, OSError):
             raise RecordingError(
-                f"{self.path} began at an impossible time, {self.started_unix_ns} ns",
-                about="started_unix_ns",
+                f"{self.path} began at an impossible time, {self.started_unix_ns} ns"
             ) from None
 
     @property
@@ -81,7 +79,7 @@ class Recording(McapFile):
         except (ValueError, AttributeError, ProfileError) as error:
             first = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
             message = f"the profile in {self.path} is not one of this version's: {first}"
-            raise RecordingError(message, about="profile") from None
+            raise RecordingError(message) from None
 
     @cached_property
     def settings(self) -> dict[str, Any]:
@@ -146,5 +144,5 @@ class Recording(McapFile):
         except (KeyError, ValueError):
             table = None
         if not isinstance(table, dict):
-            raise RecordingError(f"the {key} in {self.path} cannot be read", about=key)
+            raise RecordingError(f"the {key} in {self.path} cannot be read")
         return table

@@ -106,9 +106,7 @@ def masked_where_broken(board: Board, profile: Profile, note: Callable[[str], No
     """
     found = board.measure()
     if found.lifted:
-        raise BoardError(
-            "no electrode touches anything: put the finger on the array first", about="finger"
-        )
+        raise BoardError("no electrode touches anything: put the finger on the array first")
     broken = sorted({*profile.output.masked, *found.broken})
     good, unsure = (found.condition.count(each) for each in ("good", "unsure"))
     note(
@@ -138,14 +136,12 @@ def make_regulator(
     if config.hold is not None:
         if not can.measures or can.compliance_v is None:
             raise BoardError(
-                "hold needs a board that measures the voltage of each slot, and this one does not",
-                about="hold",
+                "hold needs a board that measures the voltage of each slot, and this one does not"
             )
         if not board.timing.own_widths and config.hold == "charge":
             raise BoardError(
                 "hold charge needs a pulse width of its own for each slot, and this board has "
-                "one for all: choose energy",
-                about="hold",
+                "one for all: choose energy"
             )
         hold: Hold = "charge" if config.hold == "charge" else "energy"
         if hold == "energy":
@@ -159,8 +155,7 @@ def make_regulator(
             recharge = RechargeRules.of(profile, board.timing)
         elif len(can.polarities) < 2:
             raise BoardError(
-                f"balance needs both polarities, and this board is {can.polarities[0]} only",
-                about="balance",
+                f"balance needs both polarities, and this board is {can.polarities[0]} only"
             )
         else:
             note(

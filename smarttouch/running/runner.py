@@ -261,9 +261,8 @@ class Runner:
     def _require_a_level(self) -> None:
         if self._level is None and self.display.on_a_finger:
             raise SmartTouchError(
-                "a finger may be on the board, and no intensity is set: give one, for example 0.3",
-                about="intensity",
-                remedy="intensity",
+                "a finger may be on the board, and no intensity is set: give one, for example "
+                "--intensity 0.3"
             )
 
     def _require_force(self) -> None:
@@ -279,11 +278,9 @@ class Runner:
             return
         raise SourceError(
             f"the finger's force is not measured: neither {title} nor the board does, so there "
-            "would be no current: give a source of force, for example hx711:PORT, or, where "
-            "nothing measures it and a person presses, "
-            f"fixed:{self.display.profile.force.full_n:g} (N)",
-            about="force",
-            remedy="force",
+            "would be no current: give a source of force, for example --force hx711:PORT, or, "
+            "where nothing measures it and a person presses, "
+            f"--force fixed:{self.display.profile.force.full_n:g} (N)"
         )
 
     def _warn_of_simulation(self, profile: Profile) -> None:

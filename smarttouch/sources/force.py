@@ -52,8 +52,7 @@ class FixedForce(ForceSource):
         if not 0 <= self._force_n <= LARGEST_FIXED_N:
             raise SourceError(
                 f"fixed:{text} is not a force: give newtons from 0 to {LARGEST_FIXED_N:g}, as in "
-                "fixed:0.5",
-                about="force",
+                "fixed:0.5"
             )
         super().__init__(f"fixed {self._force_n:g} N")
 
@@ -80,8 +79,7 @@ class RecordedForce(ForceSource):
         if len(beyond):
             line, force_n = table.lines[beyond[0]], float(self._force_n[beyond[0]])
             raise SourceError(
-                f"{path}, line {line}: {force_n:g} N is more than any finger presses: give newtons",
-                about="force_n",
+                f"{path}, line {line}: {force_n:g} N is more than any finger presses: give newtons"
             )
 
     def read(self, time_ns: int) -> float:

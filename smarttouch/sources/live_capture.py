@@ -193,7 +193,7 @@ class LiveSource(OpticalSource):
                     f"{self.title} gave no image within {FIRST_IMAGE_S:g} s: check that it is on, "
                     "and that no other program uses it"
                 )
-                raise SourceError(message, about="source")
+                raise SourceError(message)
             self._unread = False
         age_ns = max(0, self._now_ns() - newest.taken_ns)
         return Frame(
@@ -246,9 +246,7 @@ class LiveSource(OpticalSource):
         except SourceError as error:
             self._fail(error)
         except Exception as error:
-            failure = SourceError(
-                f"{self.title} failed: {type(error).__name__}: {error}", about="source"
-            )
+            failure = SourceError(f"{self.title} failed: {type(error).__name__}: {error}")
             failure.__cause__ = error
             self._fail(failure)
         finally:
@@ -291,7 +289,7 @@ class LiveSource(OpticalSource):
                 f"{self.title} was disconnected and did not return within {self._replug_s:g} s: "
                 "plug it in and start again"
             )
-            raise SourceError(message, about="source")
+            raise SourceError(message)
 
     def _take(self, shot: Shot) -> None:
         image, pose = self._intake.take(shot.image)

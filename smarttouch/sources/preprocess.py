@@ -94,8 +94,7 @@ class FlatField:
         if dark.shape != white.shape:
             raise CalibrationError(
                 f"the dark frames are {dark.shape[1]} × {dark.shape[0]}, the white ones "
-                f"{white.shape[1]} × {white.shape[0]}: use one source for both",
-                about="frames",
+                f"{white.shape[1]} × {white.shape[0]}: use one source for both"
             )
         span = white - dark
         usual = float(np.median(span))
@@ -103,22 +102,19 @@ class FlatField:
             raise CalibrationError(
                 f"white is only {usual:.0f} grey levels brighter than dark, {LEAST_SPAN:.0f} are "
                 "needed: is the light on, the sensor covered for the dark and on white paper "
-                "after?",
-                about="white",
+                "after?"
             )
         saturated = float((white >= SATURATED).mean())
         if saturated > MOST_SATURATED:
             raise CalibrationError(
                 f"{saturated:.0%} of the pixels are saturated on white paper: lower the exposure "
-                "or the light",
-                about="white",
+                "or the light"
             )
         broken = (span < DEAD_SHARE * usual) | (dark > np.median(dark) + HOT_LEVELS)
         if broken.mean() > MOST_BROKEN:
             raise CalibrationError(
                 f"{int(broken.sum())} of {broken.size} pixels are dead or hot: is the field of "
-                "view free, lit evenly enough and really dark when covered?",
-                about="pixels",
+                "view free, lit evenly enough and really dark when covered?"
             )
         level = float(np.median(white[~broken]))
         gain = np.where(broken, 0.0, level / np.where(broken, 1.0, span))
@@ -162,12 +158,10 @@ def _no_field(message: str) -> SourceError:
 def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
     """Return the mean of images of one shape."""
     if not len(images):
-        raise CalibrationError("no frames arrived: check the source", about="frames")
+        raise CalibrationError("no frames arrived: check the source")
     shapes = {image.shape for image in images}
     if len(shapes) > 1:
-        raise CalibrationError(
-            f"the frames differ in shape, {sorted(shapes)}: use one source", about="frames"
-        )
+        raise CalibrationError(f"the frames differ in shape, {sorted(shapes)}: use one source")
     total = np.zeros(images[0].shape)
     for image in images:
         total += image

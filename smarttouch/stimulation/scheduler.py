@@ -204,9 +204,7 @@ class ScanScheduler:
         if period_us < self._least_us:
             raise ScheduleError(
                 f"pulses {period_us} µs apart are not possible: the profile's limit of "
-                f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more",
-                about="period_us",
-                remedy="limits.rate_hz",
+                f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more"
             )
         driven = []
         for each in np.flatnonzero(activation.any(axis=1)).tolist():
@@ -216,8 +214,7 @@ class ScanScheduler:
                 offered = ", ".join(afferent.name for afferent in self._driven) or "none"
                 raise ScheduleError(
                     f"{Afferent(each).name} was requested and cannot be driven here: choose one "
-                    f"of {offered}",
-                    about="mode",
+                    f"of {offered}"
                 )
         return tuple(driven)
 
@@ -227,9 +224,7 @@ class ScanScheduler:
         if not self._has_rates:
             raise ScheduleError(
                 "mode color is for stimuli with periods of their own, and this source gives none: "
-                "choose RA",
-                about="mode",
-                remedy="mode RA",
+                "choose RA"
             )
         if self._one_rate_hz is None:
             return self._rates.due(time_ns, {Afferent.RA: 1.0, Afferent.SAI: share})
@@ -287,9 +282,7 @@ class ScanScheduler:
             raise ScheduleError(
                 f"the points of one frame expose an electrode as much as {needed_us / 1000:.0f} ms "
                 f"allow, and one sequence may bring at most {BURST_US / 1000:.0f} ms of it: lower "
-                "perception.comfort_ratio or pulse.width_us, or choose another mode",
-                about="period_us",
-                remedy="perception.comfort_ratio",
+                "perception.comfort_ratio or pulse.width_us, or choose another mode"
             )
         return needed_us
 

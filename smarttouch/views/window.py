@@ -253,8 +253,7 @@ class Window(Listener):
         if len(text) > _MOST_NOTE or not text.isprintable():
             raise SmartTouchError(
                 f"a note of {len(text)} characters is not kept: type one line of at most "
-                f"{_MOST_NOTE}",
-                about="note",
+                f"{_MOST_NOTE}"
             )
         self._marks += 1
         self.source.emit(Marked(self._time_ns, text or f"mark {self._marks}"))

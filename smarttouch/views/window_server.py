@@ -178,8 +178,6 @@ def _bound(port: int) -> socket.socket:
         found.close()
         raise SmartTouchError(
             f"the window cannot have port {port}: {getattr(error, 'strerror', None) or error}; "
-            "give another one, or none for one that is free",
-            about="window",
-            remedy="window",
+            "give another one, or none for one that is free"
         ) from None
     return found

@@ -56,7 +56,7 @@ def test_what_is_no_file_is_not_opened(tmp_path, pipe, monkeypatch):
     monkeypatch.setattr(os, "open", refuse)
     names = ("socket", "loop", "none", "nul\0", "long" * 100, "none/x", "/dev/zero", "/dev/full")
     for path in (pipe, tmp_path, *(tmp_path / name for name in names)):
-        with raises(ProfileError, about="file", value=path):
+        with raises(ProfileError, value=path):
             read_bytes(path, ProfileError)
     listening.close()
 
@@ -71,13 +71,13 @@ def test_sizes(tmp_path):
         assert "1,099,511.6 MB" in str(error.value)
     (tmp_path / "a").write_bytes(b"abc")
     assert read_bytes(tmp_path / "a", PageError, 3) == b"abc"
-    with raises(PageError, about="file"):
+    with raises(PageError):
         read_bytes(tmp_path / "a", PageError, 2)
 
 
 def test_what_is_no_text(tmp_path):
     (tmp_path / "a").write_bytes(b"abc\xff")
-    with raises(PageError, about="file", value=tmp_path / "a") as error:
+    with raises(PageError, value=tmp_path / "a") as error:
         read_text(tmp_path / "a", PageError)
     assert "byte 4" in str(error.value)
 
@@ -106,7 +106,7 @@ def test_what_cannot_be_written(tmp_path, pipe):
         (tmp_path / "nul\0", None), (Path("/dev/full"), errno.ENOSPC), (pipe, None),
     )  # fmt: skip
     for path, number in places:
-        with raises(PageError, about="file", value=path) as error:
+        with raises(PageError, value=path) as error:
             write_bytes(path, b"abc", PageError)
         assert number is None or os.strerror(number) in str(error.value)
 
@@ -218,7 +218,7 @@ def test_a_file_is_one_program_s_alone_until_it_ends(tmp_path, hold, killed):
     assert second.wait() == 1
     assert str(path) in second.stderr.read()
     for other in (tmp_path / "none" / "a", tmp_path):
-        with raises(PageError, about="file", value=other):
+        with raises(PageError, value=other):
             open_alone(other, PageError)
     if killed:
         first.kill()

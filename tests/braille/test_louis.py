@@ -56,7 +56,7 @@ def test_one_may_become_many():
     "table", ["none.ctb", "", ",", "a" * 5000, "two\nlines.ctb", "en-ueb-g1.ctb,no.x"]
 )
 def test_no_such_table(table, capfd):
-    with raises(BrailleError, about="table", value=table.split("\n")):
+    with raises(BrailleError, names="table", value=table.split("\n")):
         LouisCode(table)
     assert capfd.readouterr() == ("", "")
 
@@ -91,7 +91,7 @@ def test_without_it(no_liblouis):
     assert louis.table_files() == []
     assert louis.find_table("fr") is None
     remedy = "apt install liblouis20 liblouis-data"
-    with raises(BrailleError, about="table", value="en-ueb-g1.ctb", remedy=remedy):
+    with raises(BrailleError, names=remedy, value="en-ueb-g1.ctb"):
         LouisCode("en-ueb-g1.ctb")
 
 

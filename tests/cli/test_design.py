@@ -102,13 +102,13 @@ def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
-    ("7 --profile=line-7", says(about="site", value=7, allowed=(0, 6))),
-    ("--mode=PA", says(about="mode", value="PA", allowed=("RA", "SAI", "PC"))),
+    ("7 --profile=line-7", says(value=7, allowed=(0, 6))),
+    ("--mode=PA", says(value="PA", allowed=("RA", "SAI", "PC"))),
     ("--profile=kajimoto-61 --mode=SAI",
-     says(DesignError, about="mode", value="SAI", allowed=("RA",))),
+     says(DesignError, value="SAI", allowed=("RA",))),
     ("--any-node --bank=k.npz", says(value=("--any-node", "--bank"))),
     ("--plot=k.jpg --profile=line-7", says(SmartTouchError, "k.jpg", "*.png")),
-    ("--plot=no/k.png", says(about="file", value=Path("no/k.png"))),
+    ("--plot=no/k.png", says(value=Path("no/k.png"))),
 ])  # fmt: skip
 def test_nonsense_is_one_sentence(program_here, arguments, wrong):
     wrong(refused(program_here("design", *arguments.split())))

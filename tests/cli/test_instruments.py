@@ -112,14 +112,14 @@ def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_pat
     ("vibration:tone:250Hz,2um --profile kajimoto-61",
      says(ScheduleError, "PC", "kajimoto-61", " RA ")),
     ("vibration:tone:30", says(SmartTouchError, "'tone:30'", "tone:30Hz,8um")),
-    ("vibration:tone:30Hz,9um --mode PC", says(SourceError, about="mode")),
-    ("vibration:tone:30Hz,9um --json no/f.json", says(about="file", value=Path("no/f.json"))),
+    ("vibration:tone:30Hz,9um --mode PC", says(SourceError)),
+    ("vibration:tone:30Hz,9um --json no/f.json", says(value=Path("no/f.json"))),
     ("texture:grating:x", says(PageError, "'grating:x'", "grating:4mm,30deg")),
     ("texture:?motion=evdev:/dev/null",
      says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]")),
-    ("texture: --rate 300", says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
+    ("texture: --rate 300", says(SourceError, value=300, allowed=(10, 200))),
     ("texture: --mode natural",
-     says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC"))),
+     says(SourceError, value="natural", allowed=("RA", "SAI", "PC"))),
 ])  # fmt: skip
 def test_what_cannot_be_played_is_one_sentence(program_here, arguments, wrong):
     wrong(refused(program_here(f"live {arguments} --board simulated:")))

@@ -133,7 +133,7 @@ def test_legibility_at_the_nerve_of_fingers(program_here):
 
 def test_legibility_of_no_anatomy_is_refused_before_anything_is_read(program_here):
     done = program_here("simulate page text:touch --fingers 2 --anatomy none")
-    says(ProfileError, about="anatomy", value="none")(refused(done))
+    says(ProfileError, key="anatomy", value="none")(refused(done))
 
 
 def test_legibility_of_braille_needs_no_tesseract(figures_of, monkeypatch):
@@ -159,14 +159,14 @@ def test_a_finger_that_moves_by_itself(figures_of, tmp_path, page_file):
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
-    ("nofile.png", says(BrailleError, about="file", value=Path("nofile.png"))),
+    ("nofile.png", says(BrailleError, value=Path("nofile.png"))),
     ("'text: '", says(PageError, "text:")),
-    ("text:hi --as dots", says(about="kind", value="dots", allowed=("shapes", "braille"))),
+    ("text:hi --as dots", says(value="dots", allowed=("shapes", "braille"))),
     ("text:hi --profile line-7", says(ReadingError, "line-7", " 1 row ", " 4:")),
     ("text:hi --as braille?lines=9",
      says(ReadingError, "electric-mouse", " 8 x 8 ", " 9 lines", " 43 x 2:")),
-    ("text:hi --pause -1", says(ReadingError, about="pause_s", value=-1, allowed=(0, 3600))),
-    ("page.png?pages=3", says(PageError, " 1 page", about="pages", value=3)),
+    ("text:hi --pause -1", says(ReadingError, value=-1, allowed=(0, 3600))),
+    ("page.png?pages=3", says(PageError, " 1 page", value=3)),
 ])  # fmt: skip
 def test_bad_input_is_one_sentence(program_here, page_file, arguments, wrong):
     wrong(refused(program_here(f"read {arguments} --board simulated:")))

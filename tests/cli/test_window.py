@@ -44,7 +44,7 @@ def test_without_the_extra_it_says_which(program_here, monkeypatch, library):
     for name in [library, *(each for each in sys.modules if each.startswith(f"{library}."))]:
         monkeypatch.setitem(sys.modules, name, None)
     done = program_here("live --window --board simulated:")
-    says(SmartTouchError, "smarttouch[window]", about="extra")(refused(done))
+    says(SmartTouchError, "smarttouch[window]")(refused(done))
 
 
 FIRST = re.compile("window: (http://[^ ]+) ")

@@ -99,7 +99,7 @@ def test_one_against_all_offers_its_polarity_only():
     assert row[30] == -1
     assert np.delete(row, 30) == pytest.approx(np.full(60, 1 / 60))
     only_ra = {"value": Afferent.SAI, "allowed": (Afferent.RA,)}
-    with raises(DesignError, about="mode", **only_ra) as caught:
+    with raises(DesignError, names="mode", **only_ra) as caught:
         bank.kernels(Afferent.SAI)
     assert "RA (" in str(caught.value), "with what it reaches elsewhere"
 
@@ -196,8 +196,8 @@ def test_a_bank_around_masked_electrodes(name, keys, changed):
         assert not bank.kernels(afferent)[masked].any()
         fired = (weights * bank.receptor[afferent]).sum(axis=1)
         assert fired[mine.driven] == pytest.approx(1, rel=1e-4)
-        none = {"value": 5, "remedy": "output.masked", "electrode": 5}
-        with raises(DesignError, about="site", **none):
+        none = {"value": 5, "electrode": 5}
+        with raises(DesignError, names="site", **none):
             bank.kernel(afferent, 5, "weighted")
         assert bank.kernel(afferent, 2, "weighted").off_target > 0
 
@@ -288,7 +288,7 @@ def test_a_pipe_is_no_bank_and_none_takes_its_place(tmp_path, mine, no_design):
     path = tmp_path / "pipe.npz"
     os.mkfifo(path)
     assert banks._read(path, mine) is None
-    with raises(DesignError, about="file", value=path):
+    with raises(DesignError, value=path):
         make_bank(path, mine)
 
 
@@ -299,7 +299,7 @@ def test_a_bank_that_cannot_be_kept_is_used_all_the_same(cache, mine, monkeypatc
     monkeypatch.setattr(banks, "write_bank", full)
     assert Afferent.RA in load_bank(mine).weights
     path = cache / "mine.npz"
-    with raises(DesignError, about="file", value=path) as caught:
+    with raises(DesignError, value=path) as caught:
         make_bank(path, mine)
     assert os.strerror(28) in str(caught.value)
 

@@ -84,7 +84,7 @@ def hexagon(changed):
 
 def test_a_hexagon_has_no_colors(hexagon):
     operator = FrameOperator(FrameJudge(hexagon, Afferent.RA, np.ones(61)))
-    with raises(DesignError, about="array"):
+    with raises(DesignError):
         color_classes(operator, 2)
     assert SharedKernels(operator, np.array([3, 40])).off_target > 0
 

@@ -118,7 +118,7 @@ def png_header(width, height):
 def test_images_of_which_nothing_comes(tmp_path, side):
     path = tmp_path / "page.png"
     path.write_bytes(png_header(side, side))
-    with raises(PageError, about="file", value=path):
+    with raises(PageError, value=path):
         load_page(path, dpi=300)
 
 
@@ -132,7 +132,7 @@ def test_too_many_and_too_few_pixels(tmp_path, side, value, allowed):
     path = tmp_path / "page.png"
     path.write_bytes(png_header(side, side))
     pixels = {"value": value, "allowed": allowed}
-    with raises(PageError, about="pixels", **pixels) as caught:
+    with raises(PageError, names="pixels", **pixels) as caught:
         load_page(path, dpi=300)
     assert str(path) in str(caught.value)
 
@@ -148,5 +148,5 @@ def test_too_many_and_too_few_pixels(tmp_path, side, value, allowed):
 def test_bad_scales(picture, tmp_path, options, about, value):
     path = tmp_path / "page.png"
     picture.save(path)
-    with raises(PageError, about=about, value=value):
+    with raises(PageError, value=value):
         load_page(path, **options)

@@ -99,7 +99,7 @@ def test_without_pandoc(tmp_path, monkeypatch):
     path = tmp_path / "a.md"
     path.write_text("# Words")
     monkeypatch.setattr(structured_text.shutil, "which", lambda _name: None)
-    with raises(PageError, about="pandoc") as refused:
+    with raises(PageError, names="pandoc") as refused:
         read_structured_text(path)
     assert "apt install pandoc" in refused.value.remedy
 
@@ -108,7 +108,7 @@ def test_without_pandoc(tmp_path, monkeypatch):
 def test_what_would_fill_the_memory_is_refused(tmp_path, monkeypatch):
     path = written(tmp_path, "docx")
     monkeypatch.setattr(structured_text, "MOST_UNPACKED_BYTES", 20_000)
-    with raises(PageError, about="file"):
+    with raises(PageError):
         read_structured_text(path)
 
 
@@ -116,7 +116,7 @@ def test_what_would_fill_the_memory_is_refused(tmp_path, monkeypatch):
 def test_damaged_documents(tmp_path):
     path = written(tmp_path, "odt")
     path.write_bytes(path.read_bytes()[:2000])
-    with raises(PageError, about="file"):
+    with raises(PageError):
         read_structured_text(path)
 
 

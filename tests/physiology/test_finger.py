@@ -140,11 +140,11 @@ def test_another_anatomy_from_a_file(tmp_path, small):
 
 
 def test_what_is_wrong_with_an_anatomy(tmp_path, small):
-    with raises(ProfileError, about="anatomy", value="none-such"):
+    with raises(ProfileError, key="anatomy", value="none-such"):
         Finger(small, 1, "none-such")
     path = tmp_path / "mine.toml"
     path.write_text('title = "x"\n[ra]\ndensity_per_cm2 = -1\n[sai]\n[pc]\nlegs = 3\n')
-    with raises(ProfileError, about=lambda about: "density" in about) as caught:
+    with raises(ProfileError, key=lambda about: "density" in about) as caught:
         Finger(small, 1, path)
     said = " ".join(sentence for _, sentence in caught.value.complaints)
     assert all(words in said for words in ("greater than", "is missing", "unknown key"))
@@ -154,5 +154,5 @@ def test_what_is_wrong_with_an_anatomy(tmp_path, small):
 
 
 def test_a_seed_is_no_negative_number(profile):
-    with raises(ProfileError, about="seed", value=-1):
+    with raises(ProfileError, key="seed", value=-1):
         Finger(profile, -1)

@@ -92,7 +92,7 @@ def test_few_rows_are_reported_and_fewer_are_refused(source_of, notes):
     assert "smarttouch-4x4" in notes[0]
     assert "4 rows" in notes[0]
     assert "Braille" in notes[0]
-    with raises(ReadingError, about="profile", value=1, allowed=4):
+    with raises(ReadingError, names="profile", value=1, allowed=4):
         list(Shapes().lines(source_of("text:hi"), profile_for_reading(load_profile("line-7"))))
 
 
@@ -152,7 +152,7 @@ def test_words_and_cells_are_distinguished(tmp_path, reading):
     for name in ("a.brf", "a.txt"):
         lines = list(Braille().lines(ReadingMaterial(str(tmp_path / name)), reading))
         assert [line.cells for line in lines] == [("⠁⠃",)]
-    with raises(ReadingError, about="kind", allowed="Braille"):
+    with raises(ReadingError, allowed="Braille"):
         list(Shapes().lines(ReadingMaterial(str(tmp_path / "a.brf")), reading))
 
 
@@ -199,5 +199,5 @@ def test_a_file_of_any_name_is_what_it_holds(source_of, tmp_path, reading):
     assert (text.words, text.holds_cells) == ("Go", False)
     assert [line.text for line in Braille().lines(text, reading)] == ["Go"]
     assert [line.text for line in Braille().lines(source_of("text:a.md"), reading)] == ["a.md"]
-    with raises(SmartTouchError, about="file"):
+    with raises(SmartTouchError, names="file"):
         _ = source_of(str(tmp_path)).words

@@ -140,7 +140,7 @@ def test_a_cut_one_is_compared_as_far_as_it_goes(recording, cut):
 
 def test_nothing_is_not_identical(record, tmp_path):
     path = record(tmp_path / "run.mcap", [])
-    with raises(RecordingError, about="file", value=path):
+    with raises(RecordingError, value=path):
         check_recording(path)
 
 
@@ -151,7 +151,7 @@ def test_nothing_is_not_identical(record, tmp_path):
 def test_settings_that_are_incomplete(tmp_path, record, about, settings, steps, wrong, key):
     table = json.dumps({**settings, **wrong} if wrong else {})
     path = record(tmp_path / "run.mcap", steps[:2], about={**about, "settings": table})
-    with raises(RecordingError, about=f"settings.{key}"):
+    with raises(RecordingError):
         check_recording(path)
 
 

@@ -26,7 +26,7 @@ def test_a_recorded_scan_is_used_where_the_board_can(profile):
 
 
 def test_holding_goes_point_by_point(profile):
-    with raises(SmartTouchError, about="scan", remedy="scan points"):
+    with raises(SmartTouchError, names="scan"):
         RunConfig(scan=SlotPolicy((Afferent.RA,)), hold="energy").sharing(profile)
 
 
@@ -41,7 +41,7 @@ def test_holding_goes_point_by_point(profile):
     ("hold", "voltage", ("charge", "energy")),
 ])  # fmt: skip
 def test_impossible_values_are_named(name, value, allowed):
-    with raises(SmartTouchError, about=name, value=value, allowed=allowed):
+    with raises(SmartTouchError, value=value, allowed=allowed):
         RunConfig(**{name: value})
 
 

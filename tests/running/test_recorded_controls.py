@@ -39,7 +39,7 @@ def test_today_s_user_lowers_and_pauses(recording):
 
 
 def test_a_board_without_the_recorded_mode_is_refused(golden):
-    with raises(RecordingError, about="mode", value="natural"):
+    with raises(RecordingError, names="mode", value="natural"):
         RecordedControls(Recording(golden("natural")), ControlState(Mode.RA), (Mode.RA,))
 
 

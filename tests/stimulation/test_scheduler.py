@@ -105,7 +105,7 @@ def test_switched_boards_never_lose_an_electrode_to_rounding():
 @pytest.mark.parametrize("rate", [0, -1, 1000, float("nan")])
 def test_impossible_rates(profile, bank, rate):
     same = pytest.approx(rate, nan_ok=True)
-    with raises(ScheduleError, about="rate_hz", value=same):
+    with raises(ScheduleError, value=same):
         ScanScheduler(profile, bank, (Afferent.RA,), rate)
 
 
@@ -134,7 +134,7 @@ def test_a_masked_electrode_is_never_driven(masked, data):
 
 def test_kernels_of_before_the_mask_are_refused(profile, bank, changed):
     mine = changed(profile, {"output.masked": [27]})
-    with raises(ScheduleError, about="output.masked", value=(27,)):
+    with raises(ScheduleError, names="output.masked", value=(27,)):
         ScanScheduler(mine, bank, (Afferent.RA,), 50)
 
 

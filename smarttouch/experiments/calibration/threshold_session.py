@@ -82,15 +82,13 @@ class Progress(Closing):
                 raise ValueError("a threshold above comfort")
         except (ValueError, TypeError):
             raise CalibrationError(
-                f"{self.path} is not the beginning of a threshold session: remove it to start over",
-                about="file",
+                f"{self.path} is not the beginning of a threshold session: remove it to start over"
             ) from None
         for key, value in settings.items():
             if before.get(key) != value:
                 raise CalibrationError(
                     f"{self.path} was begun with {key} {before.get(key)}, not {value}: go on with "
-                    "the same, or remove it to start over",
-                    about=key,
+                    "the same, or remove it to start over"
                 )
         self._file.truncate(len(whole))
         self._file.seek(len(whole))
@@ -235,7 +233,6 @@ class ThresholdSession:
             raise CalibrationError(
                 f"electrode {site}: {procedure.guessed} of {procedure.blanks} trials without any "
                 "current were called felt: explain the task again, then run the same command again",
-                about="blanks",
                 electrode=site,
             )
         found = procedure.estimate
