@@ -74,7 +74,6 @@ from smarttouch.profile.device import Output as Output
 from smarttouch.profile.device import PerceptThresholds as PerceptThresholds
 from smarttouch.profile.device import Pulse as Pulse
 from smarttouch.profile.device import Skin as Skin
-from smarttouch.profile.device import SkinLayer as SkinLayer
 from smarttouch.profile.layouts import FreeLayout as FreeLayout
 from smarttouch.profile.layouts import GridLayout as GridLayout
 from smarttouch.profile.layouts import HexagonLayout as HexagonLayout

@@ -241,18 +241,6 @@ def changed():
 
 
 @pytest.fixture(scope="session")
-def layered(changed):
-    """Return a maker of profiles whose skin has layers, two where none are given."""
-    two = [{"thickness_mm": 0.3, "conductivity_s_per_m": 0.02}, {"conductivity_s_per_m": 0.4}]
-
-    def make(profile, layers=two, **keys):
-        skin = {"medium": "layered", "layers": layers, "conductivity_s_per_m": None}
-        return changed(profile, {f"skin.{key}": value for key, value in skin.items()} | keys)
-
-    return make
-
-
-@pytest.fixture(scope="session")
 def whole_programme():
     """Return a solver of one site's whole programme at once, all rows, by scipy's linprog.
 

@@ -50,7 +50,6 @@ SHORT = {
     "experiment run gap.py": "--board simulated:",
     "experiment run": "--simulate model --board simulated:",
     "calibrate thresholds": "--simulate --electrodes 0 --repeats 1",
-    "calibrate level": "--simulate",
     "calibrate force": "--simulate",
     "calibrate registration": "--simulate",
     "calibrate optics": "--simulate",

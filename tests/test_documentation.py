@@ -15,7 +15,7 @@ from .forks import Forked
 README = ROOT / "README.md"
 BLOCKS = [block for page in PAGES for block in blocks(page)]
 CONCEPTS = sorted((ROOT / "docs" / "explanation").glob("*.md"))
-NOT_RUN = 34
+NOT_RUN = 32
 """Commands of all pages that `tests.documented` leaves out: tools of a checkout, compilers,
 hardware, a screen."""
 DRAWN = ["how-to/profiles.md"]

@@ -4,7 +4,6 @@
 
 import ast
 import inspect
-import math
 import textwrap
 from collections.abc import Iterator, Mapping
 from types import NoneType, UnionType
@@ -85,13 +84,12 @@ def _tables() -> Iterator[tuple[str, type[Table]]]:
             yield f"`[{name}]`", inner
             for key, each in inner.model_fields.items():
                 if deeper := _inner(each.annotation):
-                    several = get_origin(each.annotation) is tuple
-                    yield f"`[[{name}.{key}]]`" if several else f"`[{name}.{key}]`", deeper
+                    yield f"`[{name}.{key}]`", deeper
     yield "`[calibrated.NAME]`", Calibrated
 
 
 def _inner(annotation: Any) -> type[Table] | None:
-    """Return the model of a table, or of each in a list or dictionary of them."""
+    """Return the model of a table, or of each in a dictionary of them."""
     if inspect.isclass(annotation) and issubclass(annotation, Table):
         return annotation
     return next(filter(None, map(_inner, get_args(annotation))), None)
@@ -131,7 +129,7 @@ def _default_of(field: FieldInfo) -> str:
         return f"`{str(value).lower()}`"
     if isinstance(value, tuple):
         value = list(value)
-    return "no end" if value == math.inf else f"`{str(value).replace(chr(39), chr(34))}`"
+    return f"`{str(value).replace(chr(39), chr(34))}`"
 
 
 def _limits_of(field: FieldInfo) -> Iterator[str]:

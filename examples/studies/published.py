@@ -29,7 +29,6 @@ from smarttouch.physiology.membrane import weiss_fit
 from smarttouch.physiology.response import response_map
 from smarttouch.physiology.spikes import NOCICEPTORS, Bystanders, SpikeModel
 from smarttouch.profile import Profile, load_profile
-from smarttouch.profile.device import FINGER_PAD, SkinLayer
 from smarttouch.reading.letter_responses import (
     letter_sequences,
     letter_templates,
@@ -75,7 +74,6 @@ _SOURCES = {
     "tashiro": "Higashiyama and Tashiro, forearm",
     "dölker": "[Dölker 2022](https://doi.org/10.1038/s41598-022-10708-9), upper arm",
     "yem": "Yem and Kajimoto 2017, finger",
-    "kajimoto": "[Kajimoto 2012](https://doi.org/10.1109/TOH.2011.39), finger",
     "solomonow": "[Solomonow 1977](https://doi.org/10.1007/BF02409338)",
     "paper": "the paper, III-C",
     "display": "[Kaczmarek](http://kaz.med.wisc.edu/projects_ethaptic.php), fingertip",
@@ -111,8 +109,6 @@ EXPERIMENTS = (
     Experiment("strong", "the same, 3 × threshold", "still low", (0, 0.3), _SOURCES["yem"], ""),
     Experiment("cathodic", f"the same, cathodic, {COMFORTABLE:g} × threshold",
                "vibration and pressure", (0.3, 0.9), _SOURCES["yem"], "SAI axons lie flat"),
-    Experiment("skin", "threshold under a stratum corneum of twice the resistance, over the usual",
-               "–", None, _SOURCES["kajimoto"], "in layers; its abstract has no number"),
     Experiment("points_ra", "two points 4 mm apart resolved, RA mode", "–", None,
                _SOURCES["solomonow"], "its abstract has no distance; the reader of spikes is ours"),
     Experiment("points_sai", "the same, SAI mode", "–", None, _SOURCES["solomonow"], ""),
@@ -149,7 +145,7 @@ def measured(bench: Bench, anatomy: str, seed: int) -> dict[str, float]:
     return {
         **disc_figures(model),
         **_free_endings(model),
-        **_by_skin(bench, anatomy, seed),
+        "size": _size_ratio(bench, anatomy, seed),
         **_of_one_ending(finger),
         **_points(bench, finger),
         **_letters(bench, model),
@@ -243,29 +239,25 @@ def _pair_ratio(model: SpikeModel) -> float:
     return median(alone / _drive(model, single[one] + single[other]).max(axis=0))
 
 
-def _by_skin(bench: Bench, anatomy: str, seed: int) -> dict[str, float]:
-    """Return the threshold of a large disc over that of a small one, and that of a small one in
-    layers under twice the resistance over the usual, of whichever polarity fires first.
+def _size_ratio(bench: Bench, anatomy: str, seed: int) -> float:
+    """Return the threshold of a large disc over that of a small one, of whichever polarity fires
+    first.
 
     All thresholds are lowered, as fingers leave out what no legal current fires.
     """
-    usual, (horny, *below) = load_anatomy(anatomy), FINGER_PAD
+    usual = load_anatomy(anatomy)
     lowered = {
         each.name.lower(): usual.of(each).model_copy(
             update={"threshold_factor": usual.of(each).threshold_factor / EASED}
         )
         for each in Afferent
     }
-    poles = np.array([[1.0, -1.0], [-1.0, 1.0]])
-
-    def most(profile: Profile, layers: Sequence[SkinLayer] = ()) -> float:
-        own = usual.model_copy(update={**lowered, "layers": tuple(layers)})
-        return float(_drive(SpikeModel(Finger(profile, seed, own)), poles).max())
-
-    small, large = (most(each) for each in bench.sized)
-    half = {"conductivity_s_per_m": horny.conductivity_s_per_m / 2}
-    dry = most(bench.sized[0], (horny.model_copy(update=half), *below))
-    return {"size": small / large, "skin": most(bench.sized[0], FINGER_PAD) / dry}
+    own, poles = usual.model_copy(update=lowered), np.array([[1.0, -1.0], [-1.0, 1.0]])
+    small, large = (
+        float(_drive(SpikeModel(Finger(profile, seed, own)), poles).max())
+        for profile in bench.sized
+    )
+    return small / large
 
 
 def _of_one_ending(finger: Finger) -> dict[str, float]:

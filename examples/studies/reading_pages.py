@@ -1,8 +1,8 @@
 """Pages at the nerve: level, size, style, scan and speed, and who knows where the finger is.
 
 ``python examples/studies/reading_pages.py 20 pages.jsonl`` makes the tables of
-``docs/validation/finger.md`` on 20 held-out fingers of each anatomy, in a half space and in
-skin of layers. Pages of your own may follow. It keeps each answer in the file, and goes on there.
+``docs/validation/finger.md`` on 20 held-out fingers of each anatomy. Pages of your own may follow.
+It keeps each answer in the file, and goes on there.
 """
 
 import itertools
@@ -42,7 +42,6 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.delivered import LinePicture
 
 ANATOMIES = ("paper", "branched")
-LAYERED = tuple(f"{each}-layered" for each in ANATOMIES)
 TUNED, HELD_OUT = (1, 2), 101
 """Seeds of the fingers on which a setting is chosen, and first of those that judge it."""
 MOST_LINES = 2  # of each page
@@ -68,7 +67,6 @@ class Setting:
 
 BEFORE = Setting()
 LEVELS, STYLES = (1.0, 0.7, 0.5, 0.4), ("graded", "plain", "thinned")
-LAYERED_LEVELS = (0.7, 0.5)
 CHANGES: dict[str, tuple[Any, ...]] = {
     "scan": ("points", "frame"), "speed": (0.5, 2.0), "size": (0.75,),
 }  # fmt: skip
@@ -243,7 +241,7 @@ def chosen(kept: Path) -> tuple[Setting, list[PageRow]]:
 
 def main(fingers: str, kept: str, *pages: str) -> None:
     """Choose on two fingers of each anatomy by one page, then judge on others, with what may be
-    changed, in layers, and by other pages."""
+    changed, and by other pages."""
     file = Path(kept)
     best, rows = chosen(file)
     print(*table(rows), sep="\n", flush=True)
@@ -251,8 +249,6 @@ def main(fingers: str, kept: str, *pages: str) -> None:
     changed = [replace(best, **{name: each}) for name, values in CHANGES.items() for each in values]
     asked = [BEFORE, replace(BEFORE, level=best.level), best, *changed]
     judged = [*itertools.product([SAMPLE], ANATOMIES, asked)]
-    in_layers = [replace(best, level=each) for each in LAYERED_LEVELS]
-    judged += itertools.product([SAMPLE], LAYERED, in_layers)
     judged += itertools.product(pages, ANATOMIES, [BEFORE, best])
     for page, anatomy, setting in judged:
         print(*table(rows_of(file, page, anatomy, seeds, setting)), sep="\n", flush=True)

@@ -301,40 +301,6 @@ def thresholds(
 @calibrate.command()
 @drives_a_board
 @takes_options()
-def level(
-    calibration: CalibrationOptions,
-    board: _BoardUrl = "emulator:",
-    seed: Annotated[
-        int, option("Set the seed of letters and of the simulation.", "N", min=0, panel=MORE)
-    ] = 0,
-    force: ForceOption = None,
-    simulate: _Simulate = False,
-    finger: Annotated[
-        str, option("Choose the simulated finger, such as paper:2.", "[ANATOMY:]SEED", panel=MORE)
-    ] = "branched:1",
-) -> None:
-    """Find the level at which letters are read best, and which anatomy the finger is like.
-
-    By 32 to 60 answers: whether lone discs are felt, with either polarity, and which letter it was.
-    """
-    from smarttouch.cli.options import parse_finger, require_answers
-    from smarttouch.experiments.calibration.level_procedure import answers_of, measure_level
-    from smarttouch.views.keys_and_signals import keyboard_listener
-
-    simulated = simulate or board.startswith("emulator:")
-    file = calibration.file("level", simulated, board)
-    require_answers(simulate, board, _SIMULATED, CalibrationError)
-    found = measure_level(
-        file, board, keys=keyboard_listener, say=typer.echo, stop=command_stop(), opened=opened,
-        force=force, seed=seed, person=parse_finger(finger, "branched") if simulate else None,
-    )  # fmt: skip
-    finish(file, "level", found.sentence(), simulated)
-    answers_of(file).unlink(missing_ok=True)
-
-
-@calibrate.command()
-@drives_a_board
-@takes_options()
 def contact(
     calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",

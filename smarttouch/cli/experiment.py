@@ -304,8 +304,7 @@ def run_listed(
     # A file of a person's answers is not continued by a simulated participant, nor the reverse.
     participant = "-".join(filter(None, (run.subject, simulate and f"simulated-{simulate}")))
     about = About(named, made.method, participant, session, order)
-    shown = afferent.name if made.kernels is None else "color"
-    config = run.config(shown, scan="points", seed=order, note=run.note or session)
+    config = run.config(afferent.name, scan="points", seed=order, note=run.note or session)
     with open_experiment(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
@@ -333,7 +332,6 @@ def _present(
     try:
         run.start(
             source, sitting.profile, config, screen=BlindScreen, keys=source.keys,
-            kernels=sitting.made.kernels,
             listeners=listeners,
         )  # fmt: skip
     finally:

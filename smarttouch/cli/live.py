@@ -92,7 +92,7 @@ def _show(
             seed=seed or 0,
         )
         run.start(
-            opened, chosen, run.at_level(config, chosen), ready, keys=opened.keys,
+            opened, chosen, config, ready, keys=opened.keys,
             keys_help=opened.keys_help,
         )  # fmt: skip
 

@@ -158,7 +158,7 @@ ForceOption = Annotated[
 AnatomyOption = Annotated[
     str,
     option(
-        "Choose the fingers: branched, paper (with -layered: skin of layers), or a file.",
+        "Choose the fingers: branched, paper, or a file.",
         "NAME|FILE",
         show_default=False,
         panel=MORE,

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,6 +18,9 @@ from smarttouch.cli.source_options import (
     table_of,
 )
 from smarttouch.views.keys_and_signals import drives_a_board
+
+if TYPE_CHECKING:
+    from smarttouch.running.config import RunConfig
 
 
 @drives_a_board
@@ -56,7 +59,6 @@ def read(
 
     from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
-    from smarttouch.reading.letter_shapes import UNKNOWN_LEVEL, Shapes
     from smarttouch.reading.line_feed import LineFeed
     from smarttouch.reading.line_source import (
         Cursor,
@@ -83,6 +85,7 @@ def read(
         *document.recognition(source, scale_matters=follow is not None), notes.append
     )
     config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=presentation.tone)
+    config = _at_level(config, presentation, run.on_a_finger)
     with contextlib.ExitStack() as stack:
         feed = LineFeed(presentation.lines(text, chosen))
         stack.callback(feed.close)
@@ -98,9 +101,20 @@ def read(
         reading = ReadingSource(text.title, chosen, feed, cursor)
         reading.url, reading.notes = source, notes
         keys_help = "← → line    r again    "
-        level = UNKNOWN_LEVEL if isinstance(presentation, Shapes) else None
-        config = run.at_level(config, own, level)
         run.start(reading, chosen, config, keys=reading.keys, keys_help=keys_help)
+
+
+def _at_level(config: "RunConfig", shown: object, on_a_finger: bool) -> "RunConfig":
+    """Return the configuration at the level that suits most simulated fingers, if none is given."""
+    from dataclasses import replace
+
+    from smarttouch.base.afferent import Mode
+    from smarttouch.reading.letter_shapes import UNKNOWN_LEVEL, Shapes
+
+    given = config.intensity is not None or on_a_finger or config.mode is not Mode.RA
+    if given or not isinstance(shown, Shapes):
+        return config
+    return replace(config, intensity=UNKNOWN_LEVEL)
 
 
 @takes_options()

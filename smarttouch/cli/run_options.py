@@ -1,12 +1,10 @@
 """Options of every command that runs, defined once, and the parts of a run made by them."""
 
 from contextlib import nullcontext
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
 
 from smarttouch.base.command_options import option
 from smarttouch.base.errors import SmartTouchError, not_offered
@@ -174,37 +172,6 @@ class RunOptionGroup(OptionGroup):
             settings |= read_options(RunConfig, f"?{each}", SmartTouchError, but=others)[1]
         return {name: value for name, value in settings.items() if name not in but}
 
-    def at_level(
-        self, config: "RunConfig", profile: "Profile", unknown: float | None = None
-    ) -> "RunConfig":
-        """Return the configuration with the level that a profile has for RA, and say which level
-        counts; one found in simulation is none for a finger. A simulation without any has the level
-        of an ``unknown`` finger."""
-        from smarttouch.base.afferent import Mode
-
-        level, note = profile.perception.level, profile.calibrated.get("level")
-        if config.mode is not Mode.RA:
-            return config
-        if level is None:
-            if unknown is None or config.intensity is not None or self.on_a_finger:
-                return config
-            config = replace(config, intensity=unknown)
-            words = f"{unknown:g}: {profile.name} has no level yet, see smarttouch calibrate level"
-            if not self.quiet:
-                typer.echo(f"intensity {words}")
-            return config
-        if config.intensity is not None:
-            words = f"{config.intensity:g}, as asked for; the level of {profile.name} is {level:g}"
-        elif note is not None and note.found.startswith("simulated") and self.on_a_finger:
-            return config
-        else:
-            config = replace(config, intensity=level)
-            when = "" if note is None else f", calibrated {note.when:%Y-%m-%d}"
-            words = f"{level:g} at most: the level of {profile.name}{when}"
-        if not self.quiet:
-            typer.echo(f"intensity {words}")
-        return config
-
     def one_finger(self, usual: str = "branched") -> tuple[str, int]:
         """Return anatomy and seed of the simulated finger."""
         return parse_finger(self.finger or usual, usual)
@@ -222,7 +189,7 @@ class RunOptionGroup(OptionGroup):
         from smarttouch.views.terminal_session import Outputs, run_in_terminal
 
         plain = profile.defaults.plain if self.plain is None else self.plain
-        anatomy, seed = self.one_finger(profile.perception.anatomy or "branched")
+        anatomy, seed = self.one_finger()
         given: dict[str, Any] = {
             each.name: getattr(self, each.name, None) for each in fields(Outputs)
         }

@@ -184,15 +184,21 @@ def study(
     cluster: ClusterOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Run a grid of fingers, profiles, kernels, scans, letters and pages, or continue one."""
+    """Run a grid of fingers, profiles, modes, scans, letters and pages, or continue one."""
     from importlib.util import find_spec
 
-    from smarttouch.base.files import write_bytes
     from smarttouch.base.lazy_names import on_cluster
     from smarttouch.base.terminal import print_table
     from smarttouch.experiments.study_plan import load_study
-    from smarttouch.experiments.study_run import ROWS_FILE, run_study
-    from smarttouch.experiments.uncertainty import study_report
+    from smarttouch.experiments.study_run import (
+        ROWS_FILE,
+        STUDY_NAMES,
+        TABLE_NOTE,
+        run_study,
+        study_figure,
+        study_sums,
+        study_table,
+    )
     from smarttouch.views import figure_style
     from smarttouch.views.progress import bank_progress, lines_progress
 
@@ -203,16 +209,11 @@ def study(
         lines_progress(quiet, "Fingers") as progress,
     ):
         rows = run_study(asked, plan.parent, output, designing, progress)
-    found, made = study_report(asked, plan.parent, rows), [output / ROWS_FILE]
-    for name, text in found.files.items():
-        made.append(output / name)
-        write_bytes(made[-1], text.encode())
+    sums, made = study_sums(rows), [output / ROWS_FILE]
     if find_spec("matplotlib"):
         made.append(output / "study.png")
-        figure_style.save(found.figure(), made[-1])
+        figure_style.save(study_figure(sums, STUDY_NAMES, asked.title), made[-1])
     if not quiet:
-        print_table(
-            found.lines, found.heading, title=asked.title, note=found.note, ruled=True,
-            left=found.left,
-        )  # fmt: skip
+        heading, lines = study_table(sums)
+        print_table(lines, heading, title=asked.title, note=TABLE_NOTE, ruled=True, left=2)
         print(*made, sep="\n")

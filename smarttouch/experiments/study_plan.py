@@ -4,7 +4,7 @@ import csv
 import hashlib
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -15,15 +15,12 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.experiments.study_priors import Prior, drawn_anatomy, hypercube, load_priors
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import ResponseQuality
-from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile, load_profile
-from smarttouch.profile.device import Kernels
 from smarttouch.profile.toml_tables import Table, UnfitError, load_model
 from smarttouch.reading.delivered_lines import LineDelivery, NerveReading
 from smarttouch.reading.legibility import Legibility, legibility_of_shapes, legibility_on_finger
@@ -49,22 +46,12 @@ class Study(Table):
     """Names or files of anatomies."""
     fingers: int = Field(default=10, ge=1, le=100_000)
     """Number of fingers of each anatomy, by seeds from 1 on."""
-    kernels: tuple[str, ...] = Field(default=("node",), min_length=1, max_length=100)
-    """``node``, ``finger``, or ``finger:ANATOMY`` where that is not the anatomy of the profile;
-    ``finger:paper+branched`` on both."""
     modes: tuple[Literal["RA", "SAI", "PC", "natural"], ...] = Field(default=("RA",), min_length=1)
     """Whose receptors."""
     scans: tuple[Literal["points", "auto"], ...] = Field(default=("points",), min_length=1)
     """How points share slots."""
     intensities: tuple[float, ...] = Field(default=(1.0,), min_length=1, max_length=100)
     """Parts of the strongest comfortable current."""
-    levels: tuple[Literal["profile", "own"], ...] = Field(default=("profile",), min_length=1)
-    """Whose comfort: the profile's, or ``own``, for each finger the profile's multiple of the
-    current at which the first of its afferents fires, up to what the profile's limits allow."""
-    uncertain: int = Field(default=0, ge=0, le=100_000)
-    """Number of draws of what is not known of a finger, for each anatomy; none if 0."""
-    priors: str = ""
-    """File of priors that are drawn from; the shipped ones if empty."""
     letters: str = ALPHABET
     """Letters shown on the fingers; none if empty."""
     pages: tuple[str, ...] = Field(default=(), max_length=1000)
@@ -76,12 +63,6 @@ class Study(Table):
             raise UnfitError(
                 "letters is empty and there are no pages: give one of them", key="letters"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _own_letters(self) -> Self:
-        if self.pages and "own" in self.levels:
-            raise UnfitError("pages are felt at the profile's level: leave out own", key="levels")
         return self
 
     @field_validator("letters")
@@ -100,16 +81,6 @@ class Study(Table):
                 raise UnfitError(f"intensity {each:g} must be above 0 and at most 1")
         return intensities
 
-    @field_validator("kernels")
-    @classmethod
-    def _offered(cls, kernels: tuple[str, ...]) -> tuple[str, ...]:
-        for each in kernels:
-            if each not in ("node", "finger") and not each.startswith("finger:"):
-                raise UnfitError(
-                    f"kernels {each!r} are not offered: give node, finger or finger:ANATOMY"
-                )
-        return kernels
-
 
 def load_study(path: Path) -> Study:
     """Load the plan of a study."""
@@ -123,13 +94,11 @@ Advance = Callable[[int, int], None]
 class Choice:
     """One choice of everything but the finger."""
 
-    # profile, kernels, mode, scan: as the study names them
+    # profile, mode, scan: as the study names them
     profile: str
-    kernels: str
     mode: str
     scan: str
     intensity: float
-    level: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,9 +125,7 @@ class DeliveredLetters:
 
 def choices(study: Study) -> Iterator[Choice]:
     """Yield all choices in the order of the table."""
-    for each in product(
-        study.profiles, study.kernels, study.modes, study.scans, study.intensities, study.levels
-    ):
+    for each in product(study.profiles, study.modes, study.scans, study.intensities):
         yield Choice(*each)
 
 
@@ -175,30 +142,14 @@ class Grid:
         self.profiles: dict[str, Profile] = {
             each: load_profile(self.file(each)) for each in study.profiles
         }
-        self._banks: dict[tuple[str, str], tuple[Profile, KernelBank]] = {}
+        self._banks: dict[str, KernelBank] = {}
 
     def fingers(self) -> Iterator[tuple[str, Anatomy, int]]:
-        """Yield the name, anatomy and seed of each finger; draws are NAME#NUMBER, with fingers of
-        their own."""
-        count = self.study.fingers
+        """Yield the name, anatomy and seed of each finger."""
         for name in self.study.anatomies:
             anatomy = load_anatomy(self.file(name))
-            draws = [(name, anatomy)]
-            if self.study.uncertain:
-                priors, every = self.drawn
-                draws = [
-                    (f"{name}#{number + 1}", drawn_anatomy(anatomy, priors, values))
-                    for number, values in enumerate(every)
-                ]
-            for number, draw in enumerate(draws):
-                for seed in range(number * count + 1, (number + 1) * count + 1):
-                    yield *draw, seed
-
-    @cached_property
-    def drawn(self) -> tuple[tuple[Prior, ...], NDArray[np.float64]]:
-        """Assumptions of an uncertain study, P of them, and their values in each draw, (N, P)."""
-        priors = load_priors(Path(self.file(self.study.priors)) if self.study.priors else None)
-        return priors, hypercube(priors, self.study.uncertain)
+            for seed in range(1, self.study.fingers + 1):
+                yield name, anatomy, seed
 
     def file(self, name: str) -> str | Path:
         """Return a file that lies beside the study, or the name as it is."""
@@ -209,21 +160,11 @@ class Grid:
             # A text, and no name of a file: too long, say.
             return name
 
-    def bank(self, choice: Choice) -> tuple[Profile, KernelBank]:
-        """Return the profile with a choice's objective, and its kernels."""
-        key = choice.profile, choice.kernels
-        if key not in self._banks:
-            profile = self.profiles[choice.profile]
-            objective, _, anatomy = choice.kernels.partition(":")
-            own = profile.kernels
-            named = anatomy.split("+") if anatomy else own.anatomy
-            anatomies = tuple(str(self.file(each)) for each in named)
-            wanted = own.model_copy(update={"objective": objective, "anatomy": anatomies})
-            profile = profile.model_copy(
-                update={"kernels": Kernels() if objective == "node" else wanted}
-            )
-            self._banks[key] = profile, load_bank(profile, self._progress)
-        return self._banks[key]
+    def bank(self, profile: str) -> KernelBank:
+        """Return the kernels of a profile."""
+        if profile not in self._banks:
+            self._banks[profile] = load_bank(self.profiles[profile], self._progress)
+        return self._banks[profile]
 
     def shown(self, profile: str) -> list[DeliveredLetters]:
         """Return the letters as each choice with this profile delivers them."""
@@ -232,8 +173,8 @@ class Grid:
             if choice.profile != profile:
                 continue
             letters = letter_sequences(
-                self.study.letters, *self.bank(choice), Mode(choice.mode), choice.scan,
-                choice.intensity,
+                self.study.letters, self.profiles[profile], self.bank(profile), Mode(choice.mode),
+                choice.scan, choice.intensity,
             )  # fmt: skip
             slots = {
                 letter: (DeliveredSlots.of(sequence), active)
@@ -247,16 +188,13 @@ class Grid:
 class StudyRow:
     """One finger and one pattern."""
 
-    # profile, anatomy, finger, kernels, mode, scan, intensity, level: what was chosen; the finger
-    # is its seed
+    # profile, anatomy, finger, mode, scan, intensity: what was chosen; the finger is its seed
     profile: str
     anatomy: str
     finger: int
-    kernels: str
     mode: str
     scan: str
     intensity: float
-    level: str
     pattern: str  # a letter, or the name of a page
     read_as: str  # letter that was read of the spikes; nothing for a page
     # 1 where a letter was read as another, else 0; of a page the error rate of characters
@@ -292,10 +230,9 @@ class StudyRow:
         slots = sum(map(len, current_ua))
         total_ua = sum(int(np.abs(each.astype(np.int64)).sum()) for each in current_ua)
         return cls(
-            choice.profile, anatomy, finger, choice.kernels, choice.mode, choice.scan,
-            choice.intensity, choice.level, pattern, read_as, error, quality.silent_points,
-            quality.wrong_class, quality.misplaced, letter.spikes if letter else 0, ra, sai, pc,
-            slots, total_ua / 2000 / max(1, slots),
+            choice.profile, anatomy, finger, choice.mode, choice.scan, choice.intensity, pattern,
+            read_as, error, quality.silent_points, quality.wrong_class, quality.misplaced,
+            letter.spikes if letter else 0, ra, sai, pc, slots, total_ua / 2000 / max(1, slots),
         )  # fmt: skip
 
 
@@ -314,9 +251,8 @@ def rows_of_finger(
     with threadpool_limits(limits=1, user_api="blas"):
         finger = Finger(profile, seed, anatomy)
         for each in shown:
-            letters = each.letters if each.choice.level == "profile" else at_own_level(finger, each)
-            for one in letters_on_finger(finger, letters, each.wanted, known):
-                current_ua, letter = letters[one.letter][0].current_ua, one.letter
+            for one in letters_on_finger(finger, each.letters, each.wanted, known):
+                current_ua, letter = each.letters[one.letter][0].current_ua, one.letter
                 error = float(one.read_as != letter)
                 rows.append(
                     StudyRow.of(
@@ -325,28 +261,6 @@ def rows_of_finger(
                     )
                 )  # fmt: skip
     return rows
-
-
-def at_own_level(
-    finger: Finger, shown: DeliveredLetters
-) -> dict[str, tuple[DeliveredSlots, NDArray[np.bool_]]]:
-    """Return letters with currents scaled to a finger's own comfort.
-
-    Its threshold is the median over slots of the current at which the first afferent fires.
-    """
-    profile = finger.profile
-    slots = [each for each, _ in shown.letters.values()]
-    current_ua = np.concatenate([each.current_ua for each in slots])
-    width_us = np.concatenate([each.width_us for each in slots])
-    distinct = np.unique(np.column_stack([current_ua, width_us]), axis=0)
-    highest = SpikeModel(finger).drive(distinct[:, :-1], distinct[:, -1]).max(axis=0)
-    threshold = float(np.median(1 / np.maximum(highest, 1e-3)))
-    most = 1000 * profile.limits.current_ma / max(1, int(np.abs(current_ua).max()))
-    gain = min(shown.choice.intensity * profile.perception.comfort_ratio * threshold, most)
-    return {
-        letter: (replace(each, current_ua=np.rint(gain * each.current_ua).astype(np.int16)), active)
-        for letter, (each, active) in shown.letters.items()
-    }
 
 
 def as_csv(rows: Iterable[StudyRow]) -> str:
@@ -382,12 +296,11 @@ class ShownPage:
 
     @cached_property
     def reading(self) -> LineDelivery:
-        profile, bank = self.grid.bank(self.choice)
-        window = profile_for_reading(profile)
+        window = profile_for_reading(self.grid.profiles[self.choice.profile])
         sharing = RunConfig(scan=self.choice.scan).sharing(window)
         return LineDelivery(
-            window, bank, _SHAPES.tone, _SHAPES.motion(window), Mode(self.choice.mode), sharing,
-            self.choice.intensity,
+            window, self.grid.bank(self.choice.profile), _SHAPES.tone, _SHAPES.motion(window),
+            Mode(self.choice.mode), sharing, self.choice.intensity,
         )  # fmt: skip
 
     @cached_property
@@ -401,8 +314,8 @@ class ShownPage:
         found = hashlib.sha256(repr((self.choice, self.page)).encode())
         place = Path(self.grid.file(self.page))
         found.update(place.read_bytes() if place.is_file() else b"")
-        profile, bank = self.grid.bank(self.choice)
-        found.update(profile.model_dump_json().encode())
+        bank = self.grid.bank(self.choice.profile)
+        found.update(self.grid.profiles[self.choice.profile].model_dump_json().encode())
         for each in Afferent:
             if each in bank.weights:
                 found.update(bank.kernels(each).tobytes())

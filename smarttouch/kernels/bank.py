@@ -1,7 +1,6 @@
 """Bank of the kernels of every site and mode of a profile, designed once and stored."""
 
 import contextlib
-import functools
 import hashlib
 import json
 import os
@@ -27,7 +26,6 @@ from smarttouch.base.files import (
     unwritable,
 )
 from smarttouch.profile import Profile, list_profiles, load_profile
-from smarttouch.profile.device import Kernels
 
 if TYPE_CHECKING:
     from smarttouch.kernels.batch_design import Timed
@@ -58,9 +56,6 @@ class KernelBank:
     gap: Column  # (E,) largest distance from the optimum; 0 is proven
     seconds: Column  # (E,) float32, time of each design
     receptor: Column  # (E, E) float32, V/mm² per mA: AF at the target under r of electrode e
-    # Whether weights are fractions of full current, designed on fingers: off_target is then the
-    # fraction of firing afferents of other classes, spill that of own ones beyond a pitch.
-    absolute: bool = False
     # Classes whose kernels are one electrode against all others, by height and exact to the µA.
     discs: tuple[Afferent, ...] = ()
 
@@ -74,11 +69,9 @@ class KernelBank:
     def kernels(self, afferent: Afferent) -> NDArray[np.float32]:
         """Return the kernels of a mode as fractions of full current, (E, E), zero where masked.
 
-        Peaks are 1, or at most 1 where designed on fingers; an impossible mode is a DesignError.
+        Peaks are 1; an impossible mode is a DesignError.
         """
         weights = self._made(afferent)
-        if self.absolute:
-            return np.asarray(weights, np.float32)
         peak = np.abs(weights).max(axis=1, keepdims=True)
         return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
 
@@ -113,12 +106,13 @@ class KernelBank:
 
 
 def _array_problem(profile: Profile) -> dict[str, Any]:
-    """Return what the kernels of a profile depend on, but for masks, limits and fingers."""
+    """Return what the kernels of a profile depend on, but for masks and limits."""
     return {
         "version": DESIGN_VERSION,
         # What is not given is left out, so that keys that came later change no hash.
         "array": profile.array.model_dump(exclude_none=True),
-        "skin": profile.skin.model_dump(),
+        # Banks of 1.0 hash the layers of skin that it offered.
+        "skin": profile.skin.model_dump() | {"layers": ()},
         "output": _by_sources(profile).output.model_dump(
             exclude={"masked", "wiring", "ua_per_count"}
         ),
@@ -141,18 +135,6 @@ def problem_hash(profile: Profile) -> str:
         problem["poles"] = "one against its ring or all"
     if profile.output.masked:
         problem["masked"] = sorted(profile.output.masked)
-    if profile.kernels.objective == "finger":
-        from smarttouch.physiology.anatomy import load_anatomy
-
-        given = [load_anatomy(each) for each in profile.kernels.anatomy]
-        left_out = ({"name", "title"} | (set() if each.layers else {"layers"}) for each in given)
-        own = [each.model_dump(exclude=out) for each, out in zip(given, left_out, strict=True)]
-        anatomy = own if len(own) > 1 else own[0]
-        problem["fingers"] = [profile.kernels.fingers, anatomy, profile.force.full_n]
-        problem["felt"] = profile.perception.model_dump(
-            exclude={"comfort_ratio", "level", "anatomy"}
-        )
-        problem["most"] = [profile.full_ma.tolist(), profile.pulse.width_us]
     if profile.design_total_ma is not None or limits.electrode_ma is not None:
         problem["limits"] = [profile.design_total_ma, limits.electrode_ma]
         problem["full_ma"] = profile.full_ma.tolist()
@@ -187,7 +169,7 @@ def find_bank(profile: Profile) -> KernelBank | None:
 def _known(profile: Profile) -> tuple[Profile, KernelBank] | None:
     """Return a profile of the same array in the same skin, and its bank, if one is at hand: it may
     differ in masks, limits and full currents."""
-    if profile.output.kind != "weighted" or profile.kernels.objective == "finger":
+    if profile.output.kind != "weighted":
         return None
     whole = profile.output.model_copy(update={"masked": ()})
     others = [load_profile(name) for name in list_profiles()]
@@ -197,13 +179,6 @@ def _known(profile: Profile) -> tuple[Profile, KernelBank] | None:
         if _array_problem(other) == wanted and (bank := find_bank(other)) is not None:
             return other, bank
     return None
-
-
-def kernels_at_nodes(profile: Profile) -> Callable[[Afferent], NDArray[np.float32]]:
-    """Return a lookup of kernels designed at nodes, by class; it loads their bank at first use."""
-    at_nodes = profile.model_copy(update={"kernels": Kernels()})
-    bank = functools.cache(lambda: load_bank(at_nodes))
-    return lambda afferent: bank().kernels(afferent)
 
 
 def make_bank(path: Path, profile: Profile, progress: Progress | None = None) -> KernelBank:
@@ -245,8 +220,6 @@ def design_bank(
     from smarttouch.kernels.kept_kernels import kept_or
     from smarttouch.kernels.switched_design import designer, possible_modes
 
-    if profile.kernels.objective == "finger":
-        return _design_on_fingers(profile, progress, keep)
     modes, profile, design = possible_modes(profile), _by_sources(profile), designer(profile)
     known = _known(profile)
     if known is not None and problem_hash(known[0]) != problem_hash(profile):
@@ -283,21 +256,6 @@ def design_confined(
         columns["worst_class"][mode][site] = kernel.off_target_class
         columns["seconds"][mode][site] = seconds
     return KernelBank(**columns)
-
-
-def _design_on_fingers(
-    profile: Profile, progress: Progress | None, keep: Path | None
-) -> KernelBank:
-    from smarttouch.kernels.batch_design import part_of
-    from smarttouch.kernels.finger_kernels import FingerKernels
-
-    columns: dict[str, Any] = {name: {} for name in _IN_FILE}
-    design = FingerKernels(profile, kernels_at_nodes(profile))
-    for index, afferent in enumerate(Afferent):
-        advance = part_of(progress, index, len(Afferent))
-        timed = design.kernels(afferent, profile.driven.tolist(), advance, keep)
-        _enter(columns, design.problem(afferent), timed)
-    return KernelBank(**columns, absolute=True)
 
 
 def _enter(columns: dict[str, Any], problem: "Problem", timed: "Sequence[Timed]") -> None:
@@ -351,7 +309,7 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
                 named[in_file][Afferent[afferent]] = values
         if any(column.keys() != columns["weights"].keys() for column in columns.values()):
             return None
-        return KernelBank(**columns, absolute=profile.kernels.objective == "finger")
+        return KernelBank(**columns)
     except Exception:
         # A damaged archive fails in a dozen ways. It is designed again: that is slow, not wrong.
         return None

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.kernels.bank import KernelBank, design_confined, kernels_at_nodes
+from smarttouch.kernels.bank import KernelBank, design_confined
 from smarttouch.kernels.batch_design import design_sites, part_of
 from smarttouch.kernels.design_problem import Kernel, Problem
-from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.switched_design import designer
 from smarttouch.kernels.weighted_design import design_any_node
 from smarttouch.profile import Profile
@@ -63,14 +62,6 @@ def kernels_designed(
         return kernels_of_bank(profile, design_confined(profile, sites, progress), modes, sites)
     design_one = design_any_node if any_node else designer(profile)
     found = []
-    if not any_node and profile.kernels.objective == "finger":
-        on_fingers = FingerKernels(profile, kernels_at_nodes(profile))
-        for index, mode in enumerate(modes):
-            timed = on_fingers.kernels(mode, sites, part_of(progress, index, len(modes)))
-            found += [
-                SiteKernel(mode, site, *each) for site, each in zip(sites, timed, strict=True)
-            ]
-        return found
     for index, mode in enumerate(modes):
         problem = Problem(profile, mode)
         timed = design_sites(problem, design_one, sites, part_of(progress, index, len(modes)))
@@ -146,11 +137,6 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
         "Worst other and own spill are activations of the target's own: above 1 another class "
         "fires first."
     )
-    if profile.kernels.objective == "finger":
-        note = (
-            "Worst other is the part of the afferents that fire, on the fingers of the design, "
-            "which are of other classes; own spill the part of the own class beyond a pitch."
-        )
     return WordTable(
         f"{names} kernels of {profile.name}: {profile.title}", heading, list(rows.values()), note
     )

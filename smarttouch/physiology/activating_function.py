@@ -132,8 +132,8 @@ def field_at(
 ) -> tuple[Field, float]:
     """Return the field (N, E) of each electrode per unit cathodic current, and its factor to V/mA.
 
-    Points are (N, 2) mm along the skin, of one depth or, not in layered skin, (N, 1) of their own;
-    derivatives get V/mm² by the factor.
+    Points are (N, 2) mm along the skin, of one depth or (N, 1) of their own; derivatives get V/mm²
+    by the factor.
     """
     if len(electrodes.kinds) > 1:
         return _field_of_kinds(electrodes, skin, position_mm, depth_mm)
@@ -142,18 +142,12 @@ def field_at(
     ((shape, (outer, inner)),) = electrodes.kinds
     if skin.medium == "plane":
         return potential.line_in_plane(x, depth_mm), 1 / (
-            2 * np.pi * skin.conductivity * electrodes.cell_mm[1]
+            2 * np.pi * skin.conductivity_s_per_m * electrodes.cell_mm[1]
         )
-    _check_shapes(electrodes, skin)
     if shape == "rectangle":
         found = potential.rectangle(x, y, depth_mm, outer, inner)
-    elif skin.layers or shape == "annulus":
-        # scipy's interpolation is slow to import, and only these media need it.
-        from smarttouch.physiology.layered_skin import round_electrode
-
-        radii = (0.0, 0.0) if shape == "point" else (outer / 2, inner / 2)
-        depth = np.asarray(depth_mm).item()
-        found = round_electrode(x, y, depth, *radii, _layers(skin))
+    elif shape == "annulus":
+        found = potential.annulus(x, y, depth_mm, outer / 2, inner / 2)
     elif shape == "point":
         found = potential.point(x, y, depth_mm)
     else:
@@ -208,21 +202,15 @@ def af_matrix(
     return np.asarray(scale * np.concatenate(rows))
 
 
-def potential_mv(
-    profile: Profile,
-    points_mm: NDArray[np.float64],
-    electrodes: ElectrodeArray | None = None,
-    skin: Skin | None = None,
-) -> NDArray[np.float64]:
+def potential_mv(profile: Profile, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the potential (..., E), mV per mA of cathodic current, at points (..., 3) mm.
 
-    It is negative under a cathode. Electrodes and skin are the profile's unless given.
+    It is negative under a cathode.
     """
-    electrodes, skin = electrodes or profile.electrodes, skin or profile.skin
+    electrodes, skin = profile.electrodes, profile.skin
     flat, depth = points_mm.reshape(-1, 3)[:, :2], points_mm.reshape(-1, 3)[:, 2:]
-    _check_shapes(electrodes, skin)
     closed = {shape for shape, _ in electrodes.kinds} <= {"disc", "annulus"}
-    if skin.layers or (skin.medium != "plane" and closed):
+    if skin.medium != "plane" and closed:
         r2, across = (flat[:, k, None] - electrodes.position_mm[:, k] for k in (0, 1))
         r2 *= r2
         across *= across
@@ -232,15 +220,12 @@ def potential_mv(
         for (shape, (outer, inner)), those in electrodes.kinds.items():
             # All of them without a copy.
             which = slice(None) if alone else those
-            r, radii = found[:, which], (outer / 2, inner / 2)
-            if shape == "disc" and not skin.layers:
-                found[:, which] = potential.disc_potential(r, depth, outer / 2)
+            if shape == "disc":
+                found[:, which] = potential.disc_potential(found[:, which], depth, outer / 2)
             else:
-                # scipy's interpolation is slow to import, and only these media need it.
-                from smarttouch.physiology.layered_skin import layered_potential
-
-                radii = (0.0, 0.0) if shape == "point" else radii
-                found[:, which] = layered_potential(r, depth[:, 0], radii, _layers(skin))
+                found[:, which] = potential.annulus_potential(
+                    found[:, which], depth, outer / 2, inner / 2
+                )
         found *= -1000 * scale
     else:
         fields, scale = field_at(electrodes, skin, flat, depth)
@@ -248,21 +233,6 @@ def potential_mv(
     return np.asarray(found.reshape(*points_mm.shape[:-1], len(electrodes)))
 
 
-def _check_shapes(electrodes: ElectrodeArray, skin: Skin) -> None:
-    if skin.layers and any(shape == "rectangle" for shape, _ in electrodes.kinds):
-        raise DesignError(
-            "layered skin is offered for point, disc and annulus electrodes, not for "
-            "rectangles: use medium 'half-space'"
-        )
-
-
-def _layers(skin: Skin) -> list[tuple[float, float]]:
-    """Return thickness, mm, and conductivity, S/m, of each layer; homogeneous skin is one of 1."""
-    layers = [(layer.thickness_mm, layer.conductivity_s_per_m) for layer in skin.layers]
-    return layers or [(np.inf, 1.0)]
-
-
 def _volts(skin: Skin) -> float:
     """Return the factor from fields per I/2π to V/mA."""
-    conductivity = 1.0 if skin.layers else skin.conductivity
-    return 1 / (2 * np.pi * conductivity * (2 if skin.medium == "infinite" else 1))
+    return 1 / (2 * np.pi * skin.conductivity_s_per_m * (2 if skin.medium == "infinite" else 1))

@@ -1,12 +1,11 @@
 """Anatomies of a finger: densities, courses and thresholds of its afferents, as TOML files."""
 
-import math
 from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ProfileError
@@ -16,11 +15,9 @@ from smarttouch.physiology.driving_function import (
     free_ending,
     load_driving,
 )
-from smarttouch.profile.device import FINGER_PAD, SkinLayer, layer_misfits
-from smarttouch.profile.toml_tables import Positive, Table, load_model, raise_all
+from smarttouch.profile.toml_tables import Positive, Table, load_model
 
 _SHIPPED = Path(__file__).with_name("anatomies")
-_LAYERED = "-layered"
 
 
 class Bystander(IntEnum):
@@ -120,27 +117,12 @@ class Anatomy(Table):
     """Density beyond it (Johansson and Vallbo 1979: finger to tip as 1.6 to 4.2, in a step)."""
     margin_mm: float = Field(default=3.0, ge=0, le=20)
     """Skin around the electrodes that belongs to the finger."""
-    pad_radius_mm: Positive | None = None
-    """Radius of the pad's curvature: beyond the contact, depths grow by the gap to the array, as
-    if what fills it conducted like skin. Flat if none."""
-    contact_mm2: Positive | None = None
-    """Area of contact at 1 N; electrodes beyond it deliver nothing. All touch if none."""
-    contact_exponent: float = Field(default=1 / 3, ge=0, le=1)
-    """Power of the force with which the area grows. Ours."""
-    layers: tuple[SkinLayer, ...] = ()
-    """Layers of the skin from the surface down, as in a profile; the profile's medium if none, and
-    under line electrodes in a plane."""
     ra: ClassAnatomy
     sai: ClassAnatomy
     pc: ClassAnatomy
     saii: BystanderAnatomy | None = None
     a_delta: BystanderAnatomy | None = None
     c: BystanderAnatomy | None = None
-
-    @model_validator(mode="after")
-    def _layered(self) -> Self:
-        raise_all(layer_misfits(self.layers, "layers"))
-        return self
 
     def of(self, afferent: Afferent) -> ClassAnatomy:
         return (self.ra, self.sai, self.pc)[afferent]
@@ -151,25 +133,17 @@ class Anatomy(Table):
         given = zip(Bystander, (self.saii, self.a_delta, self.c), strict=True)
         return {each: anatomy for each, anatomy in given if anatomy is not None}
 
-    def contact_radius_mm(self, force_n: float) -> float:
-        """Return the radius of the area of contact; infinite where all touch."""
-        if self.contact_mm2 is None:
-            return math.inf
-        return math.sqrt(self.contact_mm2 * force_n**self.contact_exponent / math.pi)
-
 
 def list_anatomies() -> list[str]:
-    """Return the names of the shipped anatomies, each also with layers of skin."""
-    return sorted(path.stem + skin for path in _SHIPPED.glob("*.toml") for skin in ("", _LAYERED))
+    """Return the names of the shipped anatomies."""
+    return sorted(path.stem for path in _SHIPPED.glob("*.toml"))
 
 
 def load_anatomy(name: str | Path) -> Anatomy:
     """Load a shipped anatomy by name, or any by its TOML file; ProfileError if it is not valid."""
     known = list_anatomies()
     if str(name) in known:
-        plain = str(name).removesuffix(_LAYERED)
-        skin = {} if plain == name else {"layers": FINGER_PAD}
-        return load_model(_SHIPPED / f"{plain}.toml", Anatomy, name=str(name), **skin)
+        return load_model(_SHIPPED / f"{name}.toml", Anatomy, name=str(name))
     path = Path(name)
     if not path.exists():
         raise ProfileError(

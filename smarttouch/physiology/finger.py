@@ -17,16 +17,14 @@ class Finger(FingerAfferents):
     seed : int
         Seed of everything that differs between fingers; the same seed is the same finger.
     anatomy : str, Path or Anatomy
-        "branched", "paper", the same with "-layered" for skin with layers, a TOML file, or the
-        anatomy itself.
+        "branched", "paper", a TOML file, or the anatomy itself.
 
     Raises
     ------
     ProfileError
         If there is no such anatomy, or the seed is negative.
     DesignError
-        If the profile's pulse width is outside the fitted range, or rectangular electrodes lie on
-        layered skin.
+        If the profile's pulse width is outside the fitted range.
 
     Examples
     --------

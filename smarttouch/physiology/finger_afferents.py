@@ -15,7 +15,7 @@ from smarttouch.physiology import activating_function as nominal
 from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import Anatomy, Bystander, ClassAnatomy, load_anatomy
 from smarttouch.physiology.driving_function import DrivingFunction
-from smarttouch.profile import Profile, Skin, load_profile
+from smarttouch.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
 
@@ -106,25 +106,6 @@ class FingerAfferents:
         return np.repeat(np.arange(len(count), dtype=np.int8), count)
 
     @cached_property
-    def skin(self) -> Skin:
-        """Conductor around the afferents: the anatomy's layers, if it has any, or the profile's."""
-        skin, layers = self.profile.skin, self.anatomy.layers
-        if not layers or skin.medium == "plane":
-            return skin
-        own = {"medium": "layered", "layers": layers, "conductivity_s_per_m": None}
-        return skin.model_copy(update=own)
-
-    @property
-    def touching(self) -> NDArray[np.bool_]:
-        """Whether each electrode is within the contact at the force of full intensity, (E,)."""
-        from_middle = np.linalg.norm(self.profile.electrodes.position_mm, axis=1)
-        return np.asarray(from_middle <= self._contact_mm + 1e-9)
-
-    @property
-    def _contact_mm(self) -> float:
-        return self.anatomy.contact_radius_mm(self.profile.force.full_n)
-
-    @cached_property
     def receptor_mm(self) -> Floats:
         """Places where spikes of each afferent are perceived, (A, 2) mm."""
         places = [one.receptor_mm for one in self.populations.values()]
@@ -154,7 +135,7 @@ class FingerAfferents:
             found.append(rows[order])
             starts.append(count + np.searchsorted(owner[order], every))
             count += len(rows)
-        return np.concatenate(found) * self.touching, np.concatenate(starts)
+        return np.concatenate(found), np.concatenate(starts)
 
     def _populate(self, afferent: Afferent | Bystander, anatomy: ClassAnatomy) -> Population:
         random = np.random.default_rng([self.seed, int(afferent)])
@@ -173,19 +154,10 @@ class FingerAfferents:
         lean = np.tan(np.radians(random.normal(0, anatomy.lean_deg, (count * endings, 2))))
         joint = receptor[owner]
         course = self._courses(anatomy, ending, joint, depths, turn, lean)
-        course[..., 2] += self._gap_mm(course[..., :2])
         factor = np.exp(random.normal(0, anatomy.threshold_spread, count))
         factor *= anatomy.threshold_factor
         middle = ending.reshape(count, endings, 2).mean(axis=1)
         return Population(afferent, middle, course, owner, factor, anatomy)
-
-    def _gap_mm(self, place_mm: Array) -> Array:
-        """Return the gap between the curved pad and the array beside the contact, mm."""
-        if self.anatomy.pad_radius_mm is None:
-            return np.zeros(place_mm.shape[:-1])
-        contact = 0.0 if self.anatomy.contact_mm2 is None else self._contact_mm
-        beyond = (place_mm**2).sum(axis=-1) - contact**2
-        return np.asarray(np.maximum(beyond, 0) / (2 * self.anatomy.pad_radius_mm))
 
     def _places(self, anatomy: ClassAnatomy, random: np.random.Generator) -> Array:
         """Return places all over the finger, (A, 2) mm, at the anatomy's density."""
@@ -248,7 +220,7 @@ class FingerAfferents:
         points = axon_path_points(
             population, part, max(nodes, len(driving.near_end.T) + 4), spacing
         )
-        drive = driving.drive(potential_mv(self.profile, points, skin=self.skin))
+        drive = driving.drive(potential_mv(self.profile, points))
         drive /= population.factor[population.owner[part]][:, None, None]
         longest = strength(self.profile.limits.pulse_us, population.anatomy.chronaxie_us)
         longest /= strength(self.profile.pulse.width_us, population.anatomy.chronaxie_us)

@@ -1,11 +1,10 @@
 """Tables of a profile: its device and limits, the skin, and the aim of its kernels."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import datetime
-from typing import Annotated, Any, Literal, Self
+from typing import Literal, Self
 
-import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from smarttouch.profile.ceilings import (
     CEILING_CHARGE_UC,
@@ -193,11 +192,6 @@ class PerceptThresholds(Table):
     comfort_ma: tuple[Positive, ...] | None = None
     """Measured strongest comfortable current of each electrode; ``threshold_ma`` ×
     ``comfort_ratio`` if not given."""
-    level: float | None = Field(default=None, gt=0, le=1)
-    """Part of the strongest comfortable current at which letters are read best in RA mode, by
-    ``calibrate level``; ``live`` and ``read`` begin with it where no intensity is given."""
-    anatomy: Literal["paper", "branched"] | None = None
-    """Anatomy that the finger is like, by the thresholds of a lone disc (``calibrate level``)."""
     ra_shift_mm: tuple[Number, Number] = (0.0, 0.0)
     """Shift of the place where RA is felt, right of and below the stimulated point."""
     sai_shift_mm: tuple[Number, Number] = (0.0, 0.0)
@@ -233,52 +227,14 @@ class Calibrated(Table):
     """Result and its quality in one sentence."""
 
 
-class SkinLayer(Table):
-    """One layer of skin; the last one is infinitely thick."""
-
-    name: str = ""
-    """Name of the layer, for people."""
-    thickness_mm: float = Field(default=float("inf"), gt=0, allow_inf_nan=True)
-    """Thickness of the layer; left out for the last."""
-    conductivity_s_per_m: Positive
-    """Conductivity of the layer."""
-
-
-FINGER_PAD = (
-    SkinLayer(name="stratum corneum", thickness_mm=0.3, conductivity_s_per_m=0.008),
-    SkinLayer(name="living epidermis and dermis", thickness_mm=1.2, conductivity_s_per_m=0.43),
-    SkinLayer(name="subcutaneous tissue", thickness_mm=3.5, conductivity_s_per_m=0.2),
-    SkinLayer(name="bone", conductivity_s_per_m=0.02),
-)
-"""Layers of a finger pad. Stratum corneum: 0.3 mm by Adams et al. 2013; its conductivity is that of
-the emulated finger, 50 kΩ under a disc of 1 mm. Living skin: the shipped profiles' 0.43 S/m; that
-it ends at 1.5 mm is ours, and bone at 5 mm. What lies below is fat (0.022 S/m) between septa and
-vessels: ours, from 0.1 S/m on RA's cathodic over anodic threshold stays near that of macaques
-(Kaczmarek 2000), with fat alone cathodes would fire RA first. Cortical bone at 1 kHz, and fat:
-Gabriel, Lau and Gabriel 1996."""
-
-
-def layer_misfits(layers: Sequence[SkinLayer], about: str) -> Iterator[UnfitError]:
-    """Yield what is wrong with layers of skin, from the surface down."""
-    infinite = [np.isinf(each.thickness_mm) for each in layers]
-    if layers and not infinite[-1]:
-        yield UnfitError(
-            f"the last of {about} is infinitely thick: leave out thickness_mm", key=about
-        )
-    if any(infinite[:-1]):
-        yield UnfitError(f"each of {about} but the last needs its thickness_mm", key=about)
-
-
 class Skin(Table):
     """The conducting medium and the afferents in it (paper, Section II-D)."""
 
-    medium: Literal["half-space", "infinite", "layered", "plane"]
+    medium: Literal["half-space", "infinite", "plane"]
     """Shape of the conductor; ``plane`` is the paper's homogeneous 2D medium, for line
     electrodes."""
-    conductivity_s_per_m: Positive | None = None
-    """Conductivity of homogeneous skin; not given for ``layered``."""
-    layers: tuple[SkinLayer, ...] = ()
-    """Layers from the surface down, for ``layered``; those of a finger pad if none are given."""
+    conductivity_s_per_m: Positive
+    """Conductivity of the skin."""
     ra_depth_mm: Positive
     """Depth of the endings of RA, whose axons rise to the surface."""
     sai_depth_mm: Positive
@@ -296,51 +252,10 @@ class Skin(Table):
     """Distance between the nodes of Ranvier of an axon near its ending; 79 µm by Nolano et al.
     2003."""
 
-    @property
-    def conductivity(self) -> float:
-        """Conductivity of homogeneous skin, S/m."""
-        return self.conductivity_s_per_m or 1.0
-
-    @model_validator(mode="before")
-    @classmethod
-    def _usual_layers(cls, given: Any) -> Any:
-        if isinstance(given, dict) and given.get("medium") == "layered" and not given.get("layers"):
-            return given | {"layers": FINGER_PAD}
-        return given
-
-    @model_validator(mode="after")
-    def _conducting(self) -> Self:
-        raise_all(self._misfits())
-        return self
-
-    def _misfits(self) -> Iterator[UnfitError]:
-        layered = self.medium == "layered"
-        if layered != bool(self.layers) or layered != (self.conductivity_s_per_m is None):
-            yield UnfitError(
-                "a layered medium takes its conductivities from skin.layers, any other one from "
-                "skin.conductivity_s_per_m: give only that",
-                key="skin.medium",
-            )
-        yield from layer_misfits(self.layers, "skin.layers")
-
-
-def _listed(given: Any) -> Any:
-    return (given,) if isinstance(given, str) else given
-
 
 class Kernels(Table):
-    """Objective of the design of kernels."""
+    """Design of kernels."""
 
-    objective: Literal["node", "finger"] = "node"
-    """``node``: one node under each electrode, against those of other classes everywhere (the
-    paper); ``finger``: the afferents of simulated fingers whose receptors are near the electrode,
-    against all others."""
-    anatomy: Annotated[tuple[str, ...], BeforeValidator(_listed)] = Field(
-        default=("branched",), min_length=1, max_length=10
-    )
-    """Anatomy of these fingers, a name or a file; a list of several is gone through in turn."""
-    fingers: int = Field(default=20, ge=1, le=1000)
-    """Number of fingers that kernels are designed on."""
     neighbors: int | None = Field(default=None, ge=9, le=1024)
     """Number of electrodes around a site, at most, that its kernel drives; all if not given. About
     64 do on any array, and let one of thousands be designed in minutes."""

@@ -98,7 +98,7 @@ def lowest_for_all(
     own = output.model_dump() | {"masked": (), "wiring": None}
     if isinstance(output.impedance_kohm, tuple):
         own["impedance_kohm"] = max(output.impedance_kohm)
-    felt = perception.model_dump() | {"level": None}
+    felt = perception.model_dump()
     if isinstance(perception.threshold_ma, tuple):
         felt["threshold_ma"] = min(perception.threshold_ma)
     if perception.comfort_ma is not None:

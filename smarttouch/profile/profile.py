@@ -67,19 +67,12 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
             "it is for 'lines'; 'half-space' is for all",
             key="skin.medium",
         )
-    if profile.kernels.objective == "finger" and profile.output.kind != "weighted":
-        yield UnfitError(
-            f"kernels.objective 'finger' does not go with output.kind {profile.output.kind!r}: "
-            "the board must give every electrode its own current; 'node' is for all",
-            key="kernels.objective",
-        )
     if profile.kernels.neighbors is not None and (
-        profile.kernels.objective == "finger" or profile.output.kind != "weighted"
-        or profile.array.layout == "lines"
-    ):  # fmt: skip
+        profile.output.kind != "weighted" or profile.array.layout == "lines"
+    ):
         yield UnfitError(
-            "kernels.neighbors is for kernels designed at nodes, where each electrode has a source "
-            "of its own and none is a line: leave it out",
+            "kernels.neighbors is for boards where each electrode has a source of its own and none "
+            "is a line: leave it out",
             key="kernels.neighbors",
         )
     lowered = profile.limits.electrode_ma

@@ -54,7 +54,7 @@ class Table(BaseModel):
     """Table of the file: read only, without unknown keys, NaN or infinite numbers."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, ser_json_inf_nan="strings"
+        extra="forbid", frozen=True, allow_inf_nan=False
     )
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:

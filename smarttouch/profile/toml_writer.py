@@ -1,11 +1,10 @@
 """Profiles as TOML text: whole, with their defaults and with what calibrations measured."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import tomlkit
-from tomlkit.items import AoT, Array
+from tomlkit.items import Array
 from tomlkit.items import Table as TomlTable
 
 from smarttouch.profile.profile import Profile
@@ -78,9 +77,9 @@ def _fill(into: Any, table: Table, before: str, origins: Mapping[str, str]) -> N
     inner = {}
     for name, value in _values(table):
         key = before + name
-        if value is None or key == "name" or value == math.inf:
+        if value is None or key == "name":
             continue
-        if isinstance(value, Table | dict) or _is_tables(value):
+        if isinstance(value, Table | dict):
             inner[name] = value
             continue
         item = tomlkit.item(in_rows(_plain(value)) if isinstance(value, tuple) else value)
@@ -93,11 +92,7 @@ def _fill(into: Any, table: Table, before: str, origins: Mapping[str, str]) -> N
             into[name] = made
 
 
-def _made(value: Any, before: str, origins: Mapping[str, str]) -> TomlTable | AoT | None:
-    if isinstance(value, tuple):
-        several = tomlkit.aot()
-        several.extend(_made(each, before, origins) for each in value)
-        return several
+def _made(value: Any, before: str, origins: Mapping[str, str]) -> TomlTable | None:
     made = tomlkit.table(is_super_table=isinstance(value, dict))
     if isinstance(value, Table):
         _fill(made, value, before, origins)
@@ -105,10 +100,6 @@ def _made(value: Any, before: str, origins: Mapping[str, str]) -> TomlTable | Ao
     for name, each in value.items():
         made[name] = _made(each, f"{before}{name}.", origins)
     return made if value else None
-
-
-def _is_tables(value: object) -> bool:
-    return isinstance(value, tuple) and bool(value) and isinstance(value[0], Table)
 
 
 def _plain(value: Any) -> Any:

@@ -8,9 +8,8 @@ from typing import Literal, Unpack
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.stopping import StopRequest
-from smarttouch.kernels.bank import KernelBank, kernels_at_nodes, load_bank
+from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.kernels.design_problem import Kernel, Problem
-from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.switched_design import designer
 from smarttouch.kernels.weighted_design import design_kernel as unbounded_kernel
 from smarttouch.profile import Profile, load_profile
@@ -234,9 +233,7 @@ def design_kernel(
         Electrode over the target.
     model : {"activating", "paper"}
         "paper" is the paper's program (Eq. 16 to 18), for boards with a current for each
-        electrode: it does not bound the activation of the target's class elsewhere. A profile
-        with the objective "finger" has kernels of its own, by driving functions: weights are
-        then parts of the full current.
+        electrode: it does not bound the activation of the target's class elsewhere.
 
     Raises
     ------
@@ -251,8 +248,6 @@ def design_kernel(
     True
     """
     afferent = afferent if isinstance(afferent, Afferent) else Afferent[afferent]
-    if profile.kernels.objective == "finger" and model == "activating":
-        return FingerKernels(profile, kernels_at_nodes(profile)).kernels(afferent, [site])[0][0]
     problem = Problem(profile, afferent)
     if model == "paper":
         return unbounded_kernel(problem, site, spill=None)

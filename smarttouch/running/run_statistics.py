@@ -158,7 +158,7 @@ class RunStatistics:
         """Most that other classes got, and the own class elsewhere, over the target's; None where
         nothing is known: bounds of shared slots, and figures of all kernels of the modes."""
         bank, shared = self.kernels, (self.off_target, self.spill)
-        if bank is None or bank.discs or bank.absolute:
+        if bank is None or bank.discs:
             return shared if any(shared) else None
         classes = {each for mode in self.modes for each in mode.afferents} & bank.weights.keys()
         if not classes:

@@ -65,7 +65,7 @@ class PointSlots:
             self._base = table.points[afferent]
             own = table.weights[self._base : self._base + len(weights)]
             self._largest = largest_amplitude(own, np.floor(1000 * most_ma + 1e-6))
-            # The table's rows all have the same peak; kernels designed on fingers have less than 1.
+            # The table's rows all have the same peak.
             peak_ua = np.abs(self._kernels_ua).max(axis=1)
             self._full = np.asarray(PER_UA * peak_ua, np.float32)
         self._prove_totals(profile)

@@ -93,12 +93,10 @@ def run_in_terminal(
     keys_help: str = "",
     controls: MakeControls = Controls,
     listeners: Iterable[Listener] = (),
-    kernels: Callable[[Profile, KernelBank], KernelBank] | None = None,
 ) -> None:
     """Run a source on a display until it ends or the user ends it, and print a summary. Arguments
     are those of `Runner`; ``keys`` are functions of further keys, and ``keys_help`` describes them
-    on the screen; ``kernels`` makes others of the profile's. A window shows the end until its pages
-    are closed."""
+    on the screen. A window shows the end until its pages are closed."""
     stop = command_stop()
     shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
     typed = sys.stdin.isatty()
@@ -128,7 +126,7 @@ def run_in_terminal(
                 _Within(lambda _run: ending_in_order(outputs.patience_s)),
             ],
             stop=stop,
-            load_kernels=partial(_load_kernels, quiet=outputs.quiet, made=kernels),
+            load_kernels=partial(_load_kernels, quiet=outputs.quiet),
             operation=_operation(display, config, controls, typed or window is not None),
         )
         try:
@@ -174,12 +172,9 @@ def _window(
     )
 
 
-def _load_kernels(
-    profile: Profile, quiet: bool, made: Callable[[Profile, KernelBank], KernelBank] | None
-) -> KernelBank:
+def _load_kernels(profile: Profile, quiet: bool) -> KernelBank:
     with bank_progress(quiet) as progress:
-        bank = load_bank(profile, progress)
-    return bank if made is None else made(profile, bank)
+        return load_bank(profile, progress)
 
 
 class _Within(Listener):

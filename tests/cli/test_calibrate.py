@@ -5,7 +5,6 @@ import os
 import re
 import struct
 import subprocess
-import sys
 import termios
 import time
 from pathlib import Path
@@ -16,16 +15,12 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from smarttouch.base.errors import BoardError, CalibrationError, ProfileError, SourceError
-from smarttouch.base.stopping import StopRequest
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.emulator.firmware import read_state
-from smarttouch.experiments.calibration import level_procedure
 from smarttouch.experiments.calibration.page_registration import View, target_for
 from smarttouch.experiments.calibration.sensor_optics import SimulatedPatch
 from smarttouch.experiments.calibration.threshold_procedures import measuring_profile
 from smarttouch.experiments.calibration.threshold_session import simulated_finger
-from smarttouch.experiments.psychophysics import polarity
-from smarttouch.experiments.psychophysics.trial_rows import RowFile, read_rows
 from smarttouch.profile import load_profile
 from smarttouch.sources.preprocess import FlatField
 
@@ -202,35 +197,6 @@ def test_a_simulated_subject_answers_trials_on_another_board(run, tmp_path):
     truth = simulated_finger(usual, measuring, measuring.full_ma.tolist(), 0)
     assert found.threshold_ma[30] == pytest.approx(truth.threshold_ma[30], rel=0.12)
     assert found.comfort_ma[30] == pytest.approx(truth.enough_ma[30], rel=0.12)
-
-
-def test_level_of_a_simulated_person_goes_on_where_it_was_stopped(run, tmp_path, monkeypatch):
-    for name, few in (("FEWEST_LETTERS", 2), ("ENOUGH_REGRET", 1.0)):
-        monkeypatch.setattr(level_procedure, name, few)
-    monkeypatch.setattr(polarity, "POLARITY_TRIALS", 3)
-    stops, append, rows = [StopRequest(), StopRequest()], RowFile.append, []
-
-    def stop_after_four(file, row):
-        append(file, row)
-        rows.append(row)
-        if len(rows) == 4:
-            stops[0].ask("enough")
-
-    monkeypatch.setattr(RowFile, "append", stop_after_four)
-    command = sys.modules["smarttouch.cli.calibrate"]
-    monkeypatch.setattr(command, "command_stop", lambda: stops[len(rows) > 0])
-    level = "level --simulate --finger paper:1 --seed 1 --output mine.toml"
-    wrong("4 answers")(run(level).exception)
-    assert len(read_rows(tmp_path / "mine.level.csv")) == 4
-    assert not (tmp_path / "mine.toml").exists()
-    done(run(level))
-    assert [each.number for each in rows] == list(range(8))
-    profile = load_profile(tmp_path / "mine.toml")
-    assert profile.perception.level in level_procedure.LEVELS
-    assert profile.perception.anatomy in level_procedure.ANATOMIES
-    assert profile.calibrated["level"].found.startswith("simulated: ")
-    assert "8 answers" in profile.calibrated["level"].found
-    assert not (tmp_path / "mine.level.csv").exists()
 
 
 def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):

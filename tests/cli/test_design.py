@@ -82,17 +82,13 @@ positions_mm = [[0, 0], [1.8, 0], [0.9, 1.6], [2.7, 1.6], [4.2, 0.4]]
 shape = "annulus"
 size_mm = [1.0, 0.5]
 [skin]
-medium = "layered"
+medium = "half-space"
+conductivity_s_per_m = 0.43
 ra_depth_mm = 0.7
 sai_depth_mm = 0.9
 pc_depth_mm = 2.0
 sai_angles_deg = [0.0, 90.0]
 node_spacing_mm = 0.25
-layers = [
-  { name = "stratum corneum", thickness_mm = 0.3, conductivity_s_per_m = 0.02 },
-  { name = "epidermis and dermis", thickness_mm = 1.2, conductivity_s_per_m = 0.43 },
-  { name = "fat", conductivity_s_per_m = 0.025 },
-]
 """
 
 

@@ -3,8 +3,6 @@
 import pytest
 
 from smarttouch.boards.open import may_touch_a_finger
-from smarttouch.cli.run_options import RunOptionGroup
-from smarttouch.running.config import RunConfig
 
 from ..boards.fresh import fresh_state
 from .conftest import refused, says
@@ -56,24 +54,3 @@ def test_no_command_drives_a_real_board_whose_finger_nobody_measures(
     assert process.returncode == 2
     assert "--force" in errors
     assert fresh_state(books)["max_current_ma"] == 0
-
-
-@pytest.mark.parametrize(("board", "found", "mode", "asked", "level"), [
-    ("link:x", "", "RA", None, 0.5), ("link:x", "simulated: a", "RA", None, None),
-    ("simulated:", "simulated: a", "RA", None, 0.5), ("link:x", "measured", "RA", 0.3, 0.3),
-    ("link:x", "measured", "RA", None, 0.5), ("link:x", "measured", "SAI", None, None),
-])  # fmt: skip
-def test_a_run_begins_with_the_level_of_its_profile(
-    profile, changed, capsys, board, found, mode, asked, level
-):
-    """One that was found in simulation is no level for a finger."""
-    note = {"when": "2026-01-01T00:00:00Z", "versions": "1", "found": found}
-    known = {"perception.level": 0.5, "calibrated": {"level": note} if found else {}}
-    config = RunConfig(mode=mode, intensity=asked)
-    assert RunOptionGroup(board=board).at_level(config, changed(profile, known)).intensity == level
-    said = capsys.readouterr().out
-    assert (profile.name in said) is (level is not None)
-    assert RunOptionGroup(board=board).at_level(config, profile) is config
-    unknown = RunOptionGroup(board=board).at_level(config, profile, 0.7).intensity
-    simulated_ra = board == "simulated:" and (mode, asked) == ("RA", None)
-    assert unknown == (0.7 if simulated_ra else asked)

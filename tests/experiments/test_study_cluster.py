@@ -20,10 +20,9 @@ distributed = pytest.importorskip("distributed")
 STUDY = Study(
     title="small",
     profiles=("smarttouch-4x4",),
-    anatomies=("paper-layered",),
+    anatomies=("paper",),
     fingers=3,
     letters="LT",
-    uncertain=2,
 )
 
 

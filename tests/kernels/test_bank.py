@@ -22,7 +22,6 @@ from smarttouch.kernels.bank import (
 )
 from smarttouch.kernels.batch_design import design_sites
 from smarttouch.kernels.design_problem import Problem
-from smarttouch.kernels.disc_banks import lone_discs
 from smarttouch.kernels.kept_kernels import kept_or
 from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.profile import list_profiles, load_profile
@@ -103,23 +102,6 @@ def test_one_against_all_offers_its_polarity_only():
     with raises(DesignError, names="mode", **only_ra) as caught:
         bank.kernels(Afferent.SAI)
     assert "RA (" in str(caught.value), "with what it reaches elsewhere"
-
-
-def test_lone_discs_stand_in_place_of_two_classes(profile, bank):
-    discs = lone_discs(profile, bank)
-    cathodic, anodic = (discs.kernels(each) for each in (Afferent.SAI, Afferent.PC))
-    assert np.diag(cathodic) == pytest.approx(1)
-    assert anodic == pytest.approx(-cathodic)
-    assert cathodic.sum(axis=1) == pytest.approx(0, abs=1e-6)
-    assert np.array_equal(discs.weights[Afferent.RA], bank.weights[Afferent.RA])
-    with raises(DesignError):
-        lone_discs(load_profile("kajimoto-61"), bank)
-
-
-def test_what_a_finger_is_like_asks_for_no_other_kernels(profile, changed):
-    fingers = changed(profile, {"kernels.objective": "finger"})
-    known = {"perception.level": 0.5, "perception.anatomy": "branched"}
-    assert problem_hash(changed(fingers, known)) == problem_hash(fingers)
 
 
 @pytest.fixture

@@ -88,10 +88,6 @@ def test_large_grids_have_few_tiles(grid, keys):
             assert 9 <= len(own.driven) <= 30
 
 
-@pytest.mark.parametrize(
-    "keys",
-    [{"kernels.objective": "finger"}, {"output.kind": "three-state", "limits.total_ma": None}],
-)
-def test_kernels_that_cannot_be_confined(grid, keys):
+def test_kernels_that_cannot_be_confined(grid):
     with pytest.raises(ValueError, match=r"kernels\.neighbors"):
-        grid(**keys)
+        grid(**{"output.kind": "three-state", "limits.total_ma": None})

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import DesignError
 from smarttouch.physiology.activating_function import (
     af_matrix,
     everywhere,
@@ -17,14 +16,7 @@ from smarttouch.physiology.activating_function import (
 from smarttouch.profile import list_profiles, load_profile
 
 from ..close import assert_close
-from ..raising import raises
 from ..whole import sample
-
-LAYERS = [
-    {"name": "stratum corneum", "thickness_mm": 0.3, "conductivity_s_per_m": 0.02},
-    {"name": "epidermis and dermis", "thickness_mm": 1.2, "conductivity_s_per_m": 0.43},
-    {"name": "fat", "conductivity_s_per_m": 0.025},
-]
 
 
 @pytest.mark.parametrize("name", list_profiles())
@@ -68,32 +60,15 @@ def test_an_infinite_medium_has_half_the_field(profile, changed):
     assert_close(af_matrix(infinite, nodes), half)
 
 
-def test_every_shape_on_every_medium_it_goes_with(profile, changed, layered):
+def test_every_shape_on_every_medium_it_goes_with(profile, changed):
     free = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [1, 1.7]]}
-    media = [
-        profile, changed(profile, {"skin.medium": "infinite"}), layered(profile, LAYERS)
-    ]  # fmt: skip
+    media = [profile, changed(profile, {"skin.medium": "infinite"})]
     shapes = {"point": [0, 0], "disc": [1, 0], "annulus": [1, 0.5], "rectangle": [0.5, 10]}
     for shape, size in shapes.items():
         for medium in media:
             mine = changed(medium, {"array": free | {"shape": shape, "size_mm": size}})
             nodes = targets(mine, Afferent.SAI)
-            if shape == "rectangle" and medium is media[2]:
-                allowed = ("half-space",)
-                with raises(DesignError, value="layered", allowed=allowed):
-                    af_matrix(mine, nodes)
-            else:
-                assert np.all(np.diag(af_matrix(mine, nodes)) > 0)
-
-
-def test_layers_of_one_conductivity_are_the_half_space(profile, changed, layered):
-    few = {"array.rows": 3, "array.columns": 4}
-    layers = [layer | {"conductivity_s_per_m": 0.43} for layer in LAYERS]
-    profile, same = changed(profile, few), layered(profile, layers, **few)
-    for afferent in Afferent:
-        nodes = everywhere(profile, afferent)
-        one, other = af_matrix(profile, nodes), af_matrix(same, nodes)
-        np.testing.assert_allclose(other, one, rtol=1e-4, atol=1e-6 * np.abs(one).max())
+            assert np.all(np.diag(af_matrix(mine, nodes)) > 0)
 
 
 def test_an_active_ending_is_mcneal_s_end_node(profile, changed):
@@ -154,7 +129,7 @@ def test_an_array_of_several_shapes_has_the_fields_of_each(profile, changed):
 
 
 @pytest.mark.parametrize("depth_mm", sample([0.9, 0.3, 2.0], 3))
-def test_a_ring_s_potential_is_that_of_its_spectrum(profile, changed, depth_mm):
+def test_a_ring_s_potential_is_that_of_its_field(profile, changed, depth_mm):
     array = {"layout": "free", "positions_mm": [[0, 0], [20, 0]], "shape": "annulus"}
     rings = changed(profile, {"array": array | {"size_mm": [8.0, 6.0]}})
     place = (
@@ -162,4 +137,4 @@ def test_a_ring_s_potential_is_that_of_its_spectrum(profile, changed, depth_mm):
     )
     found, scale = field_at(rings.electrodes, rings.skin, place, depth_mm)
     points = np.column_stack([place, np.full(25, depth_mm)])
-    assert potential_mv(rings, points) == pytest.approx(1000 * scale * found.potential, rel=2e-3)
+    assert potential_mv(rings, points) == pytest.approx(1000 * scale * found.potential)

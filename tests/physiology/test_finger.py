@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import DesignError, ProfileError
+from smarttouch.base.errors import ProfileError
 from smarttouch.physiology.anatomy import list_anatomies, load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel
@@ -14,7 +14,6 @@ from smarttouch.profile import load_profile
 
 from ..close import assert_close
 from ..raising import raises
-from ..whole import sample
 
 ANATOMIES = ("branched", "paper")
 
@@ -42,8 +41,7 @@ def patterns(profile, seed, slots=8):
 
 
 def test_the_shipped_anatomies():
-    both = (*ANATOMIES, *(f"{each}-layered" for each in ANATOMIES))
-    assert list_anatomies() == sorted(both)
+    assert list_anatomies() == sorted(ANATOMIES)
 
 
 @pytest.mark.parametrize("anatomy", ANATOMIES)
@@ -153,71 +151,6 @@ def test_what_is_wrong_with_an_anatomy(tmp_path, small):
     path.write_text("[ra")
     with raises(ProfileError):
         Finger(small, 1, path)
-
-
-LAYERS = [{"conductivity_s_per_m": 0.43, "thickness_mm": each} for each in (0.3, 1.2)]
-
-
-@pytest.mark.parametrize("anatomy", sample(ANATOMIES[::-1]))
-def test_layers_of_one_conductivity_are_the_half_space(small, layered, anatomy):
-    layers = [*LAYERS, {"conductivity_s_per_m": 0.43}]
-    own = load_anatomy(anatomy).model_copy(update={"layers": layers})
-    plain, *same = (
-        Finger(profile, 1, course)
-        for profile, course in ((small, anatomy), (small, own), (layered(small, layers), anatomy))
-    )
-    scale = np.abs(plain.rows[0]).max()
-    for each in same:
-        assert_close(each.rows[0], plain.rows[0], rel=0, abs=1e-3 * scale)
-
-
-def test_layers_change_what_fires_and_the_anatomy_s_count_before_the_profile_s(small, layered):
-    plain, own = (Finger(small, 1, name) for name in ("paper", "paper-layered"))
-    assert [each.name for each in own.skin.layers][::3] == ["stratum corneum", "bone"]
-    both = Finger(layered(small, [*LAYERS, {"conductivity_s_per_m": 2.0}]), 1, "paper-layered")
-    assert np.array_equal(both.rows[0], own.rows[0])
-    assert np.array_equal(own.receptor_mm, plain.receptor_mm)
-    assert own.rows[0].max() > 1.2 * plain.rows[0].max()
-
-
-def test_what_layers_cannot_do(small, layered, changed, tmp_path):
-    rectangles = {"layout": "free", "positions_mm": [[0, 0], [3, 0]], "shape": "rectangle"}
-    array = changed(layered(small), {"array": rectangles | {"size_mm": [1, 2]}})
-    with raises(DesignError):
-        _ = Finger(array, 1, "paper").rows
-    path = tmp_path / "mine.toml"
-    classes = "".join(f"[{each}]\ndensity_per_cm2 = 9\n" for each in ("ra", "sai", "pc"))
-    for layer in ("conductivity_s_per_m = 1\nthickness_mm = 1", "conductivity_s_per_m = 1"):
-        layers = f"[[layers]]\n{layer}\n"
-        path.write_text('title = "x"\n' + layers * (2 - ("thickness" in layer)) + classes)
-        with raises(ProfileError, key="layers"):
-            load_anatomy(path)
-
-
-def test_a_curved_pad_lies_deeper_off_the_axis(small):
-    anatomy = load_anatomy("paper")
-    flat = Finger(small, 1, anatomy)
-    for contact_mm2, within_mm in ((None, 0.0), (np.pi * 9, 3 * small.force.full_n ** (1 / 6))):
-        update = {"pad_radius_mm": 10.0, "contact_mm2": contact_mm2}
-        curved = Finger(small, 1, anatomy.model_copy(update=update))
-        for afferent in Afferent:
-            before, after = (one.populations[afferent].axon_path_mm for one in (flat, curved))
-            away2 = (before[..., :2] ** 2).sum(axis=-1)
-            deeper = np.maximum(away2 - within_mm**2, 0) / 20
-            assert after[..., 2] - before[..., 2] == pytest.approx(deeper, abs=1e-9)
-
-
-def test_electrodes_beyond_the_contact_deliver_nothing(small):
-    anatomy = load_anatomy("paper")
-    small_contact = anatomy.model_copy(update={"contact_mm2": 12.0, "contact_exponent": 0.0})
-    finger, whole = Finger(small, 1, small_contact), Finger(small, 1, anatomy)
-    assert whole.touching.all()
-    away = np.linalg.norm(small.electrodes.position_mm, axis=1)
-    assert np.array_equal(finger.touching, away <= np.sqrt(12 / np.pi))
-    assert 0 < finger.touching.sum() < len(away)
-    assert not finger.rows[0][:, ~finger.touching].any()
-    touching = finger.touching
-    assert_close(finger.rows[0][:, touching], whole.rows[0][:, touching])
 
 
 def test_a_seed_is_no_negative_number(profile):

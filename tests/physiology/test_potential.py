@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.physiology.potential import Field, disc, line_in_plane, point, rectangle
+from smarttouch.physiology.potential import (
+    Field,
+    annulus,
+    disc,
+    line_in_plane,
+    point,
+    rectangle,
+)
 
 NODES, SHARES = np.polynomial.legendre.leggauss(400)
 COARSE, PARTS = np.polynomial.legendre.leggauss(80)
@@ -38,11 +45,26 @@ def rectangle_potential(width, height):
     return potential
 
 
+def annulus_potential_by_points(outer, inner):
+    """Point sources spread evenly over a ring, by Gauss's rule along the radius."""
+    radii = (outer + inner) / 2 + (outer - inner) / 2 * COARSE
+    turns = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    u, v = radii[:, None] * np.cos(turns), radii[:, None] * np.sin(turns)
+    weights = (PARTS * radii / (PARTS @ radii))[:, None] / len(turns)
+
+    def potential(x, y, z):
+        return float((weights / np.sqrt((x - u) ** 2 + (y - v) ** 2 + z * z)).sum())
+
+    return potential
+
+
 CLOSED = [
     (point, point_potential),
     (lambda x, y, z: disc(x, y, z, 0.25), disc_potential(0.25)),
     (lambda x, y, z: disc(x, y, z, 0.5), disc_potential(0.5)),
     (lambda x, y, z: disc(x, y, z, 0.8), disc_potential(0.8)),
+    (lambda x, y, z: annulus(x, y, z, 0.8, 0.4), annulus_potential_by_points(0.8, 0.4)),
+    (lambda x, y, z: annulus(x, y, z, 4.0, 3.0), annulus_potential_by_points(4.0, 3.0)),
     (lambda x, y, z: rectangle(x, y, z, 0.5, 10.0), rectangle_potential(0.5, 10.0)),
     (lambda x, y, z: rectangle(x, y, z, 1.5, 1.0), rectangle_potential(1.5, 1.0)),
 ]

@@ -51,7 +51,7 @@ def wrong(key, value=None, allowed=None):
         ('medium = "half-space"', 'medium = "plane"',
          wrong("skin.medium", "plane", ("half-space",))),
         ('medium = "half-space"', 'medium = "layered"',
-         wrong("skin.medium", "layered")),
+         wrong("skin.medium", "layered", ("half-space", "infinite", "plane"))),
         ("total_ma = 10.0", "total_ma = 1.0",
          wrong("limits.total_ma", 2.4, 1)),
         ("total_ma = 10.0", "electrode_ma = [1.0]", wrong("limits.electrode_ma", 1, 64)),

@@ -80,13 +80,3 @@ def test_not_text(tmp_path):
     path.write_bytes(b"\xff\xfe\x00")
     with raises(ProfileError, value=path):
         load_profile(path)
-
-
-def test_a_layer_without_end_is_kept_in_a_recording(changed, profile):
-    layers = [{"conductivity_s_per_m": 0.1, "thickness_mm": 1.0}, {"conductivity_s_per_m": 0.3}]
-    layered = changed(
-        profile,
-        {"skin.medium": "layered", "skin.layers": layers, "skin.conductivity_s_per_m": None},
-    )
-    assert layered.skin.layers[-1].thickness_mm == math.inf
-    assert type(profile).model_validate_json(layered.model_dump_json()) == layered

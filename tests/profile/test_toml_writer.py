@@ -31,12 +31,8 @@ def test_it_is_read_back_as_it_was(name):
     assert comment(text, "carrier") == "default"
 
 
-def test_lists_layers_and_calibrations(profile, changed):
-    layers = [{"conductivity_s_per_m": 0.1, "thickness_mm": 1.0}, {"conductivity_s_per_m": 0.3}]
+def test_lists_and_calibrations(profile, changed):
     keys = {
-        "skin.medium": "layered",
-        "skin.layers": layers,
-        "skin.conductivity_s_per_m": None,
         "perception.threshold_ma": [1.0 + each / 1000 for each in range(64)],
         "output.masked": [3],
         "optics.homography": [1.0, 0, 0, 0, 1, 0, 0, 0, 1],

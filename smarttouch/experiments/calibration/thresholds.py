@@ -26,7 +26,6 @@ from smarttouch.experiments.calibration.threshold_session import (
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
 from smarttouch.experiments.psychophysics.simulated_subject import Subject
 from smarttouch.experiments.psychophysics.trials import Trial, TrialTiming
-from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.disc_banks import single_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
@@ -185,14 +184,12 @@ def present(
     # opens a board for a block
     opened: Callable[[Board, StopRequest], AbstractContextManager[Board]],
     force: str | None = None,  # URL of the finger's force; see `Runner`
-    load_kernels: Callable[[Profile], KernelBank] = single_bank,
 ) -> None:
     """Present the trials of a calibration, whose currents are what it asks for; keys answer, and
     some end it at once."""
 
     def on_key(key: str) -> None:
-        asked = source.asking
-        if key in STOP_KEYS and (asked is None or key not in asked.answers):
+        if key in STOP_KEYS:
             stop.ask(f"key {key!r}")
         else:
             source.press(key)
@@ -205,7 +202,7 @@ def present(
             force=force,
             listeners=[listener],
             stop=stop,
-            load_kernels=load_kernels,
+            load_kernels=single_bank,
             operation=Operation(first_level=1.0, opened=partial(opened, display.board)),
         ).run()
 

@@ -297,11 +297,6 @@ def frequency_procedures(
     return Interleaved(procedures, seed)
 
 
-def detection_range(threshold_ma: float, full_ma: float) -> tuple[float, float]:
-    """Return the smallest and largest current of detection, mA."""
-    return _DETECTION_RANGE[0] * threshold_ma, min(_DETECTION_RANGE[1] * threshold_ma, full_ma)
-
-
 def detection_procedure(
     method: str,
     threshold_ma: float,
@@ -311,7 +306,8 @@ def detection_procedure(
     seed: int,
 ) -> Procedure:
     """Return a staircase or QUEST+ of current, up to the strongest comfortable one."""
-    low, high = detection_range(threshold_ma, full_ma)
+    low = _DETECTION_RANGE[0] * threshold_ma
+    high = min(_DETECTION_RANGE[1] * threshold_ma, full_ma)
     if method == "staircase":
         start = min(1.5 * threshold_ma, high)
         return WeightedStaircase(

@@ -30,13 +30,9 @@ from smarttouch.experiments.psychophysics.tasks import (
     FrequencyTask,
     LetterTask,
     LocalizationTask,
-    PolarityTask,
     TwoPointTask,
-    middle_discs,
 )
 from smarttouch.experiments.psychophysics.trials import Stimuli, Task, Trial
-from smarttouch.kernels.bank import KernelBank
-from smarttouch.kernels.disc_banks import lone_discs
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import require_driven
 
@@ -114,7 +110,7 @@ LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
 """Levels of the detection experiment, as parts of the profile's threshold (our own choice)."""
 _FARTHEST = 4  # most steps of distance: to each side of a point, and between two points
 
-_IN_MA = ("detection", "discomfort", "polarity")
+_IN_MA = ("detection", "discomfort")
 _SLOWER = 2.0
 """Factor by which the rise of current is slower than the profile's ramp, in `discomfort`."""
 
@@ -146,8 +142,6 @@ class Design:
     method: str  # the procedure's name
     again: bool = True  # whether a trial may be repeated
     notes: list[str] = field(default_factory=list)  # warnings for the user
-    # makes kernels of those of the profile; trials then name the class of each, in mode color
-    kernels: Callable[[Profile, KernelBank], KernelBank] | None = None
 
 
 @dataclass(frozen=True)
@@ -261,20 +255,6 @@ def _detection(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Desi
     return Design(task, procedure, method, again=False)
 
 
-def _polarity(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
-    from smarttouch.experiments.psychophysics.polarity import polarity_procedure
-
-    profile = stimuli.profile
-    sites = middle_discs(profile) if wanted.site is None else [wanted.site]
-    return Design(
-        PolarityTask(stimuli, sites, _rate_hz(stimuli, wanted)),
-        polarity_procedure(profile, sites, wanted.trials, wanted.seed),
-        method,
-        again=False,
-        kernels=lone_discs,
-    )
-
-
 def _discomfort(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
     slowest_s = _SLOWER * stimuli.profile.limits.ramp_s
     if stimuli.train_s < slowest_s:
@@ -326,7 +306,6 @@ CATALOG = {
     "frequency": Experiment("which of two is faster (paper, III-C)", _frequency, ADAPTIVE, 1.0),
     "detection": Experiment("is it felt: threshold current, mA", _detection, ADAPTIVE),
     "discomfort": Experiment("when is a rising current enough, mA", _discomfort, (LIMITS,), 10.0),
-    "polarity": Experiment("is a lone disc felt: cathodic over anodic", _polarity, (QUESTPLUS,)),
     "two-point": Experiment("which had two points: distance, mm", _two_point),
     "localization": Experiment("was the second left or right: distance, mm", _localization),
     "letters": Experiment("which letter was drawn", _letters, train_s=1.0),

@@ -17,7 +17,6 @@ from smarttouch.base.version import __version__
 from smarttouch.experiments.psychophysics.catalog import LIMITS, Design
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
 from smarttouch.experiments.psychophysics.perceived_spikes import FITTED
-from smarttouch.experiments.psychophysics.polarity import polarity_ratio
 from smarttouch.experiments.psychophysics.procedures import (
     Condition,
     Interleaved,
@@ -25,7 +24,7 @@ from smarttouch.experiments.psychophysics.procedures import (
     middle_and_spread,
 )
 from smarttouch.experiments.psychophysics.simulated_subject import Subject, make_observer
-from smarttouch.experiments.psychophysics.tasks import FrequencyTask, LetterTask, PolarityTask
+from smarttouch.experiments.psychophysics.tasks import FrequencyTask, LetterTask
 from smarttouch.experiments.psychophysics.trial_rows import About, RowFile, TrialRow
 from smarttouch.experiments.psychophysics.trials import Answer, Task, Trial, TrialTiming
 from smarttouch.profile import Profile
@@ -123,10 +122,6 @@ def summarize(design: Design, session: TrialSession, path: Path) -> list[str]:
         return lines
     else:
         lines += _estimates(design, rows[0].unit if rows else "")
-        if isinstance(design.task, PolarityTask) and isinstance(design.procedure, Interleaved):
-            ratio = polarity_ratio(design.procedure)
-            lines += [] if ratio is None else [str(ratio)]
-            return lines
     if answered:
         lines.append(f"fit it: smarttouch experiment fit {path}")
     return lines

@@ -1,13 +1,12 @@
 """Tasks: each turns a condition into intervals, a question, and the correct answer."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.afferent import Afferent
 from smarttouch.experiments.psychophysics.procedures import Condition
 from smarttouch.experiments.psychophysics.trials import (
     ENOUGH,
@@ -18,8 +17,6 @@ from smarttouch.experiments.psychophysics.trials import (
     Train,
     Trial,
 )
-from smarttouch.profile import Profile
-from smarttouch.stimulation.point_slots import spread_order
 
 _WHERE = {1: "first", 2: "second"}
 
@@ -103,34 +100,6 @@ class DetectionTask:
             condition, train, blank, "felt", "in which did you feel it?", f"{current_ma:.3f} mA",
             "mA", exact=True,
         )  # fmt: skip
-
-
-_POLES, _DISCS = (Afferent.PC, Afferent.SAI), 16
-"""Classes that stand for anodic and cathodic discs, and most discs."""
-
-
-@dataclass(frozen=True, eq=False)
-class PolarityTask:
-    """Lone disc: is anything felt? Conditions of index 0 are anodic, of 1 cathodic, see
-    `lone_discs`; repetitions go from site to site."""
-
-    stimuli: Stimuli  # of any class
-    sites: Sequence[int]
-    rate_hz: float
-
-    def trial(self, condition: Condition) -> Trial:
-        """Return the trial: a train through one disc, against all others."""
-        of = Stimuli(self.stimuli.profile, _POLES[condition.index], self.stimuli.train_s)
-        site = self.sites[condition.repetition % len(self.sites)]
-        return DetectionTask(of, site, self.rate_hz).trial(condition)
-
-
-def middle_discs(profile: Profile) -> list[int]:
-    """Return the driven sites nearest to the middle, at most sixteen, in an order that keeps
-    successive ones apart."""
-    away_mm = np.hypot(*profile.electrodes.position_mm[profile.driven].T).round(6)
-    near = np.sort(profile.driven[away_mm.argsort(kind="stable")[:_DISCS]])
-    return [int(each) for each in near[spread_order(len(near))]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,8 @@ import pytest
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.psychophysics.catalog import CATALOG, ExperimentOptions, new_experiment
-from smarttouch.experiments.psychophysics.polarity import polarity_procedure, polarity_ratio
 from smarttouch.experiments.psychophysics.procedures import Condition
 from smarttouch.profile import load_profile
-from smarttouch.running.config import RunConfig
-from smarttouch.running.pipeline import Pipeline
-from smarttouch.sources.source_contract import Stimulus
 
 from ...raising import raises
 
@@ -195,34 +191,3 @@ def test_arrays_without_neighbors_have_no_two_points():
     line = load_profile("line-8")
     made = new_experiment("two-point", line, ExperimentOptions(repetitions=1))
     assert {each.comparison for each in conditions(made)} == {1, 2, 3, 4, 5, 6, 7}
-
-
-def test_a_lone_disc_is_of_either_polarity_where_it_is(profile, bank):
-    made = new_experiment("polarity", profile, ExperimentOptions(site=27))
-    shown = conditions(made)
-    assert sorted(each.index for each in shown) == [0] * 12 + [1] * 12
-    pipeline = Pipeline(profile, made.kernels(profile, bank), RunConfig(mode="color"))
-    period_us = round(1e6 / profile.pulse.rate_hz)
-    for condition in shown[:6]:
-        (train,) = made.task.trial(condition).intervals
-        for time_ns in range(0, 2 * 10**9, 1000 * period_us):
-            given = Stimulus(train.activation, time_ns, profile.force.full_n, period_us)
-            sequence = pipeline.process(given, train.level).sequence
-        sign = 1 if condition.index == 1 else -1
-        (current_ua,) = sequence.current_ua
-        assert current_ua[27] == pytest.approx(1000 * sign * condition.comparison, abs=1)
-        assert (np.delete(current_ua, 27) * sign <= 0).all()
-        assert current_ua.sum() == 0
-
-
-def test_the_ratio_of_a_lone_disc_has_an_interval(profile):
-    """By answers that are sharp; without any there is none."""
-    procedure = polarity_procedure(profile, [27], None, 0)
-    assert polarity_ratio(procedure) is None
-    while not procedure.done:
-        shown = procedure.next()
-        procedure.answer(shown.comparison > (0.8, 1.2)[shown.index])
-    found = polarity_ratio(procedure)
-    low, high = found.interval
-    assert found.ratio == pytest.approx(1.5, rel=0.1)
-    assert low < 1.5 < high < 2 * low * 1.5
