@@ -7,7 +7,7 @@ import smarttouch
 
 PACKAGE = Path(smarttouch.__file__).parent
 COMMANDS = ("cli/", "emulator/commands.py", "emulator/__main__.py")
-STARTERS = {"emulator/emulated_boards.py", "reading/ocr.py", "pages/structured_text.py"}
+STARTERS = {"emulator/emulated_boards.py", "reading/ocr.py", "pages/pandoc_text.py"}
 """Files that give other programs their options: the emulator, Tesseract and pandoc."""
 
 

@@ -15,13 +15,11 @@ from smarttouch.braille.block_layout import (
     join,
     lay_out,
     lay_out_blocks,
-    shaped_text,
     text_of_cells,
 )
 from smarttouch.braille.cells import (
     BLANK,
     Pages,
-    is_cell,
     read_brf,
     read_pef,
     write_brf,
@@ -30,7 +28,8 @@ from smarttouch.braille.cells import (
 from smarttouch.braille.code_tables import BrailleTable
 from smarttouch.braille.ebraille import write_ebraille
 from smarttouch.pages.file_kinds import FileKind, file_kind, read_plain_text
-from smarttouch.pages.structured_text import StructuredText, read_structured_text
+from smarttouch.pages.pandoc_text import read_pandoc_text
+from smarttouch.pages.structured_text import StructuredText
 
 TEXT = "text:"  # prefix of words that are not a file name
 _MOST_NAMED = 12  # characters listed in a note on left-out ones
@@ -65,30 +64,25 @@ def load_cells(source: str, table: BrailleTable, leave_out: bool = False) -> Loa
     kind = None if file is None else file_kind(file)
     pages: Pages | None = None
     notes: list[str] = []
-    shaped: ShapedText | None = None
     if file is not None and kind in (FileKind.BRF, FileKind.PEF):
         pages = (read_brf if kind is FileKind.BRF else read_pef)(file)
         paragraphs = join(pages)
-    elif file is not None and kind is FileKind.STRUCTURED:
-        document = read_structured_text(file)
-        shaped = shaped_text(document, table, leave_out)
-        paragraphs = shaped.paragraphs
-        notes = _notes(
-            table, table.missing("".join(each for each in document.text if not is_cell(each)))
-        )
     else:
-        text = source.removeprefix(TEXT) if file is None else read_plain_text(file)
+        if file is not None and kind is FileKind.STRUCTURED:
+            text = read_pandoc_text(file, notes.append)
+        else:
+            text = source.removeprefix(TEXT) if file is None else read_plain_text(file)
         if is_braille(text):
             cells = blanks(text)
         else:
             cells = table.to_cells(text, leave_out)
-            notes = _notes(table, table.missing(text))
+            notes += _notes(table, table.missing(text))
         paragraphs = cells.strip("\n").split("\n")
     if not any(paragraph.strip(BLANK) for paragraph in paragraphs):
         raise BrailleError(
             "there is nothing to read: give a text, or a file with one", about="text"
         )
-    return Loaded(paragraphs, pages, notes, shaped)
+    return Loaded(paragraphs, pages, notes)
 
 
 def laid_out(loaded: Loaded, columns: int | None, rows: int | None, shown: bool = False) -> Pages:

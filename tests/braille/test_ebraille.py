@@ -14,8 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.braille.block_layout import shaped_text, text_of_cells
-from smarttouch.braille.cell_pages import load_cells, write_cells
+from smarttouch.braille.block_layout import shaped_text
 from smarttouch.braille.cells import is_cell
 from smarttouch.braille.code_tables import open_table
 from smarttouch.braille.ebraille import format_ebraille
@@ -152,18 +151,3 @@ def test_any_document_gives_xml_of_cells_whose_links_lead_somewhere(blocks, titl
         assert root.get("lang").split("-")[1] == "Brai"
     links = [each.get("href") for each in files["index.html"].iter(f"{XHTML}a")]
     assert all(link in ids or link in files for link in links)
-
-
-def test_what_is_written_is_read(tmp_path):
-    path = tmp_path / "book.ebrl"
-    assert len(write_cells(path, [], text_of_cells(["⠁⠃⠀⠉", "⠙"], TABLE))) == 1
-    if shutil.which("pandoc") is None:
-        pytest.skip("pandoc is not installed")
-    assert load_cells(str(path), TABLE).paragraphs == ["⠁⠃⠀⠉", "⠙"]
-    book = shaped_text(BOOK, TABLE)
-    write_cells(path, [], book)
-    again = load_cells(str(path), TABLE)
-    # A row keeps no page within it.
-    assert again.paragraphs == book.paragraphs
-    pages = [each.text for each in again.shaped.document.blocks if each.kind is BlockKind.PAGE]
-    assert pages == ["⠊⠧", "⠼⠑", "⠼⠋"]
