@@ -3,8 +3,7 @@ Errors of one sentence
 ======================
 
 All that a user can cause is a `SmartTouchError`: one sentence with the number and what to do.
-Programs go by its class and by what it is about; the command line prints the sentence and exits
-with 2.
+Programs go by its class; the command line prints the sentence and exits with 2.
 """
 
 from pathlib import Path
@@ -14,9 +13,8 @@ import smarttouch as st
 
 
 def show(error: st.SmartTouchError) -> None:
-    """Print the sentence, and what a program may look at."""
-    print(f"{type(error).__name__}: {error}")
-    print(f"    about {error.about}\n")
+    """Print the class and the sentence."""
+    print(f"{type(error).__name__}: {error}\n")
 
 
 # %%

@@ -1,9 +1,9 @@
 """
-An irregular array, from a table to C
-=====================================
+An irregular array, from a table
+================================
 
-Electrodes where they were printed, not on a grid: kernels are designed for these places, a letter
-runs over them on a simulated board, and the kernels go into firmware as a C header.
+Electrodes where they were printed, not on a grid: kernels are designed for these places, and a
+letter runs over them on a simulated board.
 """
 
 from pathlib import Path
@@ -29,8 +29,3 @@ kernels = st.load_kernels(profile)
 print(f"RA: other classes reach {kernels.off_target[st.Afferent.RA].max():.2f} of the target")
 statistics = st.run("text:A", st.open_display("simulated:", profile), seconds=1)
 print(f"{statistics.frames} frames, {statistics.slots} slots")
-
-# %%
-# The numbers that a board gets for these kernels.
-kernels.to_c(folder / "kernels.h")
-print(*(folder / "kernels.h").read_text().splitlines()[15:21], sep="\n")

@@ -36,12 +36,6 @@ pc_depth_mm = 2.0
 sai_angles_deg = [0.0, 45.0, 90.0, 135.0]
 node_spacing_mm = 0.1
 
-[skin.spread]  # robust kernels hold over this
-ra_depth_mm = 0.1
-sai_depth_mm = 0.1
-pc_depth_mm = 0.3
-angle_deg = 10.0
-
 [output]
 kind = "weighted"
 

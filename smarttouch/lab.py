@@ -2,8 +2,8 @@
 
 from smarttouch.base.afferent import CLASS_COLORS as CLASS_COLORS
 from smarttouch.base.files import data_folder as data_folder
-from smarttouch.braille.block_layout import lay_out as lay_out
 from smarttouch.braille.code_tables import open_table as open_table
+from smarttouch.braille.page_layout import lay_out as lay_out
 from smarttouch.experiments.fitting.answer_figures import (
     discrimination_figure as discrimination_figure,
 )

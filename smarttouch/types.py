@@ -16,7 +16,6 @@ from smarttouch.base.errors import EmergencyStopError as EmergencyStopError
 from smarttouch.base.errors import ExperimentError as ExperimentError
 from smarttouch.base.errors import KernelTableError as KernelTableError
 from smarttouch.base.errors import LineLostError as LineLostError
-from smarttouch.base.errors import MarkersError as MarkersError
 from smarttouch.base.errors import OtherDeviceError as OtherDeviceError
 from smarttouch.base.errors import PageError as PageError
 from smarttouch.base.errors import ReadingError as ReadingError
@@ -76,7 +75,6 @@ from smarttouch.profile.device import PerceptThresholds as PerceptThresholds
 from smarttouch.profile.device import Pulse as Pulse
 from smarttouch.profile.device import Skin as Skin
 from smarttouch.profile.device import SkinLayer as SkinLayer
-from smarttouch.profile.device import Spread as Spread
 from smarttouch.profile.layouts import FreeLayout as FreeLayout
 from smarttouch.profile.layouts import GridLayout as GridLayout
 from smarttouch.profile.layouts import HexagonLayout as HexagonLayout
@@ -97,7 +95,6 @@ from smarttouch.running.step import Step as Step
 from smarttouch.sources.force import ForceSource as ForceSource
 from smarttouch.sources.given_sources import Given as Given
 from smarttouch.sources.given_sources import Imaging as Imaging
-from smarttouch.sources.source_contract import Canvas as Canvas
 from smarttouch.sources.source_contract import Device as Device
 from smarttouch.sources.source_contract import Input as Input
 from smarttouch.sources.source_contract import Pose as Pose

@@ -264,11 +264,11 @@ def whole_programme():
     from smarttouch.kernels.design_problem import limits_ma
 
     def solve(problem, site, spill=0.2, method="highs", order=None):
-        rows, far = problem.rows[0], problem.beyond_a_pitch(site)
-        target, count = rows.target[0, site], problem.electrodes
+        far = problem.beyond_a_pitch(site)
+        target, count = problem.target[site], problem.electrodes
         scale = np.abs(target).max()
         axon = problem.axon(site)[1:] / scale
-        others, own = rows.other / scale, rows.own[far] / scale
+        others, own = problem.other / scale, problem.own[far] / scale
         if spill is None:
             own = own[:0]
         if order is not None:

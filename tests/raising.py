@@ -25,10 +25,11 @@ def raises(kind, **attributes):
     assert_says(caught.value, **attributes)
 
 
-def assert_says(error, value=None, allowed=None, **attributes):
+def assert_says(error, value=None, allowed=None, names=None, **attributes):
     """Check that an error's attributes have these values, and that its message is one line.
 
-    ``value`` and ``allowed`` are attributes of a SafetyError; of others the message shows them.
+    ``value`` and ``allowed`` are attributes of a SafetyError; of others the message shows them, and
+    ``names``.
     What can be called judges an attribute, or one of the numbers shown, and a `pytest.approx`
     compares as it does.
     """
@@ -39,6 +40,8 @@ def assert_says(error, value=None, allowed=None, **attributes):
     shown = {name: each for name, each in shown.items() if each is not None}
     if isinstance(error, SafetyError):
         attributes, shown = attributes | shown, {}
+    if names is not None:
+        shown["names"] = names
     found = {name: getattr(error, name) for name in attributes}
     wrong = {
         name: found[name]

@@ -50,21 +50,20 @@ for url in "emulator:", "kajimoto61:/dev/ttyUSB0":
     try:
         st.run("text:a", url, force="fixed:0.5", seconds=0.1, intensity=0.1)
     except st.BoardError as error:
-        assert error.remedy == "simulated:", error
+        assert "simulated:" in str(error), error
     else:
         raise AssertionError(url)
-for url in "osc:9000", "osc:9000?key=key", "socket:9000", "socket:./place", "lsl:Tactile":
-    try:
-        st.open_source(url, profile)
-    except st.SourceError as error:
-        assert error.about in ("key", "address", "lsl"), error
-    else:
-        raise AssertionError(url)
+try:
+    st.open_source("socket:./place", profile)
+except st.SourceError as error:
+    assert "no Unix sockets" in str(error), error
+else:
+    raise AssertionError("a socket")
 from smarttouch.views.live_finger import LiveFinger
 try:
     st.run("text:a", "simulated:", seconds=0.1, listeners=[LiveFinger(st.Finger(profile))])
 except st.SmartTouchError as error:
-    assert error.about == "finger", error
+    assert "finger" in str(error), error
 else:
     raise AssertionError("a finger")
 sys.argv = ["smarttouch", "design", "27", "--mode", "RA", "--json", "kernels.json"]
@@ -75,8 +74,6 @@ main()
 
 
 def test_no_module_and_no_simulated_run_needs_what_only_posix_has(tmp_path):
-    (tmp_path / "key").write_bytes(bytes(32))
-    (tmp_path / "key").chmod(0o600)
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", NOT_POSIX + ALL_MODULES + RUN],
         capture_output=True, text=True, timeout=100, check=False, cwd=tmp_path,

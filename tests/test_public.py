@@ -103,12 +103,12 @@ def test_kernels_of_one_array_are_found():
 
 
 def test_errors_are_public():
-    with raises(st.ProfileError, about="profile"):
+    with raises(st.ProfileError, names="profile"):
         st.load_profile("nothing")
     profile = st.load_profile("electric-mouse")
-    with raises(st.BoardError, about="board"):
+    with raises(st.BoardError, names="board"):
         st.open_display("nothing:", profile)
-    with raises(st.SourceError, about="source"):
+    with raises(st.SourceError, names="source"):
         st.open_source("nothing:", profile)
 
 

@@ -6,7 +6,6 @@ import inspect
 import re
 import typing
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -71,7 +70,7 @@ ALL = {name: getattr(st, name) for name in PUBLIC["smarttouch"] - {*MODULES}} | 
 
 LOCAL = {
     **ALL, **vars(builtins),
-    "ClassVar": typing.ClassVar, "pandas": SimpleNamespace(DataFrame=object)
+    "ClassVar": typing.ClassVar,
 }  # fmt: skip
 """All that a hint may name which its module imports for type checkers alone."""
 

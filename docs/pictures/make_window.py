@@ -1,6 +1,5 @@
 """Takes the pictures of the window's page from the page itself: needs Chromium and playwright."""
 
-import tempfile
 import threading
 from contextlib import contextmanager
 from io import BytesIO
@@ -12,7 +11,6 @@ from playwright.sync_api import sync_playwright
 import smarttouch as st
 from smarttouch.base.stopping import StopRequest
 from smarttouch.running.runner import Runner
-from smarttouch.views.recordings_page import RecordingsPage
 from smarttouch.views.window import Window
 
 HERE = Path(__file__).parent
@@ -45,20 +43,9 @@ def take(page, name, whole=False):
     few.save(HERE / name, optimize=True)
 
 
-def record(folder, mode):
-    """Return a recording of a word."""
-    profile, path = st.load_profile("electric-mouse"), folder / f"{mode}.mcap"
-    with (
-        st.open_source("text:touch", profile) as source,
-        st.open_display("simulated:", profile) as display,
-    ):
-        st.run(source, display, mode=mode, listeners=[st.Recorder(path)])
-    return path
-
-
 def main():
     """Take all pictures."""
-    with sync_playwright() as driver, tempfile.TemporaryDirectory() as folder:
+    with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path="/usr/bin/chromium", args=[*ARGUMENTS])
 
         def opened(address, width, height=900):
@@ -74,28 +61,6 @@ def main():
                 page.wait_for_timeout(3000)
                 take(page, name, whole=width < 1000)
                 page.close()
-        with running("draw:") as address:
-            page = opened(address, 1440)
-            page.wait_for_selector("#draw-card:not([hidden])")
-            page.select_option("#library", "turn")
-            page.wait_for_selector("#patterns li")
-            page.fill("#letter", "S")
-            page.wait_for_timeout(500)
-            page.click("#keep")
-            page.wait_for_selector("#felt[data-spikes]")
-            page.wait_for_timeout(4000)
-            take(page, "window-draw.png", whole=True)
-            page.close()
-        both = [record(Path(folder), mode) for mode in ("RA", "SAI")]
-        with RecordingsPage(both) as recordings:
-            page = opened(recordings.address, 1440)
-            page.wait_for_selector(".electrodes[data-step='0']")
-            for _ in range(42):
-                page.click("#after")
-            page.wait_for_selector(".electrodes[data-step='42']")
-            page.wait_for_selector(".side:nth-child(2) .felt[data-spikes]")
-            page.wait_for_timeout(5000)
-            take(page, "recordings.png", whole=True)
         browser.close()
 
 

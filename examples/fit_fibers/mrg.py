@@ -49,9 +49,7 @@ class MrgFiber:
         except (ImportError, OSError) as error:
             raise DesignError(
                 f"the MRG model needs PyFibers and NEURON, which are not ready here ({error}): "
-                'pip install "neuron>=9" "pyfibers>=0.13", then run pyfibers_compile',
-                about="pyfibers",
-                remedy="pip install",
+                'pip install "neuron>=9" "pyfibers>=0.13", then run pyfibers_compile'
             ) from None
         logging.getLogger("pyfibers").setLevel(logging.ERROR)
         self._fiber: Any = build_fiber(

@@ -1,6 +1,4 @@
-"""Pictures of electrodes and arrays: one set of colors, discs for files, cells for notebooks."""
-
-from collections.abc import Iterable
+"""Pictures of electrodes and arrays: one set of colors, discs for pictures, cells for notebooks."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +47,6 @@ class ElectrodePicture:
         # It takes a third of a second to import, and cells need none of it.
         from scipy.spatial import cKDTree
 
-        # Even sides, as films have.
         half = [max(1, round(each * px_per_mm / 2)) for each in electrodes.extent_mm]
         x, y = ((np.arange(2 * each) - each + 0.5) / px_per_mm for each in half)
         away, nearest = cKDTree(electrodes.position_mm).query(np.stack(np.meshgrid(x, y), axis=-1))
@@ -67,24 +64,6 @@ class ElectrodePicture:
         if self._edge is not None:
             image += (np.array(EDGE, np.float32) - image) * self._edge
         return np.asarray(np.rint(image), np.uint8)
-
-
-def electrodes_svg(electrodes: ElectrodeArray, colors: Colors, titles: Iterable[str]) -> str:
-    """Return electrodes as SVG discs in mm, each with a title."""
-    wide, high = electrodes.extent_mm
-    radius_mm = disc_radius_mm(electrodes)
-    discs = "".join(
-        f'<circle cx="{x:g}" cy="{y:g}" r="{radius_mm:g}" fill="rgb({red},{green},{blue})">'
-        f"<title>{title}</title></circle>"
-        for (x, y), (red, green, blue), title in zip(
-            electrodes.position_mm.tolist(), colors.tolist(), titles, strict=True
-        )
-    )
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide * 10:g}" height="{high * 10:g}" '
-        f'viewBox="{-wide / 2:g} {-high / 2:g} {wide:g} {high:g}">'
-        f'<g stroke="rgb{EDGE}" stroke-width="0.04">{discs}</g></svg>\n'
-    )
 
 
 def cells_svg(rows: NDArray[np.generic], names: tuple[str, ...] = ()) -> str:

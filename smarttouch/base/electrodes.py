@@ -48,7 +48,7 @@ class ElectrodeArray:
             raise ProfileError(
                 f"the array has {len(self) or 'no'} electrode{'' if len(self) else 's'}: give at "
                 "least two, as current must go somewhere",
-                about="electrodes",
+                key="electrodes",
             )
         # Of one shape they may overlap where a field is computed for each by itself.
         self._refuse_overlaps(COINCIDENT_MM if self.own is None else None)
@@ -64,7 +64,7 @@ class ElectrodeArray:
             raise ProfileError(
                 f"electrodes {first} and {second} {how}, middle to middle: move one of them, or "
                 "make them smaller",
-                about="electrodes",
+                key="electrodes",
                 electrode=first,
             )
 
@@ -215,5 +215,5 @@ def parse_ranges(
     ]
     if None in found:
         message = f"{about} {text!r} are no list: give numbers and ranges like 0-7,12"
-        raise error(message, about=about)
+        raise error(message)
     return [(int(each[1]), int(each[2] or each[1])) for each in found if each]

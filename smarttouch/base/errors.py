@@ -1,4 +1,4 @@
-"""Errors for the user. Each message has the subject, the number, and the remedy."""
+"""Errors for the user. A message says what is wrong, with its value, and what to do."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -10,34 +10,18 @@ _Choice = TypeVar("_Choice", bound=str)
 class SmartTouchError(Exception):
     """Base of every error this package raises on purpose.
 
-    The message is for people; programs and tests go by the type and these attributes.
-
     Parameters
     ----------
     message : str
-        One sentence: what is wrong, which number, what to do.
-    about : str
-        Name of what is wrong: a parameter, a key of a profile, a limit, or "file", "port",
-        "board" and the like.
-    remedy : str
-        The parameter, key or command that fixes it, and its value: "overwrite or output",
-        "profile line-8".
+        What is wrong, with its value, and what to do.
     slot, electrode : int or None
         Place of the problem, if it has one.
     """
 
     def __init__(
-        self,
-        message: str = "",
-        *,
-        about: str = "",
-        remedy: str = "",
-        slot: int | None = None,
-        electrode: int | None = None,
+        self, message: str = "", *, slot: int | None = None, electrode: int | None = None
     ) -> None:
         super().__init__(message)
-        self.about: str = about
-        self.remedy: str = remedy
         self.slot: int | None = slot
         self.electrode: int | None = electrode
 
@@ -47,17 +31,23 @@ class TableError(SmartTouchError):
 
     Attributes
     ----------
+    key : str
+        The first wrong key; "" if the file as a whole is wrong.
     complaints : tuple of tuple
-        Key and sentence of each thing that is wrong; ``about`` is the key of the first.
+        Key and sentence of each wrong value.
     """
 
     def __init__(
-        self, message: str = "", *, complaints: Sequence[tuple[str, str]] = (), **attributes: Any
+        self,
+        message: str = "",
+        *,
+        key: str = "",
+        complaints: Sequence[tuple[str, str]] = (),
+        **place: Any,
     ) -> None:
-        super().__init__(message, **attributes)
-        self.complaints: tuple[tuple[str, str], ...] | tuple[tuple[str, str]] = tuple(
-            complaints
-        ) or ((self.about, message),)
+        super().__init__(message, **place)
+        self.key: str = key
+        self.complaints: tuple[tuple[str, str], ...] = tuple(complaints) or ((key, message),)
 
 
 class ProfileError(TableError):
@@ -114,7 +104,7 @@ class SafetyError(SmartTouchError):
     Attributes
     ----------
     limit : str
-        Name of the limit: what the error is about.
+        Name of the limit.
     value, allowed : float
         Requested and allowed value, in the limit's unit; NaN where neither is a
         number.
@@ -130,13 +120,10 @@ class SafetyError(SmartTouchError):
         slot: int | None = None,
         electrode: int | None = None,
     ) -> None:
-        super().__init__(message, about=limit, slot=slot, electrode=electrode)
+        super().__init__(message, slot=slot, electrode=electrode)
+        self.limit: str = limit
         self.value: float = value
         self.allowed: float = allowed
-
-    @property
-    def limit(self) -> str:
-        return self.about
 
 
 class BoardError(SmartTouchError):
@@ -191,13 +178,9 @@ class RecordingError(SmartTouchError):
     """A recording cannot be written or read."""
 
 
-class MarkersError(SmartTouchError):
-    """LSL markers cannot be sent."""
-
-
 def require_within(
     error: type[SmartTouchError],
-    about: str,
+    name: str,
     value: float,
     least: float,
     most: float,
@@ -215,20 +198,18 @@ def require_within(
     allowed = f"above {least:g}, at most {most:g}" if above else f"{least:g} to {most:g}"
     if most == math.inf:
         allowed = f"a number above {least:g}" if above else f"{least:g} or more"
-    message = f"{words or f'{about} {value:g}'} is out of range: give {allowed}"
-    raise error(message, about=about)
+    raise error(f"{words or f'{name} {value:g}'} is out of range: give {allowed}")
 
 
 def not_offered(
-    about: str, value: str, names: Iterable[str], error: type[SmartTouchError] = SmartTouchError
+    name: str, value: str, names: Iterable[str], error: type[SmartTouchError] = SmartTouchError
 ) -> SmartTouchError:
     """Return the error of a parameter that names none of its choices."""
-    message = f"{about} {value!r} is not offered: choose {' or '.join(names)}"
-    return error(message, about=about)
+    return error(f"{name} {value!r} is not offered: choose {' or '.join(names)}")
 
 
 def choice_of(
-    about: str,
+    name: str,
     text: str,
     choices: Iterable[_Choice],
     error: type[SmartTouchError] = SmartTouchError,
@@ -238,7 +219,7 @@ def choice_of(
     for each in known:
         if text.lower() == each.lower():
             return each
-    raise not_offered(about, text, known)
+    raise not_offered(name, text, known)
 
 
 def kind_in_words(value: object) -> str:
@@ -247,29 +228,6 @@ def kind_in_words(value: object) -> str:
         return f"an array of {value.dtype} {value.shape}"
     name = type(value).__name__
     return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
-
-
-def require_made(made: object, error: type[SmartTouchError], about: str) -> None:
-    """Raise if the class of an object of a program did not call its base's ``__init__``, which
-    gives it ``notes``."""
-    if not hasattr(made, "notes"):
-        name = type(made).__name__
-        raise error(
-            f"{name} does not call super().__init__(): do so in its __init__, or in __post_init__ "
-            "of a dataclass",
-            about=about,
-        )
-
-
-def require_returned(
-    owner: object, method: str, value: object, kind: type, wanted: str, error: type[SmartTouchError]
-) -> None:
-    """Raise if a method of a program's class returned something else than its contract asks."""
-    if not isinstance(value, kind):
-        raise error(
-            f"{type(owner).__name__}.{method} returned {kind_in_words(value)}: return {wanted}",
-            about=method,
-        )
 
 
 class DeprecatedNameWarning(DeprecationWarning):

@@ -1,4 +1,4 @@
-"""Files named by users, opened without waiting and read up to a limit; data of the package.
+"""Files named by users, read up to a limit of size; data of the package.
 
 What is written is for its owner alone.
 """
@@ -34,9 +34,8 @@ MOST_BANK_BYTES = 700_000_000
 """The same of a bank of kernels: that of 4,096 electrodes has 605 million, nearly all zero."""
 MOST_DOCUMENT_BYTES = 2_000_000_000  # largest image, PDF or video; only the needed parts are read
 
-# Parsers take the square of a key's parts: 60 kB of "a.a.a" keep tomllib for 14 s.
-_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}""")
 _KINDS = (
+    (stat.S_ISDIR, "folder"),
     (stat.S_ISFIFO, "pipe"),
     (stat.S_ISSOCK, "socket"),
     (stat.S_ISCHR, "device"),
@@ -47,38 +46,36 @@ _KINDS = (
 def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> None:
     """Raise unless a path leads to a regular file of at most so many bytes."""
     try:
-        _check(path, path.stat(), error, most_bytes)
+        found = path.stat()
     except (FileNotFoundError, NotADirectoryError, ValueError):
-        raise error(f"no file {path}: check its name", about="file") from None
+        raise error(f"no file {path}: check its name") from None
     except OSError as failure:
         raise unreadable(error, path, failure) from None
+    for is_kind, name in _KINDS:
+        if is_kind(found.st_mode):
+            raise error(f"{path} is a {name}: give a file")
+    if found.st_size > most_bytes:
+        size_mb, most_mb = found.st_size / 1e6, most_bytes / 1e6
+        message = f"{path} has {size_mb:,.1f} MB, above the limit of {most_mb:,.0f} MB"
+        raise error(message)
 
 
 def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
     """Raise if a new file would replace anything but a file, such as a device."""
     if path.exists() and not path.is_file():
-        raise error(f"cannot write {path}: it is no file; give another name", about="file")
+        raise error(f"cannot write {path}: it is no file; give another name")
 
 
 def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> BinaryIO:
-    """Open a regular file for reading; opening never waits for another program.
+    """Open a regular file for reading; see `require_file` for what is refused.
 
-    Symbolic links are followed. See `require_file` for what is refused.
+    A device or a pipe is not opened: that may wait, or reset a board.
     """
-    # Looked at before it is opened, as opening a device may do something to it, and after, as it
-    # may have become another.
     require_file(path, error, most_bytes)
     try:
-        number = os.open(path, os.O_RDONLY | O_NONBLOCK | O_CLOEXEC | O_NOCTTY | O_BINARY)
-        file = os.fdopen(number, "rb")
+        return path.open("rb")
     except OSError as failure:
         raise unreadable(error, path, failure) from None
-    try:
-        _check(path, os.fstat(number), error, most_bytes)
-    except BaseException:
-        file.close()
-        raise
-    return file
 
 
 def read_bytes(
@@ -87,12 +84,9 @@ def read_bytes(
     """Return the content of a file; raises as `open_file` does."""
     try:
         with open_file(path, error, most_bytes) as file:
-            data = file.read(most_bytes + 1)
+            return file.read()
     except OSError as failure:
         raise unreadable(error, path, failure) from None
-    if len(data) > most_bytes:
-        raise _too_large(error, path, len(data), most_bytes)
-    return data
 
 
 def read_text(path: Path, error: type[SmartTouchError], most_bytes: int = MOST_TABLE_BYTES) -> str:
@@ -106,7 +100,7 @@ def decoded(data: bytes, path: Path, error: type[SmartTouchError]) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as failure:
         message = f"{path} is not a text in UTF-8 (byte {failure.start + 1}): save it as UTF-8"
-        raise error(message, about="file") from None
+        raise error(message) from None
 
 
 _FILE_NAME = re.compile(r"\.{0,2}/\S+|\S*\.[A-Za-z]\w{1,3}")
@@ -117,7 +111,7 @@ def named_file(name: str, error: type[SmartTouchError]) -> Path | None:
     there = file_at(name)
     if there is None and _FILE_NAME.fullmatch(name):
         message = f"there is no file {name}: check its name, or give text:{name} for these words"
-        raise error(message, about="file")
+        raise error(message)
     return there
 
 
@@ -133,38 +127,9 @@ def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
     """Return the tables of a TOML file, of which nothing has been checked yet."""
     text = read_text(path, error, MOST_TOML_BYTES)
     try:
-        return parse_toml(text)
-    except ValueError as failure:
-        raise error(f"{path} is not a readable TOML file: {failure}", about="file") from None
-
-
-def parse_toml(text: str) -> dict[str, Any]:
-    """Return the tables of a TOML text; ValueError if it is invalid or nested too deeply."""
-    if _DEEP_KEY.search(text):
-        raise ValueError("a key has more than 32 parts")
-    try:
-        table = tomllib.loads(text)
-        _require_integers(table)
-    except RecursionError:
-        raise ValueError("it is nested too deeply") from None
-    return table
-
-
-def _require_integers(value: object) -> None:
-    """Raise if an integer is longer than in TOML: Python refuses to print the longest."""
-    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    for each in inner:
-        _require_integers(each)
-    if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise ValueError("an integer has more than 64 bits")
-
-
-def parse_json(text: str | bytes) -> Any:
-    """Return the value of a JSON text; ValueError if it is invalid or nested too deeply."""
-    try:
-        return json.loads(text)
-    except RecursionError:
-        raise ValueError("it is nested too deeply") from None
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as failure:
+        raise error(f"{path} is not a readable TOML file: {failure}") from None
 
 
 def owner_only(path: str, flags: int) -> int:
@@ -223,7 +188,7 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
                 fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) & ~O_NONBLOCK)
             file.write(data)
     except ValueError:
-        raise error(f"cannot write {path}: no file has such a name", about="file") from None
+        raise error(f"cannot write {path}: no file has such a name") from None
     except OSError as failure:
         raise unwritable(error, path, failure) from None
 
@@ -249,7 +214,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             message = (
                 f"{path} is in use by another run: wait until that has ended, or give another file"
             )
-            raise error(message, about="file") from None
+            raise error(message) from None
         except OSError:
             return file
         # Its owner may have removed it just now: that lock then excludes no one.
@@ -276,41 +241,22 @@ def sync_folder(folder: Path) -> None:
             os.close(number)
 
 
-def _check(
-    path: Path, found: os.stat_result, error: type[SmartTouchError], most_bytes: int
-) -> None:
-    if stat.S_ISDIR(found.st_mode):
-        raise error(f"{path} is a folder: give a file", about="file")
-    for is_kind, name in _KINDS:
-        if is_kind(found.st_mode):
-            raise error(f"{path} is a {name}: give a file", about="file")
-    if found.st_size > most_bytes:
-        raise _too_large(error, path, found.st_size, most_bytes)
-
-
 def unreadable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
     """Return the error for a file that cannot be read."""
-    return error(f"cannot read {path}: {failure.strerror}", about="file")
+    return error(f"cannot read {path}: {failure.strerror}")
 
 
 def unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
     """Return the error for a file that cannot be written."""
     reason = "nobody reads from it" if failure.errno == errno.ENXIO else failure.strerror
-    return error(f"cannot write {path}: {reason}", about="file")
-
-
-def _too_large(
-    error: type[SmartTouchError], path: Path, size: int, most_bytes: int
-) -> SmartTouchError:
-    message = f"{path} has {size / 1e6:,.1f} MB, above the limit of {most_bytes / 1e6:,.0f} MB"
-    return error(message, about="file")
+    return error(f"cannot write {path}: {reason}")
 
 
 def require_folder(path: Path | None) -> None:
     """Raise before any work is done if a file could not be written in the end."""
     if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
         message = f"cannot write {path}: give a file in a folder that exists"
-        raise SmartTouchError(message, about="file")
+        raise SmartTouchError(message)
 
 
 def write_json(path: Path, figures: Any) -> None:

@@ -32,7 +32,7 @@ def import_extra(
     except ImportError:
         command = f"pip install 'smarttouch[{extra}]'"
         message = f"{what} needs the extra {extra}: {command}"
-        raise error(message, about="extra", remedy=command) from None
+        raise error(message) from None
 
 
 _ANSWERS_WITHIN_S = 10
@@ -55,8 +55,7 @@ def on_cluster(address: str | None) -> Iterator[None]:
     except (OSError, ValueError, ImportError) as error:
         raise SmartTouchError(
             f"no Dask scheduler answers at {address!r} ({error or type(error).__name__}): give its "
-            "address as tcp://HOST:8786",
-            about="cluster",
+            "address as tcp://HOST:8786"
         ) from None
     with client, parallel_config("dask", client=client, wait_for_workers_timeout=60):
         yield

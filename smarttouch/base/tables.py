@@ -1,77 +1,17 @@
-"""Tables and arrays in files, checked as they are read: CSV, NPY and NPZ."""
+"""Tables in CSV files, checked as they are read."""
 
 import csv
 import io
 import math
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.files import MOST_ARRAY_BYTES, read_text
-
-_LONGEST_HEADER = 10_000
-_MOST_ARRAYS = 1000
-
-
-def read_array(file: BinaryIO, size: int, most_bytes: int = MOST_ARRAY_BYTES) -> NDArray[Any]:
-    """Return the array of a ``.npy`` file of ``size`` bytes, read from its beginning.
-
-    Raises ValueError if it is no such file, is cut, would have to be unpickled or is too large.
-    """
-    try:
-        version = np.lib.format.read_magic(file)
-        read_header = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }[version]
-        shape, by_column, kind = read_header(file, max_header_size=_LONGEST_HEADER)
-    except Exception as error:
-        # The header is Python source: its damages are those of a parser.
-        raise ValueError(f"its header is damaged ({type(error).__name__})") from None
-    if kind.hasobject:
-        raise ValueError("it holds Python objects, which are not read")
-    claimed = math.prod(shape) * kind.itemsize
-    if min(shape, default=0) < 0 or claimed > min(size, most_bytes):
-        raise ValueError(f"it claims {claimed / 1e6:,.1f} MB")
-    data = file.read(claimed)
-    if len(data) != claimed:
-        raise ValueError("it is cut")
-    sides = [int(side) for side in shape]
-    return np.ndarray(sides, kind, bytearray(data), order="F" if by_column else "C")
-
-
-def read_arrays(file: BinaryIO, most_bytes: int = MOST_ARRAY_BYTES) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an ``.npz`` archive by name; ValueError if damaged or too large."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            members = archive.infolist()
-            size = sum(each.file_size for each in members)
-            if len(members) > _MOST_ARRAYS or size > most_bytes:
-                raise ValueError(f"it claims {len(members)} arrays of {size / 1e6:,.1f} MB")
-            return {
-                each.filename.removesuffix(".npy"): _member(archive, each, most_bytes)
-                for each in members
-            }
-    except ValueError:
-        raise
-    except Exception as error:
-        # A damaged archive fails in a dozen ways, down to those of its compression.
-        raise ValueError(f"it is damaged ({type(error).__name__})") from None
-
-
-def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, most_bytes: int) -> NDArray[Any]:
-    with archive.open(member) as packed:
-        # All of it, and what should not follow it, so that its checksum is looked at.
-        data = packed.read(member.file_size + 1)
-    if len(data) != member.file_size:
-        raise ValueError(f"{member.filename} does not have the size that it claims")
-    return read_array(io.BytesIO(data), len(data), most_bytes)
+from smarttouch.base.files import read_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +36,12 @@ class CsvTable:
                 f"{self.path} has the columns {', '.join(self.head) or 'none'}: its first line "
                 f"must name {', '.join(names)}"
             )
-            raise self.error(message, about="columns")
+            raise self.error(message)
         places = [self.head.index(name) for name in names]
         values = np.array([self._row(row, places) for row in range(len(self.rows))])
         if len(values) < fewest:
             message = f"{self.path} has {len(values)} rows of numbers: give {fewest} or more"
-            raise self.error(message, about="rows")
+            raise self.error(message)
         falls = np.flatnonzero(np.diff(values[:, 0]) <= 0)
         if rising and len(falls):
             row = int(falls[0]) + 1
@@ -114,7 +54,7 @@ class CsvTable:
         """Return the error of a row, with its line."""
         line = self.lines[row]
         message = f"{self.path}, line {line}: {words}"
-        return self.error(message, about="line")
+        return self.error(message)
 
     def _row(self, row: int, places: list[int]) -> list[float]:
         cells = self.rows[row]
@@ -144,7 +84,7 @@ def parse_csv(
         found = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
     except csv.Error as failure:
         message = f"{path} is no CSV file ({failure}): save it as one in UTF-8"
-        raise error(message, about="file") from None
+        raise error(message) from None
     lines, (head, *rows) = [line for line, _ in found[1:]], [row for _, row in found] or [[]]
     return CsvTable(path, error, tuple(map(str.strip, head)), rows, lines)
 

@@ -82,9 +82,7 @@ class GuardedStream:
                 raise
         except OSError as error:
             if self._name:
-                raise SmartTouchError(
-                    f"cannot write to {self._name}: {error.strerror}", about="stream"
-                ) from None
+                raise SmartTouchError(f"cannot write to {self._name}: {error.strerror}") from None
 
 
 class PlainStream(GuardedStream):
@@ -331,7 +329,7 @@ def never_waiting(stopped: Callable[[], bool]) -> Iterator[None]:
             raise
         except OSError as error:
             message = f"cannot write to standard output: {error.strerror}"
-            raise SmartTouchError(message, about="standard output") from None
+            raise SmartTouchError(message) from None
         finally:
             outlet.close()
 

@@ -1,8 +1,8 @@
-"""Options in URLs, and the options of commands that errors name."""
+"""Options in URLs."""
 
 import inspect
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
@@ -33,16 +33,14 @@ def read_options(
     for name, text in parts:
         if name not in known:
             raise error(
-                f"{rest!r} has no option {name}: choose {', '.join(sorted(known))}, or leave it "
-                "out",
-                about=f"?{name}",
+                f"{rest!r} has no option {name}: choose {', '.join(sorted(known))}, or leave it out"
             )
         kind = known[name]
         value = _read_option(name, unquote(text), kind, error)
         if kind is Sequence:
             found.setdefault(name, []).append(value)
         elif name in found:
-            raise error(f"{rest!r} has {name} twice: give it once", about=f"?{name}")
+            raise error(f"{rest!r} has {name} twice: give it once")
         else:
             found[name] = value
     return place, found
@@ -53,16 +51,15 @@ def joined_options(
 ) -> dict[str, Any]:
     """Return the options given beside a URL and those in it; raises if one is in both."""
     if twice := sorted(given.keys() & in_url.keys()):
-        raise error(f"{twice[0]} is given in {url!r} and beside it: leave one out", about=twice[0])
+        raise error(f"{twice[0]} is given in {url!r} and beside it: leave one out")
     return given | in_url
 
 
-def parse_size(text: str, error: type[SmartTouchError], about: str) -> tuple[int, int]:
+def parse_size(text: str, error: type[SmartTouchError], name: str) -> tuple[int, int]:
     """Return width and height, as in 640x480."""
     found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", text.lower())
     if found is None:
-        message = f"{about} {text!r} is not a size: give width and height as 640x480"
-        raise error(message, about=about)
+        raise error(f"{name} {text!r} is not a size: give width and height as 640x480")
     return int(found[1]), int(found[2])
 
 
@@ -97,21 +94,4 @@ def _read_option(name: str, text: str, kind: Any, error: type[SmartTouchError]) 
         return text if kind is Sequence else kind(text)
     except (ValueError, KeyError):
         needed = {bool: "1 or 0", int: "a whole number", float: "a number"}[kind]
-        message = f"?{name}={text} cannot be read: give {needed}, as in ?{name}=1"
-        raise error(message, about=f"?{name}") from None
-
-
-def named_options(error: SmartTouchError, command: Any, arguments: Iterable[str]) -> str:
-    """Return, in parentheses, options of the typed command that an error is about; or nothing.
-
-    The library knows parameters, not options: an error names one in ``about``, and one at the
-    start of each way out in ``remedy`` ("width_mm", "overwrite or output", "profile line-8").
-    """
-    for word in arguments:
-        command = getattr(command, "commands", {}).get(word, command)
-    options = {
-        each.name: each.opts[0] for each in command.params if each.param_type_name == "option"
-    }
-    names = [error.about, *(way.partition(" ")[0] for way in error.remedy.split(" or "))]
-    found = dict.fromkeys(options[name] for name in names if name in options)
-    return f" ({', '.join(found)})" if found else ""
+        raise error(f"?{name}={text} cannot be read: give {needed}, as in ?{name}=1") from None

@@ -67,8 +67,7 @@ class Announcement:
             file = Path(error.filename2 or error.filename or self._path)
             raise SmartTouchError(
                 f"cannot write {file}, by which smarttouch stop would find this run: "
-                f"{error.strerror}; move what is there out of the way",
-                about="file",
+                f"{error.strerror}; move what is there out of the way"
             ) from None
         if on_request is not None:
             threading.Thread(
@@ -173,14 +172,12 @@ def stop_all() -> int:
     if left:
         raise SmartTouchError(
             f"{len(left)} of {len(asked)} runs have not ended within {ENDED_WITHIN_S:g} s (process "
-            f"{left[0]}): switch the board off",
-            about="runs",
+            f"{left[0]}): switch the board off"
         )
     if lost:
         raise SmartTouchError(
             f"a board has not confirmed that it is at zero (of process {lost[0]}, which has "
-            "ended): switch it off",
-            about="runs",
+            "ended): switch it off"
         )
     if no_mark is not None:
         raise no_mark
@@ -228,8 +225,7 @@ def leave_mark() -> int:
         place = Path(error.filename2 or error.filename or mark)
         raise SmartTouchError(
             f"cannot write {place}, which keeps runs that are just starting from beginning: "
-            f"{error.strerror}; move what is there out of the way and stop again",
-            about="file",
+            f"{error.strerror}; move what is there out of the way and stop again"
         ) from None
     for path, earlier_ns in _marks().items():
         if earlier_ns < time_ns:
@@ -291,7 +287,7 @@ def _folder() -> Path:
         return path
     except OSError as error:
         message = f"cannot make the folder {error.filename} for the state of runs: {error.strerror}"
-        raise SmartTouchError(message, about="folder") from None
+        raise SmartTouchError(message) from None
 
 
 def _listed() -> list[Path]:
@@ -299,7 +295,7 @@ def _listed() -> list[Path]:
         return sorted(_folder().iterdir())
     except OSError as error:
         message = f"cannot look for runs in {error.filename}: {error.strerror}"
-        raise SmartTouchError(message, about="folder") from None
+        raise SmartTouchError(message) from None
 
 
 def _new_file() -> tuple[int, Path]:

@@ -3,7 +3,6 @@
 import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from numbers import Integral
 from types import TracebackType
 from typing import Any, ClassVar, Self, final
 
@@ -18,8 +17,6 @@ from smarttouch.base.errors import (
     BoardStoppedError,
     LineLostError,
     SequenceLateError,
-    require_made,
-    require_returned,
 )
 from smarttouch.boards.faults import latch, refuse_latched
 from smarttouch.boards.reports import (
@@ -100,8 +97,7 @@ class Board(TimedBoard, ABC):
         if output is not None and output.wiring is not None and not self.takes_wiring:
             raise BoardError(
                 "output.wiring is for boards whose outputs are wired by the user (etactilekit:): "
-                "remove it from the profile of this one",
-                about="output.wiring",
+                "remove it from the profile of this one"
             )
         super().__init__()
         self.notes: list[str] = []
@@ -129,9 +125,8 @@ class Board(TimedBoard, ABC):
             If the displays of this user could drive more current together than
             `CEILING_USER_MA`, and whatever keeps the board from opening.
         """
-        require_made(self, BoardError, "board")
         if self._opened:
-            raise BoardError("the board is open already: close it first", about="board")
+            raise BoardError("the board is open already: close it first")
         self._require_seal()
         refuse_latched(self.device)
         enter(self)
@@ -160,8 +155,7 @@ class Board(TimedBoard, ABC):
         if not isinstance(getattr(self, "capabilities", None), Capabilities):
             raise BoardError(
                 f"{type(self).__name__} does not set capabilities: do so in __init__, or at the "
-                "latest in _open",
-                about="capabilities",
+                "latest in _open"
             )
         self._go_on_unless_stopped()
 
@@ -220,7 +214,7 @@ class Board(TimedBoard, ABC):
             with self._driving() if self.drives_in_send else contextlib.nullcontext():
                 if opening != self._openings:
                     raise BoardStoppedError(
-                        "the board was closed before this was sent: begin at zero", about="board"
+                        "the board was closed before this was sent: begin at zero"
                     )
                 number = self._send(proved, times)
                 # Within: by the time that a stop returns, the report includes it.
@@ -236,14 +230,11 @@ class Board(TimedBoard, ABC):
             # Nothing was delivered for a while: what comes next begins at zero.
             self._gate.restart()
             self.notes.append(f"{lost}: restarted")
-            raise BoardRestartedError(f"{lost}, and was restarted", about=lost.about) from None
+            raise BoardRestartedError(f"{lost}, and was restarted") from None
         except BoardError:
             # On a stopped board any failure is due to the stop.
             self._go_on_unless_stopped()
             raise
-        if type(number) is not int:
-            wanted = "the number of the sequence on the board"
-            require_returned(self, "_send", number, Integral, wanted, BoardError)
         return number
 
     @final
@@ -280,9 +271,7 @@ class Board(TimedBoard, ABC):
         """Put the board at zero for good and record its fault; return the error to raise."""
         self._fault_found = BoardFaultError(
             f"{reason}: the board is at zero and latched; have it checked, then clear it with "
-            "smarttouch devices clear",
-            about="board",
-            remedy="smarttouch devices clear",
+            "smarttouch devices clear"
         )
         with contextlib.suppress(BoardError):
             self.halt()
@@ -332,7 +321,6 @@ class Board(TimedBoard, ABC):
         self._gate.restart()
         try:
             found = self._measure()
-            require_returned(self, "_measure", found, Impedance, "an Impedance", BoardError)
         except BoardError as error:
             # A board whose line is lost is at zero only if the stop has reached it.
             if self._zeroed or not isinstance(error, LineLostError):
@@ -363,7 +351,7 @@ class Board(TimedBoard, ABC):
     @final
     def _require_open(self, what: str) -> None:
         if not self._opened:
-            raise BoardClosedError(f"the board is not open: open it before {what}", about="board")
+            raise BoardClosedError(f"the board is not open: open it before {what}")
 
     @final
     def _require_seal(self) -> None:
@@ -463,7 +451,7 @@ class Board(TimedBoard, ABC):
         raise lost
 
     def _measure(self) -> Impedance:
-        raise BoardError("this board does not measure: use a multimeter", about="measure")
+        raise BoardError("this board does not measure: use a multimeter")
 
     def _close(self) -> None:
         """Close the line, if there is one; all electrodes are at zero already."""
@@ -498,6 +486,5 @@ def _require_same_clock(due_ns: int, now_ns: int) -> None:
     if away_ns > FARTHEST_NS:
         raise BoardError(
             f"due_ns is {away_ns / 1e9:.3g} s from now, and at most {FARTHEST_NS / 1e9:g} s are "
-            "possible: give a time of the board's clock (board.clock.now_ns())",
-            about="due_ns",
+            "possible: give a time of the board's clock (board.clock.now_ns())"
         )

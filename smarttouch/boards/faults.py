@@ -69,9 +69,7 @@ def refuse_latched(device: str | None) -> None:
     if device is not None and (found := find_latch(device)) is not None:
         raise BoardLatchedError(
             f"the board ({device}) is latched since {found.date}: {found.reason}; have it checked, "
-            "then clear it with smarttouch devices clear",
-            about="board",
-            remedy="smarttouch devices clear",
+            "then clear it with smarttouch devices clear"
         )
 
 
@@ -92,7 +90,7 @@ def restart_lost_board(start: Callable[[], None], lost: LineLostError) -> None:
         except BoardStoppedError:
             raise
         except OtherDeviceError as other:
-            raise BoardError(f"{lost}; {other}", about=other.about) from None
+            raise BoardError(f"{lost}; {other}") from None
         except BoardError as again:
             if not left or not isinstance(again, LineLostError | SilentBoardError):
                 raise lost from None

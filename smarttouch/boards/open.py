@@ -9,8 +9,8 @@ from typing import Any
 
 from serial.tools import list_ports
 
-from smarttouch.base.errors import BoardError, require_made
-from smarttouch.base.registry import find_opener, refuse_rest
+from smarttouch.base.errors import BoardError
+from smarttouch.base.registry import find_opener, refuse_rest, require_kind
 from smarttouch.base.url_options import read_options
 from smarttouch.boards.board import Board
 from smarttouch.boards.seal import is_foreign, seal_error, seal_fault
@@ -29,6 +29,7 @@ def make_board(
     rest, from_url = read_options(opener, rest, BoardError, but=("output",))
     given = replace(limits)
     board: Board = opener(rest, limits, output, **{**from_url, **options})
+    require_kind(board, Board, url, BoardError)
     require_gate(board, limits, given)
     return board
 
@@ -42,7 +43,6 @@ def _of_one_source(found: SafetyLimits, given: SafetyLimits, output: Output | No
 def require_gate(board: Board, limits: SafetyLimits, given: SafetyLimits) -> None:
     """Raise BoardError unless a board keeps the limits that its driver was given, unchanged since
     ``given`` was copied, all final methods, and, if a finger may be on it, the machine's clock."""
-    require_made(board, BoardError, "board")
     fault = seal_fault(board)
     if fault is not None:
         raise fault
@@ -67,7 +67,7 @@ def default_profile(url: str) -> str:
 
 
 def _driver(url: str) -> tuple[Callable[..., Any], str]:
-    return find_opener("smarttouch.boards", url, BoardError, Board, ("rest", "limits", "output"))
+    return find_opener("smarttouch.boards", url, BoardError)
 
 
 class MemoryBoard(Board):

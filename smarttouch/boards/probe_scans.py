@@ -29,9 +29,7 @@ def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[Sca
     if limits.electrode_ma is not None:
         peak_ma = min(peak_ma, 0.9 * min(limits.electrode_ma))
     if peak_ma < 0.02:
-        raise BoardError(
-            f"the limits allow {peak_ma * 1000:.0f} µA: too little to measure with", about="limits"
-        )
+        raise BoardError(f"the limits allow {peak_ma * 1000:.0f} µA: too little to measure with")
     top = peak_ma / limits.full_ma
     rise_s = limits.ramp_s * top
     # Only the time of passes with current counts towards the rise.

@@ -59,26 +59,21 @@ class Capabilities:
         if (electrodes := sequence.current_ua.shape[1]) != self.electrodes:
             raise BoardError(
                 f"the sequence is for {electrodes} electrodes, the board has "
-                f"{self.electrodes}: use the profile of this board",
-                about="electrodes",
+                f"{self.electrodes}: use the profile of this board"
             )
         if sequence.vibration is not None and not self.vibrates:
             raise BoardError(
                 "the sequence asks for mechanical vibration, and this board has no vibrators: "
-                "give it some",
-                about="vibration",
-                remedy="vibrators",
+                "give it some"
             )
         if sequence.recharge_ua is not None and not self.recharges:
             raise BoardError(
-                "the sequence ends with a recharge phase, and this board makes none: leave it out",
-                about="recharge_ua",
+                "the sequence ends with a recharge phase, and this board makes none: leave it out"
             )
         whole = isinstance(times, (int, np.integer)) and not isinstance(times, bool)
         if not whole or not 1 <= times <= LONGEST_REPEAT:
             raise BoardError(
-                f"{times} repetitions are not possible: a whole number from 1 to {LONGEST_REPEAT}",
-                about="times",
+                f"{times} repetitions are not possible: a whole number from 1 to {LONGEST_REPEAT}"
             )
 
     def describe(self) -> list[tuple[str, str]]:

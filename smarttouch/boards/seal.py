@@ -76,8 +76,7 @@ class Sealed(metaclass=SealedType):
 def _replaced(kind: type, name: str) -> BoardError:
     return BoardError(
         f"{kind.__name__} replaces {name}, which keeps every board safe: implement the underscored "
-        "methods of Board instead",
-        about=name,
+        "methods of Board instead"
     )
 
 
@@ -144,7 +143,7 @@ def seal_fault(board: Any) -> BoardError | None:
 def seal_error(board: Any, about: str, remedy: str) -> BoardError:
     """Return the error of a board that bypasses its gate."""
     kind = type(board).__name__
-    return BoardError(f"{kind} goes around the safety gate by its {about}: {remedy}", about=about)
+    return BoardError(f"{kind} goes around the safety gate by its {about}: {remedy}")
 
 
 def _same(found: tuple[Any, ...], kept: tuple[Any, ...]) -> bool:
@@ -221,8 +220,7 @@ class TimedBoard(Sealed):
                 raise self._fault_found
             again = "open a new display" if self._halted else "open it again"
             raise BoardStoppedError(
-                f"the board was stopped, all electrodes are at zero: {again} before sending",
-                about="board",
+                f"the board was stopped, all electrodes are at zero: {again} before sending"
             )
 
     @final
@@ -290,6 +288,5 @@ class TimedBoard(Sealed):
     def _late(self) -> SequenceLateError:
         return SequenceLateError(
             f"the computer paused for over {LATE_NS // 1_000_000} ms: pulses were skipped, and "
-            "intensity restarts at zero",
-            about="board",
+            "intensity restarts at zero"
         )

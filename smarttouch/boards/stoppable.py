@@ -44,9 +44,7 @@ def _require_posix() -> None:
     if fcntl is None:
         raise BoardError(
             "boards with a line need Linux or macOS, where smarttouch stop can find them: use "
-            "simulated: or memory: here",
-            about="board",
-            remedy="simulated:",
+            "simulated: or memory: here"
         )
 
 
@@ -104,9 +102,7 @@ class _Program:
         with self._changed:
             if board in self._boards:
                 # The thread that fails would withdraw the board that the other has open.
-                raise BoardError(
-                    "another thread opens or closes the board: try again", about="board"
-                )
+                raise BoardError("another thread opens or closes the board: try again")
             self._boards[board] = board.budget_ua
             try:
                 self._announce()
@@ -192,8 +188,7 @@ class _Program:
         if self._ended or stopped_since_start():
             raise BoardStoppedError(
                 f"this program was stopped by {self._ended or 'smarttouch stop'}, and drives no "
-                "board any more: start it again",
-                about="program",
+                "board any more: start it again"
             )
 
     def _refuse_beyond_budget(self, own_ua: int) -> None:
@@ -210,8 +205,7 @@ class _Program:
             raise BoardError(
                 f"the displays of this user could drive {total_ua / 1000:g} mA together with this "
                 f"one, which may drive {own_ua / 1000:g} mA: {CEILING_USER_MA:g} mA are allowed, "
-                "so close another display or lower limits.total_ma in the profile",
-                about="limits.total_ma",
+                "so close another display or lower limits.total_ma in the profile"
             )
 
 

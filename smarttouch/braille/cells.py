@@ -1,17 +1,13 @@
-"""Cells of Braille, their dots, and files of them: BRF and PEF."""
+"""Cells of Braille, their dots, and files of them: BRF."""
 
-import re
-import uuid
-import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any, TypeAlias
-from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BrailleError
-from smarttouch.base.files import read_bytes, write_bytes
+from smarttouch.base.files import read_bytes
 
 Pages: TypeAlias = list[list[str]]  # pages of lines of cells
 
@@ -40,8 +36,7 @@ def require_cells(line: str) -> None:
         if not is_cell(character):
             raise BrailleError(
                 f"{character!r} at position {column + 1} is not a Braille cell: give characters "
-                "U+2800 to U+28FF",
-                about="cell",
+                "U+2800 to U+28FF"
             )
 
 
@@ -55,9 +50,7 @@ def cells_to_dots(cells: str) -> NDArray[np.bool_]:
 def dots_to_cells(dots: NDArray[Any]) -> str:
     """Return a line of cells from its dots, (N, 8) or (N, 6) bool; column k is dot k + 1."""
     if dots.ndim != 2 or dots.shape[1] not in (6, 8):
-        raise BrailleError(
-            f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)", about="dots"
-        )
+        raise BrailleError(f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)")
     patterns = np.packbits(dots.astype(bool), axis=1, bitorder="little")
     return "".join(chr(ord(BLANK) + int(each)) for each in patterns.ravel())
 
@@ -76,13 +69,8 @@ def read_brf(path: Path) -> Pages:
     return parse_brf(read_bytes(path, BrailleError, MOST_BYTES), str(path))
 
 
-def write_brf(path: Path, pages: Pages) -> None:
-    """Write a BRF file; raise if a cell has dots 7 or 8, which BRF cannot hold."""
-    write_bytes(path, format_brf(pages), BrailleError)
-
-
 def format_brf(pages: Pages) -> bytes:
-    """Return pages in BRF."""
+    """Return pages in BRF; raise if a cell has dots 7 or 8, which it cannot hold."""
     sheets = []
     for number, page in enumerate(pages, 1):
         lines = [_codes(line, f"page {number}, line {k}") for k, line in enumerate(page, 1)]
@@ -110,8 +98,7 @@ def _codes(line: str, where: str) -> str:
         if pattern(cell) >= SIX_DOT_PATTERNS:
             raise BrailleError(
                 f"{cell} ({where}, cell {column}) has dots 7 or 8, which BRF files cannot hold: "
-                "write a .pef file, or choose a table of 6 dots",
-                about="cell",
+                "choose a table of 6 dots"
             )
     return "".join(_CODE[pattern(cell)] for cell in line)
 
@@ -122,106 +109,6 @@ def _cells(line: str, name: str, count: int) -> str:
         if ord(cell) < ord(BLANK):
             raise BrailleError(
                 f"{name}, line {count}, column {column}: {code!r} is not ASCII Braille: is this a "
-                "BRF file?",
-                about="cell",
+                "BRF file?"
             )
     return cells
-
-
-# PEF 1.0, public specification (2010): http://pef-format.org
-_PEF = "http://www.daisy.org/ns/2008/pef"
-_DC = "http://purl.org/dc/elements/1.1/"
-_FORMAT = "application/x-pef+xml"
-NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML does not have; names of files may."""
-
-
-def read_pef(path: Path) -> Pages:
-    """Read the pages of a PEF file, of all its volumes and sections."""
-    return parse_pef(read_bytes(path, BrailleError, MOST_BYTES), str(path))
-
-
-def write_pef(
-    path: Path, pages: Pages, title: str = "", author: str = "", language: str = ""
-) -> None:
-    """Write a PEF file of one volume; its title is the file's name if not given."""
-    data = format_pef(pages, title or path.stem, author, language)
-    write_bytes(path, data, BrailleError)
-
-
-def format_pef(pages: Pages, title: str, author: str = "", language: str = "") -> bytes:
-    """Return pages in PEF; equal pages give equal files."""
-    for page in pages:
-        for line in page:
-            require_cells(line)
-    ET.register_namespace("", _PEF)
-    ET.register_namespace("dc", _DC)
-    root = ET.Element(f"{{{_PEF}}}pef", version="2008-1")
-    meta = _add(_add(root, "head"), "meta")
-    name = "\f".join("\n".join(page) for page in pages)
-    for key, value in (
-        ("format", _FORMAT),
-        ("identifier", uuid.uuid5(uuid.NAMESPACE_URL, name).urn),
-        ("title", title),
-        ("creator", author),
-        ("language", language),
-    ):
-        if written := NO_XML.sub("", value):
-            ET.SubElement(meta, f"{{{_DC}}}{key}").text = written
-    volume = _add(
-        _add(root, "body"), "volume", rowgap="0", duplex="false",
-        cols=str(max((len(line) for page in pages for line in page), default=1) or 1),
-        rows=str(max(map(len, pages), default=1) or 1),
-    )  # fmt: skip
-    section = _add(volume, "section")
-    for page in pages or [[]]:
-        sheet = _add(section, "page")
-        for line in page:
-            _add(sheet, "row").text = line or None
-    ET.indent(root, " ")
-    made: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
-    return made + b"\n"
-
-
-def parse_pef(data: bytes, name: str = "PEF") -> Pages:
-    """Return the pages of a PEF file; ``name`` is for error messages."""
-    try:
-        _refuse_declarations(data, name)
-        root = ET.fromstring(data)
-    except (ET.ParseError, expat.ExpatError, LookupError, ValueError) as error:
-        raise BrailleError(f"{name} is not XML: {error}", about="file") from None
-    if root.tag != f"{{{_PEF}}}pef":
-        raise BrailleError(f"{name} is not a PEF file: its root is {root.tag!r}", about="file")
-    pages = [
-        [_row(row, name) for row in page.findall(f"{{{_PEF}}}row")]
-        for page in root.iter(f"{{{_PEF}}}page")
-    ]
-    if not pages:
-        raise BrailleError(f"{name} is a PEF file without pages", about="file")
-    return pages
-
-
-def _add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
-    return ET.SubElement(parent, f"{{{_PEF}}}{tag}", attributes)
-
-
-def _refuse_declarations(data: bytes, name: str) -> None:
-    """Raise if there is a document type: its entities could expand without bounds."""
-
-    def refuse(*_: object) -> None:
-        raise BrailleError(
-            f"{name} declares a document type, which PEF files must not have", about="file"
-        )
-
-    parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = refuse
-    parser.Parse(data, True)
-
-
-def _row(row: ET.Element, name: str) -> str:
-    line = "".join(row.itertext()).strip()
-    try:
-        require_cells(line)
-    except BrailleError as error:
-        raise BrailleError(f"{name}: {error}", about=error.about) from None
-    return line

@@ -2,7 +2,7 @@
 
 import re
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -13,7 +13,6 @@ from smarttouch.braille.cells import BLANK, is_cell, require_cells
 from smarttouch.braille.grade1 import Grade1
 from smarttouch.braille.kana import Kana
 from smarttouch.braille.louis import LouisCode
-from smarttouch.pages.structured_text import Emphasis, Run
 
 DEFAULT_TABLE = "en-1"
 _MARKED = re.compile(
@@ -28,6 +27,7 @@ _PLAINER = {
 """Signs for those of print that a table does not have."""
 _TYPEFORM = re.compile("[⠨⠘⠸][⠂⠆⠶⠄]")
 """Indicators of emphasis in Unified English Braille (Rules 9.1): no table translates them back."""
+_MOST_NAMED = 12  # characters listed in a note on left-out ones
 _UNIFIED = ("en-1", "en-2")
 _TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")  # tag of a language, with its country or without
 MISSING_NOTE = (
@@ -44,7 +44,6 @@ class BrailleTable:
     """A Braille code under the name that a user gave."""
 
     name: str
-    title: str
     code: BrailleCode
     note: str | None = None  # warning for the user
 
@@ -60,32 +59,35 @@ class BrailleTable:
             others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise BrailleError(
                 f"table {self.name} has no cells for {missing[0]!r} (U+{ord(missing[0]):04X})"
-                f"{others}: {self.code.remedy}",
-                about="text",
+                f"{others}: leave them out, or choose another table"
             )
         tidy = tidy.translate(dict.fromkeys(map(ord, missing)))
         return "\n".join(self.code.encode(line) for line in tidy.split("\n"))
 
-    def runs_to_cells(self, runs: Sequence[Run], leave_out: bool = False) -> str:
-        """Return a line of runs as cells, with emphasis where liblouis has the table."""
-        line, marks = "", list[Emphasis]()
-        for run in runs:
-            tidy = _tidy(run.text, self.code)
-            kept = set(tidy) - set(self.code.missing(tidy)) if leave_out else set(tidy)
-            tidy = "".join(each for each in tidy if each in kept)
-            line += tidy
-            marks += [run.emphasis] * len(tidy)
-        if any(marks) and isinstance(self.code, LouisCode) and not self.code.missing(line):
-            return self.code.translate(line, marks).cells
-        return self.to_cells(line, leave_out)
+    def paragraphs(self, text: str, note: Callable[[str], None]) -> list[str]:
+        """Return each line of a text as cells; a text of cells stays as it is.
+
+        Characters without cells are left out, and named by ``note``.
+        """
+        if any(map(is_cell, text)) and all(is_cell(each) or each in " \t\n" for each in text):
+            cells = re.sub("[ \t]", BLANK, text)
+        else:
+            if missing := self.missing(text):
+                note(self.left_out(missing))
+            cells = self.to_cells(text, leave_out=True)
+        return cells.strip("\n").split("\n")
+
+    def left_out(self, missing: str) -> str:
+        """Return a sentence that names characters without cells."""
+        named = " ".join(missing[:_MOST_NAMED]) + " …" * (len(missing) > _MOST_NAMED)
+        return f"left out, as table {self.name} has no cells for them: {named}"
 
     def to_text(self, cells: str) -> str:
         """Return cells as text, line by line; a cell without meaning stays as it is."""
         if not self.code.goes_back:
             raise BrailleError(
                 f"table {self.name} translates texts into cells only: choose another table to "
-                "translate back",
-                about="table",
+                "translate back"
             )
         lines = cells.split("\n")
         for line in lines:
@@ -175,22 +177,17 @@ def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
     known = _KNOWN.get(name)
     if known is None:
         if "." in name and louis.has_table(name):
-            return BrailleTable(name, louis.title_of(name), LouisCode(name))
+            return BrailleTable(name, LouisCode(name))
         raise BrailleError(
             f"unknown table {name!r}: choose one of {', '.join(_KNOWN)}, or give the tag of a "
-            "language (pt), or the file name of a table of liblouis",
-            about="table",
+            "language (pt), or the file name of a table of liblouis"
         )
     if known.file is not None and louis.has_table(known.file):
         code = _EnglishLouis if known.built_in is Grade1 else LouisCode
-        return BrailleTable(name, known.title, code(known.file, known.goes_back))
+        return BrailleTable(name, code(known.file, known.goes_back))
     if known.built_in is None:
-        raise BrailleError(
-            f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}",
-            about="liblouis",
-            remedy=louis.INSTALL,
-        )
-    return BrailleTable(name, known.title, known.built_in(), MISSING_NOTE if known.file else None)
+        raise BrailleError(f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}")
+    return BrailleTable(name, known.built_in(), MISSING_NOTE if known.file else None)
 
 
 def _tidy(text: str, code: BrailleCode) -> str:

@@ -53,7 +53,6 @@ class Grade1:
     """
 
     goes_back = True
-    remedy = "leave them out, or choose another table"
 
     def missing(self, line: str) -> str:
         """Return the characters of a line that have no cells here, each once."""

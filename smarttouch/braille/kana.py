@@ -71,7 +71,6 @@ class Kana:
     """
 
     goes_back = True
-    remedy = "kanji need their readings first, and letters a language: write the text in kana"
 
     def missing(self, line: str) -> str:
         """Return the characters of a line that have no cells here, each once."""

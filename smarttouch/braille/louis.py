@@ -6,13 +6,12 @@ import itertools
 import re
 import threading
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
 from typing import NamedTuple
 
 from smarttouch.base.errors import BrailleError
 from smarttouch.braille.cells import BLANK, pattern
-from smarttouch.pages.structured_text import Emphasis
 
 INSTALL = "apt install liblouis20 liblouis-data"
 JOINERS = "\u200c\u200d"
@@ -41,27 +40,15 @@ _ASKED_BACK = {"he": "אבג"}
 _lock = threading.Lock()  # lock of liblouis, which keeps its state in globals
 
 
-class Translated(NamedTuple):
-    """Cells of a line of text, and which belong to which of its characters."""
-
-    cells: str
-    cell_of: list[int]  # index of the first cell of each character
-    character_of: list[int]  # index of the character of each cell: where its cursor goes
-
-
 class LouisCode:
     """Braille code of a table of liblouis, by its file name, such as ``en-ueb-g2.ctb``.
 
     Whether its cells can be translated back is read from the table if not given.
     """
 
-    remedy = "leave them out, or choose another table"
-
     def __init__(self, table: str, goes_back: bool | None = None) -> None:
         if not has_table(table):
-            raise BrailleError(
-                f"liblouis has no table {table!r} here: {INSTALL}", about="table", remedy=INSTALL
-            )
+            raise BrailleError(f"liblouis has no table {table!r} here: {INSTALL}")
         self._table = table
         self.goes_back: bool = _goes_both_ways(table) if goes_back is None else goes_back
         self._known: dict[str, bool] = {}
@@ -72,17 +59,13 @@ class LouisCode:
 
     def encode(self, line: str) -> str:
         """Return a line of text as cells."""
-        return self.translate(line).cells
-
-    def translate(self, line: str, emphasis: Sequence[Emphasis] = ()) -> Translated:
-        """Return a line of text, with emphasis, as cells with the places of its characters."""
-        return _translate(self._table, line, _DOTS_IO | _UNICODE_CELLS, emphasis=emphasis)
+        return _translate(self._table, line, _DOTS_IO | _UNICODE_CELLS)
 
     def decode(self, cells: str) -> str:
         """Return cells as text; a cell that the table cannot read stays as it is."""
         dots = "".join(chr(_DOTS | pattern(cell)) for cell in cells)
-        text = _translate(self._table, dots, _DOTS_IO, back=True).cells
-        if text == _translate(self._table, dots, _DOTS_IO | _NO_UNDEFINED, back=True).cells:
+        text = _translate(self._table, dots, _DOTS_IO, back=True)
+        if text == _translate(self._table, dots, _DOTS_IO | _NO_UNDEFINED, back=True):
             return text
         return _ESCAPE.sub(lambda found: _cell(found[1]), text)
 
@@ -102,7 +85,7 @@ class LouisCode:
             return False
         mode = _DOTS_IO | _UNICODE_CELLS | _NO_UNDEFINED
         alone, undefined = (_translate(self._table, each, mode) for each in (character, _UNDEFINED))
-        return alone.cells != undefined.cells
+        return alone != undefined
 
 
 def version() -> str | None:
@@ -153,11 +136,6 @@ def find_table(language: str) -> str | None:
         filter(has_table, (own + end for end in _PLAIN_ENDS)),
     )
     return next(candidates, None)
-
-
-def title_of(table: str) -> str:
-    """Return the name that a table gives itself; that of its file if none."""
-    return _query("lou_getTableInfo", table.encode(), b"display-name") or f"liblouis table {table}"
 
 
 def language_of(table: str) -> str:
@@ -236,9 +214,7 @@ def _encoding() -> str:
     return "utf-32-le" if library.lou_charSize() == 4 else "utf-16-le"
 
 
-def _translate(
-    table: str, text: str, mode: int, back: bool = False, emphasis: Sequence[Emphasis] = ()
-) -> Translated:
+def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
     library, encoding = _library(), _encoding()
     assert library is not None
     translate = library.lou_backTranslate if back else library.lou_translate
@@ -250,23 +226,18 @@ def _translate(
         inbuf = ctypes.create_string_buffer(given, len(given) + width)
         outbuf = ctypes.create_string_buffer(room * width)
         read, written = ctypes.c_int(length), ctypes.c_int(room)
-        cell_of, character_of = (ctypes.c_int * room)(), (ctypes.c_int * room)()
-        types = (ctypes.c_ushort * room)(*emphasis[:length]) if any(emphasis) else None
         with _lock:
             done = translate(
                 table.encode(), inbuf, ctypes.byref(read), outbuf, ctypes.byref(written),
-                types, None, cell_of, character_of, None, mode,
+                None, None, None, None, None, mode,
             )  # fmt: skip
         if not done:
             break
         # Cut output fills its room, even where all input was consumed.
         if read.value == length and written.value <= room // 2:
-            made = outbuf.raw[: written.value * width].decode(encoding, "replace")
-            return Translated(made, cell_of[:length], character_of[: written.value])
+            return outbuf.raw[: written.value * width].decode(encoding, "replace")
     way = "cells into a text" if back else "a text into cells"
-    raise BrailleError(
-        f"liblouis could not translate {way} with {table}: choose another table", about="table"
-    )
+    raise BrailleError(f"liblouis could not translate {way} with {table}: choose another table")
 
 
 def _cell(dots: str) -> str:

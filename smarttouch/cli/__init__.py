@@ -13,7 +13,6 @@ from smarttouch.base.errors import SmartTouchError, TableError
 from smarttouch.base.posix import resource
 from smarttouch.base.stopping import RunStopped
 from smarttouch.base.terminal import guarded_output
-from smarttouch.base.url_options import named_options
 from smarttouch.base.version import __version__
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.design import design, profiles
@@ -22,7 +21,7 @@ from smarttouch.cli.experiment import experiment, fit
 from smarttouch.cli.live import live, stop
 from smarttouch.cli.options import Commands
 from smarttouch.cli.read import braille, braille_display, read
-from smarttouch.cli.recordings import recordings, replay, report
+from smarttouch.cli.recordings import recordings, replay
 from smarttouch.cli.simulate import simulate
 
 _FEWEST_FILES = 64
@@ -32,7 +31,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
     "Read, Braille": {"read": read, "braille": braille, "braille-display": braille_display},
     "Calibrate": {"calibrate": calibrate},
     "Experiment": {"experiment": experiment},
-    "Devices": {"devices": devices, "report": report},
+    "Devices": {"devices": devices},
     "Recordings": {"replay": replay, "recordings": recordings},
     "Design": {"profiles": profiles, "design": design, "simulate": simulate},
 }
@@ -110,10 +109,8 @@ def _outcome(error: BaseException) -> int:
         return 1
     if isinstance(error, SmartTouchError):
         found = error.complaints if isinstance(error, TableError) else [("", str(error))]
-        *others, last = [sentence for _, sentence in found]
-        for sentence in others:
+        for _, sentence in found:
             _say(sentence)
-        _say(last + named_options(error, _built(), sys.argv[1:]))
     elif isinstance(error, MemoryError):
         _say("this machine has too little memory: give less at once")
     elif isinstance(error, OSError):
@@ -136,9 +133,7 @@ def _require_files() -> None:
     if most < _FEWEST_FILES:
         raise SmartTouchError(
             f"this program may open {most} files at once and needs {_FEWEST_FILES}: allow them "
-            f"with ulimit -n {_FEWEST_FILES}",
-            about="open files",
-            remedy="ulimit",
+            f"with ulimit -n {_FEWEST_FILES}"
         )
 
 

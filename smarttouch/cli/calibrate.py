@@ -55,22 +55,17 @@ class CalibrationOptions(OptionGroup):
         from smarttouch.profile import DEFAULT_PROFILE
 
         if self.output is None:
-            raise CalibrationError("give a file FILE.toml for what is measured", about="output")
+            raise CalibrationError("give a file FILE.toml for what is measured")
         usual = DEFAULT_PROFILE if board_url is None else default_profile(board_url)
         return file_to_calibrate(
             part, self.profile, usual, self.output, self.overwrite, simulated=simulated
         )
 
 
-def missing(about: str, message: str) -> CalibrationError:
-    """Return the error that no device is given to measure with, which could be simulated."""
-    return CalibrationError(message, about=about, remedy="simulate")
-
-
 def ask(what: str, yes: bool) -> None:
     """Wait until the user has put something in place."""
     if not yes:
-        _answer(f"{what} Then press Enter", "yes")
+        _answer(f"{what} Then press Enter")
 
 
 def weights_laid(listed: Sequence[float] | None, yes: bool) -> Iterator[float]:
@@ -81,18 +76,18 @@ def weights_laid(listed: Sequence[float] | None, yes: bool) -> Iterator[float]:
         ask(f"{grams:g} g on the cell, at rest.", yes)
         yield grams
     while listed is None:
-        answer = _answer("Grams on the cell, at rest (Enter: no more)", "weights")
+        answer = _answer("Grams on the cell, at rest (Enter: no more)")
         if not answer:
             return
         yield parse_grams(answer)[0]
 
 
-def _answer(question: str, remedy: str) -> str:
+def _answer(question: str) -> str:
     try:
         return str(typer.prompt(question, default="", show_default=False))
     except typer.Abort:
-        message = "nobody answered, nothing was written: use a terminal, or give it beforehand"
-        raise CalibrationError(message, about="answer", remedy=remedy) from None
+        message = "nobody answered, nothing was written: use a terminal, or give it as an option"
+        raise CalibrationError(message) from None
 
 
 def finish(
@@ -154,7 +149,7 @@ def optics(
     else:
         sources = (dark or source, white or source)
         if None in sources:
-            raise missing("source", "give a source, or dark and white frames, or simulate")
+            raise CalibrationError("give --source, or --dark and --white, or --simulate")
         asked = ("Cover the sensor: no light.", "Put it on blank white paper, in its usual light.")
         seen = []
         for url, question in zip(sources, asked, strict=True):
@@ -196,8 +191,8 @@ def registration(
     grid = target_for(load_profile(calibration.begun()), dot_pitch_mm)
     if target is not None:
         if target.exists() and not calibration.overwrite:
-            message = f"{target} exists already: give another file, or overwrite it"
-            raise CalibrationError(message, about="file", remedy="target or overwrite")
+            message = f"{target} exists already: give another file, or add --overwrite"
+            raise CalibrationError(message)
         grid.draw(target)
         typer.echo(f"{target}: dots {grid.pitch_mm:g} mm apart; print it at 100 %, black on white.")
     if calibration.output is None and target is not None and source is None and not simulate:
@@ -208,7 +203,7 @@ def registration(
 
         image = bench_view(grid, file.profile.optics)
     elif source is None:
-        raise missing("source", "give a source, or simulate")
+        raise CalibrationError("give --source or --simulate")
     else:
         ask("Lay the target under the sensor, the L upright under the array's middle.", yes)
         mean = mean_image(images_of(source, file.profile, frames, corrected=True))
@@ -247,7 +242,7 @@ def force(
     if simulate:
         weighings = weigh_simulated(listed, seconds)
     elif cell is None:
-        raise missing("cell", "give hx711:PORT or loadcell:PORT, or simulate")
+        raise CalibrationError("give --cell hx711:PORT or --cell loadcell:PORT, or --simulate")
     else:
         weighings = weigh_on(cell, weights_laid(listed, yes), seconds)
     found = fit_curve(weighings, file.profile.force)
@@ -424,7 +419,7 @@ def scale(
             volts = float(answer)
         except ValueError:
             message = f"{answer!r} is no voltage: give a number of volts"
-            raise CalibrationError(message, about="volts") from None
+            raise CalibrationError(message) from None
     ratio = check_reading(volts, ohm, current_ma)
     scale_ua = measured_scale(url.partition(":")[0], display.board.ua_per_count, ratio)
     typer.echo(

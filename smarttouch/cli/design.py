@@ -25,21 +25,8 @@ def design(
         str | None,
         option("Choose the class that is reached: RA, SAI or PC; all otherwise.", "RA|SAI|PC"),
     ] = None,
-    robust: Annotated[
-        bool, option("Optimize for the worst finger of the profile's spread.", None, "--robust")
-    ] = False,
-    three_state: Annotated[
-        bool,
-        option("Use only cathode, anode and insulated, from one source.", None, "--three-state"),
-    ] = False,
     any_node: Annotated[
         bool, option("Search for the best node to activate, too.", None, "--any-node")
-    ] = False,
-    compare: Annotated[
-        bool,
-        option(
-            "Compare all kinds of kernels on the nominal and the worst finger.", None, "--compare"
-        ),
     ] = False,
     json_file: JsonOption = None,
     plot_file: Annotated[
@@ -64,36 +51,22 @@ def design(
     chosen = load_profile(profile)
     for output in (json_file, plot_file, bank_file):
         require_folder(output)
-    special = [
-        name
-        for name, asked in (
-            ("robust", robust and not three_state), ("three_state", three_state),
-            ("any_node", any_node), ("compare", compare),
-            ("bank_file", bank_file is not None),
-        )
-        if asked
-    ]  # fmt: skip
-    if len(special) > 1:
-        message = f"{' and '.join(special)} do not go together: give one of them"
-        raise SmartTouchError(message, about=special[0])
+    if any_node and bank_file is not None:
+        raise SmartTouchError("--any-node and --bank do not go together: give one of them")
     if site is not None:
         require_site(chosen, site)
     modes = possible_modes(chosen)
     if afferent is not None:
-        if afferent not in modes and not special:
+        if afferent not in modes and not any_node:
             offered = tuple(each.name for each in modes)
             raise DesignError(
                 f"mode {afferent.name} is not possible with the board of {profile}: it offers "
-                f"{', '.join(offered) or 'none'}",
-                about="mode",
+                f"{', '.join(offered) or 'none'}"
             )
         modes = [afferent]
-    kind = special[0].replace("_", "-") if special else None
     with on_cluster(cluster), bank_progress(quiet=False) as progress:
-        shown = _kernels(chosen, modes, site, kind, robust, bank_file, progress)
-    if compare:
-        _print(kernel_tables.comparison_table(chosen, shown))
-    elif site is None:
+        shown = _kernels(chosen, modes, site, any_node, bank_file, progress)
+    if site is None:
         _print(kernel_tables.site_table(chosen, shown))
     else:
         for each in shown:
@@ -112,8 +85,7 @@ def _kernels(
     profile: "Profile",
     modes: "Sequence[Afferent]",
     site: int | None,
-    kind: str | None,
-    robust: bool,
+    any_node: bool,
     bank_file: Path | None,
     progress: "Advance | None",
 ) -> "list[SiteKernel]":
@@ -122,17 +94,15 @@ def _kernels(
     from smarttouch.kernels.bank import find_bank, load_bank, make_bank
 
     sites = profile.driven.tolist() if site is None else [site]
-    if kind == "compare":
-        return kernel_tables.kernels_compared(profile, modes, sites, progress)
     if bank_file is not None:
         made = make_bank(bank_file, profile, progress)
         return kernel_tables.kernels_of_bank(profile, made, modes, sites)
-    if kind is None:
+    if not any_node:
         # One site of a large array is not worth its whole bank.
         bank = load_bank(profile, progress) if site is None else find_bank(profile)
         if bank is not None:
             return kernel_tables.kernels_of_bank(profile, bank, modes, sites)
-    return kernel_tables.kernels_designed(profile, modes, sites, kind, robust, progress)
+    return kernel_tables.kernels_designed(profile, modes, sites, any_node, progress)
 
 
 def _print(table: "WordTable", marked: Sequence[Sequence[bool]] = ()) -> None:
@@ -237,14 +207,12 @@ def new(
     if len(tables) != (not grid):
         raise ProfileError(
             "give a table and the profile to write, or --grid 5x5 and the profile alone",
-            about="table",
+            key="table",
         )
     require_replaceable(file, ProfileError)
     if file.exists() and not overwrite:
         raise ProfileError(
-            f"{file} is there already: give another name, or let it be overwritten",
-            about="file",
-            remedy="overwrite",
+            f"{file} is there already: give another name, or add --overwrite", key="file"
         )
     table = grid_of(grid, pitch_mm, diameter_mm) if grid else tables[0]
     title = table.stem if isinstance(table, Path) else str(table)

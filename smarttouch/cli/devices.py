@@ -74,9 +74,7 @@ def emulate(
     place, options = read_options(command, device, SmartTouchError)
     if place != name:
         known = ", ".join(sorted(options_of(command)))
-        raise SmartTouchError(
-            f"{device!r} has an option that {name} has not: choose {known}", about="emulator"
-        )
+        raise SmartTouchError(f"{device!r} has an option that {name} has not: choose {known}")
     command(name, **options)
 
 
@@ -119,7 +117,7 @@ def show(
     chosen = load_profile(profile or DEFAULT_PROFILE)
     if kind in known_names("smarttouch.forces"):
         if save is not None:
-            raise SmartTouchError(f"{url} has no frames to save: leave this out", about="save")
+            raise SmartTouchError(f"{url} has no frames to save: leave this out")
         with open_force(url, chosen) as pressed:
             rows = sample_force(pressed, seconds)
         print_table([*rows, *(("note", note) for note in pressed.notes)], left=2)
@@ -202,15 +200,13 @@ def try_out(
     if current_ma is None:
         if may_touch_a_finger(url) and not sys.stdin.isatty():
             raise SmartTouchError(
-                "there is no keyboard to end it with, and a finger may be on the board: give the "
-                f"current, for example {_WALK_MA:g} mA",
-                about="keyboard",
-                remedy="current_ma",
+                "there is no keyboard to end it with, and a finger may be on the board: give "
+                f"--current-ma, for example {_WALK_MA:g}"
             )
         current_ma = _WALK_MA
     if seconds is None and not sys.stdin.isatty():
-        message = "there is no keyboard to wait for: give seconds"
-        raise SmartTouchError(message, about="keyboard", remedy="seconds")
+        message = "there is no keyboard to wait for: give --seconds"
+        raise SmartTouchError(message)
     walk, stop = Walk(display.profile, current_ma, seconds), command_stop()
 
     def say(event: "Event") -> None:

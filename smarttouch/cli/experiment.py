@@ -127,7 +127,7 @@ def _parse_guess(text: str | None) -> "Guess | None":
         return float(text)
     except ValueError:
         message = f"guess {text!r} is not offered: give a share such as 0.5, equal or free"
-        raise ExperimentError(message, about="guess") from None
+        raise ExperimentError(message) from None
 
 
 def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
@@ -200,7 +200,7 @@ class _Parts:
         if "?" in name:
             known = ", ".join(sorted(options_of(cls)))
             message = f"{name!r} has an option that there is not: choose {known}"
-            raise ExperimentError(message, about="name")
+            raise ExperimentError(message)
         for each in ("repetitions", "trials"):
             if each in given:
                 require_within(ExperimentError, each, given[each], 1, math.inf)
@@ -274,7 +274,7 @@ def run_listed(
     if name == "free":
         if simulate is not None:
             message = "nobody is simulated in free stimulation: leave this out"
-            raise ExperimentError(message, about="simulate")
+            raise ExperimentError(message)
         _run_free(replace(run, board=board), mode, parts, rate_hz, output)
         return
     if simulate is not None:
@@ -283,9 +283,7 @@ def run_listed(
     require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
     if simulate is None and run.board_url == "simulated:":
         raise ExperimentError(
-            "simulated: runs too fast for a person to answer: choose emulator:, or simulate",
-            about="board",
-            remedy="simulate",
+            "simulated: runs too fast for a person to answer: choose emulator:, or add --simulate"
         )
     afferent = parse_afferent(mode)
     if name == "frequency" and afferent is Afferent.RA and run.takes_usual_profile:
@@ -361,8 +359,8 @@ def _run_free(
     from smarttouch.views.progress import bank_progress
 
     if not sys.stdin.isatty() and run.seconds is None:
-        message = "there is no keyboard, by which this would end: use a terminal, or give seconds"
-        raise ExperimentError(message, about="keyboard", remedy="seconds")
+        message = "there is no keyboard, by which this would end: use a terminal, or give --seconds"
+        raise ExperimentError(message)
     run = replace(run, profile=run.profile or "line-8")
     if run.intensity is None and not run.on_a_finger:
         # Adjusted by hand, from zero here too.

@@ -2,9 +2,7 @@
 
 import subprocess
 import sys
-from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -14,10 +12,6 @@ from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.cli.source_options import or_standard_input
 from smarttouch.views.keys_and_signals import drives_a_board
 
-if TYPE_CHECKING:
-    from smarttouch.views.window import Window
-    from smarttouch.views.window_messages import RunChoices
-
 
 @takes_options()
 def live(
@@ -26,9 +20,8 @@ def live(
         str | None,
         argument(
             "A file, words, or a source by its URL: page:, text:, camera:, video:, "
-            "frames:, serial-array:, brltty:, draw:, osc:, lsl:, socket:, mcap:, "
-            "recording:, texture:, vibration:. Options follow: "
-            "'scan.png?dpi=300&speed_mm_s=40'. A sample page is shown without one.",
+            "frames:, serial-array:, brltty:, socket:, recording:, texture:, vibration:. Options "
+            "follow: 'scan.png?dpi=300&speed_mm_s=40'. A sample page is shown without one.",
             "SOURCE",
             callback=or_standard_input,
         ),
@@ -57,30 +50,10 @@ def live(
     A page is read again and again, at some 30 words a minute, on a screen or in a window if nothing
     is written to files; 'text:Hello?passes=1' is read once.
     """
-    from smarttouch.base.errors import SmartTouchError
     from smarttouch.base.files import data_folder
 
     url = source or f"page:{data_folder('sample_images') / 'page.png'}"
-    window: Window | None = None
-    try:
-        while True:
-            try:
-                window = _show(run, url, mode, rate_hz, seed, light_on_dark, window)
-            except SmartTouchError as error:
-                # That of the first run is the command's own.
-                if window is None:
-                    raise
-                window.refuse(error)
-                if not window.stay():
-                    raise
-            if window is None or window.asked is None:
-                return
-            url = window.asked.source
-            # Files are of the first run.
-            run = replace(run, board=window.asked.board, record=None, felt=None, json_file=None)
-    finally:
-        if window is not None:
-            window.shut()
+    _show(run, url, mode, rate_hz, seed, light_on_dark)
 
 
 @drives_a_board
@@ -91,9 +64,7 @@ def _show(
     rate_hz: float | None,
     seed: int | None,
     light_on_dark: bool,
-    window: "Window | None",
-) -> "Window | None":
-    """Show a source; return the window if a page asks for another run."""
+) -> None:
     chosen = run.load_profile()
     ready = run.display(chosen)
     # It begins what takes long while the rest is imported.
@@ -113,25 +84,17 @@ def _show(
         suits = {"mode": asked or "RA"} | dict(opened.settings)
         if asked is not None and suits["mode"] != asked:
             message = f"{opened.title} chooses its classes by itself: leave out the mode"
-            raise SourceError(message, about="mode")
+            raise SourceError(message)
         config = run.config(
             **suits,
             rate_hz=None if "rate_hz" in taken else rate_hz,
             light_on_dark=light_on_dark,
             seed=seed or 0,
         )
-        return run.start(
+        run.start(
             opened, chosen, run.at_level(config, chosen), ready, keys=opened.keys,
-            keys_help=opened.keys_help, window=window, offered=_offered(run, url),
+            keys_help=opened.keys_help,
         )  # fmt: skip
-
-
-def _offered(run: RunOptionGroup, url: str) -> "RunChoices | None":
-    if run.window is None:
-        return None
-    from smarttouch.views.window_messages import RunChoice, RunChoices
-
-    return RunChoices.beside(RunChoice(url, run.board_url), Path.cwd())
 
 
 def stop(

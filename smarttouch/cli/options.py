@@ -14,6 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.command_options import option
 from smarttouch.base.errors import SmartTouchError, choice_of, require_within
+from smarttouch.base.removed import COMMANDS, OPTIONS, instead_of
 
 if TYPE_CHECKING:
     from smarttouch.profile import Profile
@@ -121,12 +122,11 @@ def require_answers(
     if simulate and not board_url.startswith(boards):
         raise error(
             f"a simulation never drives a board that a finger may be on: not {board_url!r}, only "
-            f"{' or '.join(boards)}",
-            about="board",
+            f"{' or '.join(boards)}"
         )
     if not simulate and not sys.stdin.isatty():
-        message = "there is no keyboard to answer on: use a terminal, or simulate"
-        raise error(message, about="keyboard", remedy="simulate")
+        message = "there is no keyboard to answer on: use a terminal, or add --simulate"
+        raise error(message)
 
 
 BOARD = "The board"
@@ -169,7 +169,7 @@ ClusterOption = Annotated[
 ]
 QuietOption = Annotated[bool, option("Print errors only.", None, "--quiet", panel=MORE)]
 ScanOption = Annotated[
-    str | None, option("Choose how points share slots: points, frame or auto.", "HOW", panel=BOARD)
+    str | None, option("Choose how points share slots: points or auto.", "HOW", panel=BOARD)
 ]
 
 
@@ -184,6 +184,10 @@ class PlainCommand(TyperCommand):
     # A context is of click's class or of typer's own, by the version of typer: hence `Any`.
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words of the command line."""
+        options = {name for parameter in self.params for name in parameter.opts}
+        for name in (word.partition("=")[0] for word in args):
+            if name not in options and (sentence := instead_of(OPTIONS, name)):
+                ctx.fail(sentence)
         ctx.meta[_IS_ALL] = _ALL in args
         return super().parse_args(ctx, with_ports(args))
 
@@ -214,6 +218,13 @@ class PlainCommand(TyperCommand):
 
 class PlainGroup(TyperGroup):
     """Commands under one name, listed in their order with one sentence each."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that the words name, or fail with what replaced it."""
+        path = " ".join([*ctx.command_path.split()[1:], args[0]])
+        if args[0] not in self.commands and (sentence := instead_of(COMMANDS, path)):
+            ctx.fail(sentence)
+        return super().resolve_command(ctx, args)
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return their names."""

@@ -29,7 +29,7 @@ def read(
     source: Annotated[
         str,
         argument(
-            "A page (image, PDF), a text, Braille (.brf, .pef, photo), words, or - for "
+            "A page (image, PDF), a text, Braille (.brf), words, or - for "
             "standard input. Options follow: 'book.pdf?pages=3-5&dpi=300'.",
             "FILE",
             callback=or_standard_input,
@@ -109,8 +109,8 @@ def braille(
     source: Annotated[
         str | None,
         argument(
-            "A file of text (HTML, EPUB, DOCX …), cells (.brf, .pef), print or Braille (image, "
-            "PDF); a text, or text:WORDS where it could be a file; - for standard input.",
+            "A file of text (HTML, EPUB, DOCX …), cells (.brf) or print (image, PDF); "
+            "a text, or text:WORDS where it could be a file; - for standard input.",
             "TEXT|FILE|-",
             callback=or_standard_input,
         ),
@@ -118,66 +118,57 @@ def braille(
     table: TableOption = None,
     back: Annotated[bool, option("Translate cells back into text.", None, "--back")] = False,
     output: Annotated[
-        Path | None, option("Write a .brf, .pef, .ebrl or .txt file, instead of printing.", "FILE")
+        Path | None, option("Write a .brf file, instead of printing cells.", "FILE")
     ] = None,
-    overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
     columns: Annotated[
         int | None, option("Set the number of cells in a line, usually 40.", "N")
     ] = None,
     rows: Annotated[
         int | None, option("Set the number of lines on a page, usually 25.", "N")
     ] = None,
-    leave_out: Annotated[
-        bool, option("Leave out characters that the table has no cells for.", None, "--leave-out")
-    ] = False,
     tables: Annotated[bool, option("List the Braille tables.", None, "--tables")] = False,
 ) -> None:
     """Translate text into Braille, or Braille into text."""
+    from functools import partial
+
     from smarttouch.base.errors import BrailleError
     from smarttouch.base.files import require_folder, write_bytes
-    from smarttouch.braille.cell_pages import laid_out, write_cells
+    from smarttouch.braille.cells import format_brf
     from smarttouch.braille.code_tables import open_table
-    from smarttouch.reading.document_cells import forget_pages, load_material
+    from smarttouch.reading.document_cells import document_cells, forget_pages
+    from smarttouch.reading.material import ReadingMaterial
 
     if tables:
         _print_tables()
         return
     if source is None:
-        message = "nothing to read is given: give a text or a file, or list the tables"
-        raise BrailleError(message, about="text", remedy="tables")
-    require_folder(output)
-    if output is not None and output.is_file() and not overwrite:
-        message = f"{output} is there already: give another name, or let it be overwritten"
-        raise BrailleError(message, about="file", remedy="overwrite")
+        raise BrailleError("nothing to read is given: give a text or a file, or --tables")
+    if output is not None:
+        require_folder(output)
+        if back or output.suffix.lower() != ".brf":
+            message = "only cells are written, to a .brf file: redirect what is printed instead"
+            raise BrailleError(f"cannot write {output}: {message}")
+        if output.exists():
+            raise BrailleError(f"{output} is there already: give another name, or remove it")
+    say = partial(typer.echo, err=True)
     code = open_table(table_of(table, document.languages))
-    place, options = document.recognition(source)
-    loaded = load_material(
-        place, options, code, leave_out, lambda words: typer.echo(words, err=True), output
-    )
-    for note in loaded.notes:
-        typer.echo(note, err=True)
-    pages = laid_out(loaded, columns, rows, shown=output is None)
+    material = ReadingMaterial(*document.recognition(source), say)
+    if code.note and not material.holds_cells:
+        say(code.note)
+    cells = document_cells(material, code, say, output)
     if back:
-        cells = "\n".join(loaded.paragraphs)
-        text = code.to_text(cells) + "\n"
-        if doubt := code.doubt(cells, text):
-            typer.echo(doubt, err=True)
-        if output is None:
-            print(text, end="")
-            return
-        if output.suffix.lower() != ".txt":
-            message = f"cannot write a text as {output}: give a name that ends in .txt"
-            raise BrailleError(message, about="file")
-        write_bytes(output, text.encode(), BrailleError)
-        print(output)
+        given = "\n".join(cells.paragraphs)
+        text = code.to_text(given)
+        if doubt := code.doubt(given, text):
+            say(doubt)
+        print(text)
     elif output is None:
-        print("\n".join(line for page in pages for line in page))
-        return
+        print("\n".join(line for page in cells.laid_out(columns, rows, 0) for line in page))
     else:
-        for note in write_cells(output, pages, loaded.document(code), not options.pages):
-            typer.echo(note, err=True)
+        pages = cells.laid_out(columns, rows)
+        write_bytes(output, format_brf(pages), BrailleError)
         print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
-    forget_pages(output)
+        forget_pages(output)
 
 
 def _print_tables() -> None:

@@ -1,4 +1,4 @@
-"""``smarttouch recordings``, ``replay`` and ``report``: recordings shown, repaired, played."""
+"""``smarttouch recordings`` and ``replay``: recordings summarized and played."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,78 +11,15 @@ from smarttouch.cli.options import Commands, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
 
-recordings: Commands = Commands(
-    help="Show what recordings hold; repair and export them.", no_args_is_help=True
-)
-
-_File = Annotated[Path, argument("A recording, whole or cut off.", "FILE")]
+recordings: Commands = Commands(help="Show what recordings hold.", no_args_is_help=True)
 
 
 @recordings.command()
-def info(file: _File) -> None:
+def info(file: Annotated[Path, argument("A recording, whole or cut off.", "FILE")]) -> None:
     """Show what was delivered to whom and when, and how much of it was recorded."""
-    from smarttouch.running.recording_files import describe
+    from smarttouch.running.recording_summary import describe
 
     print_table(describe(file), left=2)
-
-
-@recordings.command()
-def repair(
-    file: _File,
-    output: Annotated[
-        Path | None, option("Write this file; a new one beside the old one otherwise.", "FILE")
-    ] = None,
-) -> None:
-    """Write all that can be read to a valid file; the old file stays as it is."""
-    from smarttouch.running.recording_files import is_sound
-    from smarttouch.running.recording_files import repair as write_whole
-
-    if output is None and is_sound(file):
-        print(f"{file} is whole: there is nothing to repair")
-        return
-    done = write_whole(file, output)
-    damaged = f"; {done.damaged_chunks} damaged pieces left out" if done.damaged_chunks else ""
-    print(f"{done.path}: {done.steps:,} sequences, {done.seconds:.1f} s{damaged}")
-
-
-@recordings.command()
-def export(
-    file: _File, folder: Annotated[Path, argument("A new or empty folder.", "FOLDER")]
-) -> None:
-    """Write images as PNG, steps and events as CSV, and all numbers as NPZ."""
-    from smarttouch.running.recording_files import export as write_out
-
-    for path in write_out(file, folder):
-        print(path)
-
-
-@recordings.command()
-def view(
-    files: Annotated[
-        list[Path], argument("One recording, or two to show side by side.", "FILE [OTHER]")
-    ],
-    save: Annotated[
-        Path | None, option("Write .png, .svg or .mp4, and show nothing.", "FILE")
-    ] = None,
-    step: Annotated[
-        int, option("Choose the step of a picture, or the first of a film.", "N", min=0)
-    ] = 0,
-) -> None:
-    """Show recordings in a browser: time line, steps, slots, events (needs the extra window)."""
-    if save is None:
-        from smarttouch.views.recordings_page import show_recordings
-
-        show_recordings(files)
-        return
-    from smarttouch.base.errors import RecordingError
-    from smarttouch.views.recordings_page import save_view
-
-    if len(files) > 1:
-        raise RecordingError(
-            f"a view is saved of one recording, not of {len(files)}: give one", about="files"
-        )
-    save_view(files[0], save, step, None)
-    print(save)
 
 
 @drives_a_board
@@ -153,23 +90,3 @@ def _check(file: Path, profile: str | None) -> None:
     print(report.describe())
     if not report.exact:
         raise typer.Exit(1)
-
-
-def report(
-    recording: Annotated[
-        Path | None, argument("The recording of the run that went wrong.", "[MCAP]")
-    ] = None,
-    output: Annotated[Path, option("Write the report to this file.", "FILE")] = Path(
-        "smarttouch-report.json"
-    ),
-) -> None:
-    """Write a file for a bug report: versions, drivers and settings.
-
-    It contains nothing about participants: no name, note, file name, threshold, current or answer.
-    """
-    from smarttouch.base.files import require_folder, write_json
-    from smarttouch.running.bug_report import bug_report
-
-    require_folder(output)
-    write_json(output, bug_report(recording))
-    print(f"{output}: look through it, and add what you did and what you saw")

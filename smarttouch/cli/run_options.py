@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display
     from smarttouch.sources.source_contract import Source
-    from smarttouch.views.window import Window
 
 
 _SETTINGS = {"scan": 0, "hold": 0, "softness": 0, "measure": 0, "balance": 0}.keys()
@@ -53,7 +52,7 @@ class RunOptionGroup(OptionGroup):
     set_: Annotated[
         list[str] | None,
         option(
-            "Change a setting of the run: scan=points (or frame, auto), hold=charge (or "
+            "Change a setting of the run: scan=points (or auto), hold=charge (or "
             "energy), softness=0..1, measure, balance.",
             "NAME=VALUE",
             "--set",
@@ -90,9 +89,6 @@ class RunOptionGroup(OptionGroup):
         str, option("Name the participant in the recording.", "NAME", panel=KEPT)
     ] = ""
     note: Annotated[str, option("Add a note to the recording.", "TEXT", panel=KEPT)] = ""
-    stream: Annotated[
-        str | None, option("Send the live run to the Lab Streaming Layer.", "lsl:", panel=KEPT)
-    ] = None
     json_file: JsonOption = None
     window: Annotated[
         int | None, option("Open a page in the browser that shows and steers the run.", "[PORT]")
@@ -220,7 +216,7 @@ class RunOptionGroup(OptionGroup):
         config: "RunConfig",
         ready: "Display | None" = None,
         **more: Any,
-    ) -> "Window | None":
+    ) -> None:
         """Run a source in the terminal until its end, as `run_in_terminal` does with `more`."""
         from smarttouch.sources.force import open_force
         from smarttouch.views.terminal_session import Outputs, run_in_terminal
@@ -230,13 +226,10 @@ class RunOptionGroup(OptionGroup):
         given: dict[str, Any] = {
             each.name: getattr(self, each.name, None) for each in fields(Outputs)
         }
-        if self.stream not in (None, "lsl:"):
-            raise not_offered("stream", self.stream, ("lsl:",))
-        given |= {"finger": seed, "anatomy": anatomy, "plain": plain}
-        outputs = Outputs(**given | {"markers": self.stream is not None})
+        outputs = Outputs(**given | {"finger": seed, "anatomy": anatomy, "plain": plain})
         with nullcontext() if self.force is None else open_force(self.force, profile) as force:
             if self.on_a_finger:
                 display = self.display(source.narrowed(profile))
             else:
                 display = ready or self.display(profile)
-            return run_in_terminal(source, display, config, outputs, force=force, **more)
+            run_in_terminal(source, display, config, outputs, force=force, **more)

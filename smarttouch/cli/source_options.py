@@ -42,13 +42,11 @@ def _file_of_standard_input() -> Iterator[Path]:
     data = sys.stdin.read().encode() if stream is None else stream.read(_MOST_BYTES + 1)
     if not data:
         raise SmartTouchError(
-            "standard input holds nothing: give a file, or pipe a text or a page into the command",
-            about="standard input",
+            "standard input holds nothing: give a file, or pipe a text or a page into the command"
         )
     if len(data) > _MOST_BYTES:
         raise SmartTouchError(
-            f"standard input holds more than {_MOST_BYTES / 1e6:,.0f} MB: give a file",
-            about="standard input",
+            f"standard input holds more than {_MOST_BYTES / 1e6:,.0f} MB: give a file"
         )
     with tempfile.TemporaryDirectory(prefix="smarttouch-") as folder:
         path = Path(folder) / "standard input"
@@ -127,8 +125,6 @@ class _Form:
     table: str | None = None
     cells: str = "line"
     lines: int = 1
-    embossed: bool | None = None
-    light_from: float | None = None
     speed_mm_s: float | None = None
 
 
@@ -140,7 +136,7 @@ class FormOptions(OptionGroup):
         str | None,
         option(
             "Read shapes or braille. Options follow: 'shapes?style=thinned', "
-            "'braille?table=en-2&cells=cell&lines=2&speed_mm_s=40&embossed&light_from=90'.",
+            "'braille?table=en-2&cells=cell&lines=2&speed_mm_s=40'.",
             "FORM",
             "--as",
         ),
@@ -162,12 +158,11 @@ class FormOptions(OptionGroup):
         if "?" in text:
             known = ", ".join(sorted(options_of(_Form)))
             message = f"{text!r} has an option that there is not: choose {known}"
-            raise ReadingError(message, about="kind")
+            raise ReadingError(message)
         form = _Form(**given)
         shapes = Shapes(choice_of("style", form.style, Style), named)
         presentation = choice_of("cells", form.cells, Presentation)
         if choice_of("kind", text, ("shapes", "braille")) == "shapes":
             return shapes, form.speed_mm_s
         table = table_of(form.table, language)
-        braille = Braille(table, presentation, form.lines, form.embossed, form.light_from)
-        return braille, form.speed_mm_s
+        return Braille(table, presentation, form.lines), form.speed_mm_s

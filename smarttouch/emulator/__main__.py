@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import typer
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.url_options import named_options
 from smarttouch.emulator.commands import emulate_board, emulate_sensor
 
 app: typer.Typer = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
@@ -20,9 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         app(arguments)
     except SmartTouchError as error:
-        command = typer.main.get_command(app)
-        typed = sys.argv[1:] if arguments is None else arguments
-        print(f"error: {error}{named_options(error, command, typed)}", file=sys.stderr)
+        print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
 
 

@@ -94,14 +94,14 @@ def emulate_board(
         raise not_offered("output", output, OUTPUTS)
     if firmware is not None and name != "etactilekit":
         message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
-        raise SmartTouchError(message, about="firmware")
+        raise SmartTouchError(message)
     if firmware is not None and firmware not in FIRMWARES:
         raise not_offered("firmware", firmware, FIRMWARES)
     if discovery_port is not None and not tcp:
         message = "discovery_port is for a board on the network: serve TCP"
-        raise SmartTouchError(message, about="discovery_port", remedy="tcp")
+        raise SmartTouchError(message)
     if books is not None and not books.is_dir():
-        raise SmartTouchError(f"{books} is no folder: make it first", about="books")
+        raise SmartTouchError(f"{books} is no folder: make it first")
     kept, finger = DeliveryLog(electrodes, books), EmulatedFinger(electrodes, event or ())
     if name == "link":
         from smarttouch.emulator.link_firmware import LinkFirmware
@@ -201,7 +201,7 @@ def emulate_sensor(
     if name == "serial-array":
         if "nan" in kinds:
             message = "a pixel is always a number: event nan is for load cells"
-            raise SmartTouchError(message, about="event")
+            raise SmartTouchError(message)
         device: sensors.SensorFirmware = sensors.SensorArray(
             _look(url, chosen, rows, columns), rate_hz
         )
@@ -274,7 +274,7 @@ def _serve(
     try:
         line = open_line()
     except OSError as error:
-        raise SmartTouchError(f"cannot open a port: {error}", about="port") from None
+        raise SmartTouchError(f"cannot open a port: {error}") from None
     server = Server(device, line, **more)
     # Circuits and images are small: a second thread would only slow down the host.
     with threadpool_limits(1), closing(line):

@@ -72,7 +72,7 @@ class _Line:
     def ask(self, question: MessageKind, payload: bytes = b"") -> Message:
         self.say(question, 0, payload)
         if (answer := self._answers.pop(ANSWERS[question], None)) is None:
-            raise SilentBoardError(f"the board at {self.name} does not answer", about="board")
+            raise SilentBoardError(f"the board at {self.name} does not answer")
         return answer
 
     def say(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> None:
@@ -181,9 +181,7 @@ class SimulatedBoard(LinkHost):
                 self.refused += 1
                 self._unsafe_refused += 1
                 _, _, words = reason_of(message)
-                raise BoardError(
-                    f"the simulated board refused sequence {message.about}: {words}", about="board"
-                )
+                raise BoardError(f"the simulated board refused sequence {message.about}: {words}")
             case _:
                 super()._receive(message)
 
@@ -292,15 +290,14 @@ class EmulatorBoard(LinkBoard):
                 if time.monotonic() > deadline:
                     raise BoardError(
                         f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this "
-                        "computer is too busy, try again",
-                        about="emulator",
+                        "computer is too busy, try again"
                     )
                 if not select.select([output], [], [], 0.02)[0]:
                     self._go_on_unless_stopped()
                     continue
                 if not (piece := os.read(output.fileno(), 256)):
                     message = f"the emulator did not start (exit {self._process.wait()})"
-                    raise BoardError(message, about="emulator")
+                    raise BoardError(message)
                 said += piece
         return said.decode().strip()
 

@@ -64,7 +64,7 @@ def parse(text: str, forms: Mapping[str, str], error: type[SmartTouchError]) -> 
 def bad_event(error: type[SmartTouchError], text: str, what: str) -> SmartTouchError:
     """Return the error of an event's text."""
     message = f"event {text!r}{what}"
-    return error(message, about="event")
+    return error(message)
 
 
 FORCE_N = 1.0  # default force: a firm reading pressure, which does not reduce the current
@@ -121,8 +121,7 @@ class EmulatedFinger:
             if event.electrode >= electrodes:
                 raise BoardError(
                     f"an event is of electrode {event.electrode}, the board has 0 to "
-                    f"{electrodes - 1}",
-                    about="event",
+                    f"{electrodes - 1}"
                 )
         switch = ("emergency", "release")
         self._due = deque(event for event in parsed if event.kind not in switch)

@@ -148,9 +148,7 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
     """Return the image function of a virtual finger that reads a page repeatedly."""
     kind = url.partition(":")[0]
     if kind not in ("page", "text"):
-        raise SourceError(
-            f"source {url!r}: an emulated array takes page:FILE or text:STRING", about="url"
-        )
+        raise SourceError(f"source {url!r}: an emulated array takes page:FILE or text:STRING")
     shape = {"sensor_rows": rows, "sensor_columns": columns}
     optics = profile.optics.model_copy(update=shape)
     source = open_source(url, profile.model_copy(update={"optics": optics}))
@@ -176,4 +174,4 @@ def _number(word: str) -> float:
     try:
         return float(np.nan_to_num(float(word)))
     except ValueError:
-        raise SourceError(f"{word!r} is no number", about="order") from None
+        raise SourceError(f"{word!r} is no number") from None

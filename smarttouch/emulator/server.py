@@ -193,11 +193,7 @@ class Server:
 
     def _add(self, fault: DeviceEvent) -> None:
         if fault.kind == "unplug" and not self._line.keeps_name:
-            raise SourceError(
-                "the port's name would change: start it with the event '0 unplug 0'",
-                about="event",
-                remedy="event 0 unplug 0",
-            )
+            raise SourceError("the port's name would change: start it with the event '0 unplug 0'")
         self._faults.append(fault)
 
     def _write_books(self) -> None:

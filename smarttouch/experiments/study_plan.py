@@ -54,7 +54,7 @@ class Study(Table):
     ``finger:paper+branched`` on both."""
     modes: tuple[Literal["RA", "SAI", "PC", "natural"], ...] = Field(default=("RA",), min_length=1)
     """Whose receptors."""
-    scans: tuple[Literal["points", "auto", "frame"], ...] = Field(default=("points",), min_length=1)
+    scans: tuple[Literal["points", "auto"], ...] = Field(default=("points",), min_length=1)
     """How points share slots."""
     intensities: tuple[float, ...] = Field(default=(1.0,), min_length=1, max_length=100)
     """Parts of the strongest comfortable current."""
@@ -74,14 +74,14 @@ class Study(Table):
     def _something_felt(self) -> Self:
         if not (self.letters or self.pages):
             raise UnfitError(
-                "letters is empty and there are no pages: give one of them", about="letters"
+                "letters is empty and there are no pages: give one of them", key="letters"
             )
         return self
 
     @model_validator(mode="after")
     def _own_letters(self) -> Self:
         if self.pages and "own" in self.levels:
-            raise UnfitError("pages are felt at the profile's level: leave out own", about="levels")
+            raise UnfitError("pages are felt at the profile's level: leave out own", key="levels")
         return self
 
     @field_validator("letters")

@@ -49,7 +49,7 @@ class Prior(Table):
             raise UnfitError(
                 f"low {self.low:g} and high {self.high:g} of {self.name!r} are no range: give a "
                 "smaller and a larger number, above 0 for logarithms",
-                about="low",
+                key="low",
             )
         return self
 
@@ -107,7 +107,7 @@ def drawn_anatomy(anatomy: Anatomy, priors: Sequence[Prior], values: Array) -> A
             except (LookupError, TypeError):
                 raise ProfileError(
                     f"prior {prior.name!r}: {key!r} is no number of anatomy {anatomy.name!r}",
-                    about="keys",
+                    key="keys",
                 ) from None
     try:
         return Anatomy.model_validate(table)

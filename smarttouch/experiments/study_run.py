@@ -73,9 +73,7 @@ def run_study(
     try:
         make_folder(parts)
     except OSError as error:
-        raise SmartTouchError(
-            f"cannot make the folder {folder}: {error.strerror}", about="output"
-        ) from None
+        raise SmartTouchError(f"cannot make the folder {folder}: {error.strerror}") from None
     grid = Grid(study, beside, designing)
     work = [*_letters(grid, parts), *_pages(grid, parts)]
     kept = {each.file: _kept(each.file) for each in work}

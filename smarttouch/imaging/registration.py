@@ -166,7 +166,7 @@ def _field_mm(
         raise ProfileError(
             "optics.homography puts some electrode outside the camera's view, or covers less than "
             "one: calibrate the registration again, or remove it",
-            about="optics.homography",
+            key="optics.homography",
         )
     width_mm, height_mm = (1 / chosen).tolist()
     return width_mm, height_mm

@@ -230,7 +230,7 @@ class TactileMapper:
         """
         if mode is Mode.COLOR:
             raise ScheduleError(
-                "mode color is for stimuli, and this source gives images: choose RA", about="mode"
+                "mode color is for stimuli, and this source gives images: choose RA"
             )
         if frame.image.shape != self._registration.frame_shape:
             self._prepare((frame.image.shape[0], frame.image.shape[1]))

@@ -203,8 +203,7 @@ def mix_colors(
         raise ScheduleError(
             f"{' and '.join(each.name for each in electrical)} respond to this, each at a rate of "
             "its own, and this board scans all electrodes at one rate: choose another board, or "
-            "a stimulus that one class alone responds to",
-            about="classes",
+            "a stimulus that one class alone responds to"
         )
     trains = list(ideal.values())
     if shaking:
@@ -245,8 +244,7 @@ def _drivable(
         raise ScheduleError(
             f"only {' and '.join(each.name for each in left_out)} would respond to this, and the "
             f"board of {profile.name} drives {' and '.join(each.name for each in made)} at these "
-            "sites: choose another profile, or a stimulus that others respond to, too",
-            about="classes",
+            "sites: choose another profile, or a stimulus that others respond to, too"
         )
     return [each for each in answering if each in made], left_out
 

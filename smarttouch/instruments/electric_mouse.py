@@ -78,9 +78,7 @@ class TexturePicture(DeliveredDrawing):
     def under(self) -> Under:
         """Return the part of the texture that the array passed over."""
         if not np.isfinite(self._least).all():
-            raise SmartTouchError(
-                "the hand received no stimulus: there is nothing to draw", about="felt"
-            )
+            raise SmartTouchError("the hand received no stimulus: there is nothing to draw")
         half = np.abs(self._position_mm).max(axis=0) + np.array(self._cell_mm)
         corner, end = self._least - half, self._most + half
         left, top = corner.tolist()
@@ -145,7 +143,7 @@ class MouseSource(StimulusSource):
         super().__init__(f"{texture.title} under {motion.title}")
         if len(mode.afferents) != 1:
             message = f"mode {mode} is more than one class: choose RA, SAI or PC"
-            raise SourceError(message, about="mode")
+            raise SourceError(message)
         words, most_hz = f"a rate of {rate_hz:g} frames a second", profile.limits.rate_hz
         require_within(SourceError, "rate_hz", rate_hz, SLOWEST_RATE_HZ, most_hz, words)
         # As many as a finger can resolve, and at most half the frames.

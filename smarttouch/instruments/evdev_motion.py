@@ -43,14 +43,14 @@ class EvdevMotion(HandMotion):
             except OSError as error:
                 device.close()
                 message = f"{self._path} cannot be had alone ({error.strerror}): share it"
-                raise _wrong(message, "grab") from None
+                raise SourceError(message) from None
         self._thread = threading.Thread(target=self._listen, name="mouse", daemon=True)
         self._thread.start()
 
     def read(self, time_ns: int) -> tuple[float, float]:
         """Return the displacement of the mouse since the first read."""
         if self._gone:
-            raise SourceLostError(f"{self._path} is gone: plug the mouse in again", about="mouse")
+            raise SourceLostError(f"{self._path} is gone: plug the mouse in again")
         with self._lock:
             across, down = self._counts
         if self._first is None:
@@ -96,24 +96,20 @@ class EvdevMotion(HandMotion):
             self.notes.append(words)
 
 
-def _wrong(message: str, remedy: str = "") -> SourceError:
-    return SourceError(message, about="mouse", remedy=remedy)
-
-
 def _open(path: str) -> "InputDevice[str]":
     evdev = _evdev()
     if not Path(path).exists():
-        raise _wrong(f"no device {path}: see {_FOLDER}/by-id for what there is")
+        raise SourceError(f"no device {path}: see {_FOLDER}/by-id for what there is")
     try:
         device: InputDevice[str] = evdev.InputDevice(path, readonly=True)
     except PermissionError:
-        raise _wrong(f"{path} may not be read by you: {_GROUP}") from None
+        raise SourceError(f"{path} may not be read by you: {_GROUP}") from None
     except OSError as error:
-        raise _wrong(f"{path} is no input device: {error.strerror or error}") from None
+        raise SourceError(f"{path} is no input device: {error.strerror or error}") from None
     if not _is_mouse(device):
         name = device.name
         device.close()
-        raise _wrong(f"{path}, {name}, reports no motion along two axes: choose a mouse")
+        raise SourceError(f"{path}, {name}, reports no motion along two axes: choose a mouse")
     return device
 
 
@@ -125,7 +121,7 @@ def _first_mouse() -> "InputDevice[str]":
             if _is_mouse(device):
                 return device
             device.close()
-    raise _wrong(f"no mouse among what you may read in {_FOLDER}: plug one in, or {_GROUP}")
+    raise SourceError(f"no mouse among what you may read in {_FOLDER}: plug one in, or {_GROUP}")
 
 
 def _natural(path: str) -> tuple[int, str]:

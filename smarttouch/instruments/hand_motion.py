@@ -79,7 +79,7 @@ _NEEDED = ("time_s", "x_mm", "y_mm")
 def open_path(rest: str) -> "PathMotion":
     """Open ``path:CSV``."""
     if not rest:
-        raise SourceError("path: names no file: give one, as in path:way.csv", about="file")
+        raise SourceError("path: names no file: give one, as in path:way.csv")
     return PathMotion(Path(rest))
 
 
@@ -172,8 +172,7 @@ def open_sweep(
     """Open ``sweep:`` or ``sweep:ROUNDS``; options are those of `SweepMotion`, and its origin."""
     if rest and not (rest.isdecimal() and 0 < int(rest) <= _MOST_ROUNDS):
         raise SourceError(
-            f"sweep:{rest} is no number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3",
-            about="rounds",
+            f"sweep:{rest} is no number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3"
         )
     motion = SweepMotion(speed_mm_s, span_mm, lane_mm, int(rest or USUAL_ROUNDS))
     motion.origin_mm = origin_mm
@@ -206,8 +205,7 @@ class SweepMotion(HandMotion):
         if rounds * len(points) > _MOST_STROKES:
             raise SourceError(
                 f"{rounds} rounds of {len(points) // 2} lanes are more strokes than "
-                f"{_MOST_STROKES}: ask for fewer",
-                about="strokes",
+                f"{_MOST_STROKES}: ask for fewer"
             )
         self._table = _timed(np.vstack([points[:1], *[points[1:]] * rounds]), speed_mm_s)
         self.duration_s: float = float(self._table[-1, 0])

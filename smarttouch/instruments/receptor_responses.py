@@ -76,9 +76,7 @@ def split_trace(
     if not sai_full_n > SAI_FORCE_N:
         raise ScheduleError(
             f"full force at {sai_full_n:g} N is no more than the {SAI_FORCE_N:g} N at which SAI "
-            "begins to answer: raise force.full_n of the profile",
-            about="force.full_n",
-            remedy="force.full_n",
+            "begins to answer: raise force.full_n of the profile"
         )
     return {
         Afferent.RA: _vibration(trace, Afferent.RA),

@@ -327,12 +327,12 @@ def open_texture(
     if kind == "grating" and ":" in spec:
         for name in given:
             message = f"{name} is for images, and {spec} is exact: leave it out"
-            raise PageError(message, about=name)
+            raise PageError(message)
         return _grating(spec, rest)
     if kind == "text" and ":" in spec:
         if dpi is not None:
             message = "dpi is for images, and a text has no resolution of its own: give its width"
-            raise PageError(message, about="dpi", remedy="width_mm")
+            raise PageError(message)
         heights = print_heights(rest, width_mm)
     else:
         heights = load_heights(Path(spec), dpi, width_mm)
@@ -343,6 +343,6 @@ def _grating(spec: str, rest: str) -> Texture:
     match = re.fullmatch(rf"\s*{_NUMBER}\s*(mm)?\s*(,\s*([-+]?){_NUMBER}\s*(deg|°)?)?\s*", rest)
     if match is None:
         message = f"{spec!r} is no grating: write grating:4mm or grating:4mm,30deg"
-        raise PageError(message, about="grating")
+        raise PageError(message)
     pitch_mm, sign, angle = float(match[1]), match[4], float(match[5] or 0)
     return Grating(pitch_mm, -angle if sign == "-" else angle)

@@ -10,7 +10,6 @@ from PIL import ImageOps
 
 from smarttouch.base.errors import PageError, UnknownSizeError
 from smarttouch.base.files import MOST_ARRAY_BYTES, open_file
-from smarttouch.base.tables import read_array
 from smarttouch.pages.page_image import (
     check_scale_options,
     open_image,
@@ -129,13 +128,13 @@ def _load_array(
 ) -> tuple[NDArray[np.float64], float]:
     with open_file(path, PageError, MOST_ARRAY_BYTES) as file:
         try:
-            heights = np.asarray(read_array(file, path.stat().st_size), np.float64)
+            heights = np.asarray(np.lib.format.read_array(file, allow_pickle=False), np.float64)
         except (OSError, ValueError, TypeError) as error:
             message = f"cannot read the height map {path}: it is not an array of numbers ({error})"
-            raise PageError(message, about="file") from None
+            raise PageError(message) from None
     if heights.ndim != 2:
         message = f"{path} has {heights.ndim} axes: a height map has two, rows and columns"
-        raise PageError(message, about="axes")
+        raise PageError(message)
     require_pixels(str(path), heights.shape[1], heights.shape[0])
     if dpi is not None:
         return heights, 25.4 / dpi
@@ -146,7 +145,7 @@ def _load_array(
 
 def _unscaled(path: Path) -> UnknownSizeError:
     message = f"{path} does not say how large it is: give {_SCALE}"
-    return UnknownSizeError(message, about="size_mm", remedy=_SCALE)
+    return UnknownSizeError(message)
 
 
 def _like(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -164,5 +163,5 @@ def _stretched(name: str, values: NDArray[np.float64], least: float) -> NDArray[
         low, high = values.min(), values.max()
     if high - low <= max(least, 1e-12):
         message = f"{name} is flat: there is nothing on it that could be felt"
-        raise PageError(message, about="texture")
+        raise PageError(message)
     return np.asarray(np.clip((values - low) / (high - low), 0, 1), np.float32)

@@ -43,17 +43,13 @@ class Trace:
         if self.displacement_um.shape != self.force_n.shape or self.displacement_um.ndim != 1:
             raise SmartTouchError(
                 f"a trace of {self.displacement_um.shape} displacements and {self.force_n.shape} "
-                "forces: give as many of both, in one row",
-                about="samples",
+                "forces: give as many of both, in one row"
             )
         if len(self.force_n) < 2:
-            raise SmartTouchError(
-                f"{self.title} has {len(self.force_n)} samples: give two or more", about="samples"
-            )
+            raise SmartTouchError(f"{self.title} has {len(self.force_n)} samples: give two or more")
         if not (np.isfinite(self.displacement_um).all() and np.isfinite(self.force_n).all()):
             raise SmartTouchError(
-                f"{self.title} has a sample that is not a finite number: leave such samples out",
-                about="samples",
+                f"{self.title} has a sample that is not a finite number: leave such samples out"
             )
         if self.duration_s > LONGEST_S:
             raise _too_long(self.title, self.duration_s)
@@ -88,16 +84,14 @@ def sampled(
     if len(time) < 2 or any(row.shape != time.shape for row in rows):
         raise SmartTouchError(
             f"{title} has {len(time)} times for {len(rows[0])} displacements and {len(rows[1])} "
-            "forces: give as many of each, two or more",
-            about="samples",
+            "forces: give as many of each, two or more"
         )
     steps = np.diff(time)
     if not (np.isfinite(time).all() and (steps > 0).all()):
         worst = int(np.argmin(np.where(np.isfinite(steps), steps, -math.inf)))
         raise SmartTouchError(
             f"{title}: times must rise, and sample {worst + 1} at {time[worst + 1]:g} s does not: "
-            "sort them and give each once",
-            about="samples",
+            "sort them and give each once"
         )
     if time[-1] - time[0] > LONGEST_S:
         raise _too_long(title, float(time[-1] - time[0]))
@@ -110,7 +104,7 @@ def sampled(
 
 def _too_long(title: str, seconds: float) -> SmartTouchError:
     message = f"{title} lasts {seconds:g} s: at most {LONGEST_S:g}, cut it"
-    return SmartTouchError(message, about="duration_s")
+    return SmartTouchError(message)
 
 
 _TIME, _DISPLACEMENT, _FORCE = "time_s", "displacement_um", "force_n"
@@ -134,8 +128,7 @@ def read_trace(path: Path, seconds: float, seed: int) -> Trace:
         return _from_spectrum(table, seconds, seed)
     raise SmartTouchError(
         f"{path} has the columns {', '.join(table.head) or 'none'}: name them time_s and "
-        "displacement_um or force_n, or frequency_hz and amplitude_um",
-        about="columns",
+        "displacement_um or force_n, or frequency_hz and amplitude_um"
     )
 
 
@@ -195,11 +188,11 @@ def open_trace(text: str, seconds: float = 2.0, seed: int = 0) -> Trace:
     """
     if not 0 < seconds <= LONGEST_S:
         message = f"{seconds:g} s are not possible: above 0, at most {LONGEST_S:g}"
-        raise SmartTouchError(message, about="seconds")
+        raise SmartTouchError(message)
     if not is_spec(text):
         if not Path(text).exists():
             message = f"{text!r} is neither a file nor a trace in a line: {_EXAMPLE}"
-            raise SmartTouchError(message, about="trace")
+            raise SmartTouchError(message)
         return read_trace(Path(text), seconds, seed)
     random = np.random.default_rng(seed)
     time = np.arange(max(2, round(seconds * SAMPLE_HZ))) / SAMPLE_HZ
@@ -222,21 +215,18 @@ def _parse(text: str, seconds: float) -> _Part:
     kind, _, rest = said.partition(":")
     matched = _GRAMMAR[kind].fullmatch(rest) if kind in _GRAMMAR else None
     if matched is None:
-        raise SmartTouchError(f"{text.strip()!r} is no part of a trace: {_EXAMPLE}", about="trace")
+        raise SmartTouchError(f"{text.strip()!r} is no part of a trace: {_EXAMPLE}")
     if not start_s < end_s <= seconds:
         raise SmartTouchError(
             f"{text.strip()!r} lasts from {start_s:g} to {end_s:g} s, the trace {seconds:g} s: "
-            "let it end after it begins, or make the trace longer",
-            about="trace",
-            remedy="seconds",
+            "let it end after it begins, or make the trace longer"
         )
     values = tuple(float(each) for each in matched.groups())
     band = values[:-1]
     if any(not 0 < each <= HIGHEST_HZ for each in band) or sorted(set(band)) != list(band):
         raise SmartTouchError(
             f"{text.strip()!r}: frequencies must be above 0, at most {HIGHEST_HZ:g} Hz, and the "
-            "lower one first",
-            about="frequency",
+            "lower one first"
         )
     return _Part(kind, values, start_s, end_s)
 
@@ -271,9 +261,7 @@ def _noise(part: _Part, time: Array, random: np.random.Generator) -> Array:
     if not spread > 0:
         raise SmartTouchError(
             f"noise from {low_hz:g} to {high_hz:g} Hz is too narrow a band for so short a trace: "
-            "widen it, or make the trace longer",
-            about="trace",
-            remedy="seconds",
+            "widen it, or make the trace longer"
         )
     return np.asarray(wave * (rms_um / spread))
 

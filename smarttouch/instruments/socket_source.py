@@ -1,262 +1,199 @@
-"""``socket:``: images or activations of another program of this user, over a local socket.
+"""``socket:``: a door for other programs of this user, with JSON requests at a Unix socket."""
 
-A program connects and sends one PGM image after another (http://netpbm.sourceforge.net/doc/pgm.html),
-which is three lines of text and then bytes, row by row::
-
-    P5
-    WIDTH HEIGHT
-    255
-"""
-
-import contextlib
-import re
-import select
+import asyncio
+import errno
+import json
 import socket
-import stat
-import time
+import struct
+import threading
+from collections.abc import Awaitable
+from dataclasses import asdict
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field, ValidationError
 
-from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import SourceError
-from smarttouch.instruments.pushed_stimuli import LOOK_S, TCP_TABLES, PushedStimuli, is_from_us
+from smarttouch.base.errors import SmartTouchError, SourceError
+from smarttouch.base.posix import user_number
 from smarttouch.profile import Profile
-from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
-from smarttouch.sources.source_contract import DeviceWarnings, Source
+from smarttouch.running.touch import ProgramSource, Shown, Touch
+from smarttouch.sources.source_contract import Frame
 
-MOST_PIXELS = 4_000_000
-_HEAD = re.compile(rb"P5\s(?:#[^\n]*\n)*\s*(\d+)\s+(\d+)\s+(\d+)\s")
-_LONGEST_HEAD = 1000
-_PIECE = 1 << 16
+LONGEST_S = 60.0  # of one show, as a client may hang
+MOST_BYTES = 4_000_000  # in one request
+_LOOK_S = 0.05
+_Gray = Annotated[int, Field(ge=0, le=255)]
 
 
-def open_socket(
-    rest: str, profile: Profile, *, activation: bool = False, follow: bool = False
-) -> Source:
-    """Open ``socket:PORT`` of 127.0.0.1, or ``socket:PATH`` of a Unix socket.
+class _Request(BaseModel, extra="forbid", strict=True):
+    request: Literal["show", "put", "level", "stop", "status"]
+    pattern: list[float] | list[list[float]] | None = None
+    image: list[list[_Gray]] | None = None
+    seconds: Annotated[float, Field(gt=0, le=LONGEST_S)] = 0.5
+    level: float | None = None
 
-    With ``activation`` an image is the activation of the electrodes, of all classes (E x 1) or RA,
-    SAI and PC (E x 3), 255 full. Otherwise images are gray levels of what a sensor sees, bright is
-    white. With ``follow`` each is one pulse, see `PushedStimuli`.
+
+class SocketSource(ProgramSource):
+    """Patterns of the programs that connect to ``socket:PATH``.
+
+    Each request is a JSON object on a line of its own, and so is its answer. Requests use a
+    session's methods, so ramp, force and limits hold. The newest pattern wins: it ends what is
+    being shown. A client that leaves ends what it shows or has put.
     """
-    device = SocketImages(rest, profile)
-    if not activation:
-        return LiveSource(device, profile, follow=follow)
-    return SocketStimuli(device, profile, follow)
 
+    stands_still = False  # a run in simulated time, too, ends while nothing is asked for
+    ended = "a program stopped it through the socket"
 
-class SocketImages(ImageDevice):
-    """Images of the program that is connected, one program at a time; white paper before the
-    first."""
+    def __init__(self, path: str, profile: Profile) -> None:
+        super().__init__(f"socket {path}", profile)
+        self._listener, self._path = _listen(path), Path(path)
+        self._closing = threading.Event()
+        self._task: asyncio.Task[None] | None = None
+        self._newest: asyncio.StreamWriter | None = None  # the client of the newest pattern
 
-    def __init__(self, place: str, profile: Profile) -> None:
-        self.title: str = f"socket {place}"
-        self.refused: int = 0
-        self.wrong: int = 0
-        self._place, self._optics = place, profile.optics
-        self._listener: socket.socket | None = None
-        self._line: socket.socket | None = None
-        self._data = bytearray()
-        self._began = False
-        self._warnings = DeviceWarnings(self.notes)
+    def close(self) -> None:
+        """End all connections and remove the socket."""
+        if not self._closing.is_set():
+            self._closing.set()
+            super().close()
+            self._listener.close()
+            self._path.unlink(missing_ok=True)
 
-    def open(self) -> None:
-        self._listener = _listening(self._place)
+    def program(self, touch: Touch) -> None:
+        """Serve clients until the run is over and electrodes are at zero."""
+        asyncio.run(self._serve(touch))
 
-    @property
-    def address(self) -> tuple[str, int] | str:
-        """Where it listens."""
-        assert self._listener is not None
-        found: tuple[str, int] | str = self._listener.getsockname()
-        return found
+    async def _serve(self, touch: Touch) -> None:
+        async def connected(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            try:
+                if _is_ours(writer.get_extra_info("socket")):
+                    await self._follow(touch, reader, writer)
+            except (OSError, asyncio.CancelledError):
+                pass  # the client has left, or the run is over
+            finally:
+                writer.close()
 
-    def grab(self, timeout_s: float) -> Shot | None:
-        if not self._began:
-            self._began = True
-            blank = np.full((self._optics.sensor_rows, self._optics.sensor_columns), 255, np.uint8)
-            # Too old to make current.
-            return Shot(blank, time.perf_counter_ns() - 3600 * 10**9)
-        return self.newest(timeout_s)
+        server = await asyncio.start_unix_server(connected, sock=self._listener, limit=MOST_BYTES)
+        while not self._closing.is_set():
+            await asyncio.sleep(_LOOK_S)
+        server.close()
 
-    def newest(self, timeout_s: float) -> Shot | None:
-        """Return the newest image that is complete; None at the time limit."""
-        assert self._listener is not None
-        deadline_s = time.monotonic() + timeout_s
-        while (left_s := deadline_s - time.monotonic()) > 0:
-            waits_for = self._listener if self._line is None else self._line
-            if not select.select([waits_for], [], [], left_s)[0]:
-                break
-            if self._line is None:
-                self._accept(self._listener)
-            elif (shot := self._receive(self._line)) is not None:
-                return shot
-        return None
+    async def _follow(
+        self, touch: Touch, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        """Answer one client until it leaves, then end its pulses."""
+        try:
+            while line := await reader.readline():
+                self._answer(touch, line, writer)
+                await writer.drain()
+                await asyncio.sleep(0)  # a show begins before the next request may end it
+        except ValueError:
+            _reply(writer, error=f"a request has more than {MOST_BYTES} bytes")
+        finally:
+            if self._newest is writer:
+                self._end_task()
+                self.put(self._nothing, 0)
 
-    def _accept(self, listener: socket.socket) -> None:
-        line = listener.accept()[0]
-        with contextlib.suppress(OSError):
-            if is_from_us(line):
-                line.setblocking(False)
-                self._line = line
-                self._data.clear()
+    def _answer(self, touch: Touch, line: bytes, writer: asyncio.StreamWriter) -> None:
+        """Carry a request out and answer it; a show is answered when it is over."""
+        answer: dict[str, Any] = {}
+        try:
+            asked = _parse(line)
+            if asked.request == "show":
+                pattern, level = self._pattern(asked, touch), asked.level
+                self._end_task()
+                shown = touch.show_async(pattern, asked.seconds, 1.0 if level is None else level)
+                self._task, self._newest = asyncio.create_task(_shown(shown, writer)), writer
                 return
-        line.close()
-        self.refused += 1
-        self._warnings.put(
-            "refused",
-            f"{self.refused} connections were refused: they were of other users, or of programs "
-            "that had closed them",
-        )
+            if asked.request == "put":
+                touch.put(self._pattern(asked, touch))
+                self._end_task()
+                self._newest = writer
+            elif asked.request == "level":
+                if asked.level is None:
+                    raise SourceError("level needs a level from 0 to 1")
+                self.controls.set_level(asked.level)
+            elif asked.request == "stop":
+                self.end()
+            else:
+                answer = {
+                    "electrodes": self._nothing.shape[1], "mode": touch.mode, "level": touch.level,
+                    "most_level": self.controls.most, "paused": self.controls.state(0).paused,
+                    "gate": self.gate, "patterns": self.frames, "dropped": self.dropped_frames,
+                }  # fmt: skip
+            _reply(writer, request=asked.request, **answer)
+        except SmartTouchError as error:
+            _reply(writer, error=str(error))
 
-    def _receive(self, line: socket.socket) -> Shot | None:
-        images: list[NDArray[np.uint8]] = []
-        over = False
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                try:
-                    piece = line.recv(_PIECE)
-                except BlockingIOError:
-                    raise
-                except OSError:
-                    piece = b""
-                over = not piece
-                if over:
-                    break
-                self._data += piece
-                try:
-                    images += _complete(self._data)
-                except ValueError as wrong:
-                    self.wrong += 1
-                    self._warnings.put(
-                        "wrong", f"{self.wrong} connections were closed, as they sent {wrong}"
-                    )
-                    over = True
-                    break
-                if images:
-                    break
-        if over:
-            line.close()
-            self._line = None
-        if not images:
-            return None
-        return Shot(images[-1], time.perf_counter_ns(), len(images) - 1)
+    def _end_task(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
 
-    def close(self) -> None:
-        place = Path(self._place)
-        for each in (self._line, self._listener):
-            if each is not None:
-                each.close()
-        if self._listener is not None and "/" in self._place:
-            with contextlib.suppress(OSError):
-                place.unlink()
-        self._line = self._listener = None
+    def _pattern(self, asked: _Request, touch: Touch) -> NDArray[np.float32] | Frame:
+        """Return activation or an image; classes that the run does not drive must be at zero."""
+        if (asked.pattern is None) == (asked.image is None):
+            raise SourceError("give either pattern or image")
+        try:
+            array = np.array(asked.pattern if asked.image is None else asked.image)
+        except ValueError:
+            raise SourceError("the rows are not equally long") from None
+        if asked.image is not None:
+            return self.checked(Frame(array.astype(np.uint8), 0), touch.mode)
+        if array.shape == self._nothing.shape and np.delete(array, self.afferents, axis=0).any():
+            driven = ", ".join(each.name for each in self.afferents)
+            raise SourceError(f"this run drives {driven}: leave the other rows at zero")
+        return self.checked(array, touch.mode)
 
 
-def _complete(data: bytearray) -> list[NDArray[np.uint8]]:
-    """Return the images that are complete, and remove them; ValueError, in words, for others."""
-    images: list[NDArray[np.uint8]] = []
-    while True:
-        head = _HEAD.match(data[:_LONGEST_HEAD])
-        if head is None:
-            if len(data) >= _LONGEST_HEAD or not b"P5".startswith(bytes(data[:2])):
-                raise ValueError("no PGM image (P5)")
-            return images
-        width, height, most = map(int, head.groups())
-        if not (width > 0 and height > 0 and width * height <= MOST_PIXELS and 0 < most < 256):
-            raise ValueError(
-                f"an image of {width} x {height} with levels up to {most}: at most "
-                f"{MOST_PIXELS / 1e6:g} megapixels and 255 are read"
-            )
-        end = head.end() + width * height
-        if len(data) < end:
-            return images
-        image = np.frombuffer(bytes(data[head.end() : end]), np.uint8).reshape(height, width)
-        if most < 255:
-            scaled = np.rint(np.minimum(image, most) * (255 / most))
-            image = scaled.astype(np.uint8)
-        images.append(image)
-        del data[:end]
-
-
-class SocketStimuli(PushedStimuli):
-    """Activations of the program that is connected."""
-
-    def __init__(self, device: SocketImages, profile: Profile, follow: bool) -> None:
-        super().__init__(device.title, profile, follow)
-        self.notes: list[str] = device.notes
-        self.device = device
-        self._shapes = [(rows, len(profile.electrodes)) for rows in (1, len(Afferent))]
-        device.open()
-        self._thread.start()
-
-    def receive(self) -> None:
-        shot = self.device.newest(LOOK_S)
-        if shot is None:
-            return
-        self.dropped_frames += shot.missed
-        self.frames += shot.missed
-        if shot.image.shape in self._shapes:
-            level = np.asarray(shot.image / np.float32(255), np.float32)
-            self.push(np.ascontiguousarray(np.broadcast_to(level, self._shapes[1])))
-        else:
-            self.wrong += 1
-
-    def close(self) -> None:
-        super().close()
-        self.device.close()
-        wide = self._shapes[0][1]
-        self._note_wrong(
-            f"activations were not {wide} wide and 1 or 3 high, as this array needs them"
-        )
-
-
-def _listening(place: str) -> socket.socket:
-    """Return a socket that programs of this machine can connect to."""
-    if "/" in place:
-        return _listening_at(Path(place))
-    if not re.fullmatch(r"\d{1,5}", place, re.ASCII) or not int(place) < 65536:
-        raise SourceError(
-            f"{place!r} is no place to listen at: give a port, as in socket:9000, or the path of a "
-            "socket, as in socket:/tmp/touch",
-            about="address",
-        )
-    if not TCP_TABLES[0].exists():
-        raise SourceError(
-            f"this system has no {TCP_TABLES[0]}, which says whose program connects: give the path "
-            "of a socket, as in socket:/tmp/touch",
-            about="address",
-        )
+async def _shown(show: Awaitable[Shown], writer: asyncio.StreamWriter) -> None:
+    """Answer a show when it is over."""
     try:
-        return socket.create_server(("127.0.0.1", int(place)), backlog=1)
-    except OSError as error:
-        raise SourceError(
-            f"cannot listen at port {place}: {error.strerror or error}; give another, as in "
-            "socket:9001",
-            about="address",
-        ) from None
+        _reply(writer, request="show", **asdict(await show))
+    except SmartTouchError as error:
+        _reply(writer, request="show", error=str(error))
+    except asyncio.CancelledError:
+        _reply(writer, request="show", error="a newer pattern or the end of the run ended it")
 
 
-def _listening_at(path: Path) -> socket.socket:
-    if not hasattr(socket, "AF_UNIX") or not hasattr(socket, "SO_PEERCRED"):
-        raise SourceError(
-            "this system has no sockets that say whose program connects", about="address"
-        )
+def _parse(line: bytes) -> _Request:
+    try:
+        return _Request.model_validate_json(line)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = "".join(f"{each}: " for each in first["loc"][:1])
+        raise SourceError(f"a request is not valid: {where}{first['msg']}") from None
+
+
+def _reply(writer: asyncio.StreamWriter, **answer: Any) -> None:
+    if not writer.is_closing():
+        writer.write(json.dumps({"ok": "error" not in answer, **answer}).encode() + b"\n")
+
+
+def _is_ours(line: socket.socket) -> bool:
+    """Return whether a client is of this user, where the system tells."""
+    option = getattr(socket, "SO_PEERCRED", None)
+    if option is None:
+        return True
+    pid_uid_gid = line.getsockopt(socket.SOL_SOCKET, option, struct.calcsize("3i"))
+    return bool(struct.unpack("3i", pid_uid_gid)[1] == user_number())
+
+
+def _listen(path: str) -> socket.socket:
+    """Return a listening socket that no other user can connect to."""
+    if not path or path.isdigit() or "?" in path:
+        raise SourceError(f"{path!r} is not the path of a socket: give one, as in socket:./touch")
+    if not hasattr(socket, "AF_UNIX"):
+        raise SourceError("this system has no Unix sockets: use a session in Python")
     line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        # Left by an earlier run: no program listens there.
-        if path.exists() and stat.S_ISSOCK(path.stat().st_mode) and line.connect_ex(str(path)):
-            path.unlink()
-        line.close()
-        line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        line.bind(str(path))
-        path.chmod(0o600)
-        line.listen(1)
+        if Path(path).is_socket() and line.connect_ex(path) == errno.ECONNREFUSED:
+            Path(path).unlink()  # an earlier run left it
+        line.bind(path)
+        Path(path).chmod(0o600)
+        line.listen()
     except OSError as error:
         line.close()
-        raise SourceError(
-            f"cannot listen at {path}: {error.strerror or error}; give another path",
-            about="address",
-        ) from None
+        raise SourceError(f"cannot listen at {path}: {error.strerror or error}") from None
     return line

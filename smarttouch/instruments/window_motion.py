@@ -27,7 +27,7 @@ _START_S = 10.0
 def open_window(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
     """Open ``window:`` over a texture, or over an empty pad."""
     if rest:
-        raise SourceError(f"window: takes nothing after the colon, not {rest!r}", about="motion")
+        raise SourceError(f"window: takes nothing after the colon, not {rest!r}")
     return WindowMotion(texture)
 
 
@@ -64,7 +64,7 @@ class WindowMotion(HandMotion):
             self._open = False
             self._closing.set()
             message = "window: the display does not answer: try again"
-            raise SourceError(message, about="display") from None
+            raise SourceError(message) from None
         if isinstance(started, SourceError):
             self.close()
             raise started
@@ -106,7 +106,7 @@ class WindowMotion(HandMotion):
             del shown
         except tkinter.TclError as error:
             message = f"window: the display failed: {error}"
-            self._started.put(SourceError(message, about="display"))
+            self._started.put(SourceError(message))
         self._open = False
         # Tcl ends the program if another thread collects what is left of the window.
         self._closing.wait()
@@ -156,7 +156,7 @@ def fit(
 
 
 def _missing(what: str, message: str) -> SourceError:
-    return SourceError(message, about=what, remedy="evdev:")
+    return SourceError(message)
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:

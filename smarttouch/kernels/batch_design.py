@@ -14,7 +14,7 @@ import numpy as np
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
-from smarttouch.base.files import parse_json, read_bytes
+from smarttouch.base.files import read_bytes
 from smarttouch.kernels.design_problem import Kernel, Problem
 
 Design = Callable[[Problem, int], Kernel]
@@ -128,7 +128,7 @@ def kept_kernel(keep: Path | None, problem: Problem, site: int) -> Timed | None:
     if keep is None:
         return None
     try:
-        fields = parse_json(read_bytes(_path(keep, problem, site), DesignError))
+        fields = json.loads(read_bytes(_path(keep, problem, site), DesignError))
         seconds = float(fields["seconds"])
         kernel = Kernel(
             weights=np.array(fields["weights"], np.float64), off_target=fields["worst_other"],

@@ -1,11 +1,7 @@
-"""The design problem: AF rows of a kernel's target and of all else, and their symmetries.
-
-A problem holds one set of rows, or under a spread one for each skin that the
-finger might have; a kernel is as good as it is on the worst of them.
-"""
+"""The design problem: AF rows of a kernel's target and of all else, and their symmetries."""
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -17,15 +13,11 @@ from smarttouch.base.array_picture import cells_svg, titled
 from smarttouch.base.errors import DesignError
 from smarttouch.base.one_line import one_line
 from smarttouch.physiology.activating_function import (
-    Afferents,
     af_matrix,
     along_axon,
     directions,
     everywhere,
-    flat_directions,
-    skin_variants,
     targets,
-    tilted_directions,
 )
 from smarttouch.profile import Profile
 
@@ -165,27 +157,15 @@ def masked_site(site: int) -> DesignError:
     return DesignError(
         f"site {site} is masked: its electrode is not driven; choose another, or take it out of "
         "output.masked of the profile",
-        about="site",
-        remedy="output.masked",
         electrode=site,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """AF rows of one skin, in V/mm² per mA."""
-
-    # (S, E, E): rows [:, s] are the possible targets under electrode s, nominal first
-    target: Array
-    other: Array  # (N, E), every node of the other classes
-    own: Array  # (M, E), every node of the own class
-
-
 class Problem:
     """Rows of one class against others, by default both (Eq. 10 has one, Eq. 16 two), shared by all
-    sites of a profile; with `spread` over the skins of ``skin.spread``.
+    sites of a profile.
 
-    `made` keeps the rows of each skin and class for further problems of the same profile.
+    `made` keeps the rows of each class for further problems of the same profile.
     """
 
     def __init__(
@@ -193,62 +173,39 @@ class Problem:
         profile: Profile,
         afferent: Afferent,
         others: Collection[Afferent] | None = None,
-        spread: bool = False,
-        made: dict[tuple[int, Afferent], Array] | None = None,
+        made: dict[Afferent, Array] | None = None,
     ) -> None:
         self.profile: Profile = profile
         self.afferent: Afferent = afferent
-        self.spread: bool = spread
         if others is None:
             others = [each for each in Afferent if each is not afferent]
         if afferent in others or not others:
             raise DesignError(
                 f"{afferent.name} must be selected against one or two other classes, not against "
-                f"{', '.join(each.name for each in others) or 'none'}",
-                about="others",
+                f"{', '.join(each.name for each in others) or 'none'}"
             )
-        sets = {each: self._might_be(everywhere(profile, each)) for each in Afferent}
-        aims = self._might_be(targets(profile, afferent))
-        skins = list(skin_variants(profile.skin)) if spread else [profile.skin]
+        nodes = {each: everywhere(profile, each) for each in (afferent, *others)}
         made = {} if made is None else made
-        for number, skin in enumerate(skins):
-            for each in {afferent, *others} - {known for which, known in made if which == number}:
-                made[number, each] = np.concatenate(
-                    [af_matrix(profile, one, skin) for one in sets[each]]
-                )
-        self.rows: list[Rows] = [
-            Rows(
-                np.concatenate([af_matrix(profile, aim, skin) for aim in aims]).reshape(
-                    -1, self.electrodes, self.electrodes
-                ),
-                np.concatenate([made[number, each] for each in others]),
-                made[number, afferent],
-            )
-            for number, skin in enumerate(skins)
-        ]
+        for each in nodes.keys() - made.keys():
+            made[each] = af_matrix(profile, nodes[each])
+        self.target: Array = af_matrix(profile, targets(profile, afferent))
+        """Row of the target of every site, (E, E) V/mm² per mA."""
+        self.other: Array = np.concatenate([made[each] for each in others])
+        """Rows of every node of the other classes, (N, E)."""
+        self.own: Array = made[afferent]
+        """Rows of every node of the own class, (M, E)."""
         self.other_class: NDArray[np.int8] = np.concatenate(
-            [
-                np.full(len(one.direction) * len(one.position_mm), each, np.int8)
-                for each in others
-                for one in sets[each]
-            ]
+            [np.full(len(made[each]), each, np.int8) for each in others]
         )
         self.grids: list[tuple[tuple[int, int], int]] = [
-            (one.grid, len(one.direction)) for each in others for one in sets[each]
-        ]  # fmt: skip
-        own_grids = [(one.grid, len(one.direction)) for one in sets[afferent]]
+            (nodes[each].grid, len(nodes[each].direction)) for each in others
+        ]
+        own = nodes[afferent]
         apart = max(1, round(_FIRST_MM / profile.skin.node_spacing_mm))
         self.coarse_other: NDArray[np.intp] = _sublattice(self.grids, apart)
         """Rows of other classes, and of the own, that lie about `_FIRST_MM` apart."""
-        self.coarse_own: NDArray[np.intp] = _sublattice(own_grids, apart)
-        self._own_position_mm = np.concatenate(
-            [np.tile(one.position_mm, (len(one.direction), 1)) for one in sets[afferent]]
-        )
-
-    @property
-    def target(self) -> Array:
-        """Nominal target row of every site, (E, E)."""
-        return np.asarray(self.rows[0].target[0])
+        self.coarse_own: NDArray[np.intp] = _sublattice([(own.grid, len(own.direction))], apart)
+        self._own_position_mm = np.tile(own.position_mm, (len(own.direction), 1))
 
     @property
     def electrodes(self) -> int:
@@ -271,7 +228,7 @@ class Problem:
         if not 0 <= site < self.electrodes:
             last = self.electrodes - 1
             message = f"site {site} is out of range: the array has sites 0 to {last}"
-            raise DesignError(message, about="site", electrode=site)
+            raise DesignError(message, electrode=site)
         if site in self.profile.output.masked:
             raise masked_site(site)
 
@@ -319,46 +276,22 @@ class Problem:
         kind: KernelKind = "weighted",
         gap: float = 0.0,
     ) -> Kernel:
-        """Return weights scaled to an activation of 1, with their figures on the worst skin;
-        DesignError if they do not activate the target in one of them."""
+        """Return weights scaled to an activation of 1, with their figures; DesignError if they do
+        not activate the target."""
         far = self.beyond_a_pitch(site, node)
-        worst, spill, whose, smallest = -np.inf, 0.0, 0, np.inf
-        for rows in self.rows:
-            aims = rows.target[:, site] if node == 0 else self.axon(site)[node][None]
-            own_af = float((aims @ weights).min())
-            if own_af <= 0:
-                message = f"the pattern for {self.describe(site)} does not activate its target"
-                raise DesignError(message, about="pattern", electrode=site)
-            others = rows.other @ weights
-            highest = float(others.max())
-            if highest / own_af > worst:
-                worst = highest / own_af
-                # An optimum often presses two classes alike: let no last bit choose between them.
-                alike = others >= highest - _ALIKE * abs(highest)
-                whose = int(self.other_class[alike].min())
-            if far.any():
-                spill = max(spill, float((rows.own @ weights)[far].max() / own_af))
-            smallest = min(smallest, own_af)
-        scaled = weights / smallest
+        aim = self.target[site] if node == 0 else self.axon(site)[node]
+        own_af = float(aim @ weights)
+        if own_af <= 0:
+            message = f"the pattern for {self.describe(site)} does not activate its target"
+            raise DesignError(message, electrode=site)
+        others = self.other @ weights
+        highest = float(others.max())
+        # An optimum often presses two classes alike: let no last bit choose between them.
+        alike = others >= highest - _ALIKE * abs(highest)
+        whose = int(self.other_class[alike].min())
+        spill = max(float((self.own @ weights)[far].max(initial=-np.inf)) / own_af, 0.0)
+        scaled = weights / own_af
         # The last bits of the solver: currents sum to zero.
         if kind == "weighted":
             scaled[self.driven] -= scaled[self.driven].mean()
-        return Kernel(scaled, worst, Afferent(whose), spill, node, kind, gap)
-
-    def _might_be(self, one: Afferents) -> list[Afferents]:
-        """Return a set of nodes at every depth and direction of the spread, nominal first."""
-        if not self.spread:
-            return [one]
-        spread = self.profile.skin.spread
-        class_name = one.afferent.name.lower()
-        depth_spread = getattr(spread, f"{class_name}_depth_mm")
-        if one.ending is not None:
-            direction = tilted_directions(spread.angle_deg)
-        else:
-            angles = np.degrees(np.arctan2(one.direction[:, 1], one.direction[:, 0]))
-            turns = np.array([0.0, spread.angle_deg, -spread.angle_deg])
-            direction = flat_directions(tuple((angles[None, :] + turns[:, None]).ravel()))
-        shifts = [0.0, depth_spread, -depth_spread] if depth_spread else [0.0]
-        return [
-            replace(one, depth_mm=one.depth_mm + shift, direction=direction) for shift in shifts
-        ]
+        return Kernel(scaled, highest / own_af, Afferent(whose), spill, node, kind, gap)

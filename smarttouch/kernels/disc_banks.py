@@ -34,8 +34,7 @@ def lone_discs(profile: Profile, bank: KernelBank) -> KernelBank:
     if len(profile.output.polarities) < 2:
         raise DesignError(
             f"{profile.name} drives its electrodes {profile.output.polarities[0]} only, and two "
-            "polarities are to be compared: choose another profile",
-            about="output.polarities",
+            "polarities are to be compared: choose another profile"
         )
     cathodic = _cathodic_discs(profile)
     discs = {Afferent.SAI: cathodic, Afferent.PC: -cathodic}

@@ -318,7 +318,6 @@ def _solved(program: _Program) -> Array:
     found = solve(cost, above, limit, balance, [0.0], bounds, method="highs-ds")
     if found.x is None:
         raise DesignError(
-            f"the solver gave up ({found.message}): check the depths and sizes of the profile",
-            about="solver",
+            f"the solver gave up ({found.message}): check the depths and sizes of the profile"
         )
     return np.asarray(found.x[:count])

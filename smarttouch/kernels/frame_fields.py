@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import DesignError
 from smarttouch.physiology.activating_function import Afferents, af_matrix
-from smarttouch.profile import Profile, Skin
+from smarttouch.profile import Profile
 from smarttouch.profile.layouts import FreeLayout
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ class FieldMap:
         self.rows_n: int = self.directions_n * self.places_n
         self.grid: tuple[int, int] = afferents.grid
         self._electrodes_n = len(profile.electrodes)
-        made = _products(profile, afferents, profile.skin)
+        made = _products(profile, afferents)
         self.separable: bool = made is not None
         if made is None:
             self._dense = np.asarray(af_matrix(profile, afferents), np.float32)
@@ -59,14 +59,6 @@ class FieldMap:
         stacked = across.reshape(count, self._high * self._rank, -1)
         return np.asarray((self._left @ stacked).reshape(count, self.rows_n))
 
-    def rows(self, index: NDArray[np.intp]) -> Array:
-        """Return exact rows for chosen nodes, (K, E) V/mm² per mA."""
-        if not self.separable:
-            return np.asarray(self._dense[index], np.float64)
-        line, column = np.divmod(index, self.grid[1])
-        pairs = np.einsum("kyr,xrk->kyx", self._down[line], self._across[:, :, column])
-        return np.asarray(pairs.reshape(len(index), self._electrodes_n)[:, self._place], np.float64)
-
     def gram(self) -> Array:
         """Return the sum of all rows' outer products, (E, E)."""
         if not self.separable:
@@ -85,7 +77,7 @@ class FieldMap:
 
 
 def _products(
-    profile: Profile, afferents: Afferents, skin: Skin
+    profile: Profile, afferents: Afferents
 ) -> tuple[Single, Single, NDArray[np.intp]] | None:
     """Return factors (D·Y, y, R) and (x, R, X), and each electrode's place in (y, x); or None."""
     position, (lines, columns) = profile.electrodes.position_mm, afferents.grid
@@ -98,7 +90,7 @@ def _products(
     dy, at_y = np.unique((node[:, 0, 1][:, None] - y).round(_ROUND_MM), return_inverse=True)
     if max(len(dx), len(dy)) > _MOST_DISTINCT:
         return None
-    kernel = _kernel(profile, afferents, skin, dx, dy)
+    kernel = _kernel(profile, afferents, dx, dy)
     count = len(afferents.direction)
     left, size, right = np.linalg.svd(kernel.reshape(-1, len(dx)), full_matrices=False)
     left = left * size
@@ -115,15 +107,13 @@ def _products(
     )
 
 
-def _kernel(profile: Profile, afferents: Afferents, skin: Skin, dx: Array, dy: Array) -> Array:
+def _kernel(profile: Profile, afferents: Afferents, dx: Array, dy: Array) -> Array:
     """Return the field of one electrode at all displacements, (D, dy, dx)."""
     array = profile.electrodes
     if len(array.kinds) > 1:
         raise DesignError(
             f"whole frames need electrodes of one shape, and this array has {len(array.kinds)}: "
-            "give points slots of their own",
-            about="array.shapes",
-            remedy="frames.share",
+            "give points slots of their own"
         )
     # One electrode is no array: the second one's column is not used.
     half = array.pitch_mm
@@ -136,7 +126,7 @@ def _kernel(profile: Profile, afferents: Afferents, skin: Skin, dx: Array, dy: A
     alone = Profile.model_construct(**(dict(profile) | {"array": pair}))
     x, y = np.meshgrid(dx - half, dy)
     there = replace(afferents, position_mm=np.column_stack([x.ravel(), y.ravel()]), grid=x.shape)
-    return af_matrix(alone, there, skin)[:, 0].reshape(len(afferents.direction), len(dy), len(dx))
+    return af_matrix(alone, there)[:, 0].reshape(len(afferents.direction), len(dy), len(dx))
 
 
 @dataclass(frozen=True)
@@ -168,15 +158,5 @@ class FrameBounds:
             most = 1 if name == "uneven" else np.inf
             if not 0 < value < most:
                 raise DesignError(
-                    f"bound {name} = {value} of a frame must be above 0, uneven below 1", about=name
+                    f"bound {name} = {value} of a frame must be above 0, uneven below 1"
                 )
-
-
-Bounded = tuple[FieldMap, float, NDArray[np.bool_] | None]
-"""A field, its bound in V/mm², and the places where it holds; None is everywhere."""
-
-
-def masked_point(site: int) -> DesignError:
-    """Return the error of a site that no frame can activate."""
-    message = f"site {site} is masked: its electrode is not driven; leave it out"
-    return DesignError(message, about="site", electrode=site)

@@ -1,4 +1,4 @@
-"""Kernels of a profile as tables and JSON, and the kinds of kernels compared."""
+"""Kernels of a profile as tables and JSON."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,73 +7,26 @@ from typing import Any
 import numpy as np
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import DesignError
 from smarttouch.kernels.bank import KernelBank, design_confined, kernels_at_nodes
-from smarttouch.kernels.batch_design import Design, Timed, design_sites, part_of
+from smarttouch.kernels.batch_design import design_sites, part_of
 from smarttouch.kernels.design_problem import Kernel, Problem
 from smarttouch.kernels.finger_kernels import FingerKernels
-from smarttouch.kernels.switched_design import design_one_of_n, design_three_state, designer
-from smarttouch.kernels.weighted_design import design_any_node, design_kernel
+from smarttouch.kernels.switched_design import designer
+from smarttouch.kernels.weighted_design import design_any_node
 from smarttouch.profile import Profile
-
-VARIANTS: dict[str, Design] = {
-    "weighted": design_kernel,
-    "robust": design_kernel,
-    "three-state": design_three_state,
-    "one-against-all": design_one_of_n,
-}
-_SHARES = {"weighted": 1, "robust": 1, "three-state": 40, "one-against-all": 1}
-"""Time that each variant takes, in parts of the sum; progress is counted by it."""
 
 
 @dataclass(frozen=True, eq=False)
 class SiteKernel:
-    """One kernel of a report; the last two fields only where kinds are compared."""
+    """One kernel of a report."""
 
     afferent: Afferent
     site: int
     kernel: Kernel
     seconds: float  # time of its design
-    variant: str = ""  # one of `VARIANTS`
-    worst_finger: Kernel | None = None  # None where it does not activate its target on one finger
-
-
-def compare(
-    profile: Profile,
-    afferent: Afferent,
-    sites: Sequence[int],
-    progress: Callable[[int, int], None] | None = None,
-) -> list[SiteKernel]:
-    """Design every variant for every site of a class, and evaluate each on both fingers."""
-    nominal, spread = Problem(profile, afferent), Problem(profile, afferent, spread=True)
-    compared = []
-    before, whole = 0, sum(_SHARES.values())
-    for variant, design in VARIANTS.items():
-
-        def advance(done: int, total: int, before: int = before, variant: str = variant) -> None:
-            if progress is not None:
-                progress(before * total + _SHARES[variant] * done, whole * total)
-
-        problem = spread if variant == "robust" else nominal
-        timed: list[Timed] = design_sites(problem, design, sites, advance)
-        for site, (kernel, seconds) in zip(sites, timed, strict=True):
-            on_nominal = nominal.judge(kernel.weights, site, kind=kernel.kind, gap=kernel.gap)
-            try:
-                worst = spread.judge(kernel.weights, site, kind=kernel.kind)
-            except DesignError:
-                worst = None
-            compared.append(SiteKernel(afferent, site, on_nominal, seconds, variant, worst))
-        before += _SHARES[variant]
-    return compared
 
 
 Advance = Callable[[int, int], None]  # given how many sites are done, of how many
-DESIGNS: dict[str, Callable[[Problem, int], Kernel]] = {
-    "robust": design_kernel,
-    "three-state": design_three_state,
-    "any-node": design_any_node,
-}
-"""Designs beside that of the profile's own board."""
 
 
 @dataclass(frozen=True)
@@ -102,16 +55,15 @@ def kernels_designed(
     profile: Profile,
     modes: Sequence[Afferent],
     sites: Sequence[int],
-    kind: str | None,
-    robust: bool,
+    any_node: bool,
     progress: Advance | None,
 ) -> list[SiteKernel]:
-    """Return kernels designed now: one of `DESIGNS`, or as the board needs them."""
-    if kind is None and profile.kernels.neighbors is not None:
+    """Return kernels designed now, as the board needs them or over the nodes of each axon."""
+    if not any_node and profile.kernels.neighbors is not None:
         return kernels_of_bank(profile, design_confined(profile, sites, progress), modes, sites)
-    design_one = DESIGNS[kind] if kind in DESIGNS else designer(profile)
+    design_one = design_any_node if any_node else designer(profile)
     found = []
-    if kind is None and profile.kernels.objective == "finger":
+    if not any_node and profile.kernels.objective == "finger":
         on_fingers = FingerKernels(profile, kernels_at_nodes(profile))
         for index, mode in enumerate(modes):
             timed = on_fingers.kernels(mode, sites, part_of(progress, index, len(modes)))
@@ -120,21 +72,10 @@ def kernels_designed(
             ]
         return found
     for index, mode in enumerate(modes):
-        problem = Problem(profile, mode, spread=robust)
+        problem = Problem(profile, mode)
         timed = design_sites(problem, design_one, sites, part_of(progress, index, len(modes)))
         found += [SiteKernel(mode, site, *each) for site, each in zip(sites, timed, strict=True)]
     return found
-
-
-def kernels_compared(
-    profile: Profile, modes: Sequence[Afferent], sites: Sequence[int], progress: Advance | None
-) -> list[SiteKernel]:
-    """Return kernels of all kinds, with their figures on the worst finger."""
-    return [
-        each
-        for index, mode in enumerate(modes)
-        for each in compare(profile, mode, sites, part_of(progress, index, len(modes)))
-    ]
 
 
 def middle_kernels(
@@ -147,8 +88,7 @@ def middle_kernels(
     found: dict[Afferent, Kernel] = {}
     for each in kernels:
         if each.site == site:
-            # Where kinds are compared, the first one, the weighted, is taken.
-            found.setdefault(each.afferent, each.kernel)
+            found[each.afferent] = each.kernel
     return site, found
 
 
@@ -164,7 +104,7 @@ def as_json(profile: Profile, kernels: Sequence[SiteKernel]) -> dict[str, Any]:
 
 def _one_as_json(profile: Profile, of: SiteKernel) -> dict[str, Any]:
     kernel, (x_mm, y_mm) = of.kernel, profile.electrodes.position_mm[of.site]
-    table: dict[str, Any] = {
+    return {
         "mode": of.afferent.name,
         "site": of.site,
         "x_mm": float(x_mm),
@@ -181,14 +121,6 @@ def _one_as_json(profile: Profile, of: SiteKernel) -> dict[str, Any]:
         "gap": float(kernel.gap),
         "seconds": float(of.seconds),
     }
-    if of.variant:
-        worst = of.worst_finger
-        table |= {
-            "variant": of.variant,
-            "worst_other_over_spread": worst and float(worst.off_target),
-            "own_spill_over_spread": worst and float(worst.spill),
-        }
-    return table
 
 
 def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
@@ -242,43 +174,6 @@ def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list
         f"{kernel.spill:.3f}, sum {weights.sum():+.1e}, node {kernel.node}; {certain}",
     )
     return table, [[index == of.site for index in line] for line in lines]
-
-
-def comparison_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
-    """Return what each kind of kernel reaches, the worst of all its sites."""
-    groups: dict[tuple[Afferent, str], list[SiteKernel]] = {}
-    for each in kernels:
-        groups.setdefault((each.afferent, each.variant), []).append(each)
-    rows = []
-    for (mode, variant), group in groups.items():
-        best = [each.kernel.off_target for each in groups[mode, "weighted"]]
-        losses = [each.kernel.off_target / b - 1 for each, b in zip(group, best, strict=True)]
-        worst = [each.worst_finger for each in group if each.worst_finger is not None]
-        on_worst = ["does not fire", "–"]
-        if len(worst) == len(group):
-            on_worst = [f"{max(each.off_target for each in worst):.4f}"]
-            on_worst.append(f"{max(each.spill for each in worst):.3f}")
-        rows.append(
-            [
-                mode.name,
-                variant,
-                f"{max(each.kernel.off_target for each in group):.4f}",
-                f"{max(each.kernel.spill for each in group):.3f}",
-                f"{max(losses):+.1%}" if variant != "weighted" else "",
-                *on_worst,
-                _gap(max(each.kernel.gap for each in group)),
-            ]
-        )
-    sites = len({each.site for each in kernels})
-    where = f"site {kernels[0].site}" if sites == 1 else f"the worst of {sites} sites"
-    return WordTable(
-        f"Kinds of kernels on {profile.name}, {where}",
-        ["mode", "kernel", "other", "spill", "loss", "other *", "spill *", "gap"],
-        rows,
-        "Other: largest AF of another class, of the target's. Loss: by how much it exceeds the "
-        "weighted kernel's. *: on the worst finger of the profile's skin.spread. Gap: how much "
-        "better a switching could be at most.",
-    )
 
 
 def _gap(gap: float) -> str:

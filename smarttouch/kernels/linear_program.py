@@ -186,7 +186,7 @@ class LinearProgram:
             self._cost(np.r_[np.zeros(self._count + 1), prices])
             if self._solve() is None:
                 message = "the solver lost its own answer: loosen the limits a little"
-                raise DesignError(message, about="solver")
+                raise DesignError(message)
         return self.pattern
 
     def _keep_optimum(self) -> None:
@@ -230,8 +230,7 @@ class LinearProgram:
             if rescue is None:
                 raise DesignError(
                     f"the solver gave up ({self._solver.modelStatusToString(status)}): "
-                    "check the depths and sizes of the profile",
-                    about="solver",
+                    "check the depths and sizes of the profile"
                 )
             for name, value in rescue.items():
                 self._solver.setOptionValue(name, value)

@@ -51,7 +51,7 @@ class SharedKernels:
         A node of the own class counts only if every active site is more than a pitch away: nearer
         ones add nothing.
         """
-        (judge,) = self.operator.judge.judges
+        judge = self.operator.judge
         others = np.concatenate([field(self.kernels) for field in judge.others], axis=1)
         own = np.maximum(judge.own(self.kernels), 0)
         for row, site in zip(own, self.sites, strict=True):
@@ -147,7 +147,7 @@ class Certainty:
     def _of_one(
         kernels: SharedKernels, aim: float, faintest: float, most_ma: float
     ) -> tuple[float, ...]:
-        (judge,) = kernels.operator.judge.judges
+        judge = kernels.operator.judge
         peaks_ma = np.abs(kernels.kernels).max(axis=1)
         error = _HALF_AMPLITUDE_MA / peaks_ma
         # A kernel's peak is no more than its total.
@@ -199,7 +199,7 @@ def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
     y, row = np.unique(array.position_mm[:, 1].round(6), return_inverse=True)
     if len(x) * len(y) != len(array):
         message = "color classes are for grids: give the sites of each set by yourself"
-        raise DesignError(message, about="array")
+        raise DesignError(message)
     color = (row % step) * step + column % step
     sets = (driven[color[driven] == each] for each in range(step * step))
     return [SharedKernels(operator, sites) for sites in sets if len(sites)]

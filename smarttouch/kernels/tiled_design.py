@@ -106,7 +106,7 @@ def design_tiles(
     and the target's activating function by each of them, (N,) V/mm² per mA."""
     tiles = tiles_of(profile, sites)
     for index, tile in enumerate(tiles):
-        made: dict[tuple[int, Afferent], Array] = {}
+        made: dict[Afferent, Array] = {}
         folder = None if keep is None else keep / f"tile-{index}"
         for number, afferent in enumerate(modes):
             problem = Problem(tile.profile, afferent, made=made)

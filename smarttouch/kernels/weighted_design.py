@@ -9,9 +9,7 @@ and no node of the target's own axon above 1 (Eq. 11). Beyond the paper, rows of
 the target's own class farther than one pitch may reach at most `SPILL` of the
 target: on a grid the paper's program alone lets neighbors of the same class
 nearly fire. Of all patterns whose t is within `GIVEN_UP` of the least, the one
-with the least such spill is then taken. On a problem with a spread every row
-stands for all that it might be, and a kernel is as good as it is on the worst
-finger.
+with the least such spill is then taken.
 """
 
 import numpy as np
@@ -68,7 +66,6 @@ def design_kernel(
         raise DesignError(
             f"no kernel for {problem.describe(site)}: the target cannot be activated; change the "
             "array, or the depths of its profile",
-            about="site",
             electrode=site,
         )
     if rows.break_limits(program) and rows.limit(program):
@@ -77,8 +74,6 @@ def design_kernel(
             raise DesignError(
                 f"no kernel for {problem.describe(site)} keeps limits.total_ma and "
                 "limits.electrode_ma of the profile: raise them, or lower the strongest current",
-                about="limits",
-                remedy="limits.total_ma or limits.electrode_ma",
                 electrode=site,
             )
     if spill is not None and given_up > 0:
@@ -111,36 +106,30 @@ def design_any_node(problem: Problem, site: int) -> Kernel:
 
 
 class _Assembled:
-    """Rows of one site for all skins of a spread, scaled to a lone electrode's AF."""
+    """Rows of one site, scaled to a lone electrode's AF."""
 
     def __init__(self, problem: Problem, site: int, spill: float | None, node: int) -> None:
         self._problem, self._site = problem, site
         alone = np.eye(problem.electrodes)[:, problem.driven]
         self.orbits = problem.orbits(site) if node == 0 else alone
         far = problem.beyond_a_pitch(site, node) if spill is not None else np.zeros(0, np.intp)
-        axon = problem.axon(site)
-        scale = [float(np.abs(rows.target[0, site]).max()) for rows in problem.rows]
         far = np.flatnonzero(far)
-        others = [(rows.other, each, None) for rows, each in zip(problem.rows, scale, strict=True)]
-        own = [(rows.own, each, far) for rows, each in zip(problem.rows, scale, strict=True)]
-        aims = [rows.target[:, site] / each for rows, each in zip(problem.rows, scale, strict=True)]
-        if node:
-            aims = [axon[node][None] / scale[0]]
+        axon, scale = problem.axon(site), float(np.abs(problem.target[site]).max())
+        aim = axon[node] if node else problem.target[site]
         # Eq. 11: of the target's own axon no other node may fire first.
         eq11 = np.delete(axon, node, axis=0)
-        if problem.spread:
-            eq11 = eq11[:0]
-        counts = [sum(len(rows) for rows, *_ in others), len(far) * len(own), len(eq11)]
+        counts = [len(problem.other), len(far), len(eq11)]
         own_too = np.isin(far, problem.coarse_own).nonzero()[0]
-        every = [len(problem.rows[0].other), len(far)]
         coarse = np.concatenate(
-            [problem.coarse_other + index * every[0] for index in range(len(others))]
-            + [own_too + counts[0] + index * every[1] for index in range(len(own))]
-            + [np.arange(sum(counts[:2]), sum(counts))]
+            [
+                problem.coarse_other,
+                own_too + counts[0],
+                np.arange(counts[0] + counts[1], sum(counts)),
+            ]
         )
-        parts = [*others, *own, (eq11, scale[0], None)]
+        parts = [(problem.other, scale, None), (problem.own, scale, far), (eq11, scale, None)]
         self._rows = ProgramRows(parts, self.orbits, coarse)
-        self._aims = np.concatenate(aims) @ self.orbits
+        self._aims = (aim / scale)[None] @ self.orbits
         self._slope = np.repeat([1.0, 0.0, 0.0], counts)
         self._even_slope = np.repeat([1.0, 1.0, 0.0], counts)
         self._counts = counts
@@ -218,11 +207,10 @@ def _peaks(problem: Problem) -> Chooser:
 
     Neighboring rows are nearly alike, so one of each hill represents its other broken rows.
     """
-    blocks = [(grid, count) for _ in problem.rows for grid, count in problem.grids]
 
     def choose(excess: Array) -> np.ndarray:
         chosen, start = [], 0
-        for (high, wide), count in blocks:
+        for (high, wide), count in problem.grids:
             stop = start + count * high * wide
             hill = excess[start:stop].reshape(count, high, wide)
             if (hill > 1e-7).any():

@@ -22,7 +22,6 @@ from smarttouch.pages.page_image import (
     require_pixels,
     require_size_mm,
 )
-from smarttouch.pages.structured_text import StructuredText
 from smarttouch.pages.text_layer import layered_page
 
 if TYPE_CHECKING:
@@ -66,20 +65,14 @@ def parse_pages(text: str, count: int) -> list[int]:
         match = re.fullmatch(r"\s*([0-9]{1,9})\s*(-\s*([0-9]{1,9})?\s*)?", part)
         if match is None:
             message = f"pages {text}: {part.strip()!r} is not a page: write 1,3-5 or 7-"
-            raise PageError(message, about="pages")
+            raise PageError(message)
         first = int(match[1])
         last = int(match[3] or count) if match[2] else first
         for number in (first, last):
             if not 1 <= number <= count:
-                raise PageError(
-                    f"pages {text}: the document {_absent(number, count)}", about="pages"
-                )
+                raise PageError(f"pages {text}: the document {_absent(number, count)}")
         if last < first:
-            raise PageError(
-                f"pages {text}: {first} is after {last}: write {last}-{first}",
-                about="pages",
-                remedy=f"{last}-{first}",
-            )
+            raise PageError(f"pages {text}: {first} is after {last}: write {last}-{first}")
         indexes += range(first - 1, last)
     return indexes
 
@@ -98,16 +91,8 @@ class Document(Closing, ABC):
     def page(self, index: int) -> Page:
         """Return a page by its index from 0."""
         if not 0 <= index < len(self):
-            raise PageError(f"{self.path} {_absent(index + 1, len(self))}", about="page")
+            raise PageError(f"{self.path} {_absent(index + 1, len(self))}")
         return self._load(index)
-
-    def about(self) -> StructuredText:
-        """Return what the document says of itself, without its text."""
-        return StructuredText(())
-
-    def printed_number(self, index: int) -> str:
-        """Return the number that a page has in print."""
-        return str(index + 1)
 
     @abstractmethod
     def _load(self, index: int) -> Page: ...
@@ -169,15 +154,6 @@ class PdfDocument(Document):
     def close(self) -> None:
         self._pdf.close()
 
-    def about(self) -> StructuredText:
-        """Return its title and author."""
-        said = self._pdf.get_metadata_dict()
-        return StructuredText((), title=said["Title"], author=said["Author"])
-
-    def printed_number(self, index: int) -> str:
-        """Return the label of a page; its place if it has none."""
-        return self._pdf.get_page_label(index).strip() or super().printed_number(index)
-
     def _load(self, index: int) -> Page:
         import pypdfium2
 
@@ -186,12 +162,12 @@ class PdfDocument(Document):
             with contextlib.closing(self._pdf[index]) as sheet:
                 return self._render(sheet, name)
         except pypdfium2.PdfiumError:
-            raise PageError(f"{name} cannot be read: the file is damaged", about="page") from None
+            raise PageError(f"{name} cannot be read: the file is damaged") from None
 
     def _render(self, sheet: "pypdfium2.PdfPage", name: str) -> Page:
         width, height = sheet.get_size()
         if not min(width, height) > 0:
-            raise PageError(f"{name} has no area: the file is damaged", about="page")
+            raise PageError(f"{name} has no area: the file is damaged")
         mm = _POINT_MM if self._page_width_mm is None else self._page_width_mm / width
         require_size_mm(name, width * mm, height * mm, "page_width_mm")
         finest_dpi = INCH_MM * math.sqrt(MOST_RENDERED_PIXELS / (width * height)) / mm
@@ -224,20 +200,18 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
         import pypdfium2
     except ImportError:
         raise PageError(
-            f"{path}: a PDF needs the extra pdf: pip install 'smarttouch[pdf]'",
-            about="pypdfium2",
-            remedy="pip install 'smarttouch[pdf]'",
+            f"{path}: a PDF needs the extra pdf: pip install 'smarttouch[pdf]'"
         ) from None
     try:
         pdf = pypdfium2.PdfDocument(path, password)
     except pypdfium2.PdfiumError as error:
         if "password" not in str(error).lower():
             message = f"{path} is damaged, or has no pages: save it again"
-            raise PageError(message, about="file") from None
+            raise PageError(message) from None
         message = f"{path} is encrypted: give its password"
         if password is not None:
             message = f"{path} is encrypted: this is not its password"
-        raise PageError(message, about="password") from None
+        raise PageError(message) from None
     # Needed to render filled-in fields, before any page is opened.
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
         pdf.init_forms()

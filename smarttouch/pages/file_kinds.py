@@ -18,7 +18,6 @@ class FileKind(StrEnum):
 
     TEXT = "text"
     BRF = "brf"
-    PEF = "pef"
     STRUCTURED = "structured"
     """HTML, Markdown, EPUB, DOCX or ODT."""
     PAGES = "pages"
@@ -34,7 +33,7 @@ def file_kind(path: Path) -> FileKind:
     if suffix == ".brf":
         return FileKind.BRF
     if b"<pef" in data or suffix == ".pef":
-        return FileKind.PEF
+        raise BrailleError(f"{path} is a PEF file, which is not read: convert it to .brf")
     if suffix == ".txt":
         return FileKind.TEXT
     if format_of(path) is not None:

@@ -51,10 +51,10 @@ def check_scale_options(
 ) -> None:
     """Raise a PageError if the user's scale is invalid; ``width`` names the second."""
     if dpi is not None and width_mm is not None:
-        raise PageError(f"dpi and {width} are both given: give one of them", about="dpi")
+        raise PageError(f"dpi and {width} are both given: give one of them")
     for name, value in (("dpi", dpi), (width, width_mm)):
         if value is not None and not 0 < value < float("inf"):
-            raise PageError(f"{name} {value:g} must be above 0", about=name)
+            raise PageError(f"{name} {value:g} must be above 0")
 
 
 @contextmanager
@@ -69,11 +69,11 @@ def open_image(path: Path, kind: str = IMAGE) -> Iterator[Image.Image]:
                 yield image
     except Image.DecompressionBombError:
         message = f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
-        raise PageError(message, about="pixels") from None
+        raise PageError(message) from None
     except UnidentifiedImageError:
-        raise PageError(f"{path} is not {kind}", about="file") from None
+        raise PageError(f"{path} is not {kind}") from None
     except _DAMAGES as error:
-        raise PageError(f"{path} cannot be read: {error}", about="file") from None
+        raise PageError(f"{path} cannot be read: {error}") from None
 
 
 def read_grey(
@@ -104,14 +104,12 @@ def require_pixels(name: str, width: int, height: int) -> None:
     if width * height > MOST_PIXELS:
         raise PageError(
             f"{name} has {width} x {height} pixels, above the limit of "
-            f"{MOST_PIXELS // 10**6} megapixels: make it smaller first",
-            about="pixels",
+            f"{MOST_PIXELS // 10**6} megapixels: make it smaller first"
         )
     if min(width, height) < FEWEST_PIXELS:
         raise PageError(
             f"{name} has {width} x {height} pixels: a page needs at least "
-            f"{FEWEST_PIXELS} x {FEWEST_PIXELS}",
-            about="pixels",
+            f"{FEWEST_PIXELS} x {FEWEST_PIXELS}"
         )
 
 
@@ -120,9 +118,7 @@ def require_size_mm(name: str, width_mm: float, height_mm: float, options: str =
     if max(width_mm, height_mm) > LARGEST_MM or min(width_mm, height_mm) < SMALLEST_MM:
         raise PageError(
             f"{name} would be {width_mm:.4g} x {height_mm:.4g} mm: give a {options} "
-            f"that makes it {SMALLEST_MM:g} to {LARGEST_MM:g} mm",
-            about="size_mm",
-            remedy=options,
+            f"that makes it {SMALLEST_MM:g} to {LARGEST_MM:g} mm"
         )
 
 

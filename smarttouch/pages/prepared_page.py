@@ -176,8 +176,7 @@ def print_text(text: str) -> Page:
     if height_mm > LARGEST_MM:
         raise PageError(
             f"the text has {len(lines)} lines, a page of {height_mm:.0f} mm, above the "
-            f"{LARGEST_MM:g} that are possible: shorten it",
-            about="text",
+            f"{LARGEST_MM:g} that are possible: shorten it"
         )
     size = (round(_PRINT_WIDTH_MM * _PER_MM), round(height_mm * _PER_MM))
     sheet = Image.new("L", size, 255)
@@ -214,7 +213,7 @@ def prepare_text(text: str) -> PreparedPage:
 def _wrapped(text: str) -> list[str]:
     lines = [line for part in text.splitlines() for line in textwrap.wrap(part, _COLUMNS) or [""]]
     if not any(line.strip() for line in lines):
-        raise PageError("text: has no words: give some after the colon", about="text")
+        raise PageError("text: has no words: give some after the colon")
     return lines
 
 

@@ -1,6 +1,5 @@
 """The activating-function matrix: effect of every electrode on every node of a course."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,8 +31,7 @@ class Afferents:
         if not self.depth_mm > 0:
             raise DesignError(
                 f"a {self.afferent.name} fiber at a depth of {self.depth_mm:g} mm lies outside "
-                "the skin: depths are measured below the surface, above 0",
-                about="depth_mm",
+                "the skin: depths are measured below the surface, above 0"
             )
 
 
@@ -53,12 +51,6 @@ def flat_directions(angles_deg: tuple[float, ...]) -> NDArray[np.float64]:
     """Return unit vectors in the plane of the skin, (D, 3); angles from x toward y."""
     radians = np.radians(angles_deg)
     return np.column_stack([np.cos(radians), np.sin(radians), np.zeros(len(radians))])
-
-
-def tilted_directions(tilt_deg: float) -> NDArray[np.float64]:
-    """Return the vertical and four directions that lean from it, (5, 3)."""
-    sin, cos = np.sin(np.radians(tilt_deg)), np.cos(np.radians(tilt_deg))
-    return np.array([[0, 0, 1], [sin, 0, cos], [-sin, 0, cos], [0, sin, cos], [0, -sin, cos]])
 
 
 def targets(profile: Profile, afferent: Afferent) -> Afferents:
@@ -109,24 +101,6 @@ def along_axon(profile: Profile, afferent: Afferent, site: int) -> tuple[Afferen
         Afferents(afferent, position, depth, first.direction, ending, (len(position), 1))
         for position, depth, ending in sets
     )
-
-
-def skin_variants(skin: Skin) -> Iterator[Skin]:
-    """Yield the skin with every conductivity of its spread, the nominal one first.
-
-    Homogeneous conductivity scales all potentials and changes no kernel; that between layers does.
-    """
-    yield skin
-    factor = skin.spread.conductivity_factor
-    if factor == 1:
-        return
-    for index, layer in enumerate(skin.layers):
-        for conductivity in (
-            layer.conductivity_s_per_m / factor, layer.conductivity_s_per_m * factor,
-        ):  # fmt: skip
-            changed = layer.model_copy(update={"conductivity_s_per_m": conductivity})
-            layers = (*skin.layers[:index], changed, *skin.layers[index + 1 :])
-            yield skin.model_copy(update={"layers": layers})
 
 
 def _ending(skin: Skin, afferent: Afferent) -> str | None:
@@ -278,8 +252,7 @@ def _check_shapes(electrodes: ElectrodeArray, skin: Skin) -> None:
     if skin.layers and any(shape == "rectangle" for shape, _ in electrodes.kinds):
         raise DesignError(
             "layered skin is offered for point, disc and annulus electrodes, not for "
-            "rectangles: use medium 'half-space'",
-            about="skin.medium",
+            "rectangles: use medium 'half-space'"
         )
 
 

@@ -174,6 +174,6 @@ def load_anatomy(name: str | Path) -> Anatomy:
     if not path.exists():
         raise ProfileError(
             f"no anatomy {str(name)!r}: give a TOML file or one of {', '.join(known)}",
-            about="anatomy",
+            key="anatomy",
         )
     return load_model(path, Anatomy, name=path.stem)

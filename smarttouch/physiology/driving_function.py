@@ -115,15 +115,13 @@ def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
         names = tuple(f"{name}, {each}" for name, ends in offered.items() for each in ends)
         raise DesignError(
             f"no driving function of a {fiber!r} fiber with ending {end!r}: there are those of "
-            f"{'; '.join(names)}",
-            about="fiber",
+            f"{'; '.join(names)}"
         )
     widths = sorted(float(each) for each in fitted)
     if not widths[0] <= width_us <= widths[-1]:
         raise DesignError(
             f"a pulse of {width_us:g} µs is outside the fitted widths of {widths[0]:g} to "
-            f"{widths[-1]:g} µs: choose one within",
-            about="width_us",
+            f"{widths[-1]:g} µs: choose one within"
         )
     weights = {
         part: np.array([fitted[f"{each:g}"][part] for each in widths])

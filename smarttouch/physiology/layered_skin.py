@@ -271,8 +271,7 @@ def layered_potential(
     if (shallowest := float(depth_mm.min(initial=np.inf))) < _SHALLOWEST_MM:
         raise DesignError(
             f"a depth of {shallowest:g} mm is too shallow for the potential in layered skin: give "
-            f"{_SHALLOWEST_MM:g} mm at least",
-            about="depth_mm",
+            f"{_SHALLOWEST_MM:g} mm at least"
         )
     farthest, deepest = (
         least * 2.0 ** np.ceil(np.log2(max(1.0, float(found.max(initial=0)) / least)))

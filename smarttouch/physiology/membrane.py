@@ -196,8 +196,7 @@ def threshold_ma(
             raise DesignError(
                 f"no {polarity} threshold from {_FLOOR_MA:g} to "
                 f"{_CEILING_MA:g} mA with a {width_us:g} µs pulse: check the fiber's depth and "
-                f"internode ({fiber.internode_mm:g} mm), and that potentials are in mV per mA",
-                about="threshold_ma",
+                f"internode ({fiber.internode_mm:g} mm), and that potentials are in mV per mA"
             )
         low, high = float(candidates[first - 1]), float(candidates[first])
     return high

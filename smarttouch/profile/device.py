@@ -55,11 +55,11 @@ class Output(Table):
                 twice = next(each for each in values if values.count(each) > 1)
                 yield UnfitError(
                     f"output.{key} lists {twice} more than once: give each once",
-                    about=f"output.{key}",
+                    key=f"output.{key}",
                 )
             if min(values, default=0) < 0:
                 yield UnfitError(
-                    f"output.{key} lists {min(values)}: numbers begin at 0", about=f"output.{key}"
+                    f"output.{key} lists {min(values)}: numbers begin at 0", key=f"output.{key}"
                 )
 
 
@@ -109,7 +109,7 @@ class ForceLaw(Table):
     def _ordered(self) -> Self:
         if self.full_n <= self.contact_n:
             raise UnfitError(
-                f"full_n {self.full_n} must exceed contact_n {self.contact_n}", about="force.full_n"
+                f"full_n {self.full_n} must exceed contact_n {self.contact_n}", key="force.full_n"
             )
         return self
 
@@ -263,26 +263,10 @@ def layer_misfits(layers: Sequence[SkinLayer], about: str) -> Iterator[UnfitErro
     infinite = [np.isinf(each.thickness_mm) for each in layers]
     if layers and not infinite[-1]:
         yield UnfitError(
-            f"the last of {about} is infinitely thick: leave out thickness_mm", about=about
+            f"the last of {about} is infinitely thick: leave out thickness_mm", key=about
         )
     if any(infinite[:-1]):
-        yield UnfitError(f"each of {about} but the last needs its thickness_mm", about=about)
-
-
-class Spread(Table):
-    """Largest deviation of a true finger from the nominal one; robust kernels keep their bounds
-    within it."""
-
-    ra_depth_mm: float = Field(default=0.1, ge=0)
-    """Largest error of the depth of RA, each way."""
-    sai_depth_mm: float = Field(default=0.1, ge=0)
-    """Largest error of the depth of SAI, each way."""
-    pc_depth_mm: float = Field(default=0.3, ge=0)
-    """Largest error of the depth of PC, each way."""
-    angle_deg: float = Field(default=10.0, ge=0, le=45)
-    """Largest turn of flat axons in the plane, and tilt of rising ones from the vertical."""
-    conductivity_factor: float = Field(default=1.5, ge=1, le=100)
-    """Factor by which the conductivity of each layer may be off, up and down."""
+        yield UnfitError(f"each of {about} but the last needs its thickness_mm", key=about)
 
 
 class Skin(Table):
@@ -311,7 +295,6 @@ class Skin(Table):
     internode_mm: Positive = 0.079
     """Distance between the nodes of Ranvier of an axon near its ending; 79 µm by Nolano et al.
     2003."""
-    spread: Spread = Spread()
 
     @property
     def conductivity(self) -> float:
@@ -336,18 +319,9 @@ class Skin(Table):
             yield UnfitError(
                 "a layered medium takes its conductivities from skin.layers, any other one from "
                 "skin.conductivity_s_per_m: give only that",
-                about="skin.medium",
-                remedy="skin.layers" if layered else "skin.conductivity_s_per_m",
+                key="skin.medium",
             )
         yield from layer_misfits(self.layers, "skin.layers")
-        for name in ("ra", "sai", "pc"):
-            depth, spread = (getattr(each, f"{name}_depth_mm") for each in (self, self.spread))
-            if depth - spread <= 0:
-                yield UnfitError(
-                    f"spread.{name}_depth_mm {spread:g} reaches the surface from {name}_depth_mm "
-                    f"{depth:g}: no fiber lies outside the skin; lower it",
-                    about=f"skin.spread.{name}_depth_mm",
-                )
 
 
 def _listed(given: Any) -> Any:

@@ -34,7 +34,7 @@ def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
         raise ProfileError(
             f"a table of {numbers.shape} is no table of electrodes: give (E, 2), mm right and "
             "down, or (E, 3) with diameters",
-            about="electrodes",
+            key="electrodes",
         )
     count = len(numbers)
     sizes = [(size, 0.0) for size in numbers[:, 2].tolist()] if numbers.shape[1] == 3 else None
@@ -60,18 +60,18 @@ def grid_of(size: str, pitch_mm: float, diameter_mm: float) -> GridLayout:
     """Return a grid of discs, of a size like ``5x5``: rows and columns."""
     found = re.fullmatch(r"(\d+)x(\d+)", size)
     if found is None:
-        raise ProfileError(f"grid {size!r} is no grid: give rows and columns as 5x5", about="grid")
+        raise ProfileError(f"grid {size!r} is no grid: give rows and columns as 5x5", key="grid")
     if not 0 < diameter_mm < pitch_mm:
         raise ProfileError(
             f"discs of {diameter_mm:g} mm do not fit a pitch of {pitch_mm:g} mm: give a diameter "
             "above 0 and below the pitch",
-            about="diameter_mm",
+            key="diameter_mm",
         )
     if pitch_mm > LARGEST_PITCH_MM:
         # Along both axes at once: the layout would report it twice.
         raise ProfileError(
             f"a pitch of {pitch_mm:g} mm is out of range: give at most {LARGEST_PITCH_MM:g} mm",
-            about="pitch_mm",
+            key="pitch_mm",
         )
     layout = {
         "layout": "grid",

@@ -34,7 +34,7 @@ class GridLayout(Table):
             raise UnfitError(
                 f"inner_diameter_mm {self.inner_diameter_mm:g} must be below diameter_mm "
                 f"{self.diameter_mm:g}",
-                about="array.inner_diameter_mm",
+                key="array.inner_diameter_mm",
             )
         return self
 
@@ -108,7 +108,7 @@ class FreeLayout(Table):
         return self
 
     def _misfits(self) -> Iterator[UnfitError]:
-        yield from _unsized(self.shape, self.size_mm, "size_mm", "shape")
+        yield from _unsized(self.shape, self.size_mm, "size_mm")
         count = len(self.positions_mm)
         given = {"shapes": self.shapes, "sizes_mm": self.sizes_mm}
         if self.shapes is None and self.sizes_mm is None:
@@ -118,10 +118,10 @@ class FreeLayout(Table):
                 yield UnfitError(
                     f"array.{key} lists {len(values or ())} of {count} electrodes: give one for "
                     "each, of both shapes and sizes_mm, or neither",
-                    about=f"array.{key}",
+                    key=f"array.{key}",
                 )
         for shape, size in zip(self.shapes or (), self.sizes_mm or (), strict=False):
-            yield from _unsized(shape, size, "sizes_mm", "shapes")
+            yield from _unsized(shape, size, "sizes_mm")
 
     def build(self) -> ElectrodeArray:
         own = None
@@ -130,9 +130,7 @@ class FreeLayout(Table):
         return electrodes.free(self.positions_mm, self.shape, self.size_mm, own)
 
 
-def _unsized(
-    shape: Shape, size_mm: tuple[float, float], key: str, remedy: str
-) -> Iterator[UnfitError]:
+def _unsized(shape: Shape, size_mm: tuple[float, float], key: str) -> Iterator[UnfitError]:
     first, second = size_mm
     fits = {
         "point": True,
@@ -144,8 +142,7 @@ def _unsized(
         yield UnfitError(
             f"{key} {list(size_mm)} does not go with shape {shape!r}: give [diameter, 0] of a "
             "disc, [outer, inner] of an annulus, [width, height] of a rectangle",
-            about=f"array.{key}",
-            remedy=f"array.{remedy}",
+            key=f"array.{key}",
         )
 
 

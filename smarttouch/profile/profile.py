@@ -44,13 +44,13 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
         yield UnfitError(
             f"output.masked lists {max(masked)}, the array has electrodes 0 to {count - 1}: "
             "remove it",
-            about="output.masked",
+            key="output.masked",
         )
     if count - len(masked) < 2:
         yield UnfitError(
             f"output.masked leaves {count - len(masked)} of {count} electrodes: current needs "
             "at least two, shorten the list or repair the array",
-            about="output.masked",
+            key="output.masked",
         )
     if wiring is not None and len(wiring) != count:
         yield _of_another_length("output.wiring", len(wiring), count, "leave it out")
@@ -65,15 +65,13 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
         yield UnfitError(
             f"skin.medium 'plane' does not go with array.layout {profile.array.layout!r}: "
             "it is for 'lines'; 'half-space' is for all",
-            about="skin.medium",
-            remedy="array.layout",
+            key="skin.medium",
         )
     if profile.kernels.objective == "finger" and profile.output.kind != "weighted":
         yield UnfitError(
             f"kernels.objective 'finger' does not go with output.kind {profile.output.kind!r}: "
             "the board must give every electrode its own current; 'node' is for all",
-            about="kernels.objective",
-            remedy="output.kind",
+            key="kernels.objective",
         )
     if profile.kernels.neighbors is not None and (
         profile.kernels.objective == "finger" or profile.output.kind != "weighted"
@@ -82,7 +80,7 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
         yield UnfitError(
             "kernels.neighbors is for kernels designed at nodes, where each electrode has a source "
             "of its own and none is a line: leave it out",
-            about="kernels.neighbors",
+            key="kernels.neighbors",
         )
     lowered = profile.limits.electrode_ma
     if lowered is not None and len(lowered) != count:
@@ -92,14 +90,14 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
 def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
     lowered = profile.limits.electrode_ma
     full_ma = profile.full_ma
-    strongest_of, strongest_key = _names_of_strongest(profile)
+    strongest_of = _strongest_of(profile)
     painful = full_ma <= profile.threshold_ma
     if painful.any():
         index = int(painful.argmax())
         yield UnfitError(
             f"comfort_ma is {full_ma[index]:.2f} mA at electrode {index}, not above its "
             f"threshold_ma of {profile.threshold_ma[index]:.2f}: measure both again",
-            about="perception.comfort_ma",
+            key="perception.comfort_ma",
             electrode=index,
         )
     # Thresholds are single precision: a limit equal to their product is kept.
@@ -109,49 +107,45 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
         yield UnfitError(
             f"{strongest_of} is {full_ma[index]:.2f} mA at electrode {index}, above its "
             f"limits.electrode_ma {lowered[index]:g}: lower one of the two",
-            about="limits.electrode_ma",
-            remedy=strongest_key,
+            key="limits.electrode_ma",
             electrode=index,
         )
     yield from _misfits_of_strongest(profile)
 
 
-def _names_of_strongest(profile: "Profile") -> tuple[str, str]:
-    """Return the words for the strongest current, and its key."""
+def _strongest_of(profile: "Profile") -> str:
+    """Return the words for the strongest current."""
     if profile.perception.comfort_ma is not None:
-        return "comfort_ma", "perception.comfort_ma"
-    return "threshold_ma × comfort_ratio", "perception.comfort_ratio"
+        return "comfort_ma"
+    return "threshold_ma × comfort_ratio"
 
 
 def _misfits_of_strongest(profile: "Profile") -> Iterator[UnfitError]:
-    full_ma, (strongest_of, strongest_key) = profile.full_ma, _names_of_strongest(profile)
+    full_ma, strongest_of = profile.full_ma, _strongest_of(profile)
     limits, width_us, strongest = profile.limits, profile.pulse.width_us, float(full_ma.max())
     if strongest > limits.current_ma:
         yield UnfitError(
             f"{strongest_of} reaches {strongest:.2f} mA, above limits.current_ma "
             f"{limits.current_ma}: lower one of the two",
-            about="limits.current_ma",
-            remedy=strongest_key,
+            key="limits.current_ma",
         )
     if limits.total_ma is not None and limits.total_ma < strongest:
         yield UnfitError(
             f"limits.total_ma {limits.total_ma:g} is below the {strongest:.2f} mA that "
             f"{strongest_of} sends through one electrode: raise it, or lower one of the two",
-            about="limits.total_ma",
-            remedy=strongest_key,
+            key="limits.total_ma",
         )
     if width_us > limits.pulse_us:
         yield UnfitError(
             f"pulse.width_us {width_us} is above limits.pulse_us {limits.pulse_us:g}: lower it",
-            about="pulse.width_us",
+            key="pulse.width_us",
         )
     charge = strongest * width_us / 1000
     if charge > limits.charge_uc:
         yield UnfitError(
             f"the strongest pulse carries {charge:.3f} µC, above limits.charge_uc "
             f"{limits.charge_uc}: lower {strongest_of} or pulse.width_us",
-            about="limits.charge_uc",
-            remedy=strongest_key,
+            key="limits.charge_uc",
         )
 
 
@@ -159,7 +153,7 @@ def _of_another_length(key: str, numbers: int, electrodes: int, otherwise: str) 
     return UnfitError(
         f"{key} lists {numbers} electrodes, the array has {electrodes}: "
         f"give {electrodes} numbers, or {otherwise}",
-        about=key,
+        key=key,
     )
 
 
@@ -336,7 +330,7 @@ def require_driven(
     else:
         ranges = [(each, each) for each in sites]
     if not ranges:
-        raise error(f"no {about} is named: choose at least one", about=about)
+        raise error(f"no {about} is named: choose at least one")
     count, masked = len(profile.electrodes), sorted(profile.output.masked)
     for low, high in ranges:
         there = 0 <= low <= high < count
@@ -346,7 +340,6 @@ def require_driven(
             without = f" without {', '.join(map(str, masked))}" if masked else ""
             raise error(
                 f"{about} {named} cannot be driven: {profile.name} has 0 to {count - 1}{without}",
-                about=about,
                 electrode=int(bad[0]),
             )
     return np.unique(np.concatenate([np.arange(low, high + 1) for low, high in ranges]))

@@ -55,8 +55,7 @@ def load_profile(name: str | Path | Profile) -> Profile:
             f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is of older profiles: between "
             "such places other classes get up to a third more than is bounded; set it to 0.1 (at "
             f"most {COARSEST_MM:g}), and kernels are designed again",
-            about="skin.node_spacing_mm",
-            remedy="0.1",
+            key="skin.node_spacing_mm",
         )
     return profile
 
@@ -70,7 +69,7 @@ def profile_path(name: str | Path) -> Path:
             raise ProfileError(
                 f"no profile {str(name)!r}: give a TOML file or one of "
                 f"{', '.join(list_profiles())}",
-                about="profile",
+                key="profile",
             )
     return path
 
@@ -82,7 +81,7 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
     except ProfileError as error:
         # Of the array alone, which names no file.
         message = f"{path}: {error}"
-        error.args, error.complaints = (message,), ((error.about, message),)
+        error.args, error.complaints = (message,), ((error.key, message),)
         raise
     except ValidationError as error:
         raise table_error(ProfileError, path, error) from None

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from smarttouch.base.errors import ProfileError, TableError
 from smarttouch.base.files import read_toml
+from smarttouch.base.removed import PROFILE_KEYS, instead_of
 
 
 class UnfitError(ValueError):
@@ -92,7 +93,7 @@ def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Er
     sentences = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
     if len(found) > len(sentences):
         sentences.append(f"and {len(found) - len(sentences)} more")
-    complaints = [(each["about"], f"{name}: {words}") for words, each in found]
+    complaints = [(each["key"], f"{name}: {words}") for words, each in found]
     return kind(f"{name}: {'; '.join(sentences)}", complaints=complaints, **found[0][1])
 
 
@@ -106,9 +107,9 @@ def _complaints(error: ValidationError) -> Iterator[Found]:
         unfit = each.get("ctx", {}).get("error")
         if isinstance(unfit, AllUnfitError):
             for one in unfit.errors:
-                yield str(one), {"about": key} | one.attributes
+                yield str(one), {"key": key} | one.attributes
         else:
-            yield _in_words(key, each), {"about": key} | getattr(unfit, "attributes", {})
+            yield _in_words(key, each), {"key": key} | getattr(unfit, "attributes", {})
 
 
 def _key(error: Mapping[str, Any]) -> str:
@@ -121,7 +122,10 @@ def _in_words(key: str, error: Mapping[str, Any]) -> str:
     kind, given = error["type"], error["input"]
     words = error["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
-        return f"unknown key {key!r}: remove it or correct its spelling"
+        return (
+            instead_of(PROFILE_KEYS, key)
+            or f"unknown key {key!r}: remove it or correct its spelling"
+        )
     if kind in ("missing", "union_tag_not_found"):
         return f"key {key!r} is missing: add it (any shipped profile shows how)"
     if kind == "union_tag_invalid":

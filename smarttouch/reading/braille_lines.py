@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import ReadingError
-from smarttouch.braille.cell_pages import TEXT, load_cells
 from smarttouch.braille.cells import (
     BLANK,
     POSITION,
@@ -19,16 +18,15 @@ from smarttouch.braille.cells import (
     pattern,
 )
 from smarttouch.braille.code_tables import DEFAULT_TABLE, BrailleTable, open_table
-from smarttouch.braille.photo import looks_like_braille, read_braille
 from smarttouch.imaging.array_window import pixel_pitch_mm, usual_speed_mm_s
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.text_layer import LayeredPage
 from smarttouch.pages.text_lines import TextLine
 from smarttouch.profile import Profile
+from smarttouch.reading.document_cells import document_cells
 from smarttouch.reading.line_feed import Place, TouchLine
 from smarttouch.reading.line_source import LineMotion
-from smarttouch.reading.material import EmptyPages, ReadingMaterial, recognized_text
+from smarttouch.reading.material import ReadingMaterial, report_empty_pages
 from smarttouch.reading.recognition import recognized_lines, upright_page
 from smarttouch.running.delivered import LinePicture
 
@@ -148,17 +146,13 @@ def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLa
         pixel_mm=pixel_pitch_mm(profile),
     )
     if lines < 1:
-        raise ReadingError(
-            f"{lines} lines of Braille at once are not possible: give 1 or more", about="lines"
-        )
+        raise ReadingError(f"{lines} lines of Braille at once are not possible: give 1 or more")
     if layout.height > rows or dot_x + 1 > columns:
         fewer = lines > 1 and replace(layout, lines=1).height <= rows
         raise ReadingError(
             f"{profile.name} has {rows} x {columns} electrodes, {lines} line{'s' * (lines > 1)} of "
             f"Braille with {8 if eight else 6} dots need {layout.height} x {dot_x + 1}: choose "
-            + ("fewer lines" if fewer else "another profile"),
-            about="profile",
-            remedy="lines" if fewer else "",
+            + ("fewer lines" if fewer else "another profile")
         )
     return layout
 
@@ -169,8 +163,7 @@ def _grid_of(electrodes: ElectrodeArray, name: str) -> tuple[int, int]:
     if len(x) * len(y) != len(electrodes):
         raise ReadingError(
             f"the electrodes of {name} are no grid of rows and columns, dots would fall between "
-            "them: choose another profile, or read letter shapes",
-            about="profile",
+            "them: choose another profile, or read letter shapes"
         )
     return len(y), len(x)
 
@@ -189,16 +182,11 @@ class Presentation(StrEnum):
 
 @dataclass(frozen=True)
 class Braille:
-    """Braille presentation: cells under the finger, by a table of `open_table`.
-
-    Whether images show raised dots, and where their light comes from, is detected if not given.
-    """
+    """Braille presentation: cells under the finger, by a table of `open_table`."""
 
     table: str = DEFAULT_TABLE
     presentation: Presentation = Presentation.LINE
     at_once: int = 1
-    embossed: bool | None = None
-    light_from_deg: float | None = None
 
     @property
     def tone(self) -> Tone:
@@ -242,55 +230,29 @@ class Braille:
         return layout.moving(cells, text, group[0][2])
 
     def _cells_of(self, source: ReadingMaterial) -> Iterator[Cells]:
-        if source.words is not None or source.holds_cells:
-            yield from self._given(source)
-            return
-        empty, table = EmptyPages(source.note), open_table(self.table)
-        if table.note:
+        table = open_table(self.table)
+        if table.note and not source.holds_cells:
             source.note(table.note)
-        for number, page in source.pages():
-            found = False
-            for each in self._seen(source, number, page):
-                found = True
-                yield each
-            empty.add(number, found)
-        empty.conclude()
-
-    def _given(self, source: ReadingMaterial) -> Iterator[Cells]:
-        """Yield the cells of a text, or of a file of cells."""
-        words = source.words
-        loaded = load_cells(
-            source.name if words is None else TEXT + words, open_table(self.table), leave_out=True
-        )
-        for note in loaded.notes:
-            source.note(note)
-        texts = (words or "").splitlines()
-        for index, cells in enumerate(loaded.paragraphs):
-            if cells.strip(BLANK):
-                text = texts[index] if len(texts) == len(loaded.paragraphs) else ""
-                yield cells, text, _place_on_paper(index, cells)
-
-    def page_cells(
-        self, source: ReadingMaterial, number: int, page: Page
-    ) -> tuple[list[str], bool]:
-        """Return a page as cells, a line for each paragraph of print or line of raised dots, and
-        whether it is print."""
-        if self._shows_dots(page):
-            return self._decoded(source, number, page), False
-        table = open_table(self.table)
-        prepared = upright_page(number, page, source.options, source.note)
-        text = recognized_text(prepared, source.options, source.note)
-        _note_missing(source, number, table, table.missing(text))
-        return table.to_cells(text, leave_out=True).split("\n"), True
-
-    def _seen(self, source: ReadingMaterial, number: int, page: Page) -> Iterator[Cells]:
-        """Yield the cells of a page, whether it shows Braille or print."""
-        if self._shows_dots(page):
-            for index, cells in enumerate(self._decoded(source, number, page)):
+        if source.words is not None or source.holds_cells:
+            paragraphs = document_cells(source, table, source.note).paragraphs
+            texts = (source.words or "").splitlines()
+            for index, cells in enumerate(paragraphs):
                 if cells.strip(BLANK):
-                    yield cells, "", _place_on_paper(index, cells)
+                    text = texts[index] if len(texts) == len(paragraphs) else ""
+                    yield cells, text, _place_on_paper(index, cells)
             return
-        table = open_table(self.table)
+        found: dict[int, bool] = {}
+        for number, page in source.pages():
+            found[number] = False
+            for each in self._seen(source, number, page, table):
+                found[number] = True
+                yield each
+        report_empty_pages(found, source.note)
+
+    def _seen(
+        self, source: ReadingMaterial, number: int, page: Page, table: BrailleTable
+    ) -> Iterator[Cells]:
+        """Yield the cells of a page of print."""
         prepared = upright_page(number, page, source.options, source.note)
         missing = ""
         for index, text in recognized_lines(prepared, source.options, source.note):
@@ -298,26 +260,8 @@ class Braille:
             cells = table.to_cells(text, leave_out=True)
             if cells.strip(BLANK):
                 yield cells, text, _place_on_page(prepared.lines[index], cells)
-        _note_missing(source, number, table, missing)
-
-    def _shows_dots(self, page: Page) -> bool:
-        if self.embossed is None:
-            return not isinstance(page, LayeredPage) and looks_like_braille(page)
-        return self.embossed
-
-    def _decoded(self, source: ReadingMaterial, number: int, page: Page) -> list[str]:
-        found = read_braille(page, self.light_from_deg)
-        for note in found.notes:
-            source.note(f"page {number}: {note}")
-        return found.lines
-
-
-def _note_missing(source: ReadingMaterial, number: int, table: BrailleTable, missing: str) -> None:
-    if missing:
-        source.note(
-            f"page {number}: left out, as table {table.name} has no cells for them: "
-            + " ".join(missing)
-        )
+        if missing:
+            source.note(f"page {number}: {table.left_out(missing)}")
 
 
 def _place_on_page(line: TextLine, cells: str) -> Place:

@@ -120,8 +120,7 @@ class Address:
         if not 0 < number < 65536:
             raise SourceError(
                 f"{text!r} is not an address of BRLTTY: give listen:PORT, listen:HOST:PORT or "
-                f"HOST:PORT, as in listen:{USUAL_PORT}",
-                about="address",
+                f"HOST:PORT, as in listen:{USUAL_PORT}"
             )
         return cls(host, number, listens)
 
@@ -138,9 +137,7 @@ class BrlttyConnection:
 
     def __init__(self, address: Address, cells: int) -> None:
         if not 1 <= cells <= MOST_CELLS:
-            raise SourceError(
-                f"a display of {cells} cells is not possible: give 1 to {MOST_CELLS}", about="cells"
-            )
+            raise SourceError(f"a display of {cells} cells is not possible: give 1 to {MOST_CELLS}")
         self.address: Address = address
         self.cells: int = cells
         self.shown: DisplayContent | None = None
@@ -168,8 +165,7 @@ class BrlttyConnection:
             )
             raise SourceError(
                 f"cannot {'listen' if self.address.listens else 'connect'} at {self.address}: "
-                f"{getattr(error, 'strerror', None) or error}: {remedy}",
-                about="address",
+                f"{getattr(error, 'strerror', None) or error}: {remedy}"
             ) from None
         self._thread.start()
         return self

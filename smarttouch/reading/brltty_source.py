@@ -37,7 +37,7 @@ def open_brltty(
     ``pan`` the window moves on by itself at its end.
     """
     if show not in list(Presentation):
-        raise SourceError(f"cells cannot be shown as {show!r}: choose line or cell", about="show")
+        raise SourceError(f"cells cannot be shown as {show!r}: choose line or cell")
     connection = BrlttyConnection(Address.parse(rest), cells)
     source = BrailleDisplaySource(connection, profile, Presentation(show), speed_mm_s, pan)
     connection.open()
@@ -68,8 +68,7 @@ class BrailleDisplaySource(StimulusSource):
         speed_mm_s = usual_speed_mm_s(profile) if speed_mm_s is None else speed_mm_s
         if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
             raise SourceError(
-                f"{speed_mm_s:g} mm/s must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}",
-                about="speed_mm_s",
+                f"{speed_mm_s:g} mm/s must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}"
             )
         self.connection = connection
         self.layout: CellLayout = cell_layout(profile, eight=True)

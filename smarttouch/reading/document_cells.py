@@ -6,94 +6,92 @@ import os
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from smarttouch.base.errors import ReadingError
+from smarttouch.base.errors import BrailleError, ReadingError
 from smarttouch.base.files import make_folder, unwritable, write_bytes
 from smarttouch.base.version import __version__
-from smarttouch.braille.block_layout import text_of_cells
-from smarttouch.braille.cell_pages import Loaded, file_of, load_cells
-from smarttouch.braille.cells import BLANK
+from smarttouch.braille.cells import BLANK, Pages, read_brf
 from smarttouch.braille.code_tables import BrailleTable, open_table
-from smarttouch.pages.file_kinds import FileKind, file_kind
-from smarttouch.reading.braille_lines import Braille
-from smarttouch.reading.material import EmptyPages, ReadingMaterial
-from smarttouch.reading.recognition import RecognitionOptions
+from smarttouch.braille.page_layout import COLUMNS, INDENT, ROWS, join, lay_out
+from smarttouch.reading.material import ReadingMaterial, recognized_text, report_empty_pages
+from smarttouch.reading.recognition import Note, upright_page
 
 _SLOW_S = 0.5  # time of the first page from which the others are worth processes of their own
 _PARTS = ".pages"  # ending of the folder of finished pages, beside the output
 
-Progress = Callable[[str], None]
+
+@dataclass(frozen=True)
+class DocumentCells:
+    """A document as paragraphs of cells, and the pages that a BRF file has them on."""
+
+    paragraphs: list[str]
+    pages: Pages | None = None
+
+    def laid_out(self, columns: int | None, rows: int | None, indent: int = INDENT) -> Pages:
+        """Return pages of so many cells and lines, by default those of its file, or 40 and 25."""
+        if self.pages is not None and columns is None and rows is None:
+            return self.pages
+        columns, rows = COLUMNS if columns is None else columns, ROWS if rows is None else rows
+        return lay_out(self.paragraphs, columns, rows, indent)
 
 
 @dataclass(frozen=True)
 class PageCells:
-    """A page as cells, a line for each paragraph of print or line of Braille, and what was said."""
+    """A page as cells, a line for each paragraph, and what was said."""
 
     number: int
     paragraphs: list[str]
     notes: list[str]
-    printed: bool
-
-
-def load_material(
-    place: str,
-    options: RecognitionOptions,
-    table: BrailleTable,
-    leave_out: bool,
-    progress: Progress,
-    output: Path | None = None,
-) -> Loaded:
-    """Load cells from an image or a PDF as `document_cells`, from all else as `load_cells`."""
-    file = file_of(place)
-    if file is None or file_kind(file) is not FileKind.PAGES:
-        return load_cells(place, table, leave_out)
-    notes: list[str] = []
-    source = ReadingMaterial(place, options, notes.append)
-    return replace(document_cells(Braille(table.name), source, progress, output), notes=notes)
 
 
 def document_cells(
-    braille: Braille, source: ReadingMaterial, progress: Progress, output: Path | None = None
-) -> Loaded:
-    """Return a document as cells; ``progress`` is called as pages are done.
+    source: ReadingMaterial, table: BrailleTable, progress: Note, output: Path | None = None
+) -> DocumentCells:
+    """Return a text, a file of cells or a document as cells.
 
-    Several pages of print keep their numbers; pages of Braille keep their lines.
-
-    With an ``output``, finished pages are kept in a folder beside it until `forget_pages`, and are
-    used again by another run with the same document and options.
+    Characters that the table has no cells for are left out, and named. ``progress`` is called as
+    pages of a document are done. With an ``output``, they are kept in a folder beside it until
+    `forget_pages`, and are used again by another run with the same document and options.
     """
+    if source.words is None and not source.holds_cells:
+        return DocumentCells(_paragraphs_of_pages(source, table, progress, output))
+    if source.words is None:
+        pages = read_brf(Path(source.name))
+        cells = DocumentCells(join(pages), pages)
+    else:
+        cells = DocumentCells(table.paragraphs(source.words, source.note))
+    if not any(paragraph.strip(BLANK) for paragraph in cells.paragraphs):
+        raise BrailleError("there is nothing to read: give a text, or a file with one")
+    return cells
+
+
+def _paragraphs_of_pages(
+    source: ReadingMaterial, table: BrailleTable, progress: Note, output: Path | None
+) -> list[str]:
     numbers = source.numbers()
     files: dict[int, Path] = {}
     if output is not None and len(numbers) > 1:
-        files = _files(braille, source, numbers, output.with_name(output.name + _PARTS))
-    found = {number: kept for number, path in files.items() if (kept := _kept(path))}
-    if found:
-        progress(f"{len(found)} of {len(numbers)} pages were done before")
-    missing = [number for number in dict.fromkeys(numbers) if number not in found]
-    for each in _made(braille, source, missing, progress):
-        if each.number in files:
-            _keep(each, files[each.number])
-        found[each.number] = each
+        files = _files(table.name, source, numbers, output.with_name(output.name + _PARTS))
+    done = {number: kept for number, path in files.items() if (kept := _kept(path))}
+    if done:
+        progress(f"{len(done)} of {len(numbers)} pages were done before")
+    missing = [number for number in dict.fromkeys(numbers) if number not in done]
+    for page in _made(table.name, source, missing):
+        if page.number in files:
+            _keep(page, files[page.number])
+        done[page.number] = page
         if len(numbers) > 1:
-            progress(f"page {each.number} done, {len(found)} of {len(numbers)}")
-    empty, pages = EmptyPages(source.note), [found[number] for number in numbers]
-    paragraphs, begins = list[str](), dict[int, str]()
-    about, printed = source.about()
-    for page in pages:
-        for words in page.notes:
+            progress(f"page {page.number} done, {len(done)} of {len(numbers)}")
+    for number in numbers:
+        for words in done[number].notes:
             source.note(words)
-        empty.add(page.number, any(each.strip(BLANK) for each in page.paragraphs))
-        if page.printed and page.number in printed:
-            begins[len(paragraphs)] = printed[page.number]
-        paragraphs += page.paragraphs
-    empty.conclude()
-    if not any(page.printed for page in pages):
-        return Loaded(paragraphs, [page.paragraphs for page in pages], [])
-    shaped = text_of_cells(paragraphs, open_table(braille.table), begins, about)
-    return Loaded(paragraphs, None, [], shaped)
+    paragraphs = {number: done[number].paragraphs for number in numbers}
+    found = {number: "".join(each).strip(BLANK) != "" for number, each in paragraphs.items()}
+    report_empty_pages(found, source.note)
+    return [paragraph for number in numbers for paragraph in paragraphs[number]]
 
 
 def forget_pages(output: Path) -> None:
@@ -101,22 +99,18 @@ def forget_pages(output: Path) -> None:
     shutil.rmtree(output.with_name(output.name + _PARTS), ignore_errors=True)
 
 
-def _made(
-    braille: Braille, source: ReadingMaterial, numbers: Sequence[int], progress: Progress
-) -> Iterator[PageCells]:
+def _made(table: str, source: ReadingMaterial, numbers: Sequence[int]) -> Iterator[PageCells]:
     """Yield pages as they are done: by this process where they take little time."""
     start = time.monotonic()
     for done, number in enumerate(numbers):
-        if not done:
-            progress(f"page {number} is being read")
-        elif (time.monotonic() - start) / done > _SLOW_S:
-            yield from _by_processes(braille, source, numbers[done:])
+        if done and (time.monotonic() - start) / done > _SLOW_S:
+            yield from _by_processes(table, source, numbers[done:])
             return
-        yield _page(braille, source, number)
+        yield _page(table, source, number)
 
 
 def _by_processes(
-    braille: Braille, source: ReadingMaterial, numbers: Sequence[int]
+    table: str, source: ReadingMaterial, numbers: Sequence[int]
 ) -> Iterator[PageCells]:
     from joblib import Parallel, delayed, parallel_config
 
@@ -125,7 +119,7 @@ def _by_processes(
     # Workers of a program that was killed end soon.
     with parallel_config("loky", idle_worker_timeout=10):
         many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)
-    made = many(delayed(_page)(braille, plain, number, alone=True) for number in numbers)
+    made = many(delayed(_page)(table, plain, number, alone=True) for number in numbers)
     try:
         yield from made
     finally:
@@ -135,7 +129,7 @@ def _by_processes(
             made.close()
 
 
-def _page(braille: Braille, source: ReadingMaterial, number: int, alone: bool = False) -> PageCells:
+def _page(table: str, source: ReadingMaterial, number: int, alone: bool = False) -> PageCells:
     """Return a page as cells; ``alone`` if each core has a process of its own."""
     if alone:
         import cv2
@@ -145,12 +139,16 @@ def _page(braille: Braille, source: ReadingMaterial, number: int, alone: bool = 
     options = replace(source.options, pages=str(number))
     material = ReadingMaterial(source.name, options, notes.append)
     ((_, page),) = material.pages()
-    paragraphs, printed = braille.page_cells(material, number, page)
-    return PageCells(number, paragraphs, notes, printed)
+    prepared = upright_page(number, page, options, notes.append)
+    text = recognized_text(prepared, options, notes.append)
+    paragraphs = open_table(table).paragraphs(
+        text, lambda words: notes.append(f"page {number}: {words}")
+    )
+    return PageCells(number, paragraphs, notes)
 
 
 def _files(
-    braille: Braille, source: ReadingMaterial, numbers: Sequence[int], folder: Path
+    table: str, source: ReadingMaterial, numbers: Sequence[int], folder: Path
 ) -> dict[int, Path]:
     """Return the files of pages, named by all that their cells depend on."""
     try:
@@ -160,7 +158,7 @@ def _files(
     state = Path(source.name).stat()
     options = asdict(replace(source.options, pages=None))
     depends_on = [
-        __version__, source.name, state.st_size, state.st_mtime_ns, options, asdict(braille),
+        __version__, source.name, state.st_size, state.st_mtime_ns, options, table,
     ]  # fmt: skip
     key = hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()[:24]
     return {number: folder / f"{key}-{number}.json" for number in numbers}
@@ -175,7 +173,6 @@ def _keep(page: PageCells, path: Path) -> None:
 
 def _kept(path: Path) -> PageCells | None:
     try:
-        kept = json.loads(path.read_bytes())
-        return PageCells(kept["number"], kept["paragraphs"], kept["notes"], kept["printed"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return PageCells(**json.loads(path.read_bytes()))
+    except (OSError, ValueError, TypeError):
         return None

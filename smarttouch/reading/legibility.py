@@ -70,9 +70,7 @@ def word_error_rate(truth: str, text: str) -> float:
 
 def _rate(truth: Sequence[str], text: Sequence[str]) -> float:
     if not truth:
-        raise ReadingError(
-            "the text to compare with is empty: give the text of the page", about="truth"
-        )
+        raise ReadingError("the text to compare with is empty: give the text of the page")
     return float(_levenshtein()(truth, text)) / len(truth)
 
 

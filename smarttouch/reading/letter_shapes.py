@@ -83,9 +83,7 @@ class Shapes:
         """Yield lines of letter shapes."""
         require_rows(profile, source.note)
         if source.holds_cells:
-            raise ReadingError(
-                f"{source.name} holds Braille, not letters: read it as Braille", about="kind"
-            )
+            raise ReadingError(f"{source.name} holds Braille, not letters: read it as Braille")
         for prepared in source.prepared():
             words = _words_of(prepared, source) if self.named else iter(())
             for index in range(len(prepared.lines)):
@@ -111,8 +109,7 @@ def require_rows(profile: Profile, note: Note) -> None:
     if rows < FEWEST_ROWS:
         raise ReadingError(
             f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letter shapes need at "
-            f"least {FEWEST_ROWS}: choose another profile, for example electric-mouse",
-            about="profile",
+            f"least {FEWEST_ROWS}: choose another profile, for example electric-mouse"
         )
     if rows < ENOUGH_ROWS:
         note(
@@ -158,8 +155,7 @@ def parse_letters(text: str | None, fewest: int = 2) -> str:
     strange = [each for each in letters if each not in ALPHABET]
     if strange or len(letters) < fewest:
         raise ExperimentError(
-            f"letters {text!r} must be {fewest} or more letters from A to Z, as in AEIOU",
-            about="letters",
+            f"letters {text!r} must be {fewest} or more letters from A to Z, as in AEIOU"
         )
     return letters
 
@@ -174,8 +170,7 @@ def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
     if rows < FEWEST_ROWS:
         raise ExperimentError(
             f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letters need at least "
-            f"{FEWEST_ROWS}: choose another profile, for example electric-mouse",
-            about="profile",
+            f"{FEWEST_ROWS}: choose another profile, for example electric-mouse"
         )
     window = profile_for_reading(profile)
     shape = (window.optics.sensor_rows, window.optics.sensor_columns)

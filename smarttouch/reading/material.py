@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from smarttouch.base.errors import ReadingError
-from smarttouch.braille.cell_pages import TEXT
 from smarttouch.pages.document import open_document, parse_pages
 from smarttouch.pages.file_kinds import FileKind, file_kind, read_plain_text
 from smarttouch.pages.page_image import Page
@@ -18,7 +17,6 @@ from smarttouch.pages.prepared_page import (
     PreparedPage,
     prepare_text,
 )
-from smarttouch.pages.structured_text import StructuredText
 from smarttouch.pages.text_lines import TextLine
 from smarttouch.reading.recognition import (
     Note,
@@ -27,6 +25,7 @@ from smarttouch.reading.recognition import (
     upright_page,
 )
 
+TEXT = "text:"  # prefix of words that are not a file name
 _GAP = 1.35  # lines farther apart than this part of the usual distance begin a paragraph
 _LARGER = 1.2
 """Ratio of x-heights from which lines are of different prints, as a heading and its text."""
@@ -164,43 +163,28 @@ def document_pages(
             yield index + 1, page
 
 
-class EmptyPages:
-    """List of pages without anything readable, reported by a note at the end."""
-
-    def __init__(self, note: Note) -> None:
-        self._note = note
-        self._found = False
-        self._empty: list[int] = []
-
-    def add(self, number: int, found: bool) -> None:
-        """Add the result of a page."""
-        self._found |= found
-        if not found:
-            self._empty.append(number)
-
-    def conclude(self) -> None:
-        """Report the empty pages; raise if all are."""
-        if not self._found:
-            raise ReadingError(
-                "no line of text was found: is it a page of print, sharp, and large enough "
-                "(letters of 6 pixels and more)?",
-                about="page",
-            )
-        if self._empty:
-            self._note(f"no line of text on page {', '.join(map(str, self._empty))}")
+def report_empty_pages(found: dict[int, bool], note: Note) -> None:
+    """Report pages by number on which no text was found; raise if it was found on none."""
+    if not any(found.values()):
+        raise ReadingError(
+            "no line of text was found: is it a page of print, sharp, and large enough "
+            "(letters of 6 pixels and more)?"
+        )
+    if empty := [str(number) for number, has_text in found.items() if not has_text]:
+        note(f"no line of text on page {', '.join(empty)}")
 
 
 def prepared_pages(
     pages: Iterator[tuple[int, Page]], options: RecognitionOptions, note: Note
 ) -> Iterator[PreparedPage]:
     """Yield the pages that carry text, see `upright_page`; raise if none does."""
-    empty = EmptyPages(note)
+    found: dict[int, bool] = {}
     for number, page in pages:
         prepared = upright_page(number, page, options, note)
-        empty.add(number, bool(prepared.lines))
+        found[number] = bool(prepared.lines)
         if prepared.lines:
             yield prepared
-    empty.conclude()
+    report_empty_pages(found, note)
 
 
 def recognized_text(prepared: PreparedPage, options: RecognitionOptions, note: Note) -> str:
@@ -233,7 +217,7 @@ class ReadingMaterial:
     @property
     def holds_cells(self) -> bool:
         """True if it is a file of Braille cells."""
-        return self.kind in (FileKind.BRF, FileKind.PEF)
+        return self.kind is FileKind.BRF
 
     @cached_property
     def words(self) -> str | None:
@@ -253,14 +237,6 @@ class ReadingMaterial:
         if not self.options.pages:
             return list(range(1, count + 1))
         return [index + 1 for index in parse_pages(self.options.pages, count)]
-
-    def about(self) -> tuple[StructuredText, dict[int, str]]:
-        """Return what a document says of itself, and the numbers that its pages have in print, by
-        those they have in the file; none if it has one page."""
-        with open_document(Path(self.name), password=self.options.password) as document:
-            count = len(document)
-            printed = {k + 1: document.printed_number(k) for k in range(count) if count > 1}
-            return document.about(), printed
 
     def pages(self) -> Iterator[tuple[int, Page]]:
         """Yield numbers and pages of a document."""

@@ -68,9 +68,7 @@ def find_tesseract() -> Path:
     found = shutil.which("tesseract")
     if found is None:
         raise ReadingError(
-            "Tesseract is not installed: apt install tesseract-ocr (or brew install tesseract)",
-            about="tesseract",
-            remedy="apt install tesseract-ocr",
+            "Tesseract is not installed: apt install tesseract-ocr (or brew install tesseract)"
         )
     return Path(found)
 
@@ -87,9 +85,7 @@ def read_words(
     ``languages`` are codes joined by plus signs.
     """
     if not re.fullmatch(r"\w+(\+\w+)*", languages, re.ASCII):
-        raise ReadingError(
-            f"languages {languages!r}: give codes such as eng or eng+deu", about="languages"
-        )
+        raise ReadingError(f"languages {languages!r}: give codes such as eng or eng+deu")
     find_tesseract()
     shown = [index for index, image in enumerate(images) if not _is_blank(image)]
     if not shown:
@@ -167,9 +163,7 @@ def _run(
                 errors="replace",
             )
         except OSError as error:
-            raise ReadingError(
-                f"{program} does not start: {error.strerror}", about="tesseract"
-            ) from None
+            raise ReadingError(f"{program} does not start: {error.strerror}") from None
         assert running.stdout is not None
         # It is never kept waiting by a slow reader, which would count as its own time.
         rows: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -189,8 +183,7 @@ def _run(
             status = running.wait()
         except queue.Empty:
             raise TooSlowError(
-                f"Tesseract read nothing for {timeout_s:g} s: give it a smaller image",
-                about="tesseract",
+                f"Tesseract read nothing for {timeout_s:g} s: give it a smaller image"
             ) from None
         finally:
             atexit.unregister(end_it)
@@ -214,13 +207,11 @@ def _require_success(status: int, said: str) -> None:
     if missing is not None:
         package = "tesseract-ocr-" + missing[1].lower().replace("_", "-")
         raise ReadingError(
-            f"Tesseract has no data for the language {missing[1]}: apt install {package}",
-            about="languages",
-            remedy=f"apt install {package}",
+            f"Tesseract has no data for the language {missing[1]}: apt install {package}"
         )
     if status:
         reason = said.strip().split("\n")[-1] or "no message"
-        raise OcrFailedError(f"Tesseract failed with status {status}: {reason}", about="tesseract")
+        raise OcrFailedError(f"Tesseract failed with status {status}: {reason}")
 
 
 STRIP_MARGIN = 0.25

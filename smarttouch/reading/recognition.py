@@ -7,7 +7,8 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import ReadingError
+from smarttouch.base.errors import PageError, ReadingError
+from smarttouch.braille.dot_detection import shows_dots
 from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import DOUBTFUL, LEFT_OUT, PreparedPage, prepare_page
@@ -38,11 +39,16 @@ class RecognitionOptions:
 def upright_page(number: int, page: Page, options: RecognitionOptions, note: Note) -> PreparedPage:
     """Return a page straight and upright, ink on white paper, its lines in reading order.
 
-    A page that brings its text is so already.
+    A page that brings its text is so already. A picture of Braille is refused.
     """
     if isinstance(page, LayeredPage):
         ink = separate_ink(page.grey, options.light_on_dark)
         return PreparedPage(page, ink.cleaned, page.lines, ink.light_on_dark, (), page.words)
+    if shows_dots(page.grey):
+        raise PageError(
+            f"page {number} shows Braille dots, and pictures of Braille are not read: give a text "
+            "or a .brf file, or leave the page out as in ?pages=1-3"
+        )
     if isinstance(page, PicturedPage):
         note(f"page {number}: {page.reason}, so its picture is recognized instead")
     prepared, turn_deg = _most_legible(_prepared(page, options), options)

@@ -96,8 +96,7 @@ def check_recording(
     if begun_ns := recording.settings.get("begun_ns"):
         raise RecordingError(
             f"{path} begins {int(begun_ns) / 1e9:.1f} s after its run did, which decides how its "
-            "sequences begin: record from the start to compare them",
-            about="file",
+            "sequences begin: record from the start to compare them"
         )
     profile = recording.profile if profile is None else profile
     pipeline, regulator = rebuild_pipeline(
@@ -119,7 +118,7 @@ def check_recording(
             if len(report.differences) < KEPT:
                 report.differences.append(difference)
     if not report.sequences:
-        raise RecordingError(f"{path} holds no sequence: there is nothing to check", about="file")
+        raise RecordingError(f"{path} holds no sequence: there is nothing to check")
     if not recording.whole:
         report.left_out = report.left_out or "the recording is cut"
     return report
@@ -147,8 +146,7 @@ def rebuild_pipeline(
         if run.compliance_v is None:
             raise RecordingError(
                 f"the settings in {recording.path} do not show how it was made: compliance_v is "
-                "missing, which hold needs",
-                about="settings.compliance_v",
+                "missing, which hold needs"
             )
         adaptation = Adaptation(profile, run.hold, run.compliance_v, run.timing)
     if run.balance:
@@ -158,8 +156,7 @@ def rebuild_pipeline(
                 raise RecordingError(
                     f"the settings in {recording.path} name the charge of {len(run.carried_pc)} "
                     f"electrodes, and the profile has {len(ledger.charge_pc)}: compare with the "
-                    "recorded profile",
-                    about="settings.carried_pc",
+                    "recorded profile"
                 )
             ledger.charge_pc[:] = run.carried_pc
         if run.recharge:

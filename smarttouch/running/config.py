@@ -10,7 +10,7 @@ from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.profile import Profile
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy, unsupported_reason
 
-SCANS = ("auto", "points", "frame")
+SCANS = ("auto", "points")
 HOLDS = ("charge", "energy")
 
 
@@ -40,7 +40,7 @@ class RunConfig:
     ----------
     mode : Mode or str
         Which afferents are driven: RA, SAI, PC or natural.
-    scan : {"auto", "points", "frame"} or SlotPolicy
+    scan : {"auto", "points"} or SlotPolicy
         points: one point in each slot; frame: as many as do not disturb one another; auto: the same
         where that needs no search (RA, on boards that give every electrode its own current).
     rate_hz : float, optional
@@ -109,28 +109,24 @@ class RunConfig:
             require_within(SmartTouchError, "seconds", self.seconds, 0, math.inf, above=True)
 
     def sharing(self, profile: Profile) -> SlotPolicy:
-        """Return the classes whose points share slots, and how.
+        """Return the classes whose points share slots.
 
-        With scan auto RA alone, by kernels that are proved for all frames and only added up; SAI
-        would need a new search for each frame, which takes longer than there is between two pulses.
-        None where voltage is held point by point, nothing can be proved, or the board cannot.
+        With scan auto RA alone, by kernels that are proved for all frames and only added up. None
+        where voltage is held point by point, nothing can be proved, or the board cannot.
         """
-        if isinstance(self.scan, SlotPolicy):
-            sharing = NO_SHARING if unsupported_reason(profile) else self.scan
-        elif self.scan == "frame":
-            sharing = SlotPolicy(tuple(Afferent), planned=True)
-        elif self.scan == "points" or self.hold or unsupported_reason(profile) is not None:
+        if unsupported_reason(profile) is not None or self.scan == "points":
             sharing = NO_SHARING
+        elif isinstance(self.scan, SlotPolicy):
+            sharing = self.scan
         else:
             from smarttouch.kernels.proved_sets import provable
 
-            sharing = SlotPolicy((Afferent.RA,), planned=False) if provable(profile) else NO_SHARING
+            shares = not self.hold and provable(profile)
+            sharing = SlotPolicy((Afferent.RA,)) if shares else NO_SHARING
         if self.hold is not None and sharing.afferents:
             raise SmartTouchError(
                 "hold learns from the voltage of each point, and several share a slot: choose "
-                "the scan points",
-                about="scan",
-                remedy="scan points",
+                "the scan points"
             )
         return sharing
 
@@ -142,5 +138,5 @@ class RunConfig:
         primaries = [each.name for each in sharing.afferents]
         return kept | {
             "mode": str(self.mode),
-            "sharing": {"primaries": primaries, "planned": sharing.planned},
+            "sharing": {"primaries": primaries, "planned": False},
         }

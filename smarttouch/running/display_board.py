@@ -44,9 +44,7 @@ class DisplayBoard(Closing):
         elif url.startswith("vibrators:"):
             raise SmartTouchError(
                 "vibrators drive PC alone and make no current: give them beside a board of "
-                "electrodes",
-                about="board",
-                remedy="vibrators",
+                "electrodes"
             )
         self.board: Board = board
         # Also without a run: a program may drive the board itself.

@@ -3,11 +3,10 @@
 import math
 import threading
 from dataclasses import dataclass, replace
-from numbers import Real
 from typing import Any
 
 from smarttouch.base.afferent import Mode
-from smarttouch.base.errors import SmartTouchError, SourceError, require_returned, require_within
+from smarttouch.base.errors import SmartTouchError, require_within
 from smarttouch.base.events import (
     Emit,
     FingerLifted,
@@ -174,9 +173,6 @@ class Inputs:
         on_board, virtual = self.board.force_n, not self.board.on_a_finger
         if self.force is not None:
             force_n = self.force.read(time_ns) if virtual or self.force.is_live else math.nan
-            if type(force_n) is not float:
-                wanted = "newtons, NaN if unknown"
-                require_returned(self.force, "read", force_n, Real, wanted, SourceError)
         elif self.source.measures_force or (
             virtual and (self.source.knows_force or on_board is None)
         ):

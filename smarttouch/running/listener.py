@@ -1,10 +1,10 @@
-"""Listeners: whatever follows a run, such as screens, recorders, markers and pictures."""
+"""Listeners: whatever follows a run, such as screens, recorders and pictures."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from smarttouch.base.errors import SmartTouchError, kind_in_words, require_made
+from smarttouch.base.errors import SmartTouchError, kind_in_words
 from smarttouch.base.events import Event
 from smarttouch.running.step import StepResult
 
@@ -119,10 +119,7 @@ def as_listeners(given: Iterable[Listener | Callable[[StepResult], object]]) -> 
             what = f"the class {each.__name__}" if isinstance(each, type) else kind_in_words(each)
             raise SmartTouchError(
                 f"{what} is no listener: give an object of a subclass of Listener, or a function "
-                "of a StepResult",
-                about="listeners",
+                "of a StepResult"
             )
-        listener = each if isinstance(each, Listener) else OnStep(each)
-        require_made(listener, SmartTouchError, "listeners")
-        listeners.append(listener)
+        listeners.append(each if isinstance(each, Listener) else OnStep(each))
     return listeners

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from numbers import Integral
 
 import cv2
 
@@ -17,8 +16,6 @@ from smarttouch.base.errors import (
     BoardRestartedError,
     BoardStoppedError,
     SequenceLateError,
-    SourceError,
-    require_returned,
 )
 from smarttouch.base.events import BoardRestarted, Emit, Event, Note, RunEnded
 from smarttouch.base.stopping import StopRequest
@@ -61,7 +58,6 @@ def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iter
 HELD_UP_NS = 1_000_000
 """A send that takes longer than this, beside its own work, has waited for the board."""
 _LATE_AGAIN_NS = 5_000_000_000  # time without a delay after which the next one is reported
-_WAIT = "a whole number of nanoseconds"
 
 
 LOG = logging.getLogger("smarttouch.run")
@@ -105,8 +101,7 @@ def run_loop(
     if controls is None and board.on_a_finger:
         raise BoardError(
             "there may be a finger on this board, and no intensity is set: give controls, for "
-            "example Controls(ControlState(mode, level=0)), and raise the level from there",
-            about="controls",
+            "example Controls(ControlState(mode, level=0)), and raise the level from there"
         )
     controls = controls or Controls(ControlState(pipeline.mode))
     if isinstance(source, Listener):
@@ -180,7 +175,6 @@ class _Loop:
     def _patience_ns(self) -> int:
         """Return how long the source's news may be waited for, ns, a second at most."""
         waits_ns = self.inputs.source.patience_ns(self.elapsed_ns)
-        require_returned(self.inputs.source, "patience_ns", waits_ns, Integral, _WAIT, SourceError)
         return min(waits_ns, 1_000_000_000)
 
     def _move(self, by_ns: int) -> None:

@@ -1,33 +1,24 @@
-"""Reader of MCAP files of any program, also of those that were cut or damaged.
-
-Records are decompressed and parsed within the limits of a recording."""
+"""Reader of MCAP files of any program, also of those that were cut or damaged."""
 
 import os
 import struct
-import zlib
 from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
-import lz4.frame
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
 from smarttouch.base.errors import RecordingError
-from smarttouch.base.files import open_file, parse_json, unreadable
+from smarttouch.base.files import open_file, unreadable
 
 MOST_BYTES = 2**40  # largest recording: a month
-MOST_CHUNK_BYTES = 128 * 2**20
+MOST_RECORD_BYTES = 128 * 2**20
 """Largest chunk and message. Ours have 1 MB and perhaps an image, of 80 megapixels."""
-BASE_BYTES, MOST_INFLATION = 2 * MOST_CHUNK_BYTES, 200
-"""Limits of all chunks together, decompressed: bytes, and ratio to the file. Ours have 2 to 6."""
-BASE_MESSAGES = 100_000  # messages allowed in any recording, in addition to one for each byte of it
-_MOST_VALUES = 2_000_000  # largest number of values in one message; each takes some 60 bytes
-_LARGE_BYTES = 2**20
 _HEAD = struct.Struct("<BQ")
 _INVALID = 0  # opcode of no record: what follows is no part of a recording
 Record = Schema | Channel | Message | Metadata
@@ -57,58 +48,19 @@ def records_in(file: BinaryIO, at: int = 0) -> Iterator[tuple[int, int, int]]:
         at += length
 
 
-def chunk_records(data: bytes) -> Iterator[Record]:
-    """Yield the records of a chunk; ValueError if it is damaged, or holds more than it declares."""
+def read_records(opcode: int, data: bytes) -> list[McapRecord]:
+    """Return the records of a chunk, or the one record; ValueError if it is damaged."""
+    stream = ReadDataStream(BytesIO(data))
     try:
-        chunk = Chunk.read(ReadDataStream(BytesIO(data)))
-        content = _inflated(chunk)
+        if opcode == Opcode.CHUNK:
+            return breakup_chunk(Chunk.read(stream), validate_crc=True)
+        return [_READ[opcode](stream, len(data))]
     except Exception:
         # Decompressors and parsers of damaged bytes fail in every way there is.
-        raise ValueError("a chunk is damaged") from None
-    if len(content) != chunk.uncompressed_size:
-        raise ValueError(f"a chunk has {len(content)} bytes, not {chunk.uncompressed_size}")
-    if chunk.uncompressed_crc not in (0, zlib.crc32(content)):
-        raise ValueError("a chunk's checksum does not hold")
-    for opcode, at, length in records_in(BytesIO(content)):
-        if opcode in _READ and opcode != Opcode.METADATA:
-            yield read_record(opcode, content[at : at + length])
-
-
-def read_record(opcode: int, data: bytes) -> Record:
-    """Return a record of one of the kinds in `_READ`; ValueError if it is invalid."""
-    try:
-        return _READ[opcode](ReadDataStream(BytesIO(data)), len(data))
-    except Exception:
         raise ValueError("a record is damaged") from None
 
 
-def parse_message(data: str | bytes) -> Any:
-    """Return the value of a message in JSON; ValueError if it is invalid or too large."""
-    if len(data) > _LARGE_BYTES:
-        text = data if isinstance(data, bytes) else data.encode()
-        values = sum(map(text.count, (b",", b"[", b"{")))
-        if values > _MOST_VALUES:
-            raise ValueError(f"a message of {values:,} values")
-    return parse_json(data)
-
-
-def _inflated(chunk: Chunk) -> bytes:
-    most = chunk.uncompressed_size + 1
-    if most > MOST_CHUNK_BYTES:
-        raise ValueError(f"a chunk claims {chunk.uncompressed_size:,} bytes")
-    if chunk.compression == "zstd":
-        inflater = zstandard.ZstdDecompressor(max_window_size=MOST_CHUNK_BYTES)
-        return inflater.stream_reader(chunk.data).read(most)
-    if chunk.compression == "lz4":
-        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, most)
-        return data
-    if chunk.compression:
-        raise ValueError(f"compression {chunk.compression!r} is unknown")
-    return chunk.data
-
-
-_CHUNK = struct.Struct("<QQQ")  # head of a chunk: first time, last time, decompressed bytes
-_LONGEST_ABOUT = 4 * 2**20
+_CHUNK = struct.Struct("<QQ")  # head of a chunk: first time, last time
 
 
 class McapFile:
@@ -125,7 +77,6 @@ class McapFile:
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.ended: bool = False  # whether its end is there
-        self.claims: list[int] = []  # bytes that each chunk claims to hold, decompressed
         self._bad_at: set[int] = set()
         self._last_ns = 0
         try:
@@ -144,55 +95,45 @@ class McapFile:
         try:
             with open_file(self.path, RecordingError, MOST_BYTES) as file:
                 for opcode, at, length in records_in(file, len(MCAP0_MAGIC)):
-                    if opcode not in (Opcode.CHUNK, Opcode.MESSAGE):
-                        continue
-                    if length > MOST_CHUNK_BYTES:
-                        self._bad_at.add(at)
-                        continue
-                    file.seek(at)
-                    yield from self._messages_in(opcode, at, file.read(length))
+                    if opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+                        for record in self._records(file, opcode, at, length):
+                            if isinstance(record, Message) and record.channel_id in self.channels:
+                                yield self.channels[record.channel_id], record
         except OSError as error:
             raise unreadable(RecordingError, self.path, error) from None
 
-    def _messages_in(self, opcode: int, at: int, data: bytes) -> Iterator[tuple[Channel, Message]]:
-        records = (
-            chunk_records(data) if opcode == Opcode.CHUNK else map(read_record, [opcode], [data])
-        )
+    def _records(self, file: BinaryIO, opcode: int, at: int, length: int) -> list[McapRecord]:
+        """Return the records at a place, after noting schemas, channels and metadata."""
         try:
-            for record in records:
-                if not isinstance(record, Message):
-                    self._note(record)
-                elif (channel := self.channels.get(record.channel_id)) is not None:
-                    yield channel, record
+            if length > MOST_RECORD_BYTES:
+                raise ValueError(f"a record has {length:,} bytes")
+            file.seek(at)
+            records = read_records(opcode, file.read(length))
         except ValueError:
             self._bad_at.add(at)
-
-    def _note(self, record: Record) -> None:
-        if isinstance(record, Schema):
-            self.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self.channels[record.id] = record
-        elif isinstance(record, Metadata):
-            self.metadata[record.name] = record.metadata
+            return []
+        for record in records:
+            if isinstance(record, Schema):
+                self.schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self.channels[record.id] = record
+            elif isinstance(record, Metadata):
+                self.metadata[record.name] = record.metadata
+        return records
 
     def _look_through(self, file: BinaryIO) -> None:
         """Read everything but the messages."""
         if not file.seek(0, os.SEEK_END):
-            raise RecordingError(f"{self.path} is empty", about="file")
+            raise RecordingError(f"{self.path} is empty")
         file.seek(0)
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise RecordingError(f"{self.path} is no MCAP file", about="file")
+            raise RecordingError(f"{self.path} is no MCAP file")
         for opcode, at, length in records_in(file, len(MCAP0_MAGIC)):
-            file.seek(at)
             if opcode == Opcode.CHUNK and length >= _CHUNK.size:
-                _, last_ns, claimed = _CHUNK.unpack(file.read(_CHUNK.size))
-                self._last_ns = max(self._last_ns, last_ns)
-                self.claims.append(claimed)
+                file.seek(at)
+                self._last_ns = max(self._last_ns, _CHUNK.unpack(file.read(_CHUNK.size))[1])
             elif opcode == Opcode.FOOTER:
                 file.seek(at + length)
                 self.ended = file.read() == MCAP0_MAGIC
-            elif opcode in _READ and opcode != Opcode.MESSAGE and length <= _LONGEST_ABOUT:
-                try:
-                    self._note(read_record(opcode, file.read(length)))
-                except ValueError:
-                    self._bad_at.add(at)
+            elif opcode in _READ and opcode != Opcode.MESSAGE:
+                self._records(file, opcode, at, length)

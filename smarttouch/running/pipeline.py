@@ -59,14 +59,12 @@ class Pipeline:
 
     def _made_table(self) -> KernelTable:
         """Return all kernels of the bank, and those by which slots are shared, in whole numbers."""
-        sharing, frames = self._common.sharing, self._common.frames
-        classes = () if sharing.planned else sharing.afferents
-        shared = [each for each in classes if each in self._bank.weights]
-        for each in shared:
-            frames[each,] = FrameSlots(self._profile, self._bank, (each,), planned=False)
-        table = KernelTable.of(
-            self._bank.weights, {each: frames[each,].kernels() for each in shared}
-        )
+        frames = self._common.frames
+        for each in self._common.sharing.afferents:
+            if each in self._bank.weights:
+                frames[each] = FrameSlots(self._profile, self._bank, each)
+        shared = {each: slots.kernels() for each, slots in frames.items()}
+        table = KernelTable.of(self._bank.weights, shared)
         for slots in frames.values():
             slots.table = table
         return table

@@ -4,18 +4,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.lazy_names import import_extra
 from smarttouch.profile import Profile
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.step_decoder import RecordedStep
-
-if TYPE_CHECKING:
-    import pandas
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,25 +89,8 @@ class RunArrays:
     volts: NDArray[np.float32]
     volts_step: NDArray[np.int64]
 
-    def by_step(self) -> dict[str, NDArray[Any]]:
-        """Return all that has one value for each step, and its ``slots`` and ``strongest_ua``: the
-        largest magnitude of current through an electrode, µA."""
-        counts = np.diff(self.first_slot)
-        strongest = np.zeros(len(counts), np.int32)
-        of_slot = np.abs(self.current_ua.astype(np.int32)).max(axis=1, initial=0)
-        np.maximum.at(strongest, np.repeat(np.arange(len(counts)), counts), of_slot)
-        own = {
-            name: each
-            for name, each in vars(self).items()
-            if each.ndim == 1 and name not in _NOT_OF_STEPS
-        }
-        return own | {"slots": counts, "strongest_ua": strongest}
-
 
 _SLOTS = ("current_ua", "width_us", "discharge_us", "site")
-_NOT_OF_STEPS = (*_SLOTS, "first_slot", "volts", "volts_step")
-_OF_THE_MOMENT = ("clock_ns", "latency_us", "work_us", "first_pulse_us", "acknowledged", "refused")
-"""What differs between two runs that are the same."""
 
 
 class ArrayCollector:
@@ -229,36 +208,6 @@ class RecordedRun:
         for each in self._recording.steps():
             yield each.step.input.image
 
-    def to_dataframe(self) -> "pandas.DataFrame":
-        """Return a table with a row for each step, and its slots and strongest current, µA.
-
-        Needs pandas, the extra ``data``.
-        """
-        made: Any = import_extra("pandas", "a table", "data").DataFrame
-        frame: pandas.DataFrame = made(self.arrays.by_step())
-        return frame
-
-    def compare(self, other: "RecordedRun") -> dict[str, float]:
-        """Return the largest difference of each array that differs; empty if they are the same.
-
-        Infinite where shapes or words differ. Delays, and what the board reported of them, differ
-        from run to run and are not compared.
-        """
-        found = {}
-        for each in fields(RunArrays):
-            mine, theirs = getattr(self.arrays, each.name), getattr(other.arrays, each.name)
-            if each.name in _OF_THE_MOMENT:
-                continue
-            if mine.shape != theirs.shape:
-                found[each.name] = float("inf")
-            elif mine.dtype.kind == "U":
-                if (mine != theirs).any():
-                    found[each.name] = float("inf")
-            elif not np.array_equal(mine, theirs, equal_nan=mine.dtype.kind == "f"):
-                away = np.abs(mine.astype(np.float64) - theirs.astype(np.float64))
-                found[each.name] = float(np.nanmax(away, initial=0)) or float("inf")
-        return found
-
 
 def load_recording(path: Path | str) -> RecordedRun:
     """Open a recording as arrays: currents, activation, times, force, events, settings.
@@ -266,11 +215,18 @@ def load_recording(path: Path | str) -> RecordedRun:
     Parameters
     ----------
     path : Path or str
+        A recording. A cut or damaged one gives every step that is complete.
+
+    Returns
+    -------
+    RecordedRun
+        Its ``arrays`` are a `RunArrays`, which lists shapes and units: for example ``current_ua``,
+        (S, E) int16, µA, and ``time_ns``, (N,) int64, ns since the start of the run.
 
     Raises
     ------
     RecordingError
-        If there is no such file, or it is no recording.
+        If the file does not exist or is not a recording.
 
     Examples
     --------

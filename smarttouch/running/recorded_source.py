@@ -1,6 +1,7 @@
 """A recording as a source, with the user's modes and levels."""
 
 import bisect
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,65 +11,51 @@ from smarttouch.base.errors import RecordingError, SourceError
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import stricter
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.mcap_file import parse_message
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.step_decoder import RecordedStep
 from smarttouch.sources.source_contract import Input, Source, Stimulus
 
 
-def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "RecordingSource":
-    """Open ``recording:FILE``; options are those of `RecordingSource`."""
+def open_recording(rest: str, profile: Profile) -> "RecordingSource":
+    """Open ``recording:FILE``."""
     if not rest:
-        raise SourceError(
-            "recording: needs a file: give recording:FILE.mcap",
-            about="file",
-            remedy="recording:FILE.mcap",
-        )
-    return RecordingSource(Recording(Path(rest)), unpaced)
+        raise SourceError("recording: needs a file: give recording:FILE.mcap")
+    return RecordingSource(Recording(Path(rest)))
 
 
 class RecordingSource(Source):
     """Frames or stimuli of a recording with pose and force, at the times at which they were sent.
 
-    One that was sent as several sequences counts once; one that was stale stays so. Unpaced, each
-    read returns the next step, whatever time it is.
+    One that was sent as several sequences counts once; one that was stale stays so.
     """
 
     knows_force = True  # only where no finger is: on a board with one the force is live
 
-    def __init__(self, recording: Recording, unpaced: bool = False) -> None:
+    def __init__(self, recording: Recording) -> None:
         super().__init__(recording.path.name)
         self._recording = recording
         self.duration_s: float = recording.duration_s
-        self._unpaced = unpaced
         self._steps = recording.steps()
         self._ahead = next(self._steps, None)
         self._now: RecordedStep | None = None
         self._seen = True
         if self._ahead is None:
-            raise SourceError(
-                f"{recording.path} holds no steps: nothing can be played from it", about="file"
-            )
+            raise SourceError(f"{recording.path} holds no steps: nothing can be played from it")
         if not recording.whole:
             self.notes.append(f"{recording.path} is cut: it is played as far as it goes")
 
     def read(self, time_ns: int) -> Input | None:
         """Return the newest recorded input that is not later than a time; None after the last."""
-        if self._unpaced:
-            if self._ahead is None:
-                return None
+        while self._ahead and (not self._now or self._ahead.step.input.time_ns <= time_ns):
             self._advance()
-        else:
-            while self._ahead and (not self._now or self._ahead.step.input.time_ns <= time_ns):
-                self._advance()
-            if self._ahead is None and self._now is not None and time_ns >= _end_ns(self._now):
-                return None
         assert self._now is not None
+        if self._ahead is None and time_ns >= _end_ns(self._now):
+            return None
         self._seen = True
         given = self._now.step.input
-        age_ns = 0 if self._unpaced else max(0, time_ns - given.time_ns)
+        age_ns = max(0, time_ns - given.time_ns)
         # Where steps are missing there is no current.
-        stale = given.stale or (not self._unpaced and time_ns > _end_ns(self._now) + LATE_NS)
+        stale = given.stale or time_ns > _end_ns(self._now) + LATE_NS
         number = self.frames - 1
         return replace(given, time_ns=time_ns, number=number, age_ns=age_ns, stale=stale)
 
@@ -83,9 +70,7 @@ class RecordingSource(Source):
         if count != recorded and first is not None and isinstance(first.step.input, Stimulus):
             raise RecordingError(
                 f"{self.title} holds stimuli for {recorded} electrodes, the profile {profile.name} "
-                f"has {count}: give the profile of the display that they are to go to",
-                about="electrodes",
-                remedy="profile",
+                f"has {count}: give the --profile of that display"
             )
         return stricter(profile, was)
 
@@ -133,7 +118,7 @@ class RecordedControls(Controls):
             if topic != "/sequence":
                 continue
             try:
-                step = parse_message(message.data)
+                step = json.loads(message.data)
                 recorded = ControlState(Mode(step["mode"]), float(step["level"]))
                 time_ns = int(step["time_ns"])
             except (ValueError, KeyError, TypeError, OverflowError):
@@ -145,8 +130,7 @@ class RecordedControls(Controls):
             if recorded.mode not in modes:
                 raise RecordingError(
                     f"{recording.path} has steps in mode {recorded.mode}, which this board does "
-                    "not offer: choose a board and profile that do",
-                    about="mode",
+                    "not offer: choose a board and profile that do"
                 )
 
     def state(self, time_ns: int) -> ControlState:

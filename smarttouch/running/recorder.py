@@ -126,13 +126,10 @@ class RecordingWriter:
         if isinstance(self._failure, _GoneError):
             return RecordingError(
                 f"{self._path} was removed, moved or replaced while it was written, so it is not "
-                "this run's recording: leave the file alone until the run has ended",
-                about="file",
+                "this run's recording: leave the file alone until the run has ended"
             )
         said = getattr(self._failure, "strerror", None) or repr(self._failure)
-        return RecordingError(
-            f"{self._path} is cut short: {said}; what was written is kept", about="file"
-        )
+        return RecordingError(f"{self._path} is cut short: {said}; what was written is kept")
 
     def _fail(self, error: Exception) -> None:
         self._failure = self._failure or error
@@ -248,9 +245,7 @@ class _PackedIndexes:
 
 def name_taken(path: Path) -> RecordingError:
     """Return the error of a recording that exists already."""
-    return RecordingError(
-        f"{path} exists and recordings are never overwritten: give another name", about="file"
-    )
+    return RecordingError(f"{path} exists and recordings are never overwritten: give another name")
 
 
 class Recorder(Listener):

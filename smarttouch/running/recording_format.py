@@ -228,17 +228,18 @@ class RecordedSettings(BaseModel):
             light_on_dark=self.light_on_dark,
             softness=self.softness,
             tone=None if self.toned is None else Tone(**self.toned.model_dump()),
-            scan=SlotPolicy(
-                tuple(Afferent[each] for each in self.shared.primaries), self.shared.planned
-            ),
+            scan=SlotPolicy(tuple(Afferent[each] for each in self.shared.primaries)),
         )
 
 
 def read_settings(table: dict[str, Any]) -> RecordedSettings:
     """Return the settings in a recording; RecordingError if one is missing or impossible."""
     try:
-        return RecordedSettings.model_validate(table)
+        settings = RecordedSettings.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
-        raise RecordingError(f"{key}: {first['msg']}", about=f"settings.{key}") from None
+        raise RecordingError(f"{key}: {first['msg']}") from None
+    if settings.shared.planned and settings.shared.primaries:
+        raise RecordingError("the recording is of scan=frame, which 1.0.0rc1 had: replay it there")
+    return settings

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from smarttouch.base.errors import BoardError, require_returned
+from smarttouch.base.errors import BoardError
 from smarttouch.boards.board import Board
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
@@ -12,7 +12,6 @@ from smarttouch.stimulation.adaptation import RESERVED, Adaptation, Hold
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_recharge
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-_VOLTS = "a list of (sequence, volts at the end of each slot)"
 _WAITING_UC = 0.02  # charge that whole µA of the longest recharge phase may leave
 
 
@@ -42,8 +41,6 @@ class Regulator:
     def regulate(self, step: Step, board: Board) -> Step:
         """Return the step with its sequence as it is to be sent."""
         observed = board.take_volts()
-        if not isinstance(observed, list):
-            require_returned(board, "take_volts", observed, list, _VOLTS, BoardError)
         if observed:
             step = replace(step, observed=tuple(observed))
         if self.adaptation is not None:
@@ -109,9 +106,7 @@ def masked_where_broken(board: Board, profile: Profile, note: Callable[[str], No
     """
     found = board.measure()
     if found.lifted:
-        raise BoardError(
-            "no electrode touches anything: put the finger on the array first", about="finger"
-        )
+        raise BoardError("no electrode touches anything: put the finger on the array first")
     broken = sorted({*profile.output.masked, *found.broken})
     good, unsure = (found.condition.count(each) for each in ("good", "unsure"))
     note(
@@ -141,14 +136,12 @@ def make_regulator(
     if config.hold is not None:
         if not can.measures or can.compliance_v is None:
             raise BoardError(
-                "hold needs a board that measures the voltage of each slot, and this one does not",
-                about="hold",
+                "hold needs a board that measures the voltage of each slot, and this one does not"
             )
         if not board.timing.own_widths and config.hold == "charge":
             raise BoardError(
                 "hold charge needs a pulse width of its own for each slot, and this board has "
-                "one for all: choose energy",
-                about="hold",
+                "one for all: choose energy"
             )
         hold: Hold = "charge" if config.hold == "charge" else "energy"
         if hold == "energy":
@@ -162,8 +155,7 @@ def make_regulator(
             recharge = RechargeRules.of(profile, board.timing)
         elif len(can.polarities) < 2:
             raise BoardError(
-                f"balance needs both polarities, and this board is {can.polarities[0]} only",
-                about="balance",
+                f"balance needs both polarities, and this board is {can.polarities[0]} only"
             )
         else:
             note(

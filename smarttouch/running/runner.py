@@ -9,12 +9,9 @@ from typing import Any
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.clock import Pace, SimulatedClock
 from smarttouch.base.errors import (
-    BoardError,
     BoardStoppedError,
     SmartTouchError,
     SourceError,
-    require_made,
-    require_returned,
 )
 from smarttouch.base.events import Advice, Note, RunFailed
 from smarttouch.base.stopping import StopRequest
@@ -80,8 +77,6 @@ class Runner:
         if force is None and display.on_a_finger:
             force = display.profile.force.source
         self._force = None if isinstance(force, str) else force
-        if self._force is not None:
-            require_made(self._force, SourceError, "force")
         self._force_url = force if isinstance(force, str) else None
         self.statistics: RunStatistics = RunStatistics()
         self._listeners = as_listeners(listeners)
@@ -145,7 +140,6 @@ class Runner:
         profile = self.display.profile
         if self.display.on_a_finger:
             profile = source.narrowed(profile)
-            require_returned(source, "narrowed", profile, Profile, "a Profile", SourceError)
         if config.measure:
             with self._opened(self._stop):
                 self._require_force()
@@ -200,7 +194,6 @@ class Runner:
             )
             board.stop()
             report = board.report()
-            require_returned(board, "report", report, BoardReport, "a BoardReport", BoardError)
         board.notes += [*regulator.notes(), *pipeline.notes(), *_refused_packets(board, report)]
         if self.display.on_a_finger:
             board.notes += [*_density(profile), *Pace(self.statistics.real_time).notes]
@@ -268,9 +261,8 @@ class Runner:
     def _require_a_level(self) -> None:
         if self._level is None and self.display.on_a_finger:
             raise SmartTouchError(
-                "a finger may be on the board, and no intensity is set: give one, for example 0.3",
-                about="intensity",
-                remedy="intensity",
+                "a finger may be on the board, and no intensity is set: give one, for example "
+                "--intensity 0.3"
             )
 
     def _require_force(self) -> None:
@@ -286,11 +278,9 @@ class Runner:
             return
         raise SourceError(
             f"the finger's force is not measured: neither {title} nor the board does, so there "
-            "would be no current: give a source of force, for example hx711:PORT, or, where "
-            "nothing measures it and a person presses, "
-            f"fixed:{self.display.profile.force.full_n:g} (N)",
-            about="force",
-            remedy="force",
+            "would be no current: give a source of force, for example --force hx711:PORT, or, "
+            "where nothing measures it and a person presses, "
+            f"--force fixed:{self.display.profile.force.full_n:g} (N)"
         )
 
     def _warn_of_simulation(self, profile: Profile) -> None:

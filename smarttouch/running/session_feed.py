@@ -89,8 +89,7 @@ class SessionFeed(Source, Listener):
         if array.shape == (electrodes,):
             if len(mode.afferents) != 1:
                 raise SourceError(
-                    f"mode {mode} drives several classes: give activation (3, {electrodes})",
-                    about="pattern",
+                    f"mode {mode} drives several classes: give activation (3, {electrodes})"
                 )
             made = np.zeros(self._nothing.shape)
             made[mode.afferents[0]] = array
@@ -100,8 +99,7 @@ class SessionFeed(Source, Listener):
                 return Frame(gray_image(array, "the program"), 0)
             raise SourceError(
                 f"{array.dtype} {array.shape} is no pattern for this array: give activation "
-                f"({electrodes},) or (3, {electrodes}), in [0, 1], or an image (H, W), uint8",
-                about="activation",
+                f"({electrodes},) or (3, {electrodes}), in [0, 1], or an image (H, W), uint8"
             )
         # Nobody writes into it later.
         return checked_activation(array, "the program", electrodes).copy()

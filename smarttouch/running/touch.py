@@ -213,7 +213,7 @@ class Touch:
         """Return how something was shown; raises a LevelNotReachedError if it was not."""
         self._require_life()
         if show.fault:
-            raise LevelNotReachedError(show.fault, about="level")
+            raise LevelNotReachedError(show.fault)
         if show.ramped_ns and show.seconds:
             self._feed.emit(
                 Note(show.time_ns, f"a pattern waited {show.ramped_ns / 1e9:.2f} s for its level")
@@ -225,7 +225,7 @@ class Touch:
 
     def _require_life(self) -> None:
         if self._feed.is_over:
-            raise SmartTouchError(f"the session has ended: {self._ended()}", about="session")
+            raise SmartTouchError(f"the session has ended: {self._ended()}")
 
     def _ended(self) -> str:
         return self._feed.ended
@@ -252,7 +252,7 @@ class Touch:
         chosen = next((each for each in offered if each == mode), None)
         if chosen is None:
             names = ", ".join(str(each) for each in offered)
-            raise SmartTouchError(f"mode {mode} is not offered here: choose {names}", about="mode")
+            raise SmartTouchError(f"mode {mode} is not offered here: choose {names}")
         self._feed.controls.choose_mode(chosen)
 
     def pause(self) -> None:
@@ -266,12 +266,12 @@ class Touch:
 
 def _require_time(seconds: float) -> None:
     if not 0 < seconds < math.inf:
-        raise SmartTouchError(f"seconds {seconds:g} must be above 0", about="seconds")
+        raise SmartTouchError(f"seconds {seconds:g} must be above 0")
 
 
 def _require_level(level: float | None) -> None:
     if level is None or not 0 < level <= 1:
-        raise SmartTouchError(f"level {level} must be above 0 and at most 1", about="level")
+        raise SmartTouchError(f"level {level} must be above 0 and at most 1")
 
 
 class ProgramSource(SessionFeed):

@@ -6,9 +6,9 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from smarttouch.base.errors import SourceError, require_made
+from smarttouch.base.errors import SourceError
 from smarttouch.base.files import file_at, named_file
-from smarttouch.base.registry import find_opener, given_options, known_names, unknown
+from smarttouch.base.registry import find_opener, given_options, known_names, require_kind, unknown
 from smarttouch.base.url_options import joined_options, read_options
 from smarttouch.profile import Profile, load_profile
 from smarttouch.sources.source_contract import Source
@@ -49,8 +49,7 @@ def source_url(name: str) -> str:
 
 def options_taken(url: str) -> set[str]:
     """Return the options that a source takes beside those in its URL, by name."""
-    group = "smarttouch.sources"
-    opener, rest = find_opener(group, source_url(url), SourceError, Source, ("rest", "profile"))
+    opener, rest = find_opener("smarttouch.sources", source_url(url), SourceError)
     in_url = read_options(opener, rest, SourceError, but=_NOT_IN_URLS)[1]
     return inspect.signature(opener).parameters.keys() - in_url
 
@@ -86,13 +85,13 @@ def open_source(
     (64, 64)
     """
     url, profile = source_url(url), load_profile(profile)
-    opener, rest = find_opener("smarttouch.sources", url, SourceError, Source, ("rest", "profile"))
+    opener, rest = find_opener("smarttouch.sources", url, SourceError)
     rest, in_url = read_options(opener, rest, SourceError, but=_NOT_IN_URLS)
     given = given_options(opener, url, options, SourceError)
     given = joined_options(url, given, in_url, SourceError)
     if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:
         given["light_on_dark"] = True
     source: Source = opener(rest, profile, **given)
-    require_made(source, SourceError, "source")
+    require_kind(source, Source, url, SourceError)
     source.url = url
     return source

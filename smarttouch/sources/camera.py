@@ -105,8 +105,7 @@ class CameraDevice(ImageDevice):
         if size is not None and not (min(size) >= 2 and size[0] * size[1] <= _MOST_PIXELS):
             raise SourceError(
                 f"an image of {size[0]} x {size[1]} pixels is not possible: give width and "
-                "height, for example 640 x 480",
-                about="size",
+                "height, for example 640 x 480"
             )
         if fps is not None:
             require_within(SourceError, "fps", fps, 0, 1000, above=True)
@@ -133,8 +132,7 @@ class CameraDevice(ImageDevice):
             self.close()
             raise SourceError(
                 f"cannot open {self.title}: check that it is plugged in, that its number is right "
-                "and that no other program uses it",
-                about="camera",
+                "and that no other program uses it"
             )
         self._failures = 0
 
@@ -183,7 +181,7 @@ class CameraDevice(ImageDevice):
         """Return the next image; waits as long as the driver does, a second at most."""
         capture = self._capture
         if capture is None:
-            raise SourceLostError(f"{self.title} is not open", about="camera")
+            raise SourceLostError(f"{self.title} is not open")
         with QUIET_OPENCV:
             try:
                 taken, image = capture.read()
@@ -192,9 +190,7 @@ class CameraDevice(ImageDevice):
         if not taken or image is None or not image.size:
             self._failures += 1
             if self._failures >= FAILURES:
-                raise SourceLostError(
-                    f"{self.title} gave no image {FAILURES} times in a row", about="camera"
-                )
+                raise SourceLostError(f"{self.title} gave no image {FAILURES} times in a row")
             time.sleep(min(timeout_s, _PAUSE_S))
             return None
         self._failures = 0
@@ -221,8 +217,7 @@ def to_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or channels not in (1, 3, 4):
         raise SourceError(
             f"images of shape {image.shape} and type {image.dtype} cannot be read: give grey or "
-            "color",
-            about="image",
+            "color"
         )
     if channels == 1:
         return np.ascontiguousarray(image.reshape(image.shape[:2]))
@@ -239,6 +234,5 @@ def _device(rest: str) -> int | str:
         return number
     raise SourceError(
         f"camera:{rest} is not a camera: give its number, as in camera:0, or its device, as in "
-        "camera:/dev/video2",
-        about="camera",
+        "camera:/dev/video2"
     )

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from smarttouch.base.errors import SourceError, require_made
-from smarttouch.base.registry import find_opener
+from smarttouch.base.errors import SourceError
+from smarttouch.base.registry import find_opener, require_kind
 from smarttouch.base.tables import read_csv
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Device
@@ -35,11 +35,9 @@ class ForceSource(Device, ABC):
 
 def open_force(url: str, profile: Profile) -> ForceSource:
     """Open a source of finger force by its URL."""
-    opener, rest = find_opener(
-        "smarttouch.forces", url, SourceError, ForceSource, ("rest", "profile")
-    )
+    opener, rest = find_opener("smarttouch.forces", url, SourceError)
     source: ForceSource = opener(rest, profile)
-    require_made(source, SourceError, "force")
+    require_kind(source, ForceSource, url, SourceError)
     return source
 
 
@@ -54,8 +52,7 @@ class FixedForce(ForceSource):
         if not 0 <= self._force_n <= LARGEST_FIXED_N:
             raise SourceError(
                 f"fixed:{text} is not a force: give newtons from 0 to {LARGEST_FIXED_N:g}, as in "
-                "fixed:0.5",
-                about="force",
+                "fixed:0.5"
             )
         super().__init__(f"fixed {self._force_n:g} N")
 
@@ -82,8 +79,7 @@ class RecordedForce(ForceSource):
         if len(beyond):
             line, force_n = table.lines[beyond[0]], float(self._force_n[beyond[0]])
             raise SourceError(
-                f"{path}, line {line}: {force_n:g} N is more than any finger presses: give newtons",
-                about="force_n",
+                f"{path}, line {line}: {force_n:g} N is more than any finger presses: give newtons"
             )
 
     def read(self, time_ns: int) -> float:

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.electrodes import ElectrodeArray
-from smarttouch.base.errors import SourceError, kind_in_words, require_made
+from smarttouch.base.errors import SourceError, kind_in_words
 from smarttouch.base.events import Emit
 from smarttouch.profile import Profile
 from smarttouch.sources import kind_of, open_source
 from smarttouch.sources.source_contract import (
-    Canvas,
     Frame,
     Input,
     OpticalSource,
@@ -41,8 +40,7 @@ def checked_input(given: Any, who: object, electrodes: int) -> Input:
     if not isinstance(given, Stimulus):
         raise SourceError(
             f"{who} returned {kind_in_words(given)}: a source returns a Frame or a Stimulus, or "
-            "None at its end",
-            about="source",
+            "None at its end"
         )
     activation = checked_activation(given.activation, who, electrodes)
     return given if activation is given.activation else replace(given, activation=activation)
@@ -56,21 +54,16 @@ def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
     """
     wanted = "give gray levels (H, W) uint8, 0 black and 255 white"
     if not isinstance(image, np.ndarray):
-        raise SourceError(
-            f"{who} gave an image that is {kind_in_words(image)}: {wanted}", about="image"
-        )
+        raise SourceError(f"{who} gave an image that is {kind_in_words(image)}: {wanted}")
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * np.uint8(255)
     channels = image.shape[2] if image.ndim == 3 else 1
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or channels not in (1, 3, 4):
         raise SourceError(
-            f"{who} gave an image of {image.dtype} {image.shape}: {wanted}, or RGB (H, W, 3)",
-            about="image",
+            f"{who} gave an image of {image.dtype} {image.shape}: {wanted}, or RGB (H, W, 3)"
         )
     if not image.size:
-        raise SourceError(
-            f"{who} gave an image without pixels {image.shape}: {wanted}", about="image"
-        )
+        raise SourceError(f"{who} gave an image without pixels {image.shape}: {wanted}")
     if channels == 1:
         return np.ascontiguousarray(image.reshape(image.shape[:2]))
     gray = image[:, :, :3] @ _GRAY
@@ -85,21 +78,18 @@ def checked_activation(activation: Any, who: object, electrodes: int) -> NDArray
     if not isinstance(activation, np.ndarray) or activation.dtype.kind not in "fbiu":
         raise SourceError(
             f"{who} gave an activation that is {kind_in_words(activation)}: give an array of "
-            f"{shape}, in [0, 1]",
-            about="activation",
+            f"{shape}, in [0, 1]"
         )
     if activation.shape != shape:
         raise SourceError(
             f"{who} gave an activation of {activation.shape}: this array has {shape}, a row for "
-            "each of RA, SAI and PC",
-            about="activation",
+            "each of RA, SAI and PC"
         )
     # Nothing is above NaN.
     lowest, highest = float(activation.min()), float(activation.max())
     if not 0 <= lowest <= highest <= 1:
         raise SourceError(
-            f"{who} gave an activation from {lowest:g} to {highest:g}: it must be in [0, 1]",
-            about="activation",
+            f"{who} gave an activation from {lowest:g} to {highest:g}: it must be in [0, 1]"
         )
     return activation if activation.dtype == np.float32 else activation.astype(np.float32)
 
@@ -150,21 +140,18 @@ def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) ->
         If it is nothing of these, or cannot be opened.
     """
     if isinstance(given, Source):
-        require_made(given, SourceError, "source")
         return given
     if isinstance(given, str | Path):
         url = given if isinstance(given, str) else f"{kind_of(given)}:{given}"
         return open_source(url, profile, light_on_dark=light_on_dark)
     if isinstance(given, np.ndarray) and given.ndim < 3:
         raise SourceError(
-            f"an array of {given.dtype} {given.shape} is no row of images: give (N, H, W) uint8",
-            about="source",
+            f"an array of {given.dtype} {given.shape} is no row of images: give (N, H, W) uint8"
         )
     if not isinstance(given, Iterable) or isinstance(given, bytes | dict):
         raise SourceError(
             f"a {type(given).__name__} is no source: give a Source, a URL such as 'text:Hello', a "
-            "path, or images",
-            about="source",
+            "path, or images"
         )
     return Images(given, profile)
 
@@ -180,7 +167,6 @@ class OwnImaging(StimulusSource):
         super().__init__(source.title)
         self.url: str = source.url
         self.duration_s: float | None = source.duration_s
-        self.canvas: Canvas | None = source.canvas
         self.knows_force: bool = source.knows_force
         self.measures_force: bool = source.measures_force
         self.news: threading.Event | None = source.news
@@ -197,8 +183,7 @@ class OwnImaging(StimulusSource):
         frame = checked_input(given, self._source, electrodes)
         if not isinstance(frame, Frame):
             raise SourceError(
-                f"{self.title} gives tactile images, which need no imaging: leave it out",
-                about="imaging",
+                f"{self.title} gives tactile images, which need no imaging: leave it out"
             )
         activation = self._imaging(frame, self._electrodes)
         return Stimulus(

@@ -122,9 +122,6 @@ class LiveSource(OpticalSource):
         Longest wait for a lost device.
     now_ns : callable
         The clock of `Shot.taken_ns`.
-    follow : bool
-        Where one class is driven, whether each image is one pulse of every active electrode, as
-        soon as it comes and the profile's limit allows, repeated at the profile's rate.
 
     Raises
     ------
@@ -142,14 +139,9 @@ class LiveSource(OpticalSource):
         *,
         replug_s: float = 10.0,
         now_ns: Callable[[], int] = time.perf_counter_ns,
-        follow: bool = False,
     ) -> None:
         super().__init__(device.title)
         self.news: threading.Event = threading.Event()
-        self._follow = follow
-        self._least_us = math.ceil(1e6 / profile.limits.rate_hz)
-        self._usual_ns = round(1e9 / profile.pulse.rate_hz)
-        self._read_at_ns = 0
         self.notes: list[str] = device.notes
         self._device = device
         self._replug_s = replug_s
@@ -201,35 +193,26 @@ class LiveSource(OpticalSource):
                     f"{self.title} gave no image within {FIRST_IMAGE_S:g} s: check that it is on, "
                     "and that no other program uses it"
                 )
-                raise SourceError(message, about="source")
+                raise SourceError(message)
             self._unread = False
-            self._read_at_ns = time_ns
         age_ns = max(0, self._now_ns() - newest.taken_ns)
         return Frame(
             newest.image, time_ns, newest.pose, math.nan, number=newest.number, age_ns=age_ns,
-            stale=age_ns > self._stale_ns, period_us=self._least_us if self._follows else None,
+            stale=age_ns > self._stale_ns,
         )  # fmt: skip
 
     @property
     def _stale_ns(self) -> float:
         return self._device.stale_s * 1e9
 
-    @property
-    def _follows(self) -> bool:
-        """Whether each image begins at once."""
-        return self._follow and len(self.afferents) == 1
-
     def patience_ns(self, time_ns: int) -> int:
-        """Return how long the next image may be waited for: while the last one is stale, and where
-        each begins at once, until it is to be repeated."""
+        """Return how long the next image may be waited for: only while the last one is stale."""
         with self._changed:
             self.news.clear()
             newest = self._newest
             if newest is None or self._unread or self._over:
                 return 0
-        if self._now_ns() - newest.taken_ns > self._stale_ns:
-            return IDLE_NS
-        return max(0, self._read_at_ns + self._usual_ns - time_ns) if self._follows else 0
+        return IDLE_NS if self._now_ns() - newest.taken_ns > self._stale_ns else 0
 
     def close(self) -> None:
         """Stop the thread, close the device, and count unread frames as dropped."""
@@ -263,9 +246,7 @@ class LiveSource(OpticalSource):
         except SourceError as error:
             self._fail(error)
         except Exception as error:
-            failure = SourceError(
-                f"{self.title} failed: {type(error).__name__}: {error}", about="source"
-            )
+            failure = SourceError(f"{self.title} failed: {type(error).__name__}: {error}")
             failure.__cause__ = error
             self._fail(failure)
         finally:
@@ -308,7 +289,7 @@ class LiveSource(OpticalSource):
                 f"{self.title} was disconnected and did not return within {self._replug_s:g} s: "
                 "plug it in and start again"
             )
-            raise SourceError(message, about="source")
+            raise SourceError(message)
 
     def _take(self, shot: Shot) -> None:
         image, pose = self._intake.take(shot.image)

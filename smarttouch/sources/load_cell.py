@@ -201,8 +201,7 @@ class LoadCell(Closing):
             came, self._collected = self._collected, None
         if not came:
             raise SourceError(
-                f"the {self.title} sent no reading in {patience_s:g} s: check its cable and power",
-                about="port",
+                f"the {self.title} sent no reading in {patience_s:g} s: check its cable and power"
             )
         return np.array(came, np.float64)
 
@@ -218,14 +217,11 @@ class LoadCell(Closing):
         if self._received:
             raise SourceError(
                 f"the {self.title} sends no readings: check its speed (now {self._baud}; set "
-                "another by ?baud=N after the port) and what it sends",
-                about="port",
-                remedy="?baud=",
+                "another by ?baud=N after the port) and what it sends"
             )
         raise SourceError(
             f"the {self.title} sent no reading within {FIRST_READING_S:g} s: check that it is on "
-            "and streams its readings",
-            about="port",
+            "and streams its readings"
         )
 
     def _listen(self, port: Port | None) -> None:
@@ -276,9 +272,7 @@ class LoadCellForce(ForceSource):
         if profile.force.curve is None:
             raise SourceError(
                 f"profile {profile.name} has no force.curve: run smarttouch calibrate force, or, "
-                "for a sketch that prints grams, set curve = [0, 0.00980665] in [force]",
-                about="force.curve",
-                remedy="smarttouch calibrate force",
+                "for a sketch that prints grams, set curve = [0, 0.00980665] in [force]"
             )
         self._curve = profile.force.curve
         contact_n = profile.force.contact_n
@@ -316,15 +310,15 @@ def _parse(url: str) -> tuple[str, str, int]:
     kind, _, rest = url.partition(":")
     if kind not in _KINDS:
         kinds = " or ".join(f"{each}:PORT" for each in _KINDS)
-        raise SourceError(f"{url!r} is not a load cell: give {kinds}", about="force")
+        raise SourceError(f"{url!r} is not a load cell: give {kinds}")
     name, option, speed = rest.partition("?baud=")
     if not name:
-        raise SourceError(f"{url!r} has no port: give one, as in {kind}:/dev/ttyUSB0", about="port")
+        raise SourceError(f"{url!r} has no port: give one, as in {kind}:/dev/ttyUSB0")
     if not option:
         return kind, name, _KINDS[kind][0]
     if not (speed.isdecimal() and 0 < int(speed) < 10**8):
         message = f"{url!r}: {speed!r} is not a line speed: give bits per second, as in 115200"
-        raise SourceError(message, about="?baud=")
+        raise SourceError(message)
     return kind, name, int(speed)
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import CalibrationError, SourceError
 from smarttouch.base.files import MOST_ARRAY_BYTES, open_file, write_bytes
-from smarttouch.base.tables import read_arrays
 from smarttouch.profile import Optics, Profile
 from smarttouch.sources.image_match import Matcher, Shift
 from smarttouch.sources.source_contract import Pose
@@ -95,8 +94,7 @@ class FlatField:
         if dark.shape != white.shape:
             raise CalibrationError(
                 f"the dark frames are {dark.shape[1]} × {dark.shape[0]}, the white ones "
-                f"{white.shape[1]} × {white.shape[0]}: use one source for both",
-                about="frames",
+                f"{white.shape[1]} × {white.shape[0]}: use one source for both"
             )
         span = white - dark
         usual = float(np.median(span))
@@ -104,22 +102,19 @@ class FlatField:
             raise CalibrationError(
                 f"white is only {usual:.0f} grey levels brighter than dark, {LEAST_SPAN:.0f} are "
                 "needed: is the light on, the sensor covered for the dark and on white paper "
-                "after?",
-                about="white",
+                "after?"
             )
         saturated = float((white >= SATURATED).mean())
         if saturated > MOST_SATURATED:
             raise CalibrationError(
                 f"{saturated:.0%} of the pixels are saturated on white paper: lower the exposure "
-                "or the light",
-                about="white",
+                "or the light"
             )
         broken = (span < DEAD_SHARE * usual) | (dark > np.median(dark) + HOT_LEVELS)
         if broken.mean() > MOST_BROKEN:
             raise CalibrationError(
                 f"{int(broken.sum())} of {broken.size} pixels are dead or hot: is the field of "
-                "view free, lit evenly enough and really dark when covered?",
-                about="pixels",
+                "view free, lit evenly enough and really dark when covered?"
             )
         level = float(np.median(white[~broken]))
         gain = np.where(broken, 0.0, level / np.where(broken, 1.0, span))
@@ -145,9 +140,10 @@ class FlatField:
             raise _no_field(message)
         with open_file(Path(path), SourceError, MOST_ARRAY_BYTES) as file:
             try:
-                stored = read_arrays(file)
+                stored = np.load(file, allow_pickle=False)
                 dark, gain = (np.asarray(stored[name], np.float32) for name in ("dark", "gain"))
-            except (OSError, ValueError, TypeError, KeyError):
+            except Exception:
+                # A damaged archive fails in a dozen ways, down to those of its compression.
                 raise _no_field(
                     f"{path} is not a flat field: calibrate the optics again, or remove "
                     "optics.flat_field"
@@ -156,19 +152,16 @@ class FlatField:
 
 
 def _no_field(message: str) -> SourceError:
-    key = "optics.flat_field"
-    return SourceError(message, about=key, remedy=key)
+    return SourceError(message)
 
 
 def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
     """Return the mean of images of one shape."""
     if not len(images):
-        raise CalibrationError("no frames arrived: check the source", about="frames")
+        raise CalibrationError("no frames arrived: check the source")
     shapes = {image.shape for image in images}
     if len(shapes) > 1:
-        raise CalibrationError(
-            f"the frames differ in shape, {sorted(shapes)}: use one source", about="frames"
-        )
+        raise CalibrationError(f"the frames differ in shape, {sorted(shapes)}: use one source")
     total = np.zeros(images[0].shape)
     for image in images:
         total += image

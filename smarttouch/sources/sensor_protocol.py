@@ -96,15 +96,13 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
     """Return a frame, (H, W) uint8 with 1 to 255 rows and columns, in its wire format."""
     if image.ndim != 2 or image.dtype != np.uint8:
         raise SourceError(
-            f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}",
-            about="frame",
+            f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}"
         )
     rows, columns = image.shape
     if not (1 <= rows <= MOST_PIXELS_A_SIDE and 1 <= columns <= MOST_PIXELS_A_SIDE):
         raise SourceError(
             f"a frame on the wire has 1 to {MOST_PIXELS_A_SIDE} rows and columns, "
-            f"not {rows} x {columns}",
-            about="frame",
+            f"not {rows} x {columns}"
         )
     head = _FRAME.pack(rows, columns, time_us % NUMBERS)
     return frame_packet(VERSION, PacketKind.FRAME, number % NUMBERS, head + image.tobytes())
@@ -114,7 +112,7 @@ def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
     """Return a load cell's reading in its wire format."""
     value = NO_READING if reading is None else reading
     if not NO_READING <= value < 2**31:
-        raise SourceError(f"reading {value} does not fit 32 bits: scale it down", about="reading")
+        raise SourceError(f"reading {value} does not fit 32 bits: scale it down")
     payload = _FORCE.pack(value, time_us % NUMBERS)
     return frame_packet(VERSION, PacketKind.FORCE, number % NUMBERS, payload)
 

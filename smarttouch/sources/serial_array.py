@@ -25,13 +25,9 @@ _UNREADABLE_S = 1.5
 def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -> LiveSource:
     """Open ``serial-array:PORT``: a device, ``tcp://HOST:PORT``, or any URL that pyserial knows."""
     if not rest:
-        raise SourceError(
-            "serial-array: has no port: give one, as in serial-array:/dev/ttyACM0", about="port"
-        )
+        raise SourceError("serial-array: has no port: give one, as in serial-array:/dev/ttyACM0")
     if baud is not None and baud < 1:
-        raise SourceError(
-            f"{baud} baud is not a line speed: give bits per second, as in 115200", about="baud"
-        )
+        raise SourceError(f"{baud} baud is not a line speed: give bits per second, as in 115200")
     return LiveSource(SerialArrayDevice(rest, USUAL_BAUD if baud is None else baud), profile)
 
 
@@ -129,9 +125,7 @@ class SerialArrayDevice(ImageDevice):
             raise SourceError(
                 f"{self._name} sends no frames: check its speed (now "
                 f"{self._baud} baud) and that the device sends the format of "
-                "smarttouch/sources/sensor_protocol.py",
-                about="port",
-                remedy="baud",
+                "smarttouch/sources/sensor_protocol.py"
             )
 
 

@@ -35,7 +35,7 @@ def read_available(port: Port, title: str) -> bytes:
             with contextlib.suppress(BlockingIOError):
                 data += wire.recv(_LARGEST_READ)
     except LINE_ERRORS as error:
-        raise SourceLostError(f"{title} was disconnected: {reason(error)}", about="port") from None
+        raise SourceLostError(f"{title} was disconnected: {reason(error)}") from None
     return data
 
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,18 +190,6 @@ class Sheet:
     corner_mm: tuple[float, float] = (0.0, 0.0)
 
 
-class Canvas(Protocol):
-    """Part of a source that a page of the window draws on; ``changes`` counts what it shows."""
-
-    changes: int
-
-    def draw(self, words: str) -> None:
-        """Execute the request of a page; ValueError if it is invalid."""
-
-    def message(self) -> dict[str, Any]:
-        """Return all that a page shows of it, with ``changes``; for JSON."""
-
-
 class Source(Device, ABC):
     """Base of all sources.
 
@@ -209,8 +197,6 @@ class Source(Device, ABC):
     is the number of distinct inputs read plus ``dropped_frames``.
     """
 
-    canvas: Canvas | None = None
-    """What a page of the window draws on, if anything."""
     duration_s: float | None = None
     """Duration; None if it never ends by itself."""
     ended: ClassVar[str] = "the source has ended"

@@ -61,10 +61,6 @@ class Clip(ABC):
     def next(self) -> NDArray[np.uint8] | None:
         """Return the next image, grey, (H, W); None at the end."""
 
-    def due_ns(self, number: int) -> int:
-        """Return the time of the last or the next image, by its number from 0, since the first."""
-        return round(number * 1e9 / self.rate_hz)
-
     @abstractmethod
     def skip(self) -> bool:
         """Skip the next image; return False at the end."""
@@ -92,7 +88,7 @@ class VideoFile(Clip):
         if not self._capture.isOpened() or text:
             self.close()
             message = f"{self.path} is not a readable video: give an MP4, AVI, MKV or MOV"
-            raise SourceError(message, about="file")
+            raise SourceError(message)
         rate_hz = self._capture.get(cv2.CAP_PROP_FPS)
         if 0 < rate_hz <= FASTEST_HZ:
             self.rate_hz = rate_hz
@@ -105,7 +101,7 @@ class VideoFile(Clip):
         self._first = self.next()
         if self._first is None or min(self._first.shape) < _FEWEST_PIXELS:
             self.close()
-            raise SourceError(f"{self.path} has no readable frame: record it again", about="file")
+            raise SourceError(f"{self.path} has no readable frame: record it again")
 
     def next(self) -> NDArray[np.uint8] | None:
         if self._first is not None:
@@ -155,8 +151,7 @@ class ImageFolder(Clip):
             if (width, height) != sizes[0]:
                 raise SourceError(
                     f"{file} has {width} x {height} pixels, {self._files[0].name} has "
-                    f"{sizes[0][0]} x {sizes[0][1]}: all images of a folder must be of one size",
-                    about="file",
+                    f"{sizes[0][0]} x {sizes[0][1]}: all images of a folder must be of one size"
                 )
 
     def next(self) -> NDArray[np.uint8] | None:
@@ -177,22 +172,14 @@ class ImageFolder(Clip):
 
 def _require_file(path: Path) -> None:
     if path.is_dir():
-        raise SourceError(
-            f"{path} is a folder: give a video file, or frames:{path}",
-            about="file",
-            remedy=f"frames:{path}",
-        )
+        raise SourceError(f"{path} is a folder: give a video file, or frames:{path}")
     require_file(path, SourceError, MOST_DOCUMENT_BYTES)
 
 
 def _images(folder: Path) -> list[Path]:
     """Return the images of a folder, 2.png before 10.png."""
     if folder.is_file():
-        raise SourceError(
-            f"{folder} is a file: give a folder of images, or video:{folder}",
-            about="folder",
-            remedy=f"video:{folder}",
-        )
+        raise SourceError(f"{folder} is a file: give a folder of images, or video:{folder}")
     try:
         files = [
             file
@@ -200,13 +187,13 @@ def _images(folder: Path) -> list[Path]:
             if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")
         ]
     except FileNotFoundError:
-        raise SourceError(f"no folder {folder}: check its name", about="folder") from None
+        raise SourceError(f"no folder {folder}: check its name") from None
     except OSError as error:
         message = f"cannot read the folder {folder}: {error.strerror}"
-        raise SourceError(message, about="folder") from None
+        raise SourceError(message) from None
     if not files:
         message = f"{folder} contains no images: give PNG, JPEG, BMP, TIFF or PGM files"
-        raise SourceError(message, about="folder")
+        raise SourceError(message)
     return sorted(files, key=_natural)
 
 
@@ -224,7 +211,7 @@ def _reading(file: Path) -> Iterator[Image.Image]:
         with open_image(file) as image:
             yield image
     except PageError as error:
-        raise SourceError(f"{error}; remove it from the folder", about="file") from None
+        raise SourceError(f"{error}; remove it from the folder") from None
 
 
 def _size(file: Path) -> tuple[int, int]:
@@ -233,18 +220,12 @@ def _size(file: Path) -> tuple[int, int]:
         width, height = image.size
         if image.format in _TURNED and image.getexif().get(ExifTags.Base.Orientation, 1) >= 5:
             width, height = height, width
-    require_frame_size(str(file), width, height, "file")
-    return width, height
-
-
-def require_frame_size(what: str, width: int, height: int, about: str) -> None:
-    """Raise unless an image of some pixels can be a frame."""
     if min(width, height) < _FEWEST_PIXELS or width * height > _MOST_PIXELS:
         raise SourceError(
-            f"{what} has {width} x {height} pixels: a frame needs at least {_FEWEST_PIXELS} x "
-            f"{_FEWEST_PIXELS}, and at most {_MOST_PIXELS // 10**6} megapixels",
-            about=about,
+            f"{file} has {width} x {height} pixels: a frame needs at least {_FEWEST_PIXELS} x "
+            f"{_FEWEST_PIXELS}, and at most {_MOST_PIXELS // 10**6} megapixels"
         )
+    return width, height
 
 
 def _load(file: Path) -> NDArray[np.uint8]:
@@ -333,7 +314,7 @@ class PacedClip(ImageDevice):
         return shot
 
     def _due_ns(self) -> int:
-        return (self._start_ns or 0) + self._clip.due_ns(self._number)
+        return (self._start_ns or 0) + round(self._number * 1e9 / self._clip.rate_hz)
 
     def _catch_up(self) -> None:
         """Skip images that are too late."""

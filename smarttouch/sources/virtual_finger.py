@@ -224,8 +224,7 @@ def _magnification(text: str, print_mm: float | None, profile: Profile) -> float
     if not LEAST_MAGNIFIED <= factor <= MOST_MAGNIFIED:
         raise PageError(
             f"magnify {text} is not possible: give auto, or a number from "
-            f"{LEAST_MAGNIFIED:g} to {MOST_MAGNIFIED:g}",
-            about="magnify",
+            f"{LEAST_MAGNIFIED:g} to {MOST_MAGNIFIED:g}"
         )
     return factor
 

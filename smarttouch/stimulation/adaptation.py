@@ -48,8 +48,7 @@ class Adaptation:
         if hold == "charge" and self._timing.width_us is not None:
             raise ScheduleError(
                 "hold charge needs longer pulses, and this board's pulses last "
-                f"{self._timing.width_us} µs always: hold energy",
-                about="hold",
+                f"{self._timing.width_us} µs always: hold energy"
             )
         sites = len(profile.electrodes)
         self._limits = profile.limits

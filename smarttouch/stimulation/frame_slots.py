@@ -1,8 +1,6 @@
-"""Slots with many points each, of one afferent class or two: the same frame in fewer slots."""
+"""Slots with several points each, of one afferent class: the same frame in fewer slots."""
 
-from collections import OrderedDict
 from dataclasses import dataclass
-from importlib import import_module
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +10,11 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.frame_fields import FrameBounds
-from smarttouch.kernels.frame_judges import FrameJudge, SlotJudge, full_wish, judge_all
+from smarttouch.kernels.frame_judges import FrameJudge, full_wish
 from smarttouch.kernels.frame_operator import AIM, FrameOperator
 from smarttouch.kernels.proved_sets import proved_sets
-from smarttouch.kernels.slot_plans import plan_slots
 from smarttouch.profile import Profile
-from smarttouch.stimulation.kernel_sums import KernelSums, SharedSlots, SummedSlots
+from smarttouch.stimulation.kernel_sums import KernelSums, SummedSlots
 from smarttouch.stimulation.point_slots import Slots, constant_us, perceived_at
 from smarttouch.stimulation.scan_sequence import (
     PER_UA,
@@ -31,124 +28,83 @@ from smarttouch.stimulation.slot_sums import round_charge_balanced
 Array = NDArray[np.float64]
 
 
-REMEMBERED = 256
-"""Number of plans kept of computed frames: a finger that rests, or comes back, needs no new one.
-
-Where kernels are added up the last one will do: others take longer to fetch than to make."""
-
 _JUDGED_MM = 0.5
 """Least distance of places at which frames are judged, 25 times as fast as .1 mm, where what is
 proved of all frames of a shipped array is no larger (tests/kernels/test_proved_sets.py)."""
 
 _ROUNDING = 0.99
-"""Part of a bound that plans keep, so that whole µA keep all of it down to a third of full
+"""Part of a bound that proofs keep, so that whole µA keep all of it down to a third of full
 intensity. Nothing is felt below, and what breaks a bound there is shown point by point."""
 
 
 @dataclass(frozen=True, eq=False)
 class SlotAllocation:
-    """Slots at full intensity: N found for the frame, then those of M points alone."""
+    """Slots at full intensity: N that several points share, then those of M points alone."""
 
-    found: SharedSlots | SummedSlots  # the first N
+    found: SummedSlots  # the first N
     alone: NDArray[np.intp]  # (M,) points that have a slot by themselves, with their own kernels
     alone_level: Array  # (M,) requested level at each of them
     points: NDArray[np.uint16]  # (N + M,) number of points of each slot
 
 
 class FrameSlots:
-    """Slots of K classes; points whose currents do not interfere share one.
+    """Slots of one class; points whose currents do not interfere share one.
 
-    Every slot keeps the profile's bounds on what it does to other classes, and to its own class
-    elsewhere, and its limits of current, by the finished currents; a point that fits with no other
-    has a slot of its own. With `planned` (see `SlotPolicy`) slots are searched for in each frame;
-    else `table`, if set, makes them sums of kernels in whole numbers, and points of a class of
-    which nothing is proved are shown one by one. `most_ua`, (E,), is the largest sum of magnitudes
-    at an electrode over a frame, infinite if planned. A board without a current of its own for
+    A slot is a sum of kernels of which no subset breaks the profile's bounds on what it does to
+    other classes, and to its own class elsewhere; a point of which nothing is proved has a slot of
+    its own. `table`, if set, makes slots sums of kernels in whole numbers. `most_ua`, (E,), is the
+    largest sum of magnitudes at an electrode over a frame. A board without a current of its own for
     every electrode, or a profile where pulse width carries intensity or total current is not
     limited, raises a ScheduleError.
     """
 
-    def __init__(
-        self,
-        profile: Profile,
-        bank: KernelBank,
-        afferents: tuple[Afferent, ...],
-        planned: bool = True,
-    ) -> None:
+    def __init__(self, profile: Profile, bank: KernelBank, afferent: Afferent) -> None:
         if (why := unsupported_reason(profile)) is not None:
-            key, reason = why
-            raise ScheduleError(
-                f"a whole frame cannot be shown at once: {reason}: choose points", about=key
-            )
+            raise ScheduleError(f"points cannot share slots: {why}: choose points")
         # Matrices are small: with other work on the machine, a second thread costs a hundredfold.
         self._blas = ThreadpoolController()
-        kernels = [np.asarray(bank.kernels(each), np.float64) for each in afferents]
-        coarse = _coarse(profile)
-        judges = [
-            FrameJudge(coarse, each, full_wish(profile, own, bank.receptor[each]))
-            for each, own in zip(afferents, kernels, strict=True)
-        ]
-        self._judge = judge = SlotJudge(judges)
-        self._operator = FrameOperator(judge) if planned else None
-        if planned:
-            # Not by the first frame that breaks a bound: that takes longer than ten frames.
-            import_module("scipy.optimize")
+        kernels = np.asarray(bank.kernels(afferent), np.float64)
+        wish = full_wish(profile, kernels, bank.receptor[afferent])
+        self._judge = judge = FrameJudge(_coarse(profile), afferent, wish)
         full_ma = np.minimum(profile.full_ma, judge.full_ma)
-        self._points_ma = np.concatenate([own * full_ma[:, None] for own in kernels])
+        self._points_ma = kernels * full_ma[:, None]
         self._peaks_ma = np.abs(self._points_ma).max(axis=1)
         self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
-        each = np.flatnonzero(np.tile(self._driven, len(afferents)))
-        self._points_do = np.full((2, len(self._points_ma)), np.nan)
-        if bank.absolute:
-            self._points_do[:, each] = _selectivity(
-                judge, self._points_ma[each], np.eye(len(self._points_ma))[each]
-            )
-        else:
-            for row, column in zip(self._points_do, (bank.off_target, bank.spill), strict=True):
-                row[each] = np.concatenate([column[mode] for mode in afferents])[each]
+        self._points_do = np.stack([bank.off_target[afferent], bank.spill[afferent]])
+        self._points_do[:, ~self._driven] = np.nan
         frames = profile.frames
         self._bounds = FrameBounds(frames.other, frames.spill, frames.uneven)
-        self._planned_bounds = FrameBounds(
-            _ROUNDING * frames.other, _ROUNDING * frames.spill, frames.uneven
-        )
         self._limit_ma = profile.total_ma
-        # Less what rounding hardly ever adds; where it does, a slot is shown point by point.
-        self._planned_ma = self._limit_ma - 0.002 * np.sqrt(len(full_ma))
-        places = [perceived_at(profile, each) for each in afferents]
-        self._perceived_at = places if any(each is not None for each in places) else None
+        self._perceived_at = perceived_at(profile, afferent)
         self._faintest = profile.threshold_ma / profile.full_ma
         self._range = 1 - self._faintest
         self._widths_us = constant_us(len(self._points_ma), profile.pulse.width_us)
-        self._plans: OrderedDict[bytes, SlotAllocation] = OrderedDict()
-        self._most_plans = REMEMBERED if planned else 1
-        self._sums: KernelSums | None = None
-        self._afferents = afferents
+        self._last: tuple[bytes, SlotAllocation] | None = None
+        self._afferent = afferent
         self.table: KernelTable | None = None
-        self.most_ua: NDArray[np.float64] = np.full(len(full_ma), np.inf)
-        if not planned:
-            self._sums = self._proved_sums(judges)
-            # In each slot rounding adds less than a whole µA.
-            self.most_ua = 1000 * self._sums.most_ma(self._points_ma) + len(self._points_ma)
-
-    def _proved_sums(self, judges: list[FrameJudge]) -> KernelSums:
-        """Return the sums of kernels of which no subset breaks a bound."""
-        return KernelSums(
-            [proved_sets(FrameOperator(each), self._planned_bounds) for each in judges],
+        self._sums = KernelSums(
+            proved_sets(
+                FrameOperator(judge),
+                FrameBounds(_ROUNDING * frames.other, _ROUNDING * frames.spill, frames.uneven),
+            ),
             len(self._points_ma),
             1 - AIM * self._bounds.uneven,
-            self._planned_ma,
+            # Less what rounding hardly ever adds; where it does, a slot is shown point by point.
+            self._limit_ma - 0.002 * np.sqrt(len(full_ma)),
             self._bounds,
             float(self._faintest[self._driven].min()),
+        )
+        # In each slot rounding adds less than a whole µA.
+        self.most_ua: NDArray[np.float64] = 1000 * self._sums.most_ma(self._points_ma) + len(
+            self._points_ma
         )
 
     def kernels(self) -> tuple[Array, NDArray[np.intp]]:
         """Return the kernels by which slots are shared, (A, E) mA, and their sites (A,)."""
-        if self._sums is None:
-            return np.empty((0, len(self._driven))), np.empty(0, np.intp)
-        return self._sums.kernels_ma, self._sums.sites
+        return self._sums.kernels_ma, self._sums.points
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
-        """Return slots, with proof, of the classes' rows (K, E) of a tactile image at an intensity.
+        """Return slots, with proof, of one class's activation (E,) at an intensity.
 
         An active point is activated as its own kernel would, with its threshold current times
         intensity at the faintest activation and its strongest comfortable current times intensity
@@ -156,12 +112,10 @@ class FrameSlots:
         that sum to zero in every slot. A masked electrode has no slot.
         """
         asked = activation if intensity > 0 else 0 * activation
-        if (plan := self._plans.get(key := asked.tobytes())) is None:
-            plan = self._plans[key] = self._plan(asked)
-            if len(self._plans) > self._most_plans:
-                self._plans.popitem(last=False)
-        else:
-            self._plans.move_to_end(key)
+        key = asked.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._plan(asked)
+        plan = self._last[1]
         current_ua, sums, proof, certain = self._finished(plan, intensity)
         if not certain:
             broken = self._broken(current_ua, proof)
@@ -176,8 +130,8 @@ class FrameSlots:
     ) -> tuple[NDArray[np.int16], KernelLists | None, SelectivityReport, bool]:
         """Return the currents as sent, their effects, and whether all bounds are certainly kept.
 
-        The effects of single points are those of their kernels, as designed; of kernels that are
-        added up `Certainty` bounds them.
+        The effects of single points are those of their kernels, as designed; of sums of kernels
+        `Certainty` bounds them, or they are judged.
         """
         found, own = plan.found, self._sums
         sums = self._whole_sums(plan, intensity)
@@ -190,16 +144,12 @@ class FrameSlots:
         # A faint point does so much less: figures are scaled to level 1.
         np.multiply(self._points_do[:, plan.alone], plan.alone_level, out=do[:, shared:])
         proof = SelectivityReport(plan.points, *do)
-        if isinstance(found, SummedSlots) and own is not None and intensity >= own.certain_from:
+        if intensity >= own.certain_from:
             do[:, :shared] = own.figures(intensity).take(found.owner, axis=1)
             most_ua = 1000 * intensity * found.most_ma + own.rounding_ua
             return current_ua, sums, proof, most_ua < 1000 * self._limit_ma
-        do[:, :shared] = found.do
-        several = np.flatnonzero(plan.points > 1)
         with self._blas.limit(limits=1, user_api="blas"):
-            do[:, several] = _selectivity(
-                self._judge, current_ua[several] / 1000, found.level[several]
-            )
+            do[:, :shared] = _selectivity(self._judge, current_ua[:shared] / 1000, found.level)
         return current_ua, sums, proof, False
 
     def _current_ma(self, plan: SlotAllocation) -> Array:
@@ -211,20 +161,19 @@ class FrameSlots:
 
     def _strongest(self, plan: SlotAllocation) -> NDArray[np.uint16]:
         """Return the electrode of each slot's strongest point, (N + M,)."""
-        strongest = np.concatenate([plan.found.level.argmax(axis=1), plan.alone])
-        return (strongest % len(self._driven)).astype(np.uint16)
+        return np.concatenate([plan.found.level.argmax(axis=1), plan.alone]).astype(np.uint16)
 
     def _whole_sums(self, plan: SlotAllocation, intensity: float) -> KernelLists | None:
         """Return a plan's slots as sums of the table's kernels; None without one."""
         found, table = plan.found, self.table
-        if table is None or self._sums is None or not isinstance(found, SummedSlots):
+        if table is None:
             return None
-        (afferent, *_), first = self._afferents, found.first
-        kernel = table.shared[afferent] + found.kernel
+        first = found.first
+        kernel = table.shared[self._afferent] + found.kernel
         peak_ma = self._sums.peaks_ma.take(found.kernel) * found.share
         if alone := len(plan.alone):
             first = np.concatenate([first, first[-1] + 1 + np.arange(alone)])
-            kernel = np.concatenate([kernel, table.points[afferent] + plan.alone])
+            kernel = np.concatenate([kernel, table.points[self._afferent] + plan.alone])
             alone_ma = self._peaks_ma.take(plan.alone) * plan.alone_level
             peak_ma = np.concatenate([peak_ma, alone_ma])
         amplitude = np.rint(1000 * PER_UA * intensity * peak_ma)
@@ -243,41 +192,17 @@ class FrameSlots:
     def _plan(self, activation: NDArray[np.float32]) -> SlotAllocation:
         asked = activation
         if self._perceived_at is not None:
-            asked = np.array(
-                [
-                    row if places is None else np.append(row, np.float32(0))[places]
-                    for row, places in zip(activation, self._perceived_at, strict=True)
-                ]
-            )
+            asked = np.append(activation, np.float32(0))[self._perceived_at]
         level = self._range * asked
         level += self._faintest
         level *= (asked > 0) & self._driven
         # Slots aim a little low, which saves current; the faintest would not be felt then.
         level /= 1 - AIM * self._bounds.uneven
-        level = np.minimum(level, 1.0, out=level).ravel()
-        found: SharedSlots | SummedSlots
-        if self._sums is not None:
-            found = self._sums.add_up(level)
-        else:
-            with self._blas.limit(limits=1, user_api="blas"):
-                found = self._found(level)
+        level = np.minimum(level, 1.0, out=level)
+        found = self._sums.add_up(level)
         left = found.left(level)
         alone = left.nonzero()[0]
         return _completed(found, alone, left.take(alone))
-
-    def _found(self, level: Array) -> SharedSlots:
-        """Return slots with currents computed for this frame."""
-        assert self._operator is not None
-        slots = plan_slots(
-            self._operator, level, self._planned_bounds, self._planned_ma, self._points_ma
-        )
-        levels = np.zeros((len(slots), len(level)))
-        currents_ma = np.zeros((len(slots), self._points_ma.shape[1]))
-        for row, current_ma, slot in zip(levels, currents_ma, slots, strict=True):
-            row[slot.sites], current_ma[:] = level[slot.sites], slot.current
-        do = [[each.figures.off_target, each.figures.spill] for each in slots]
-        points = np.array([len(each.sites) for each in slots], np.intp)
-        return SharedSlots(levels, currents_ma, points, np.array(do, np.float32).reshape(-1, 2).T)
 
     def _one_by_one(self, plan: SlotAllocation, broken: NDArray[np.bool_]) -> SlotAllocation:
         """Return a plan in which the points of some slots have slots of their own."""
@@ -299,17 +224,14 @@ def _coarse(profile: Profile) -> Profile:
     return profile.model_copy(update={"skin": skin})
 
 
-def _completed(
-    found: SharedSlots | SummedSlots, alone: NDArray[np.intp], level: Array
-) -> SlotAllocation:
+def _completed(found: SummedSlots, alone: NDArray[np.intp], level: Array) -> SlotAllocation:
     """Return a plan with one slot more for each of some points, by its own kernel."""
     points = np.ones(len(found.points) + len(alone), np.uint16)
     points[: len(found.points)] = found.points
     return SlotAllocation(found, alone, level, points)
 
 
-def _selectivity(judge: SlotJudge, current_ma: Array, level: Array) -> Array:
+def _selectivity(judge: FrameJudge, current_ma: Array, level: Array) -> Array:
     """Return worst other and worst spill of many slots, (2, S)."""
-    figures = judge_all(judge, current_ma, level)
-    found = [(each.off_target, each.spill) for each in figures]
+    found = [(each.off_target, each.spill) for each in judge.judge(current_ma, level)]
     return np.array(found, np.float64).reshape(len(found), 2).T

@@ -1,6 +1,5 @@
 """Sums of kernels of which no subset breaks a bound: the slots of a frame without a search."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -16,28 +15,6 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class SharedSlots:
-    """Slots of several points, at full intensity."""
-
-    level: Array  # (S, P) requested level at each point of a slot, 0 at all others
-    current_ma: Array  # (S, E)
-    points: NDArray[np.intp]  # (S,) number of points of each slot
-    do: NDArray[np.float32]  # (2, S) effects on other classes, and on their own elsewhere
-    most_ma: float = math.inf
-
-    def left(self, level: Array) -> Array:
-        """Return levels, (P,), without those of the points in these slots."""
-        return np.where(self.level.any(axis=0), 0.0, level)
-
-    def without(self, broken: NDArray[np.bool_]) -> "SharedSlots":
-        """Return the other slots."""
-        kept = ~broken
-        return SharedSlots(
-            self.level[kept], self.current_ma[kept], self.points[kept], self.do[:, kept]
-        )
-
-
-@dataclass(frozen=True, eq=False)
 class SummedSlots:
     """Slots as sums of kernels, at full intensity; levels and currents are made when needed."""
 
@@ -49,11 +26,6 @@ class SummedSlots:
     kernel: NDArray[np.intp]  # (N,) rows of `KernelSums.kernels_ma` that slots are sums of
     wanted: Array  # (N,) requested level of each one's point
     share: Array  # (N,) factor of each kernel
-
-    @property
-    def do(self) -> NDArray[np.float32]:
-        """Effects of the slots, as computed by a judge."""
-        return np.zeros((2, len(self.points)), np.float32)
 
     @cached_property
     def level(self) -> Array:
@@ -90,40 +62,36 @@ class SummedSlots:
 
 
 class KernelSums:
-    """Adds up kernels of proved sets, as many at once as total current allows.
+    """Adds up kernels of proved sets of a class, as many at once as total current allows.
 
-    There are sets for each class, of P sites in all. Targets get the fraction `aim` of their wish,
-    all cathodes of a slot together `most_ma`, and active points a level of `faintest` at least.
+    Targets get the fraction `aim` of their wish, all cathodes of a slot together `most_ma`, and
+    active points a level of `faintest` at least.
     """
 
     def __init__(
         self,
-        sets: Sequence[Sequence[SharedKernels]],
-        points: int,
+        sets: Sequence[SharedKernels],
+        electrodes: int,
         aim: float,
         most_ma: float,
         bounds: FrameBounds,
         faintest: float,
     ) -> None:
-        self.points_n: int = points
+        self.points_n: int = electrodes
         self._aim, self._most_ma = aim, most_ma
-        self._electrodes = points // len(sets)
-        every = [(index, each) for index, own in enumerate(sets) for each in own]
-        nothing = np.empty(0, np.intp)
         self.points: NDArray[np.intp] = np.concatenate(
-            [nothing, *(each.sites + index * self._electrodes for index, each in every)]
+            [np.empty(0, np.intp), *(each.sites for each in sets)]
         )
-        """Point of each kernel, (A,)."""
+        """Site of each kernel, (A,)."""
         self.kernels_ma: Array = np.concatenate(
-            [np.empty((0, self._electrodes)), *(each.kernels for _, each in every)]
+            [np.empty((0, electrodes)), *(each.kernels for each in sets)]
         )
         """Kernels of all sets, (A, E) mA."""
-        self.sites: NDArray[np.intp] = self.points % self._electrodes  # site of each, (A,)
         self.peaks_ma: Array = np.abs(self.kernels_ma).max(axis=1, initial=0)
         """Largest magnitude of each, (A,)."""
-        self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for _, each in every)])
-        self._owner = np.repeat(np.arange(len(every)), [len(each.sites) for _, each in every])
-        self._certain = Certainty.of([each for _, each in every], aim, faintest, most_ma)
+        self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for each in sets)])
+        self._owner = np.repeat(np.arange(len(sets)), [len(each.sites) for each in sets])
+        self._certain = Certainty.of(sets, aim, faintest, most_ma)
         self.certain_from: float = self._certain.least(bounds)
         """Intensity from which no sum breaks a bound, whatever rounding to whole numbers does."""
         self.rounding_ua: float = self._certain.total_ua

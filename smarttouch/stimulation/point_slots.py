@@ -50,8 +50,7 @@ class PointSlots:
         if weights[:, masked].any():
             raise ScheduleError(
                 f"the kernels drive an electrode that output.masked {masked} lists: design the "
-                "bank for this profile",
-                about="output.masked",
+                "bank for this profile"
             )
         self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
         self._strongest = np.abs(weights).argmax(axis=1)
@@ -99,8 +98,6 @@ class PointSlots:
                 f"the kernel of electrode {site} carries {total_ma[site]:.2f} mA in all at full "
                 f"strength, above the {most_ma:g} mA of a slot: lower perception.comfort_ratio, or "
                 "set limits.total_ma below it and kernels are designed within",
-                about="limits.total_ma",
-                remedy="perception.comfort_ratio",
                 electrode=site,
             )
 

@@ -44,9 +44,7 @@ class ScanTiming:
         if not rate_hz:
             raise ScheduleError(
                 f"a scan takes {period / 1e6:.2f} s, and the board scans once a second at the "
-                "slowest: lower pulse.discharge_us or the number of electrodes",
-                about="period_us",
-                remedy="pulse.discharge_us",
+                "slowest: lower pulse.discharge_us or the number of electrodes"
             )
         return -(-1_000_000 // rate_hz)
 
@@ -57,16 +55,12 @@ class ScanTiming:
             if fixed is not None and asked != fixed:
                 raise ScheduleError(
                     f"the profile's pulse.{key} is {asked} µs, the board's is always {fixed} µs: "
-                    f"set pulse.{key} = {fixed}",
-                    about=f"pulse.{key}",
-                    remedy=f"pulse.{key} = {fixed}",
+                    f"set pulse.{key} = {fixed}"
                 )
         if profile.pulse.carrier == "width" and not self.own_widths:
             raise ScheduleError(
                 "pulse.carrier 'width' needs a pulse width of its own for each slot, and this "
-                "board has one for all: set pulse.carrier = 'height'",
-                about="pulse.carrier",
-                remedy="pulse.carrier = 'height'",
+                "board has one for all: set pulse.carrier = 'height'"
             )
 
 
@@ -102,22 +96,18 @@ def rates_of(
         if rate_hz is not None:
             raise ScheduleError(
                 f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
-                "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile",
-                about="rate_hz",
-                remedy="pulse.ra_rate_hz",
+                "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile"
             )
         if timing.whole_hz or timing.every_electrode or timing.in_index_order:
             raise ScheduleError(
                 "natural mode pulses at two rates, and this board scans all electrodes at "
-                "one: choose RA or SAI",
-                about="mode",
+                "one: choose RA or SAI"
             )
     for each_hz in rates_hz.values():
         if not _SLOWEST_HZ <= each_hz <= limits.rate_hz:
             raise ScheduleError(
                 f"a rate of {each_hz:g} Hz is not possible: it must be at least "
-                f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz",
-                about="rate_hz",
+                f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz"
             )
     return rates_hz
 

@@ -37,10 +37,8 @@ from smarttouch.stimulation.slot_sums import (
 )
 
 _PULSE_US = PER_PULSE / (PLANNED * MOST_PER_US)  # period planned for each pulse of an electrode
-_Maker = tuple[PointSlots, Afferent] | tuple[FrameSlots, list[Afferent]]
-"""Maker of slots, and the rows of an activation that it takes."""
-_BOTH = (Afferent.RA, Afferent.SAI)
-"""Classes of opposite polarity: if both are due, points of one are the return of the other's."""
+_Maker = tuple[PointSlots | FrameSlots, Afferent]
+"""Maker of slots, and its class."""
 
 
 @dataclass
@@ -48,8 +46,8 @@ class SchedulerContext:
     """What the schedulers of one run have in common."""
 
     sharing: SlotPolicy = NO_SHARING
-    frames: dict[tuple[Afferent, ...], FrameSlots] = field(default_factory=dict)
-    """Slots shared by classes, of all schedulers."""
+    frames: dict[Afferent, FrameSlots] = field(default_factory=dict)
+    """Slots that points of a class share, of all schedulers."""
     points: dict[Afferent, PointSlots] = field(default_factory=dict)
     """Slots of points of the other classes, of all schedulers."""
     table: KernelTable | None = None  # kernels whose sums slots are, in whole numbers, if given
@@ -196,16 +194,9 @@ class ScanScheduler:
         )
 
     def _makers_of(self, classes: tuple[Afferent, ...]) -> list[_Maker]:
-        """Return the makers of slots of each class, or of two together; cached."""
-        groups: list[tuple[Afferent, ...]] = [(each,) for each in classes]
-        if _BOTH in self._frames and set(_BOTH) <= set(classes):
-            groups = [_BOTH, *(each for each in groups if each[0] not in _BOTH)]
-        makers = self._makers[classes] = [
-            (self._frames[group], list(group))
-            if group in self._frames
-            else (self._points[group[0]], group[0])
-            for group in groups
-        ]
+        """Return the makers of slots of each class; cached."""
+        made = self._frames | self._points
+        makers = self._makers[classes] = [(made[each], each) for each in classes]
         return makers
 
     def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Afferent, ...]:
@@ -213,9 +204,7 @@ class ScanScheduler:
         if period_us < self._least_us:
             raise ScheduleError(
                 f"pulses {period_us} µs apart are not possible: the profile's limit of "
-                f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more",
-                about="period_us",
-                remedy="limits.rate_hz",
+                f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more"
             )
         driven = []
         for each in np.flatnonzero(activation.any(axis=1)).tolist():
@@ -225,8 +214,7 @@ class ScanScheduler:
                 offered = ", ".join(afferent.name for afferent in self._driven) or "none"
                 raise ScheduleError(
                     f"{Afferent(each).name} was requested and cannot be driven here: choose one "
-                    f"of {offered}",
-                    about="mode",
+                    f"of {offered}"
                 )
         return tuple(driven)
 
@@ -236,9 +224,7 @@ class ScanScheduler:
         if not self._has_rates:
             raise ScheduleError(
                 "mode color is for stimuli with periods of their own, and this source gives none: "
-                "choose RA",
-                about="mode",
-                remedy="mode RA",
+                "choose RA"
             )
         if self._one_rate_hz is None:
             return self._rates.due(time_ns, {Afferent.RA: 1.0, Afferent.SAI: share})
@@ -246,7 +232,7 @@ class ScanScheduler:
         return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
 
     def _bound_exposure(self, width_us: int) -> None:
-        """Find periods that keep the exposure of any image; infinite where slots are planned."""
+        """Find periods that keep the exposure of any image; infinite where points share slots."""
         load = np.zeros((2, self._electrodes))
         everywhere = np.ones(self._electrodes, np.float32)
         for points in self._points.values():
@@ -296,9 +282,7 @@ class ScanScheduler:
             raise ScheduleError(
                 f"the points of one frame expose an electrode as much as {needed_us / 1000:.0f} ms "
                 f"allow, and one sequence may bring at most {BURST_US / 1000:.0f} ms of it: lower "
-                "perception.comfort_ratio or pulse.width_us, or choose another mode",
-                about="period_us",
-                remedy="perception.comfort_ratio",
+                "perception.comfort_ratio or pulse.width_us, or choose another mode"
             )
         return needed_us
 
@@ -312,24 +296,19 @@ class ScanScheduler:
 
 def _slots_of(makers: list[_Maker], activation: NDArray[np.float32], intensity: float) -> Slots:
     """Return the slots of all classes that are due."""
-    (maker, rows), *others = makers
-    made = maker.slots(activation[rows], intensity)
+    (maker, of), *others = makers
+    made = maker.slots(activation[of], intensity)
     if others:
-        made = joined([made, *(one.slots(activation[of], intensity) for one, of in others)])
+        made = joined([made, *(one.slots(activation[each], intensity) for one, each in others)])
     return made
 
 
 def _shared_slots(
     profile: Profile, bank: KernelBank, afferents: Sequence[Afferent], common: SchedulerContext
-) -> dict[tuple[Afferent, ...], FrameSlots]:
-    """Return the shared slots of classes, alone and together, from those in common or added."""
-    sharing, frames = common.sharing, common.frames
-    shared: list[tuple[Afferent, ...]] = [
-        (each,) for each in afferents if each in sharing.afferents
-    ]
-    if sharing.planned and {(each,) for each in _BOTH} <= set(shared):
-        shared.append(_BOTH)
-    for classes in shared:
-        if classes not in frames:
-            frames[classes] = FrameSlots(profile, bank, classes, sharing.planned)
-    return {classes: frames[classes] for classes in shared}
+) -> dict[Afferent, FrameSlots]:
+    """Return the shared slots of classes, from those in common or added."""
+    shared = [each for each in afferents if each in common.sharing.afferents]
+    for each in shared:
+        if each not in common.frames:
+            common.frames[each] = FrameSlots(profile, bank, each)
+    return {each: common.frames[each] for each in shared}

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardClosedError, BoardError, BoardStoppedError, SafetyError
-from smarttouch.base.registry import fault_of
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import require_gate
 from smarttouch.stimulation.safety_gate import SafetyLimits
@@ -205,7 +204,6 @@ class BoardContract:
 
     def test_its_driver_keeps_the_contract(self, new_board: NewBoard, limits: SafetyLimits) -> None:
         board = new_board()
-        assert fault_of(type(board), Board) is None
         require_gate(board, limits, limits)
 
     def test_it_tells_what_it_can_do(self, new_board: NewBoard) -> None:
@@ -309,9 +307,8 @@ class BoardContract:
             thread.start()
             thread.join(5)
             assert not thread.is_alive()
-            with pytest.raises(BoardStoppedError) as error:
+            with pytest.raises(BoardStoppedError):
                 board.send(self.sequence(2))
-            assert error.value.about == "board"
             self.assert_silent()
 
     @pytest.mark.parametrize("what", ["send", "measure"])
@@ -359,9 +356,8 @@ class BoardContract:
             self._start(board)
         self.assert_silent()
         assert [name for name, _ in self.calls][-2:] == ["_stop", "_close"]
-        with pytest.raises(BoardClosedError) as error:
+        with pytest.raises(BoardClosedError):
             board.send(self.sequence(2))
-        assert error.value.about == "board"
 
     def test_an_exception_puts_it_at_zero(self, new_board: NewBoard) -> None:
         broken = RuntimeError("something broke")
@@ -399,7 +395,6 @@ class BoardContract:
         more = self.electrodes + 1
         with new_board() as board, pytest.raises(BoardError) as error:
             board.send(self.sequence(0, electrodes=more))
-        assert error.value.about == "electrodes"
         assert f"{more}" in str(error.value)
         assert f"{self.electrodes}" in str(error.value)
 
@@ -408,7 +403,6 @@ class BoardContract:
             for times in (0, -1, 65_536):
                 with pytest.raises(BoardError) as error:
                     board.send(self.sequence(0), times)
-                assert error.value.about == "times"
                 assert f"{times} " in str(error.value)
 
     def test_it_can_be_opened_again_and_begins_at_zero(self, new_board: NewBoard) -> None:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SmartTouchError, SourceError
-from smarttouch.base.registry import fault_of
 from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
@@ -105,7 +104,6 @@ class SourceContract(_Opened):
     # -- what is kept ------------------------------------------------------
 
     def test_its_class_keeps_the_contract(self, source: Source) -> None:
-        assert fault_of(type(source), Source) is None
         assert source.title
         assert source.ended
         assert source.duration_s is None or source.duration_s > 0
@@ -249,7 +247,6 @@ class ForceContract(_Opened):
             yield force
 
     def test_its_class_keeps_the_contract(self, force: ForceSource) -> None:
-        assert fault_of(type(force), ForceSource) is None
         assert force.title
         assert all(isinstance(note, str) and note for note in force.notes)
 

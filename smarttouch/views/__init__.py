@@ -1,1 +1,1 @@
-"""What is shown or written of a run: terminal, window, pictures, films, streams and figures."""
+"""What is shown or written of a run: terminal, window, pictures, streams and figures."""

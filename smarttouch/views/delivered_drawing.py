@@ -109,9 +109,7 @@ class Mosaic:
         seen."""
         rows, columns = (np.flatnonzero(self._count.any(axis=axis)) for axis in (1, 0))
         if not len(rows):
-            raise SmartTouchError(
-                "the source gave no images of a page: there is nothing to draw", about="page"
-            )
+            raise SmartTouchError("the source gave no images of a page: there is nothing to draw")
         area = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
         count = self._count[area]
         paper = np.full_like(count, 226.0)

@@ -38,9 +38,7 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 def require_drawable(path: Path) -> None:
     """Raise at once if a figure could not be drawn in the end: its format, or no matplotlib."""
     if path.suffix.lower().lstrip(".") not in FORMATS:
-        raise SmartTouchError(
-            f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}", about="file"
-        )
+        raise SmartTouchError(f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}")
     new_figure(1, 1)
 
 

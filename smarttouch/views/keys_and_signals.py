@@ -171,7 +171,7 @@ def _open(board: "Board") -> None:
         board.open()
     except BoardError as error:
         if _watches and _watches[-1][1].number:
-            raise BoardStoppedError(str(error), about=error.about) from None
+            raise BoardStoppedError(str(error)) from None
         raise
 
 

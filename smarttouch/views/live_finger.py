@@ -55,8 +55,7 @@ class LiveFinger(Listener):
         if fcntl is None:
             raise SmartTouchError(
                 "a finger is simulated during a run on POSIX systems alone: make it from the "
-                "recording later",
-                about="finger",
+                "recording later"
             )
         ours, theirs = socket.socketpair()
         with theirs:
@@ -128,8 +127,7 @@ class LiveFinger(Listener):
             yield self._line
         except (EOFError, OSError):
             raise SmartTouchError(
-                "the process that simulates the finger has ended: see its messages, and run again",
-                about="finger",
+                "the process that simulates the finger has ended: see its messages, and run again"
             ) from None
 
 

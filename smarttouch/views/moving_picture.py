@@ -47,8 +47,7 @@ class MovingPicture(PageDrawing):
         if self._finger is None or not self.spikes:
             raise SmartTouchError(
                 f"there is nothing to draw in {path}: no pulse was delivered, or no finger can be "
-                "simulated on this array; name a .png for what was delivered",
-                about="felt",
+                "simulated on this array; name a .png for what was delivered"
             )
         sheet = _Sheet(self, self._finger)
         times_s = list(self.time_s.values())
@@ -56,8 +55,7 @@ class MovingPicture(PageDrawing):
         if count > MOST_FRAMES:
             raise SmartTouchError(
                 f"a moving picture of {count * FRAME_S:.0f} s is longer than "
-                f"{MOST_FRAMES * FRAME_S:.0f}: draw fewer seconds, or name a .png",
-                about="felt",
+                f"{MOST_FRAMES * FRAME_S:.0f}: draw fewer seconds, or name a .png"
             )
         frames = [sheet.frame(*moment) for moment in self._moments(times_s[0], count)]
         # One palette for all: what stands still is then the same in each, and is stored once.
@@ -141,8 +139,7 @@ class _Sheet:
         _, corner_mm, size_mm, draw = self._run.under()
         if draw is None:
             raise SmartTouchError(
-                "a moving picture needs a page or images: this source has none; name a .png",
-                about="felt",
+                "a moving picture needs a page or images: this source has none; name a .png"
             )
         optics = self._finger.profile.optics
         reach = np.array([optics.field_width_mm, _ABOVE * optics.field_height_mm]) / 2

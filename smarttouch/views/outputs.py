@@ -53,16 +53,12 @@ class DeliveredPicture(Listener):
         else:
             raise SmartTouchError(
                 "this picture needs a board that reports every pulse, and this one "
-                "does not: use the board emulator:",
-                about="felt",
-                remedy="board emulator:",
+                "does not: use the board emulator:"
             )
         own = getattr(run.source, "drawing", None)
         if own is not None:
             if moves:
-                raise SmartTouchError(
-                    f"{run.source.title} has no moving picture: name a .png", about="felt"
-                )
+                raise SmartTouchError(f"{run.source.title} has no moving picture: name a .png")
             self._drawing = own(run.profile, run.bank)
         else:
             from smarttouch.views.delivered_drawing import PageDrawing

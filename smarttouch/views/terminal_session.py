@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from smarttouch.base.files import write_json
 from smarttouch.base.stopping import ENDS_WITHIN_S, StopRequest
@@ -35,7 +35,6 @@ from smarttouch.views.screen import BlindScreen, Screen
 
 if TYPE_CHECKING:
     from smarttouch.views.window import Window
-    from smarttouch.views.window_messages import RunChoices
 
 OPENED_WITHIN_S = 60.0  # for a page without a browser here: somebody may copy its address
 _TIMED_S = 10.0  # longest wait for a page where a run has a limit of time
@@ -52,7 +51,6 @@ class Outputs:
     finger: int = 1
     anatomy: str = "branched"
     record: Path | None = None
-    markers: bool = False
     json_file: Path | None = None
     window: int | None = None
     quiet: bool = False
@@ -70,10 +68,6 @@ class Outputs:
 
     def listeners(self) -> Iterator[Listener]:
         """Yield a listener for each output that is wanted."""
-        if self.markers:
-            from smarttouch.views.lsl_markers import Markers
-
-            yield Markers()
         if self.felt is not None:
             yield DeliveredPicture(self.felt, self.finger, self.anatomy)
         if self.record is not None:
@@ -95,29 +89,25 @@ def run_in_terminal(
     controls: MakeControls = Controls,
     listeners: Iterable[Listener] = (),
     kernels: Callable[[Profile, KernelBank], KernelBank] | None = None,
-    window: "Window | None" = None,
-    offered: "RunChoices | None" = None,
-) -> "Window | None":
+) -> None:
     """Run a source on a display until it ends or the user ends it, and print a summary. Arguments
     are those of `Runner`; ``keys`` are functions of further keys, and ``keys_help`` describes them
     on the screen; ``kernels`` makes others of the profile's. A window shows the end until its pages
-    are closed; it is returned, to be given to the next run and then shut, once a page asks for one
-    of the runs ``offered``."""
+    are closed."""
     stop = command_stop()
     shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
     typed = sys.stdin.isatty()
     # Before the window, which takes a port, as an output may be impossible.
     followers = list(outputs.listeners())
-    # A drawing source needs a page.
-    port = 0 if outputs.window is None and source.canvas is not None else outputs.window
     with contextlib.ExitStack() as closing:
-        if window is None and port is not None:
+        window = None
+        if outputs.window is not None:
             blind = issubclass(screen, BlindScreen)
-            window = _window(port, stop, outputs, config.seconds, blind=blind)
-            window.offered = offered
+            window = _window(
+                outputs.window, stop, outputs, config.seconds, blind=blind, keys=keys,
+                keys_help=keys_help, alone=not typed,
+            )  # fmt: skip
             closing.callback(window.shut)
-        if window is not None:
-            window.begin(stop, keys=keys, keys_help=keys_help, alone=not typed)
         runner = Runner(
             source,
             display,
@@ -146,10 +136,7 @@ def run_in_terminal(
         if window is not None and not by_signal():
             if window.pages and not outputs.quiet:
                 print("The window shows the result until it is closed or you press Ctrl-C.")
-            if window.stay():
-                closing.pop_all()
-                return window
-    return None
+            window.stay()
 
 
 def _operation(
@@ -166,7 +153,7 @@ def _operation(
 
 
 def _window(
-    port: int, stop: StopRequest, outputs: Outputs, seconds: float | None, *, blind: bool
+    port: int, stop: StopRequest, outputs: Outputs, seconds: float | None, **given: Any
 ) -> "Window":
     from smarttouch.views.window import Window
     from smarttouch.views.window_server import has_browser
@@ -175,10 +162,10 @@ def _window(
     return Window(
         stop,
         port,
-        blind=blind,
         finger=(outputs.finger, outputs.anatomy),
         waits_s=waits_s if seconds is None else min(_TIMED_S, seconds),
         stays=True,
+        **given,
     )
 
 

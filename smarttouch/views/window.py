@@ -21,8 +21,6 @@ from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Source
 from smarttouch.views.live_finger import MOST_RECENT, LiveFinger
 from smarttouch.views.window_messages import (
-    RunChoice,
-    RunChoices,
     array_message,
     finger_message,
     picture_message,
@@ -52,8 +50,7 @@ class Window(Listener):
     ``alone``, a run is paused once no page controls it; with ``blind``, pages do not show what is
     delivered. ``finger`` is the seed and the anatomy of a simulated finger, None for none. ``show``
     is called with the address once it is served. A run begins once the finger is ready and a page
-    is open, or after ``waits_s``. A window that ``stays`` shows the end of a run until `shut`, and
-    another run can follow: see `begin`.
+    is open, or after ``waits_s``. A window that ``stays`` shows the end of a run until `shut`.
     """
 
     def __init__(
@@ -66,7 +63,9 @@ class Window(Listener):
         show: Callable[[str], object] | None = None,
         waits_s: float = 0.0,
         stays: bool = False,
-        **steering: Any,
+        keys: Mapping[str, Callable[[], None]] | None = None,
+        keys_help: str = "",
+        alone: bool = True,
     ) -> None:
         super().__init__()
         self._blind, self._show, self._simulated = blind, show or _announce, finger
@@ -75,29 +74,14 @@ class Window(Listener):
         self.server: PageServer = PageServer(port, self._pages.routes())
         self.steering: Steering
         self.hello: str = ""
-        self.number: int = 0  # number of the run, from 1; 0 before the first
         self.ended: str = ""  # how the run ended, as a message to pages; empty while it is on
-        self.offered: RunChoices | None = None  # what pages may run next; None for nothing
-        self.asked: RunChoice | None = None  # the run that a page asked for
         self._event_lock = threading.Lock()
         self._live: LiveFinger | None = None
         self._finger_ready = threading.Event()
         self._switch_s: float | None = None
         self._shut = threading.Event()
-        self.begin(stop, **steering)
-
-    def begin(
-        self,
-        stop: StopRequest,
-        *,
-        keys: Mapping[str, Callable[[], None]] | None = None,
-        keys_help: str = "",
-        alone: bool = True,
-    ) -> None:
-        """Reset to a new run, and take what controls it."""
         self._run_stop, self._keys, self._keys_help = stop, keys or {}, keys_help
         self._alone = alone
-        self.asked = None
         self._latest: StepResult | None = None
         self._encoded: tuple[StepResult | None, str] = (None, "null")
         self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_EVENTS)
@@ -130,41 +114,26 @@ class Window(Listener):
         hello: dict[str, Any] = {
             "type": "hello",
             "blind": self._blind,
-            "draws": run.source.canvas is not None,
             "board": str(run.settings.get("board", "")),
             "modes": [str(each) for each in run.controls.modes],
             "keys": list(self._keys),
             "keys_help": self._keys_help,
             "array": array_message(run.profile),
             "finger": None if finger is None else finger_message(finger),
-            "choices": None if self.offered is None else self.offered.message(),
         }
-        self.hello, self.ended = json.dumps(hello), ""
-        self.number += 1
+        self.hello = json.dumps(hello)
         # Drawing must not hold the loop up for a whole default interval of 5 ms.
         if sys.getswitchinterval() > _SWITCH_S:
             self._switch_s = sys.getswitchinterval()
             sys.setswitchinterval(_SWITCH_S)
-        if self.number == 1:
-            self.server.start()
-        self._prepare_finger(finger)
-        if self.number == 1:
-            self._show(self.address)
-        self._wait_for_page()
-
-    def _prepare_finger(self, finger: Finger | None) -> None:
-        """Start the finger's process, unless that of the run before simulates the same finger."""
-        before = self._live
-        if before is not None and finger is not None and before.finger.profile == finger.profile:
-            return
-        if before is not None:
-            before.abandon()
-        self._live = None if finger is None else LiveFinger(finger, over_s=SPIKES_OVER_S)
-        self._finger_ready.clear()
-        if self._live is None:
+        self.server.start()
+        if finger is None:
             self._finger_ready.set()
         else:
+            self._live = LiveFinger(finger, over_s=SPIKES_OVER_S)
             threading.Thread(target=self._feel, args=(self._live,), daemon=True).start()
+        self._show(self.address)
+        self._wait_for_page()
 
     def _wait_for_page(self) -> None:
         """Wait until the finger is ready and a page is open, or for as long as the window waits."""
@@ -215,18 +184,14 @@ class Window(Listener):
         if recording is not None:
             recording.close()
 
-    def stay(self) -> bool:
-        """Show the end of a run until a page asks for another, which returns True, until all pages
-        are closed, or until Ctrl-C."""
+    def stay(self) -> None:
+        """Show the end of a run until all pages are closed, or until Ctrl-C."""
         seen_s = time.monotonic()
         with contextlib.suppress(RunStopped, KeyboardInterrupt):
             while time.monotonic() - seen_s < _GONE_S:
                 if self._pages:
                     seen_s = time.monotonic()
-                if self.asked is not None:
-                    return True
                 time.sleep(_LOOK_S)
-        return False
 
     def shut(self) -> None:
         """Close all connections, and stop serving."""
@@ -254,7 +219,7 @@ class Window(Listener):
         try:
             live.prepare(self._context)
             self._finger_ready.set()
-            while self._live is live and not self._shut.wait(_LOOK_S):
+            while not self._shut.wait(_LOOK_S):
                 while self._recent:
                     live.step(self._recent.popleft())
                 if live.newest is not None and live.newest is not feeling:
@@ -263,44 +228,32 @@ class Window(Listener):
                     self._felt = json.dumps(response_message(feeling, felt.input.pose))
         except SmartTouchError as error:
             # Delivery does not depend on it.
-            if self._live is live and not self._shut.is_set():
+            if not self._shut.is_set():
                 self.notes.append(f"the window shows no finger any more: {error}")
                 self._finger_ready.set()
         finally:
             live.close()
 
     def ask(self, page: int, verb: str, text: str) -> None:
-        """Do what a page asks for: another run (JSON), a recording begun or ended, or a note.
+        """Do what a page asks for: a recording begun or ended, or a note.
 
         Raises SmartTouchError with why it is refused, ValueError for what is no request.
         """
-        if not self.ended and not self.steering.steer(page):
+        if self.ended:
+            raise SmartTouchError("the run is over")
+        if not self.steering.steer(page):
             raise SmartTouchError("another page steers this run: only that one can do this")
-        if verb == "run":
-            self._run_again(text)
-        elif self.ended:
-            raise SmartTouchError("the run is over: start another one first")
-        elif verb == "record":
+        if verb == "record":
             self._record()
         else:
             self._note(text)
-
-    def _run_again(self, text: str) -> None:
-        if self.offered is None:
-            raise ValueError(text)
-        choice = self.offered.parse(text)
-        self.offered.require(choice)
-        self.asked = choice
-        if not self.ended:
-            self._run_stop.ask("another run was chosen")
 
     def _note(self, text: str) -> None:
         text = text.strip()
         if len(text) > _MOST_NOTE or not text.isprintable():
             raise SmartTouchError(
                 f"a note of {len(text)} characters is not kept: type one line of at most "
-                f"{_MOST_NOTE}",
-                about="note",
+                f"{_MOST_NOTE}"
             )
         self._marks += 1
         self.source.emit(Marked(self._time_ns, text or f"mark {self._marks}"))
@@ -332,11 +285,6 @@ class Window(Listener):
         sheet = None if self._blind else self.source.sheet
         return b"" if sheet is None else sheet_png(sheet)
 
-    def refuse(self, error: SmartTouchError) -> None:
-        """Show pages why the requested run is impossible."""
-        self.asked = None
-        self.ended = json.dumps({"type": "ended", "reason": str(error), "failed": True})
-
     def has_seen(self, page: ConnectedPage) -> bool:
         return self._latest is page.shown and page.events == self._event_count
 
@@ -361,11 +309,6 @@ class Window(Listener):
         if page.refused:
             parts.append(f'"refused":{json.dumps(page.refused)}')
             page.refused = ""
-        canvas = self.source.canvas
-        if canvas is not None and canvas.changes != page.drawn:
-            drawn = canvas.message()
-            page.drawn = drawn["changes"]
-            parts.append(f'"drawn":{json.dumps(drawn)}')
         page.shown, page.events = latest, count
         return "{" + ",".join(parts) + "}"
 

@@ -15,7 +15,6 @@ from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.stopping import StopRequest
 from smarttouch.running.inputs import STEP, Controls
 from smarttouch.running.step import StepResult
-from smarttouch.sources.source_contract import Source
 from smarttouch.views.window_server import import_server
 
 if TYPE_CHECKING:
@@ -108,7 +107,7 @@ class Steering:
         return True
 
 
-ASKED = ("run", "record", "note")  # requests beside those of keys
+ASKED = ("record", "note")  # requests beside those of keys
 MOST_PAGES = 16
 MOST_HZ = 60
 MOST_MESSAGES_PER_S = 400  # limit for one page; one that sends more loses its connection
@@ -122,22 +121,15 @@ class ConnectedPage:
     """One connected page, and what it has seen."""
 
     number: int
-    run: int = 0  # number of the run that it was greeted for
     waits: bool = True  # whether it has drawn what it was sent last
     ended: str = ""  # how this run ended, as it was sent
     shown: StepResult | None = None
     events: int = 0
     felt: str = ""
     sheet: int | None = None  # number of the page or line that it shows
-    drawn: int = 0  # changes of the drawing that it has seen
     refused: str = ""  # why what it asked for is not done
     received: int = 0  # messages of this second
     second: int = 0
-
-    def begin(self, run: int) -> None:
-        """Reset what it has been sent of the run before."""
-        self.run, self.ended, self.waits = run, "", True
-        self.shown, self.events, self.felt, self.drawn, self.sheet = None, 0, "", 0, None
 
 
 class PageState(Protocol):
@@ -145,12 +137,6 @@ class PageState(Protocol):
 
     @property
     def steering(self) -> Steering: ...
-    @property
-    def source(self) -> Source: ...
-    @property
-    def number(self) -> int:
-        """Number of the run."""
-
     @property
     def hello(self) -> str:
         """The first message of a run."""
@@ -267,7 +253,7 @@ class Pages:
             steering.steer(page.number)
         elif text == "leave":
             steering.leave(page.number)
-        elif verb in ("do", "draw", *ASKED):
+        elif verb in ("do", *ASKED):
             try:
                 await self._act(page, verb, rest)
             except SmartTouchError as error:
@@ -279,7 +265,7 @@ class Pages:
         return True
 
     async def _act(self, page: ConnectedPage, verb: str, rest: str) -> None:
-        canvas, steering = self._state.source.canvas, self._state.steering
+        steering = self._state.steering
         if verb == "do" and rest.startswith("key:"):
             # It may wait for the source's line, which must not block a stop.
             await asyncio.to_thread(steering.act, page.number, rest)
@@ -287,21 +273,15 @@ class Pages:
             if not steering.act(page.number, rest) and rest in _AT_ZERO:
                 # It may not have seen yet that another page steers: from here the run only stops.
                 await self._stop()
-        elif verb in ASKED:
-            # It may look for the driver of a board, open a file, or end the run that is on.
+        else:
+            # It may open a file.
             await asyncio.to_thread(self._state.ask, page.number, verb, rest)
-        elif canvas is None:
-            raise ValueError(rest)
-        elif steering.steer(page.number):
-            await asyncio.to_thread(canvas.draw, rest)
 
     async def _feed(self, socket: "WebSocket", page: ConnectedPage) -> None:
         """Send a page the newest state whenever it has drawn the last one."""
         state, sent_s = self._state, 0.0
+        await socket.send_text(state.hello)
         while True:
-            if page.run != state.number:
-                page.begin(state.number)
-                await socket.send_text(state.hello)
             ended, over = state.ended, self._over.is_set()
             idle = state.has_seen(page) and time.monotonic() - sent_s < _BEAT_S
             news = ended != page.ended

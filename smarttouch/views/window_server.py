@@ -55,7 +55,7 @@ class PageServer:
     from another origin or without the secret are refused. Routes are relative to the secret; port 0
     of 127.0.0.1 is a free one."""
 
-    def __init__(self, port: int, routes: "Sequence[BaseRoute]", name: str = "live.html") -> None:
+    def __init__(self, port: int, routes: "Sequence[BaseRoute]") -> None:
         server = import_server()
         from starlette.applications import Starlette
         from starlette.routing import Mount
@@ -64,7 +64,7 @@ class PageServer:
         self._socket = _bound(port)
         self.port: int = int(self._socket.getsockname()[1])
         self._prefix = f"/{secrets.token_urlsafe(24)}/"
-        self.address: str = f"http://{HOST}:{self.port}{self._prefix}{name}"
+        self.address: str = f"http://{HOST}:{self.port}{self._prefix}live.html"
         self._hosts = {f"{each}:{self.port}" for each in (HOST, "localhost")}
         # Not all browsers count a socket of the same host as 'self'.
         sockets = " ".join(f"ws://{each}" for each in sorted(self._hosts))
@@ -178,8 +178,6 @@ def _bound(port: int) -> socket.socket:
         found.close()
         raise SmartTouchError(
             f"the window cannot have port {port}: {getattr(error, 'strerror', None) or error}; "
-            "give another one, or none for one that is free",
-            about="window",
-            remedy="window",
+            "give another one, or none for one that is free"
         ) from None
     return found

@@ -20,11 +20,11 @@ from ..raising import assert_says, raises
 ])  # fmt: skip
 def test_numbers_and_ranges(value, lowest, highest, above, within):
     ends = (lowest, highest)
-    with nullcontext() if within else raises(SourceError, about="hz", value=value, allowed=ends):
+    with nullcontext() if within else raises(SourceError, names="hz", value=value, allowed=ends):
         require_within(SourceError, "hz", value, lowest, highest, above=above)
 
 
 def test_a_name_that_is_none_of_the_choices():
     error = not_offered("scan", "all", iter(["points", "auto"]), SourceError)
     assert type(error) is SourceError
-    assert_says(error, about="scan", value="all", allowed=("points", "auto"))
+    assert_says(error, names="scan", value="all", allowed=("points", "auto"))

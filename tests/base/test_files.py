@@ -1,7 +1,8 @@
-"""Paths of users are opened only if they are files, and read and parsed no further than a limit."""
+"""Paths of users are opened only if they are files, and read no further than a limit."""
 
 import errno
 import os
+import re
 import socket
 import stat
 import subprocess
@@ -16,10 +17,9 @@ from smarttouch.base.files import (
     make_folder,
     open_alone,
     open_file,
-    parse_json,
-    parse_toml,
     read_bytes,
     read_text,
+    read_toml,
     require_file,
     require_replaceable,
     write_bytes,
@@ -56,17 +56,9 @@ def test_what_is_no_file_is_not_opened(tmp_path, pipe, monkeypatch):
     monkeypatch.setattr(os, "open", refuse)
     names = ("socket", "loop", "none", "nul\0", "long" * 100, "none/x", "/dev/zero", "/dev/full")
     for path in (pipe, tmp_path, *(tmp_path / name for name in names)):
-        with raises(ProfileError, about="file", value=path):
+        with raises(ProfileError, value=path):
             read_bytes(path, ProfileError)
     listening.close()
-
-
-def test_a_file_that_becomes_a_pipe_on_the_way_does_not_hold_up(tmp_path, pipe, monkeypatch):
-    (tmp_path / "a").write_bytes(b"abc")
-    really_open = os.open
-    monkeypatch.setattr(os, "open", lambda _, flags: really_open(pipe, flags))
-    with raises(PageError, about="file", value=tmp_path / "a"):
-        open_file(tmp_path / "a", PageError, 9)
 
 
 def test_sizes(tmp_path):
@@ -79,45 +71,23 @@ def test_sizes(tmp_path):
         assert "1,099,511.6 MB" in str(error.value)
     (tmp_path / "a").write_bytes(b"abc")
     assert read_bytes(tmp_path / "a", PageError, 3) == b"abc"
-    with raises(PageError, about="file"):
+    with raises(PageError):
         read_bytes(tmp_path / "a", PageError, 2)
-    maps = Path("/proc/self/maps")
-    if maps.exists():
-        # A file that says it is empty, and is not.
-        with raises(PageError, about="file"):
-            read_bytes(maps, PageError, 2)
 
 
 def test_what_is_no_text(tmp_path):
     (tmp_path / "a").write_bytes(b"abc\xff")
-    with raises(PageError, about="file", value=tmp_path / "a") as error:
+    with raises(PageError, value=tmp_path / "a") as error:
         read_text(tmp_path / "a", PageError)
     assert "byte 4" in str(error.value)
 
 
-@pytest.mark.parametrize("text", [
-    "a." * 30_000 + "a = 1", "'a' . " * 30_000 + "a = 1", "[" + "a." * 300_000 + "a]",
-    "a = " + "[" * 100_000, "a = " + "{a = " * 5_000 + "1" + "}" * 5_000, "a = 0x" + "f" * 10_000,
-    "a = " + "9" * 10_000, "a = 9223372036854775808", "a = [{b = [1, 0x10000000000000000]}]",
-    "a = 9999-99-99", "\x00",
-])  # fmt: skip
-def test_toml_that_no_table_of_ours_needs(text):
-    with pytest.raises(ValueError):
-        parse_toml(text)
-
-
-def test_toml_of_ours_passes():
-    text = "a.b.c.d = 0x7fffffffffffffff\n[x.y]\nz = 'a.b.c.d.e.f.g.h.i.j, 1.5e3 ...'\n"
-    assert parse_toml(text) == {
-        "a": {"b": {"c": {"d": 2**63 - 1}}},
-        "x": {"y": {"z": "a.b.c.d.e.f.g.h.i.j, 1.5e3 ..."}},
-    }
-
-
-@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "9" * 10_000, "", b"\xff"])
-def test_json_that_cannot_be_parsed(text):
-    with pytest.raises(ValueError):
-        parse_json(text)
+@pytest.mark.parametrize("text", ["a = ", "a = 1\na = 2", "a = " + "[" * 100_000])
+def test_what_is_no_toml(tmp_path, text):
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    with pytest.raises(ProfileError, match=re.escape(str(path))):
+        read_toml(path, ProfileError)
 
 
 def test_writing(tmp_path, pipe):
@@ -136,7 +106,7 @@ def test_what_cannot_be_written(tmp_path, pipe):
         (tmp_path / "nul\0", None), (Path("/dev/full"), errno.ENOSPC), (pipe, None),
     )  # fmt: skip
     for path, number in places:
-        with raises(PageError, about="file", value=path) as error:
+        with raises(PageError, value=path) as error:
             write_bytes(path, b"abc", PageError)
         assert number is None or os.strerror(number) in str(error.value)
 
@@ -248,7 +218,7 @@ def test_a_file_is_one_program_s_alone_until_it_ends(tmp_path, hold, killed):
     assert second.wait() == 1
     assert str(path) in second.stderr.read()
     for other in (tmp_path / "none" / "a", tmp_path):
-        with raises(PageError, about="file", value=other):
+        with raises(PageError, value=other):
             open_alone(other, PageError)
     if killed:
         first.kill()

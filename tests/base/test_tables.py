@@ -40,7 +40,7 @@ def test_a_quoted_cell_may_go_over_lines(table):
     ("a,b\n1,2\n3,4\n3,5\n", "line", 4),
 ])  # fmt: skip
 def test_errors_are_reported_with_their_line(table, text, about, value):
-    with raises(SourceError, about=about, value=value):
+    with raises(SourceError, names=about, value=value):
         table(text).numbers(("a", "b"))
 
 
@@ -51,7 +51,7 @@ def test_columns_need_not_rise(table):
 def test_a_quote_that_is_left_open_is_refused_where_asked(tmp_path):
     text = 'a\n"1'
     assert parse_csv(text, tmp_path, SmartTouchError).rows == [["1"]]
-    with raises(SmartTouchError, about="file", value=tmp_path):
+    with raises(SmartTouchError, names="file", value=tmp_path):
         parse_csv(text, tmp_path, SmartTouchError, strict=True)
 
 

@@ -90,7 +90,7 @@ class Full(io.StringIO):
 
 def test_what_cannot_be_written_is_one_sentence_and_what_cannot_be_complained_of_nothing():
     name = "standard output"
-    with raises(SmartTouchError, about="stream", value=name) as error:
+    with raises(SmartTouchError, value=name) as error:
         print("x", file=PlainStream(Full(), name))
     assert os.strerror(errno.ENOSPC) in str(error.value)
     print("x", file=PlainStream(Full(), ""))

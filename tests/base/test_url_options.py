@@ -69,11 +69,11 @@ def test_an_opener_without_options_reads_its_own():
     ("a?seed=1&seed=2", "?seed", None),
 ])  # fmt: skip
 def test_options_that_are_none(url, about, value):
-    with raises(SourceError, about=about, value=value):
+    with raises(SourceError, names=about, value=value):
         read_options(opener, url, SourceError, but=("light_on_dark",))
     if value == "speed":
         offered = "events, fps, light_on_dark, path, seed, size, unpaced"
-        with raises(SourceError, about=about, allowed=offered):
+        with raises(SourceError, names=about, allowed=offered):
             read_options(opener, url, SourceError)
 
 
@@ -89,7 +89,7 @@ def test_pages_by_url(tmp_path, monkeypatch):
         guessed = open_source(url, profile)
         assert guessed.page.size_mm[0] == pytest.approx(210)
         assert len(guessed.notes) == 1
-    with raises(SourceError, about="dpi", value="?dpi=300"):
+    with raises(SourceError, names="dpi", value="?dpi=300"):
         open_source("page:page.png?dpi=300", profile, dpi=200)
 
 
@@ -99,13 +99,13 @@ def test_boards_by_url(tmp_path):
     with make_board(f"emulator:?books={tmp_path}", limits, profile.output):
         pass
     assert (tmp_path / "state.json").exists()
-    with raises(BoardError, about="?firmware", allowed="books, events"):
+    with raises(BoardError, names="?firmware", allowed="books, events"):
         make_board("emulator:?firmware=1", limits)
 
 
 @pytest.mark.parametrize("text", ["", "640", "640x", "0x5", "6_4x4", "640x480x3", "123456x1"])
 def test_sizes_that_are_none(text):
-    with raises(SourceError, about="--size", value=repr(text)):
+    with raises(SourceError, names="--size", value=repr(text)):
         parse_size(text, SourceError, "--size")
 
 
@@ -114,9 +114,9 @@ def test_a_motion_with_its_options():
     given = open_motion("sweep:2", speed_mm_s=20.0)
     for time_ns in (0, 100_000_000, 1_000_000_000):
         assert told.read(time_ns) == given.read(time_ns)
-    with raises(SourceError, about="speed_mm_s", value="speed_mm_s=20"):
+    with raises(SourceError, names="speed_mm_s", value="speed_mm_s=20"):
         open_motion("sweep:?speed_mm_s=20", speed_mm_s=30.0)
-    with raises(SourceError, about="?span_mm"):
+    with raises(SourceError, names="?span_mm"):
         open_motion("sweep:?span_mm=20x30")
 
 
@@ -127,7 +127,7 @@ def test_a_texture_with_its_options(tmp_path):
     given = open_texture(str(path), dpi=254.0, tiled=True, light_on_dark=True)
     assert told.size_mm == given.size_mm
     assert open_texture(f"{path}?width_mm=5").size_mm == pytest.approx((5.0, 2.5))
-    with raises(PageError, about="dpi", value="dpi=254"):
+    with raises(PageError, names="dpi", value="dpi=254"):
         open_texture(f"{path}?dpi=254", dpi=300.0)
 
 
@@ -139,10 +139,10 @@ def test_a_document_with_its_options(tmp_path):
     )
     assert place == str(path)
     assert (how.dpi, how.languages, how.light_on_dark, how.pages) == (300, "deu", False, "2")
-    with raises(PageError, about="languages"):
+    with raises(PageError, names="languages"):
         DocumentOptions(languages="de").recognition(f"{path}?languages=eng")
     # A password is kept with no settings and told by no recording, as names are.
-    with raises(PageError, about="?password"):
+    with raises(PageError, names="?password"):
         DocumentOptions().recognition(f"{path}?password=secret")
     assert DocumentOptions().recognition("text:what?dpi=3")[0] == "text:what?dpi=3"
     assert DocumentOptions().recognition("text:a")[1].languages == "eng"

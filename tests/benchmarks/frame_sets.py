@@ -1,9 +1,7 @@
-"""Frames that benchmarks share, letters and random points, and who judges them."""
+"""Frames that benchmarks share: letters and random points."""
 
 import numpy as np
 
-from smarttouch.kernels.bank import load_bank
-from smarttouch.kernels.frame_judges import FrameJudge, full_wish
 from smarttouch.profile import load_profile
 
 LETTERS = {
@@ -49,16 +47,6 @@ def scattered(points, sites, seed):
     level = np.zeros(sites)
     level[np.random.default_rng(seed).choice(sites, points, replace=False)] = 1.0
     return level
-
-
-def judge_of(profile, afferent):
-    """Judge by the wishes of the profile's bank, or of the default array's for one without."""
-    known = load_profile("electric-mouse") if "x" in profile.name[:3] else profile
-    bank = load_bank(known)
-    wish = full_wish(known, bank.kernels(afferent), bank.receptor[afferent])
-    if known is not profile:
-        wish = np.full(len(profile.electrodes), np.median(wish))
-    return FrameJudge(profile, afferent, wish)
 
 
 def array_named(name, quick, changed):

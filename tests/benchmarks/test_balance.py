@@ -22,7 +22,7 @@ from ..looping import loop_through
 
 TEXT = "text:the quick brown fox"
 WAYS = ("without", "reversing", "recharging")
-SHARED = SlotPolicy((Afferent.RA,), planned=False)
+SHARED = SlotPolicy((Afferent.RA,))
 
 
 def regulator_of(way, profile):
@@ -49,7 +49,7 @@ def answer_of_phase(sequence, profile, bank):
 @pytest.mark.parametrize("scan", ["points", "shared"])
 @pytest.mark.parametrize("mode", [Mode.RA, Mode.SAI])
 def test_letters(row, quick, profile, bank, mode, scan):
-    rows = Problem(profile, mode.afferents[0]).rows[0]
+    rows = Problem(profile, mode.afferents[0])
     for way in WAYS:
         regulator, answers = regulator_of(way, profile), [0.0]
 
@@ -66,7 +66,7 @@ def test_letters(row, quick, profile, bank, mode, scan):
             books, skin = board._firmware.books, board._firmware._skin
             _, _, current_ua = board.take_pulses()
         full = current_ua[np.abs(current_ua).max(axis=1) > 600].astype(np.float64)
-        own, other = ((full @ each.T).max(axis=1) for each in (rows.target[0], rows.other))
+        own, other = ((full @ each.T).max(axis=1) for each in (rows.target, rows.other))
         assert (books.violations, books.unsafe) == (0, 0)
         assert ((own > other).all()) == (way != "reversing")
         if way == "recharging":

@@ -94,7 +94,7 @@ def test_chosen_sites_of_a_large_array(row, quick, square):
                     "class": afferent.name,
                     "site": name,
                     "s": f"{time.perf_counter() - start:.1f}",
-                    "rows": len(problem.rows[0].other),
+                    "rows": len(problem.other),
                     "rows built in, s": f"{rows:.1f}",
                     "worst other": f"{kernel.off_target:.4f}",
                     "spill": f"{kernel.spill:.3f}",

@@ -35,8 +35,7 @@ from tests.boards.payloads import encode_lists
 FULL_NS = 10**9
 SCANS = {
     "points": NO_SHARING,
-    "auto": SlotPolicy((Afferent.RA,), planned=False),
-    "frame": SlotPolicy((Afferent.RA,), planned=True),
+    "auto": SlotPolicy((Afferent.RA,)),
 }
 
 
@@ -230,16 +229,12 @@ def test_default_path(row, make_bank, quick, side, shape, frames):
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("side", "frames"), [(8, 600), (16, 200), (32, 40)])
 def test_scans(row, make_bank, quick, side, frames):
-    """Points one by one, kernels added up, frames planned again: in turn with the plain chain.
-
-    More than `MOST_PROVED` electrodes have no proved sets, and planning for 1,024 takes seconds a
-    frame: no way for a loop, so it gets few frames.
-    """
+    """Points one by one and kernels added up, in turn with the plain chain."""
     if quick:
         frames = 12 if side < 32 else 3
     profile, weights = grid_profile(side), balanced_weights(side)
     bank = make_bank(weights, af_matrix(profile, targets(profile, Afferent.RA)))
-    # Half of them in turn and half alone: plans of frames that came before are remembered.
+    # Half of them in turn and half alone.
     images, others = (strokes(64, 64, 2 * frames)[first::2] for first in (0, 1))
     plain = Plain(side, images)
     scans = {
@@ -247,14 +242,12 @@ def test_scans(row, make_bank, quick, side, frames):
         for name, sharing in SCANS.items()
         if name == "points" or not (quick and side == 32)
     }
-    rare = [name for name in scans if side == 32 and name == "frame"]
-    often = {name: chain for name, chain in scans.items() if name not in rare}
-    took = in_turn(often, frames) | in_turn({name: scans[name] for name in rare}, 3)
+    took = in_turn(scans, frames)
     plain_us = statistics.median(in_turn({"plain": plain}, max(2, frames // 20))["plain"])
     for name, chain in scans.items():
         at_once, size = allocated(chain)
         chain.images, chain.count = others, 0
-        p50, p99 = quantiles(in_turn({name: chain}, 3 if name in rare else frames - 1)[name])
+        p50, p99 = quantiles(in_turn({name: chain}, frames - 1)[name])
         beside_p50, beside_p99 = quantiles(took[name])
         row(
             "Ways to scan, µs",

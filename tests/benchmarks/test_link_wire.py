@@ -63,7 +63,7 @@ def tell(row, name, scan, points, sequence, image):
     return plain / listed, 1 / max(listed / 1e6, scan_s)
 
 
-@pytest.mark.parametrize("scan", ["points", "auto", "frame"])
+@pytest.mark.parametrize("scan", ["points", "auto"])
 def test_frames_of_the_electric_mouse(row, quick, scan):
     profile = load_profile("electric-mouse")
     bank = load_bank(profile)

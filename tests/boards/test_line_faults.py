@@ -140,7 +140,7 @@ def test_a_measurement_that_is_cut_short_ends_in_zero_and_the_next_is_whole(host
     monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.FORGETS_S", 0.1)
     with hosted.board as board:
         hosted.line.to_host = every(1, cut_short)
-        with raises(BoardError, about=("measure", "board").__contains__):
+        with raises(BoardError):
             board.measure()
         hosted.line.to_host = bytes
         if hosted.kind == "link":
@@ -159,7 +159,7 @@ def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
         send_on(hosted, 4)
         hosted.line.pull_out()
         threading.Timer(0.5, hosted.line.plug_in).start()
-        with raises(BoardRestartedError, about="board", value=str(hosted.line.path)):
+        with raises(BoardRestartedError, names="board", value=str(hosted.line.path)):
             send_on(hosted, 30)
         # On a busy machine there is one on slow answers, too.
         assert sum(str(hosted.line.path) in note for note in board.notes) == 1
@@ -174,10 +174,10 @@ def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
 def test_a_port_that_stays_away_is_reported(hosted, monkeypatch):
     for module in ("link.link_board", "kits.streamed"):
         monkeypatch.setattr(f"smarttouch.boards.{module}.RECOVER_S", 0.3)
-    with raises(BoardError, about="board", value=str(hosted.line.path)) as error, hosted.board:
+    with raises(BoardError, names="board", value=str(hosted.line.path)) as error, hosted.board:
         pulled_out_after(4, hosted)
     goes_on = hosted.kind == "etactilekit"
-    assert (error.value.remedy == "switch it off") == goes_on
+    assert ("switch it off" in str(error.value)) == goes_on
     if not goes_on:
         hosted.assert_zero()
 
@@ -220,7 +220,7 @@ def test_a_stop_of_a_board_that_is_away_says_whether_it_goes_on(hosted, known_by
     goes_on = hosted.kind == "etactilekit"
 
     def said():
-        lost = {"about": "board", "remedy": "switch it off"}
+        lost = {"names": "board"}
         return raises(LineLostError, **lost) if goes_on else contextlib.nullcontext()
 
     hosted.board.open()

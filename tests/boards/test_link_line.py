@@ -66,7 +66,7 @@ def test_our_own_absence_is_not_the_boards_silence(listen):
 def test_a_silent_board_is_gone(listen, noise):
     line = listen(ALIVE, noise)
     until(lambda: line.fault is not None)
-    with raises(LineLostError, about="board", value="here"):
+    with raises(LineLostError, names="board", value="here"):
         line.raise_fault()
 
 

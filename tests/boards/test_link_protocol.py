@@ -77,13 +77,13 @@ def test_switched_survives_the_wire(output, current):
 
 def test_a_source_beyond_the_wire_is_refused_and_never_wraps():
     current = np.array([[5000] * 14 + [-5000] * 14], np.int16)
-    with raises(BoardError, about="source_ua", value=70.0, allowed=65.5, slot=0):
+    with raises(BoardError, value=70.0, allowed=65.5, slot=0):
         sequence_payload("three-state", 9000, *columns(current), current)
 
 
 @pytest.mark.parametrize(("slots", "electrodes", "room", "attributes"), [
-    (600, 1024, (2000, 1 << 16), {"about": "packet", "allowed": 2000}),
-    (70_000, 1, (1 << 20, 70_000), {"about": "slots", "value": 70_000, "allowed": 65_535}),
+    (600, 1024, (2000, 1 << 16), {"allowed": 2000}),
+    (70_000, 1, (1 << 20, 70_000), {"names": "slots", "value": 70_000, "allowed": 65_535}),
 ])  # fmt: skip
 def test_a_slot_beyond_the_room_of_a_packet_is_refused(slots, electrodes, room, attributes):
     column = np.full(slots, 100, np.uint16)

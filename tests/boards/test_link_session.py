@@ -152,7 +152,7 @@ def test_when_numbers_run_out_another_session_is_needed(monkeypatch):
     talk = Talk().begin()
     talk.session.encode(MessageKind.HEARTBEAT)
     talk.session.encode(MessageKind.HEARTBEAT)
-    with raises(LineLostError, about="packets", allowed=4):
+    with raises(LineLostError, names="packets", allowed=4):
         talk.session.encode(MessageKind.HEARTBEAT)
 
 

@@ -42,7 +42,7 @@ def test_a_board_that_was_stopped_neither_sends_nor_measures(board, how, make_se
 
 
 def test_a_board_that_is_closed_does_not_measure(board):
-    with raises(BoardClosedError, about="board"):
+    with raises(BoardClosedError, names="board"):
         board.measure()
 
 
@@ -94,7 +94,7 @@ def test_sense_pulses_end_also_where_their_readings_are_lost(script, make):  # n
     ended = [(NO_SENSE + PING, b"\x04"), *ZERO]
     once = [*ZERO, (SENSE, b""), lost, *resync, *ended]
     script(*OPEN, *once, *once, *ZERO)
-    with make() as board, raises(LineLostError, about="measure"):
+    with make() as board, raises(LineLostError, names="measure"):
         board.measure()
 
 

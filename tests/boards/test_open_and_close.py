@@ -21,7 +21,7 @@ def test_a_board_that_two_threads_open_at_once_is_announced_and_opened_once(monk
 
     def slow(board):
         if within.is_set():
-            raise BoardError("as of a port that is in use", about="port")
+            raise BoardError("as of a port that is in use")
         board.opened += 1
         within.set()
         assert goes_on.wait(PATIENCE_S)
@@ -31,7 +31,7 @@ def test_a_board_that_two_threads_open_at_once_is_announced_and_opened_once(monk
     opening = threading.Thread(target=board.open, daemon=True)
     opening.start()
     assert within.wait(PATIENCE_S)
-    with raises(BoardError, about="board"):
+    with raises(BoardError, names="board"):
         board.open()
     assert running() == [os.getpid()]
     goes_on.set()

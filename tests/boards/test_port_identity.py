@@ -84,7 +84,7 @@ def replaced(hosted, stranger, *answer):
         drive()
     hosted.line.path.unlink()
     assert not isinstance(error.value, BoardRestartedError)
-    assert_says(error.value, about="board")
+    assert_says(error.value, names="board")
     return others[0].heard
 
 

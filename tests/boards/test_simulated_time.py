@@ -35,7 +35,7 @@ def send(make_limits, make_sequence, monkeypatch):
 
 
 def test_its_firmware_checks_the_rise(send):
-    with raises(BoardError, about="board", value=2) as error:
+    with raises(BoardError, names="board", value=2) as error:
         send((0, SILENT), (1, STRONG))
     assert "rise that is too fast" in str(error.value)
 
@@ -48,14 +48,14 @@ def test_a_level_stays_open_for_a_while(send):
 def test_a_gap_closes_the_level(send, later_s):
     """However long it is, it costs little."""
     board = send((0, SILENT), (1, FAINT), (2, STRONG))
-    with raises(BoardError, about="board", value=4):
+    with raises(BoardError, names="board", value=4):
         send((later_s, STRONG))
     assert board._line.session.sent < 1000
 
 
 def test_stamps_may_begin_again(send):
     send((100, SILENT), (101, FAINT), (102, STRONG), (0, SILENT), (1, FAINT), (2, STRONG))
-    with raises(BoardError, about="board", value=7):
+    with raises(BoardError, names="board", value=7):
         send((19, STRONG))
 
 

@@ -57,7 +57,7 @@ class Lost(Plain):
     """A board that does not confirm zero."""
 
     def _halt(self):
-        raise LineLostError("lost", about="board")
+        raise LineLostError("lost")
 
 
 @contextlib.contextmanager
@@ -156,7 +156,7 @@ def test_the_folder_and_its_files_are_for_their_owner_alone(own_state):
 
 
 def too_much(total_ma):
-    return raises(BoardError, about="limits.total_ma", value=total_ma, allowed=CEILING_USER_MA)
+    return raises(BoardError, names="limits.total_ma", value=total_ma, allowed=CEILING_USER_MA)
 
 
 @pytest.mark.parametrize("total_ma", [10.0, 5.0, 0.001])
@@ -229,7 +229,7 @@ def test_stopping_a_board_that_confirms_no_zero_is_an_error():
             say()
             time.sleep(PATIENCE_S)
 
-    late = {"about": "runs"}
+    late = {}
     with in_child(work) as child, raises(SmartTouchError, **late, value=(child,)):
         stop_all()
 
@@ -253,7 +253,7 @@ def test_a_program_with_many_open_files_is_stopped():
 def test_that_it_has_not_is_told_also_where_its_program_closes_it_and_ends():
     class Deaf(Plain):
         def _stop(self):
-            raise LineLostError("lost", about="board")
+            raise LineLostError("lost")
 
     def work(say):
         board = Deaf()
@@ -263,7 +263,7 @@ def test_that_it_has_not_is_told_also_where_its_program_closes_it_and_ends():
         with pytest.raises(LineLostError):
             board.close()
 
-    unconfirmed = {"about": "runs"}
+    unconfirmed = {}
     with in_child(work) as child, raises(SmartTouchError, **unconfirmed, value=(child,)):
         stop_all()
 

@@ -137,7 +137,7 @@ class TestTheFile:
             thread = threading.Thread(target=board.stop)
             thread.start()
             thread.join(5)
-            with raises(BoardStoppedError, about="board"):
+            with raises(BoardStoppedError):
                 board.send(shaken(1.0, 500 * MS))
         samples, rate_hz = wav()
         assert len(samples) / rate_hz <= 0.02 + GLIDE_S + 0.001
@@ -158,14 +158,14 @@ class TestTheFile:
             board.send(shaken(0.5))
             with monkeypatch.context() as patch:
                 patch.setattr("wave.Wave_write.writeframes", refuse)
-                with raises(BoardError, about="file") as error:
+                with raises(BoardError) as error:
                     board.send(shaken(0.5, 20 * MS))
                 assert os.strerror(errno.ENOSPC) in str(error.value)
 
     def test_a_file_that_cannot_be_written_is_named(self, profile):
         board = VibratorBoard("/nowhere/out.wav", SafetyLimits.of(profile))
         path = Path("/nowhere/out.wav")
-        with raises(BoardError, about="file", value=path):
+        with raises(BoardError, value=path):
             board.open()
 
     @pytest.mark.parametrize(("rest", "about", "value", "allowed"), [
@@ -182,7 +182,7 @@ class TestTheFile:
         ("out.wav?hz=800&rate=3000", "rate", 3000, 3200),
     ])  # fmt: skip
     def test_errors_of_a_url_are_reported(self, profile, rest, about, value, allowed):
-        with raises(BoardError, about=about, value=value, allowed=allowed):
+        with raises(BoardError, value=value, allowed=allowed):
             VibratorBoard(rest, SafetyLimits.of(profile))
 
 
@@ -327,7 +327,7 @@ class TestTheSoundDevice:
         with opened(board("audio")) as vibrators:
             vibrators.send(shaken(0.0))
             sound.stream.active = False
-            with raises(BoardError, about="sound device"):
+            with raises(BoardError, names="sound device"):
                 vibrators.send(shaken(0.0, 20 * MS))
 
     def test_falling_behind_is_noted(self, sound, board):
@@ -339,7 +339,7 @@ class TestTheSoundDevice:
 
     def test_a_device_that_cannot_play_so_is_named(self, sound, board):
         sound.refuse = FakeSound.PortAudioError("Invalid number of channels")
-        with raises(BoardError, about="sound device", value=1) as error:
+        with raises(BoardError, names="sound device", value=1) as error:
             board("audio:1").open()
         assert "4 vibrators" in str(error.value)
         assert str(sound.refuse) in str(error.value)
@@ -353,7 +353,7 @@ class TestTheSoundDevice:
             raise missing
 
         monkeypatch.setattr("smarttouch.base.lazy_names.import_module", refuse)
-        with raises(BoardError, about=about, remedy=remedy) as error:
+        with raises(BoardError, names=about) as error:
             board("audio")
         assert remedy in str(error.value)
 

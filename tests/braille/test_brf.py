@@ -40,13 +40,13 @@ def test_files_of_others(data):
 
 
 def test_bad_codes_are_found():
-    with raises(BrailleError, about="cell", value="é") as caught:
+    with raises(BrailleError, value="é") as caught:
         parse_brf(b"A\r\n\fB\r\nC\xe9", "a.brf")
     assert "a.brf, line 3, column 2" in str(caught.value)
 
 
 def test_eight_dots_do_not_fit():
-    with raises(BrailleError, about="cell", value="⡀") as caught:
+    with raises(BrailleError, value="⡀") as caught:
         format_brf([["⠁"], ["⠁⡀"]])
     assert "page 2, line 1, cell 2" in str(caught.value)
 

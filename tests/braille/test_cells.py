@@ -40,8 +40,8 @@ def test_cells_give_the_dots_back(dots):
 
 
 def test_what_is_no_cell():
-    with raises(BrailleError, about="cell", value="b") as caught:
+    with raises(BrailleError, names="cell", value="b") as caught:
         cells_to_dots("⠁b")
     assert "position 2" in str(caught.value)
-    with raises(BrailleError, about="dots", value=(3, 7)):
+    with raises(BrailleError, names="dots", value=(3, 7)):
         dots_to_cells(np.zeros((3, 7), bool))

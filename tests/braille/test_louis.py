@@ -8,7 +8,6 @@ from smarttouch.base.errors import BrailleError
 from smarttouch.braille import louis
 from smarttouch.braille.code_tables import open_table
 from smarttouch.braille.louis import LouisCode
-from smarttouch.pages.structured_text import Emphasis
 
 from ..raising import raises
 from .liblouis import needs_liblouis
@@ -57,7 +56,7 @@ def test_one_may_become_many():
     "table", ["none.ctb", "", ",", "a" * 5000, "two\nlines.ctb", "en-ueb-g1.ctb,no.x"]
 )
 def test_no_such_table(table, capfd):
-    with raises(BrailleError, about="table", value=table.split("\n")):
+    with raises(BrailleError, names="table", value=table.split("\n")):
         LouisCode(table)
     assert capfd.readouterr() == ("", "")
 
@@ -92,7 +91,7 @@ def test_without_it(no_liblouis):
     assert louis.table_files() == []
     assert louis.find_table("fr") is None
     remedy = "apt install liblouis20 liblouis-data"
-    with raises(BrailleError, about="table", value="en-ueb-g1.ctb", remedy=remedy):
+    with raises(BrailleError, names=remedy, value="en-ueb-g1.ctb"):
         LouisCode("en-ueb-g1.ctb")
 
 
@@ -121,28 +120,6 @@ def test_texts_stay_as_in_liblouis(table, text, same):
     assert opened.missing(text) == ""
     code = LouisCode("fr-bfu-comp6.utb" if table == "fr-1" else table)
     assert opened.to_cells(text) == code.encode(same or text)
-
-
-@needs_liblouis
-@pytest.mark.parametrize(("emphasis", "sign"), [
-    (Emphasis.ITALIC, "⠨⠂"), (Emphasis.BOLD, "⠘⠂"), (Emphasis.UNDERLINE, "⠸⠂"),
-])  # fmt: skip
-def test_emphasis_is_shown(emphasis, sign):
-    code = LouisCode("en-ueb-g1.ctb")
-    plain = code.encode("a tiny cat")
-    marked = code.translate("a tiny cat", [Emphasis.PLAIN] * 2 + [emphasis] * 4).cells
-    assert marked == plain[:2] + sign + plain[2:]
-    both = code.translate("tiny", [Emphasis.BOLD | Emphasis.ITALIC] * 9).cells
-    assert sorted(both[:4]) == sorted("⠨⠂⠘⠂")
-
-
-@needs_liblouis
-def test_places_of_characters():
-    code = LouisCode("en-ueb-g2.ctb")
-    cells, cell_of, character_of = code.translate("The child 12")
-    assert cells == "⠠⠮⠀⠡⠀⠼⠁⠃"
-    assert cell_of == [0, 0, 0, 2, 3, 3, 3, 3, 3, 4, 5, 7]
-    assert character_of == [0, 0, 3, 4, 9, 10, 10, 11]
 
 
 @needs_liblouis

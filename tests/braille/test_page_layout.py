@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BrailleError
-from smarttouch.braille.block_layout import join, lay_out
+from smarttouch.braille.page_layout import join, lay_out
 
 from ..raising import raises
 
@@ -52,5 +52,5 @@ def test_lines_of_others_join():
 
 @pytest.mark.parametrize(("columns", "rows", "indent"), [(3, 5, 2), (1, 5, 0), (40, 0, 2)])
 def test_too_small_a_page(columns, rows, indent):
-    with raises(BrailleError, about="page", value=(columns, rows), allowed=(indent + 2, 1)):
+    with raises(BrailleError, value=(columns, rows), allowed=(indent + 2, 1)):
         lay_out(["⠁"], columns, rows, indent)

@@ -83,9 +83,7 @@ def test_one_profile_for_all(run, tmp_path):
     assert profile.force.curve is not None
     # Never measured again without being told to.
     before = (tmp_path / "mine.toml").read_bytes()
-    wrong(about="force", remedy="overwrite or output")(
-        run("force --simulate --output mine.toml").exception
-    )
+    wrong()(run("force --simulate --output mine.toml").exception)
     assert (tmp_path / "mine.toml").read_bytes() == before
     done(run("force --simulate --output mine.toml --overwrite"))
 
@@ -113,7 +111,7 @@ def test_optics_needs_dark_and_white(run, tmp_path):
     wrong(" 0 grey levels", " 40 ")(asked.exception)
     unanswered = run("optics --source frames:same --output mine.toml")
     assert unanswered.output.count(" Enter") == 1
-    wrong(about="answer", remedy="yes")(unanswered.exception)
+    wrong()(unanswered.exception)
     assert not list(tmp_path.glob("mine*"))
 
 
@@ -132,7 +130,7 @@ def test_registration_of_a_camera(run, tmp_path, profile):
     with Image.open(tmp_path / "target.png") as image:
         assert image.info["dpi"][0] == pytest.approx(1270, abs=1)
     again = run("registration --target target.png")
-    wrong(about="file", value=Path("target.png"))(again.exception)
+    wrong(value=Path("target.png"))(again.exception)
 
 
 def test_a_target_alone(run, tmp_path):
@@ -223,7 +221,7 @@ def test_level_of_a_simulated_person_goes_on_where_it_was_stopped(run, tmp_path,
     command = sys.modules["smarttouch.cli.calibrate"]
     monkeypatch.setattr(command, "command_stop", lambda: stops[len(rows) > 0])
     level = "level --simulate --finger paper:1 --seed 1 --output mine.toml"
-    wrong("4 answers", about="level")(run(level).exception)
+    wrong("4 answers")(run(level).exception)
     assert len(read_rows(tmp_path / "mine.level.csv")) == 4
     assert not (tmp_path / "mine.toml").exists()
     done(run(level))
@@ -277,16 +275,16 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
 
 
 @pytest.mark.parametrize(("arguments", "check"), [
-    ("optics", wrong(about="source", remedy="simulate")),
-    ("optics --dark frames:none", wrong("white", about="source")),
-    ("optics --source nothing: --yes", says(SourceError, about="source", value="nothing:")),
+    ("optics", wrong()),
+    ("optics --dark frames:none", wrong("white")),
+    ("optics --source nothing: --yes", says(SourceError, value="nothing:")),
     ("optics --source frames:none --yes", says(SourceError, " none:")),
-    ("registration", wrong(about="source", remedy="simulate")),
-    ("force", wrong("hx711:PORT", about="cell", remedy="simulate")),
-    ("force --simulate --weights 0,a", wrong(about="weights", value="0,a")),
-    ("thresholds", wrong(about="keyboard", remedy="simulate")),
-    ("thresholds --electrodes 64", wrong(about="electrodes", value="64", allowed=63)),
-    ("thresholds --simulate --board link:/dev/null", wrong(about="board", value="link:/dev/null")),
+    ("registration", wrong()),
+    ("force", wrong("hx711:PORT")),
+    ("force --simulate --weights 0,a", wrong(value="0,a")),
+    ("thresholds", wrong()),
+    ("thresholds --electrodes 64", wrong(value="64", allowed=63)),
+    ("thresholds --simulate --board link:/dev/null", wrong(value="link:/dev/null")),
     ("contact --board memory:", says(BoardError, "measure")),
     ("contact --profile nobody", says(ProfileError, "'nobody'")),
 ])  # fmt: skip
@@ -296,6 +294,6 @@ def test_what_cannot_be_is_one_sentence(run, tmp_path, arguments, check):
 
 
 def test_what_is_measured_needs_a_place(run):
-    wrong(about="output")(run("registration --simulate").exception)
+    wrong()(run("registration --simulate").exception)
     nowhere = run("force --simulate --output none/mine.toml")
     wrong("none/mine.toml")(nowhere.exception)

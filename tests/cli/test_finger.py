@@ -51,7 +51,7 @@ def test_it_ends_with_one_sentence(program_here, tmp_path):
     (tmp_path / "plan.toml").write_text("fingers = 3")
     error = refused(program_here("simulate study plan.toml --output out"))
     assert type(error) is ProfileError
-    assert_says(error, about="title")
+    assert_says(error, key="title")
     (tmp_path / "plan.toml").write_text(PLAN)
     error = refused(program_here("simulate study plan.toml --output out --cluster nowhere:x"))
-    assert_says(error, about="cluster")
+    assert_says(error)

@@ -142,6 +142,5 @@ def test_other_names_are_left_alone(given):
 
 def test_nothing_on_standard_input(monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO())
-    with pytest.raises(SmartTouchError) as raised:
+    with pytest.raises(SmartTouchError, match="standard input"):
         or_standard_input(Context(), "-")
-    assert raised.value.about == "standard input"

@@ -40,7 +40,6 @@ BASES = {
     "braille-display": f"braille-display listen:{free_port()} {SMALL} {PAGE}",
     "simulate page": "simulate page text:it --as braille",
     "replay": f"replay {{golden}} {PAGE}",
-    "recordings view": "recordings view {golden} --save view.png",
     "design": "design --profile line-7",
     "profiles new": "profiles new mine.toml --grid 2x2 --overwrite",
     "simulate letters": "simulate letters T --profile smarttouch-4x4 --anatomy paper",

@@ -28,7 +28,7 @@ def test_which_boards_a_finger_may_be_on(url, finger):
 def test_no_command_drives_a_real_board_that_nobody_controls(program_here, command):
     board = ("link:/dev/nowhere",) if command[0] == "devices" else ("--board", "link:/dev/nowhere")
     about = "keyboard" if command[0] == "devices" else "intensity"
-    says(about=about)(refused(program_here(*command, *board)))
+    says(names=about)(refused(program_here(*command, *board)))
 
 
 @pytest.mark.parametrize(

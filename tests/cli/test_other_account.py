@@ -4,7 +4,6 @@ import json
 import os
 import re
 import shutil
-import socket
 import stat
 import subprocess
 import sys
@@ -33,7 +32,7 @@ def content(path):
     except OSError:
         return b""
 
-port, osc_port, folder = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+port, door, folder = int(sys.argv[1]), sys.argv[2], sys.argv[3]
 place = f"127.0.0.1:{port}"
 processes = b"\0".join(map(content, glob.glob("/proc/[0-9]*/cmdline")))
 said = processes + b"\0".join(map(content, glob.glob("/proc/[0-9]*/environ")))
@@ -52,24 +51,16 @@ def ask(method, path, **headers):
 
 upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
            "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA=="}
-with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-    for _ in range(20):
-        line.sendto(b"/smarttouch/point\0\0\0,ff\0" + bytes(8), ("127.0.0.1", osc_port))
+with socket.socket(socket.AF_UNIX) as line:
+    connected = line.connect_ex(door) == 0
 print(json.dumps({
     "browser": len(led_to), "secrets": len(secrets),
     "read": sorted(name for name, data in contents.items() if data),
     "page": ask("GET", f"/{guess}/live.html"), "socket": ask("GET", f"/{guess}/socket", **upgrade),
-    "root": ask("GET", "/"), "stop": ask("POST", "/stop"),
+    "root": ask("GET", "/"), "stop": ask("POST", "/stop"), "connected": connected,
 }))
 """
 BROWSER = '#!/bin/sh\n: > "$0.opened"\nwhile [ ! -e "$0.closed" ]; do sleep 0.05; done\n'
-
-
-@pytest.fixture
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-        line.bind(("127.0.0.1", 0))
-        return line.getsockname()[1]
 
 
 @pytest.fixture
@@ -90,10 +81,8 @@ def has_steps(path):
         return False
 
 
-def test_another_account_gets_in_by_no_door(
-    start_program, program_here, other_account, open_folder, free_port, monkeypatch
-):
-    browser, path = open_folder / "browser", open_folder / "run.mcap"
+def test_another_account_gets_in_by_no_door(start_program, other_account, open_folder, monkeypatch):
+    browser, path, door = (open_folder / each for each in ("browser", "run.mcap", "door"))
     browser.write_text(BROWSER)
     browser.chmod(0o755)
     monkeypatch.setenv("BROWSER", str(browser))
@@ -102,7 +91,7 @@ def test_another_account_gets_in_by_no_door(
     before = os.umask(0)
     try:
         run = start_program(
-            "live", f"osc:{free_port}", "--board", "simulated:", "--window",
+            "live", f"socket:{door}", "--board", "simulated:", "--window",
             "--record", path, "--quiet", real=True,
         )  # fmt: skip
     finally:
@@ -116,20 +105,19 @@ def test_another_account_gets_in_by_no_door(
         while not (has_steps(path) and (open_folder / "browser.opened").exists()):
             assert run.poll() is None
             time.sleep(0.02)
-        program_here("report", path, "--output", open_folder / "report.json").fine()
-        with other_account("-c", INTRUDER, port, free_port, open_folder) as intruder:
+        with other_account("-c", INTRUDER, port, door, open_folder) as intruder:
             out, err = intruder.communicate(timeout=100)
         assert err == ""
         assert json.loads(out) == {
             "browser": 1, "secrets": 0, "read": ["browser"],
-            "page": 403, "socket": 403, "root": 403, "stop": 403,
+            "page": 403, "socket": 403, "root": 403, "stop": 403, "connected": False,
         }  # fmt: skip
         # The same by this account finds all there is: what was looked for is there.
-        given = [sys.executable, "-c", INTRUDER, str(port), "9", str(open_folder)]
+        given = [sys.executable, "-c", INTRUDER, str(port), str(door), str(open_folder)]
         ours = json.loads(subprocess.check_output(given, text=True))
         assert ours["secrets"] > 0
-        assert {"window.html", "run.mcap", "report.json"} <= set(ours["read"])
-        assert (ours["page"], ours["socket"], ours["stop"]) == (200, 101, 403)
+        assert {"window.html", "run.mcap"} <= set(ours["read"])
+        assert (ours["page"], ours["socket"], ours["stop"], ours["connected"]) == (200, 101, 403, 1)
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
         assert run.poll() is None
     finally:

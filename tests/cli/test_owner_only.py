@@ -9,10 +9,6 @@ LIVE = ("live", "text:oo", "--board", "simulated:", "--seconds", "0.3", "--quiet
 COMMANDS = {
     "run": (
         (*LIVE, "--record", "run.mcap", "--json", "run.json"),
-        ("recordings", "export", "run.mcap", "exports/out"),
-        ("recordings", "repair", "run.mcap"),
-        ("recordings", "view", "run.mcap", "--save", "view.svg"),
-        ("report", "run.mcap"),
     ),
     "felt": ((*LIVE, "--felt", "felt.png"),),
     "vibrations": ((*LIVE, "--vibrators", "vibrators:out.wav"),),

@@ -24,7 +24,7 @@ from smarttouch.braille.code_tables import open_table
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.running.recording_reader import Recording
 
-from ..braille.embossed import emboss
+from ..braille.drawn_dots import draw_dots
 from .conftest import panels, refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
@@ -133,7 +133,7 @@ def test_legibility_at_the_nerve_of_fingers(program_here):
 
 def test_legibility_of_no_anatomy_is_refused_before_anything_is_read(program_here):
     done = program_here("simulate page text:touch --fingers 2 --anatomy none")
-    says(ProfileError, about="anatomy", value="none")(refused(done))
+    says(ProfileError, key="anatomy", value="none")(refused(done))
 
 
 def test_legibility_of_braille_needs_no_tesseract(figures_of, monkeypatch):
@@ -159,31 +159,25 @@ def test_a_finger_that_moves_by_itself(figures_of, tmp_path, page_file):
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
-    ("nofile.png", says(BrailleError, about="file", value=Path("nofile.png"))),
+    ("nofile.png", says(BrailleError, value=Path("nofile.png"))),
     ("'text: '", says(PageError, "text:")),
-    ("text:hi --as dots", says(about="kind", value="dots", allowed=("shapes", "braille"))),
+    ("text:hi --as dots", says(value="dots", allowed=("shapes", "braille"))),
     ("text:hi --profile line-7", says(ReadingError, "line-7", " 1 row ", " 4:")),
     ("text:hi --as braille?lines=9",
      says(ReadingError, "electric-mouse", " 8 x 8 ", " 9 lines", " 43 x 2:")),
-    ("text:hi --pause -1", says(ReadingError, about="pause_s", value=-1, allowed=(0, 3600))),
-    ("page.png?pages=3", says(PageError, " 1 page", about="pages", value=3)),
+    ("text:hi --pause -1", says(ReadingError, value=-1, allowed=(0, 3600))),
+    ("page.png?pages=3", says(PageError, " 1 page", value=3)),
 ])  # fmt: skip
 def test_bad_input_is_one_sentence(program_here, page_file, arguments, wrong):
     wrong(refused(program_here(f"read {arguments} --board simulated:")))
 
 
-def test_a_photograph_of_braille(program_here, figures_of, tmp_path):
-    lines = open_table("en-1").to_cells("Raised\ndots").split("\n")
-    photo = emboss(lines, skew_deg=2)
-    Image.fromarray(np.asarray(photo.page.grey)).save(tmp_path / "dots.png")
-    back = program_here("braille dots.png --back").fine()
-    assert back.stdout == "Raised\ndots\n"
-    # Nothing but progress.
-    assert len(back.stderr.splitlines()) == 1
-    assert "page 1" in back.stderr
-    figures = figures_of("simulate page dots.png --as braille")
-    assert figures["cell_error_rate"] == 0
-    assert figures["wanted"].split("\n") == lines
+def test_a_picture_of_braille_is_refused_and_shown_by_live(program_here, figures_of, tmp_path):
+    cells = open_table("en-1").to_cells("Raised\ndots of\na page").split("\n")
+    Image.fromarray(draw_dots(cells)).save(tmp_path / "dots.png", dpi=(150, 150))
+    for command in ("read", "read --as braille", "braille", "simulate page --as braille"):
+        says(PageError, "page 1", "Braille", ".brf")(refused(program_here(command, "dots.png")))
+    assert figures_of("live page:dots.png --board simulated: --seconds 1")["slots"] > 0
 
 
 def lines_of(path):

@@ -37,7 +37,7 @@ def printed(paper=255, ink=0):
     return image
 
 
-@pytest.fixture(scope="module", params=[NO_SHARING, SlotPolicy((Afferent.RA,), planned=False)])
+@pytest.fixture(scope="module", params=[NO_SHARING, SlotPolicy((Afferent.RA,))])
 def sent(request, profile, bank):
     pipeline = Pipeline(profile, bank, RunConfig(scan=request.param))
     for time_ns in range(10**9, 2 * 10**9, 20_000_000):

@@ -139,4 +139,4 @@ def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_reported(
     # Reaped, or it would be a run until we end.
     done = program_here("stop")
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
-    says(about="file", value=folder)(refused(done))
+    says(value=folder)(refused(done))

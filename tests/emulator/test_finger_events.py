@@ -104,12 +104,12 @@ def test_a_change_leaves_the_voltage_on_an_electrode():
     ("1 peel 3 1.5", "above 0 and at most 1"),
 ])  # fmt: skip
 def test_bad_text_is_one_clear_sentence(text, allowed):
-    with raises(BoardError, about="event", value=text, allowed=allowed):
+    with raises(BoardError, names="event", value=text, allowed=allowed):
         EmulatedFinger(16, [text])
 
 
 def test_an_event_of_an_electrode_that_is_not_there_is_named():
-    with raises(BoardError, about="event", value=16, allowed=15):
+    with raises(BoardError, names="event", value=16, allowed=15):
         EmulatedFinger(16, ["1 open 16"])
 
 

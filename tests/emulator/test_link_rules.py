@@ -267,7 +267,7 @@ def test_a_table_with_the_same_crc_and_size_is_not_taken_for_ours(rig):
             name="board", session=SimpleNamespace(number=5),
             ask=lambda *_, kept=kept: SimpleNamespace(payload=kept),
         )  # fmt: skip
-        with raises(KernelTableError, about="kernels"):
+        with raises(KernelTableError, names="kernels"):
             give_kernels(line, rig.image, 1000, lambda: None)
 
 

@@ -167,16 +167,16 @@ def test_events(text, fault):
     ("2 nan 1 1", "has 2 values"),
 ])  # fmt: skip
 def test_what_is_no_event(text, words):
-    with raises(SourceError, about="event", value=(text, words)):
+    with raises(SourceError, names="event", value=(text, words)):
         parse_fault(text)
 
 
 def test_orders_that_cannot_be():
     cell = EmulatedLoadCell(press(0.0, None))
-    with raises(SourceError, about="order", value="x"):
+    with raises(SourceError, value="x"):
         cell.take_order(["force", "x"])
     server, _ = make_server()
-    with raises(SourceError, about="event", value="unplug"):
+    with raises(SourceError, names="event", value="unplug"):
         server._add(DeviceEvent(0, "unplug"))
 
 
@@ -302,7 +302,7 @@ def test_an_array_reads_a_page_again_and_again(profile):
     assert look(0.0).shape == look(1000.0).shape == (16, 24)
     assert max(np.ptp(look(time_s)) for time_s in np.arange(0, 3, 0.02)) > 100
     allowed = ("page", "text")
-    with raises(SourceError, about="url", value="camera:0", allowed=allowed):
+    with raises(SourceError, value="camera:0", allowed=allowed):
         look_at_page("camera:0", profile, 16, 16)
 
 

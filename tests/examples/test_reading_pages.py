@@ -38,7 +38,7 @@ def test_a_page_is_read_and_kept(tmp_path):
     try:
         rows = rows_of(kept, "text:a quiet place indeed", "paper", (1,), setting)
     except ReadingError as error:
-        if error.about in ("tesseract", "language"):
+        if "Tesseract" in str(error):
             pytest.skip(str(error))
         raise
     assert set(rows[0].errors) > set(OBSERVERS)

@@ -109,7 +109,7 @@ def test_a_page_is_read_on_fingers(tmp_path):
     try:
         (row,) = study_run.run_study(page, Path(), tmp_path)
     except SmartTouchError as error:
-        if error.about in ("tesseract", "language"):
+        if "Tesseract" in str(error):
             pytest.skip(str(error))
         raise
     assert (row.pattern, row.finger) == ("text:it", 1)
@@ -151,10 +151,10 @@ def test_a_long_text_is_a_page_and_no_file(tmp_path):
 def test_a_plan_that_makes_no_sense_is_refused(tmp_path, text, about):
     plan = tmp_path / "study.toml"
     plan.write_text(text)
-    with raises(ProfileError, about=about):
+    with raises(ProfileError, key=about):
         load_study(plan)
 
 
 def test_kernels_on_fingers_need_a_board_that_makes_them(tmp_path):
-    with raises(ProfileError, about="kernels.objective"):
+    with raises(ProfileError, key="kernels.objective"):
         study_run.run_study(SMALL.model_copy(update={"kernels": ("finger",)}), Path(), tmp_path)

@@ -57,7 +57,7 @@ def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
 def test_a_missing_scheduler_is_an_error(monkeypatch):
     monkeypatch.setattr("smarttouch.base.lazy_names._ANSWERS_WITHIN_S", 0.2)
     with (
-        raises(SmartTouchError, about="cluster", value="tcp://127.0.0.1:1"),
+        raises(SmartTouchError, value="tcp://127.0.0.1:1"),
         on_cluster("tcp://127.0.0.1:1"),
     ):
         pass
@@ -65,5 +65,5 @@ def test_a_missing_scheduler_is_an_error(monkeypatch):
 
 def test_missing_dask_is_an_error(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with raises(SmartTouchError, about="extra"), on_cluster("tcp://a:1"):
+    with raises(SmartTouchError, names="extra"), on_cluster("tcp://a:1"):
         pass

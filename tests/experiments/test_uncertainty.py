@@ -54,7 +54,7 @@ def test_priors_that_make_no_sense_are_refused(tmp_path, keys, low, about):
     path = tmp_path / "mine.toml"
     line = f'[[priors]]\nname = "x"\nsource = "x"\nkeys = ["{keys}"]\nlow = {low}\nhigh = 2\n'
     path.write_text(line)
-    with raises(ProfileError, about=lambda found: about in found):
+    with raises(ProfileError, key=lambda found: about in found):
         for values in hypercube(priors := load_priors(path), 3):
             drawn_anatomy(load_anatomy("paper-layered"), priors, values)
 

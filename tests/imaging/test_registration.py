@@ -127,7 +127,7 @@ def test_each_cell_is_a_quadrilateral_to_a_tilted_camera(profile):
 )  # fmt: skip
 def test_a_homography_that_is_none(profile, matrix):
     optics = changed(profile, homography=tuple(map(float, matrix)))
-    with raises(ProfileError, about="optics.homography"):
+    with raises(ProfileError, key="optics.homography"):
         Registration(profile.electrodes, optics, (64, 64))
 
 

@@ -108,7 +108,7 @@ def test_a_board_without_pc_leaves_it_out_or_refuses():
     assert mixture.left_out == (Afferent.SAI, Afferent.PC)
     assert not mixture.drive[:, [Afferent.SAI, Afferent.PC]].any()
     only = {"value": (Afferent.PC,), "allowed": (Afferent.RA,)}
-    with raises(ScheduleError, about="classes", **only):
+    with raises(ScheduleError, **only):
         mix_colors(open_trace("tone:250Hz,1um", 0.5), profile, bank)
     assert mix_colors(open_trace("tone:250Hz,1um", 0.5), profile, bank, vibrated=True).vibrated
 
@@ -117,7 +117,7 @@ def test_a_board_with_one_rate_takes_one_class(profile, bank):
     timing = ScanTiming(whole_hz=True)
     assert mix_colors(open_trace("tone:30Hz,9um"), profile, bank, timing=timing).mode is Mode.RA
     both = {"value": (Afferent.RA, Afferent.SAI)}
-    with raises(ScheduleError, about="classes", **both):
+    with raises(ScheduleError, **both):
         mix_colors(open_trace("tone:30Hz,9um+press:1N"), profile, bank, timing=timing)
 
 
@@ -140,13 +140,13 @@ def test_where_pc_is_felt_elsewhere_its_pulses_move(profile, bank):
     assert profile.perception.pc_shift_mm == (0, -2)
     assert stimulated(profile, Afferent.PC, np.array([3, 59])).tolist() == [11]
     assert stimulated(profile, Afferent.RA, np.array([3, 59])).tolist() == [3, 59]
-    with raises(ScheduleError, about="classes", value=(Afferent.PC,)):
+    with raises(ScheduleError, value=(Afferent.PC,)):
         mix_colors(open_trace("tone:250Hz,1um", 0.3), profile, bank, sites=[59])
 
 
 def test_masked_sites_are_not_in_the_disc(profile, changed):
     assert disc(changed(profile, {"output.masked": (27,)})).tolist() == [28, 35, 36]
-    with raises(ScheduleError, about="site", value=64):
+    with raises(ScheduleError, names="site", value=64):
         mix_colors(open_trace(ALL, 1.0), profile, load_bank(profile), sites=[64])
 
 

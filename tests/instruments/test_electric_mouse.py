@@ -238,5 +238,5 @@ def test_other_classes_respond_too(mouse, mouse_bank, mode):
 ])  # fmt: skip
 def test_the_impossible_is_refused(mouse, options, about, allowed):
     (value,) = options.values()
-    with raises(SourceError, about=about, value=value, allowed=allowed):
+    with raises(SourceError, value=value, allowed=allowed):
         MouseSource(GRATING, Played([]), mouse, **options)

@@ -107,7 +107,7 @@ def test_a_mouse_that_is_pulled_out_ends_the_run(device):
     with open_motion("evdev:") as motion:
         device.latest.pull_out()
         motion._thread.join(10)
-        with raises(SourceLostError, about="mouse", value=device.place):
+        with raises(SourceLostError, value=device.place):
             motion.read(0)
 
 
@@ -115,8 +115,8 @@ def test_it_can_be_had_alone(device):
     with open_motion("evdev:", grab=True):
         assert device.latest.grabbed
     device.taken = True
-    busy = {"value": device.place, "remedy": "grab"}
-    with raises(SourceError, about="mouse", **busy):
+    busy = {"value": device.place}
+    with raises(SourceError, **busy):
         open_motion("evdev:", grab=True)
     assert device.latest.closed
 
@@ -138,26 +138,26 @@ def test_the_first_mouse_is_found_among_others(device, monkeypatch):
 @pytest.mark.parametrize("error", [PermissionError(13, "no"), OSError(25, "Inappropriate")])
 def test_a_device_that_cannot_be_read(device, error):
     device.error = error
-    with raises(SourceError, about="mouse", value=device.place):
+    with raises(SourceError, value=device.place):
         open_motion(f"evdev:{device.place}")
 
 
 def test_what_is_no_mouse(device, monkeypatch):
     device.moves = (8,)
-    with raises(SourceError, about="mouse", value=device.place):
+    with raises(SourceError, value=device.place):
         open_motion(f"evdev:{device.place}")
     assert device.latest.closed
     monkeypatch.setattr(sys.modules["evdev"], "list_devices", list)
-    with raises(SourceError, about="mouse", value="/dev/input") as caught:
+    with raises(SourceError, value="/dev/input") as caught:
         open_motion("evdev:")
     assert "usermod" in str(caught.value), "the group that may read it is to be joined"
-    with raises(SourceError, about="mouse", value="/dev/input/none"):
+    with raises(SourceError, value="/dev/input/none"):
         open_motion("evdev:/dev/input/none")
-    with raises(SourceError, about="cpi", value=1, allowed=(10, 100_000)):
+    with raises(SourceError, value=1, allowed=(10, 100_000)):
         open_motion("evdev:", cpi=1)
 
 
 def test_without_the_extra_it_names_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "evdev", None)
-    with raises(SourceError, about="extra", remedy="pip install 'smarttouch[mouse]'"):
+    with raises(SourceError, names="extra"):
         open_motion("evdev:")

@@ -94,12 +94,12 @@ def test_a_sensor_gives_the_motion():
 def test_errors_are_reported(url, options, about, value):
     known = ("sweep", "path", "evdev", "window", "camera")
     allowed = {"motion": known, "rounds": (1, 10_000)}.get(about)
-    with raises(SourceError, about=about, value=value, allowed=allowed):
+    with raises(SourceError, names=about, value=value, allowed=allowed):
         open_motion(url, **options)
 
 
 def test_too_many_strokes():
-    with raises(SourceError, about="strokes", value=lambda strokes: strokes > 10 * 9999):
+    with raises(SourceError, names="strokes", value=lambda strokes: strokes > 10 * 9999):
         open_motion("sweep:9999", span_mm=(10, 1000))
 
 
@@ -111,6 +111,6 @@ def test_too_many_strokes():
 def test_a_wrong_path_is_reported_with_its_line(tmp_path, text, about, value):
     path = tmp_path / "way.csv"
     path.write_text(text)
-    with raises(SourceError, about=about, value=value) as caught:
+    with raises(SourceError, names=about, value=value) as caught:
         open_motion(f"path:{path}")
     assert str(path) in str(caught.value)

@@ -137,5 +137,5 @@ def test_more_of_the_same_drives_no_class_less(seed, factor):
 
 
 def test_a_force_at_which_sai_is_full_before_it_answers_is_refused():
-    with raises(ScheduleError, about="force.full_n", value=0.001):
+    with raises(ScheduleError, names="force.full_n", value=0.001):
         split_trace(open_trace("press:0.5N", 0.2), sai_full_n=0.001)

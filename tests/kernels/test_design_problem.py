@@ -36,7 +36,7 @@ def test_symmetries_leave_the_targets_and_the_rows_alone(changed, name, afferent
     for move in problem.symmetries:
         moved = problem.target[np.ix_(move, move)]
         assert_close(moved, problem.target)
-        rows = problem.rows[0].other
+        rows = problem.other
         before, after = (np.sort(each.max(axis=1)) for each in (rows, rows[:, move]))
         assert_close(after, before)
 
@@ -88,7 +88,7 @@ def test_judging_gives_the_effects_of_weights(coarse):
     assert af[kernel.off_target_class] == pytest.approx(kernel.off_target)
     assert kernel.peak_normalized[27] == 1
     named = ("SAI", "27", "electric-mouse")
-    with raises(DesignError, about="pattern", value=named, electrode=27):
+    with raises(DesignError, value=named, electrode=27):
         problem.judge(-weights, 27)
 
 
@@ -99,7 +99,7 @@ def test_no_last_bit_chooses_between_classes_pressed_alike(coarse):
     ra, sai = (
         np.flatnonzero(problem.other_class == each)[0] for each in (Afferent.RA, Afferent.SAI)
     )
-    rows = problem.rows[0].other
+    rows = problem.other
     rows[sai] = 10 * rows[(rows @ weights).argmax()]
     rows[ra] = rows[sai] * (1 - 1e-12)
     assert problem.judge(weights, 27).off_target_class is Afferent.RA
@@ -107,23 +107,9 @@ def test_no_last_bit_chooses_between_classes_pressed_alike(coarse):
     assert problem.judge(weights, 27).off_target_class is Afferent.SAI
 
 
-def test_a_spread_has_rows_for_every_depth_and_direction(profile, changed):
-    mine = changed(profile, {"array.rows": 3, "array.columns": 3, SPACING: 0.25})
-    nominal, spread = (Problem(mine, Afferent.RA, spread=each) for each in (False, True))
-    # RA at 3 depths leaning 5 ways; SAI and PC at 3 depths with each direction turned 3 ways.
-    assert spread.rows[0].target.shape[0] == 15
-    assert len(spread.rows[0].other) == 9 * len(nominal.rows[0].other)
-    assert spread.target == pytest.approx(nominal.target)
-
-
-def test_a_spread_of_layers_has_rows_for_every_conductivity(profile, layered):
-    mine = layered(profile, **{"array.rows": 2, "array.columns": 2, SPACING: 0.5})
-    assert len(Problem(mine, Afferent.RA, spread=True).rows) == 5
-
-
 @pytest.mark.parametrize("others", [[], [Afferent.RA], [Afferent.RA, Afferent.PC]])
 def test_a_class_cannot_be_selected_against_itself(profile, others):
-    with raises(DesignError, about="others", value=tuple(others)):
+    with raises(DesignError, value=tuple(others)):
         Problem(profile, Afferent.RA, others)
 
 

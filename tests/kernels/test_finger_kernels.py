@@ -112,7 +112,7 @@ def test_a_bank_of_them_is_found_again_and_runs_point_by_point(
     again = load_bank(on_fingers)
     assert (again.kernels(Afferent.RA) == made.kernels(Afferent.RA)).all()
     assert RunConfig(mode="RA").sharing(on_fingers) == NO_SHARING
-    with raises(ScheduleError, about="kernels.objective"):
+    with raises(ScheduleError, key="kernels.objective"):
         Pipeline(on_fingers, again, RunConfig(mode="RA", scan="frame"))
 
 
@@ -143,7 +143,7 @@ def test_several_anatomies_take_turns(on_fingers, bank):
 
 
 def test_a_board_with_one_source_is_refused():
-    with raises(ProfileError, about="kernels.objective"):
+    with raises(ProfileError, key="kernels.objective"):
         load_profile("smarttouch-4x4").model_copy(update={"kernels": {"objective": "finger"}})
 
 

@@ -55,7 +55,7 @@ def test_a_confined_bank_is_that_of_masked_arrays(grid, changed, of_cache):
 
 def test_one_site_is_designed_alone(grid):
     profile = grid(7, 21)
-    (found,) = kernels_designed(profile, [Afferent.RA], [24], None, False, None)
+    (found,) = kernels_designed(profile, [Afferent.RA], [24], False, None)
     kernel = found.kernel
     assert np.count_nonzero(kernel.weights) <= 21
     # Of all the symmetries of its site.

@@ -101,9 +101,8 @@ def test_linprog_finds_the_same_optimum(line, whole_programme, afferent, site):
 def test_shuffled_rows_give_the_same_kernel(seed, afferent):
     problem = Problem(load_profile("line-7"), afferent)
     usual = design_kernel(problem, 3)
-    rows = problem.rows[0]
-    order = np.random.default_rng(seed).permutation(len(rows.other))
-    rows.other[:] = rows.other[order]
+    order = np.random.default_rng(seed).permutation(len(problem.other))
+    problem.other = problem.other[order]
     problem.other_class = problem.other_class[order]
     shuffled = design_kernel(problem, 3)
     assert shuffled.off_target == pytest.approx(usual.off_target, abs=1e-6)
@@ -230,9 +229,9 @@ def test_limits_that_no_kernel_keeps(line, changed):
     lowered = [0.004] * 3 + [1.0] + [0.004] * 3
     threshold = [0.001] * 3 + [0.4] + [0.001] * 3
     mine = changed(line, {"limits.electrode_ma": lowered, "perception.threshold_ma": threshold})
-    with raises(DesignError, about="limits", electrode=3) as caught:
+    with raises(DesignError, names="limits", electrode=3) as caught:
         design_kernel(Problem(mine, Afferent.RA), 3)
-    assert "limits.electrode_ma" in caught.value.remedy
+    assert "limits.electrode_ma" in str(caught.value)
 
 
 def test_an_active_ending_turns_ra_to_the_cathode(line, changed):
@@ -243,28 +242,8 @@ def test_an_active_ending_turns_ra_to_the_cathode(line, changed):
 
 @pytest.mark.parametrize("site", [-1, 7, 1000])
 def test_site_out_of_range(line, site):
-    with raises(DesignError, about="site", value=site, allowed=(0, 6)):
+    with raises(DesignError, names="site", value=site, allowed=(0, 6)):
         design_kernel(Problem(line, Afferent.RA), site)
-
-
-@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
-def test_robust_kernels_are_the_best_on_the_worst_finger(line, afferent):
-    nominal, robust = Problem(line, afferent), Problem(line, afferent, spread=True)
-    plain = design_kernel(nominal, 3, given_up=0)
-    careful = design_kernel(robust, 3, given_up=0)
-    on_the_worst = robust.judge(plain.weights, 3)
-    assert careful.off_target < 0.99 * on_the_worst.off_target
-    assert nominal.judge(careful.weights, 3).off_target >= plain.off_target - 1e-9
-
-
-def test_a_spread_of_nothing_changes_nothing(line, changed):
-    certain = {f"skin.spread.{name}_depth_mm": 0.0 for name in ("ra", "sai", "pc")}
-    certain |= {"skin.spread.angle_deg": 0.0, "skin.spread.conductivity_factor": 1.0}
-    mine = changed(line, certain)
-    plain = design_kernel(Problem(mine, Afferent.SAI), 3)
-    robust = design_kernel(Problem(mine, Afferent.SAI, spread=True), 3)
-    assert robust.off_target == pytest.approx(plain.off_target, abs=1e-7)
-    assert robust.weights == pytest.approx(plain.weights, rel=1e-4)
 
 
 @pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
@@ -274,9 +253,9 @@ def test_around_a_masked_electrode_it_is_the_best_of_what_is_left(line, changed,
 
     problem = Problem(changed(line, {"output.masked": [2]}), afferent)
     kernel = design_kernel(problem, 3, spill=None)
-    left, rows = [0, 1, 3, 4, 5, 6], problem.rows[0]
-    scale = np.abs(rows.target[0, 3]).max()
-    others, target = rows.other[:, left] / scale, rows.target[0, 3, left] / scale
+    left = [0, 1, 3, 4, 5, 6]
+    scale = np.abs(problem.target[3]).max()
+    others, target = problem.other[:, left] / scale, problem.target[3, left] / scale
     axon = problem.axon(3)[1:, left] / scale
     answer = linprog(
         np.r_[np.zeros(6), 1],

@@ -189,9 +189,9 @@ def test_what_is_filled_into_a_form_is_seen(put):
 
 def test_an_encrypted_pdf_opens_with_its_password_alone(put):
     path = put(encrypted(b"0 144 144 144 re f", "tulip"), "secret.pdf")
-    with raises(PageError, about="password", value=path):
+    with raises(PageError, names="password", value=path):
         open_document(path)
-    with raises(PageError, about="password", value=path) as caught:
+    with raises(PageError, names="password", value=path) as caught:
         open_document(path, password="rose")
     assert "rose" not in str(caught.value)
     assert first_page(path, password="tulip").grey.mean() == pytest.approx(127, abs=2)
@@ -217,19 +217,19 @@ def test_bad_files(tmp_path, content):
         path.mkdir()
     elif content is not None:
         path.write_bytes(content)
-    with raises(PageError, about="file", value=path):
+    with raises(PageError, names="file", value=path):
         open_document(path)
 
 
-SIZES = {"about": "size_mm", "allowed": (2, 2000), "remedy": "page_width_mm"}
+SIZES = {"allowed": (2, 2000)}
 
 
 @pytest.mark.parametrize(("content", "dpi", "attributes"), [
     (one_page(size=(14400, 14400)), None, SIZES | {"value": pytest.approx((5080, 5080))}),
     (one_page(size=(144, 1)), None, SIZES | {"value": pytest.approx((50.8, 0.35278))}),
-    (one_page().replace(b"Kids[3 0 R]", b"Kids[9 0 R]"), None, {"about": "page", "value": 1}),
-    (one_page(page=b"/CropBox[200 300 400 500]"), None, {"about": "page", "value": 1}),
-    (one_page(), 2, {"about": "pixels", "value": (4, 8), "allowed": (8, 8)}),
+    (one_page().replace(b"Kids[3 0 R]", b"Kids[9 0 R]"), None, {"names": "page", "value": 1}),
+    (one_page(page=b"/CropBox[200 300 400 500]"), None, {"names": "page", "value": 1}),
+    (one_page(), 2, {"names": "pixels", "value": (4, 8), "allowed": (8, 8)}),
 ], ids=["large", "flat", "damaged", "empty", "coarse"])  # fmt: skip
 def test_pages_that_cannot_be(put, content, dpi, attributes):
     path = put(content)
@@ -254,7 +254,7 @@ def test_a_truncated_document_gives_pages_or_one_sentence(tmp_path, suffix, kept
     path = tmp_path / f"cut.{suffix}"
     path.write_bytes(whole[: int(kept * len(whole))])
     result = outcome(path)
-    assert result in (1, 2, 3) or result.about in ("file", "page")
+    assert result in (1, 2, 3) or path.name in str(result)
 
 
 @pytest.mark.parametrize("suffix", ["pdf", "tif"])
@@ -270,14 +270,13 @@ def test_no_bytes_crash_the_opener(tmp_path_factory, suffix, data, at):
     result = outcome(path, page_width_mm=100)
     if result not in (0, 1, 2):
         assert_says(result)
-        assert result.about
 
 
 def test_without_the_extra(tmp_path, monkeypatch):
     path = save(tmp_path / "page.pdf", sheets(1))
     monkeypatch.setitem(sys.modules, "pypdfium2", None)
     remedy = "pip install 'smarttouch[pdf]'"
-    with raises(PageError, about="pypdfium2", value=path, remedy=remedy):
+    with raises(PageError, names=remedy, value=path):
         open_document(path)
 
 
@@ -333,7 +332,7 @@ def test_pages_that_are_not_there(tmp_path, suffix, index):
     path = save(tmp_path / f"two.{suffix}", sheets(2))
     with (
         open_document(path) as document,
-        raises(PageError, about="page", value=index + 1, allowed=2),
+        raises(PageError, names="page", value=index + 1, allowed=2),
     ):
         document.page(index)
 
@@ -352,10 +351,10 @@ def test_pages_asked_for(text, indexes):
     ("0", 0, {"allowed": 12}),
     ("1,13", 13, {"allowed": 12}),
     ("3-999999999", 999_999_999, {"allowed": 12}),
-    ("5-3", (5, 3), {"remedy": "3-5"}),
+    ("5-3", (5, 3), {}),
 ])  # fmt: skip
 def test_what_is_no_page(text, value, more):
-    with raises(PageError, about="pages", value=value, **more):
+    with raises(PageError, names="pages", value=value, **more):
         parse_pages(text, 12)
 
 

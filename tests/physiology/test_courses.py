@@ -63,7 +63,7 @@ def test_an_axon_starts_under_its_electrode(profile, afferent):
 def test_a_fiber_outside_the_skin_is_refused(profile):
     inside = targets(profile, Afferent.RA)
     for depth_mm in (0.0, -0.7, float("nan")):
-        with raises(DesignError, about="depth_mm", value=depth_mm):
+        with raises(DesignError, value=depth_mm):
             activating_function.Afferents(
                 Afferent.RA, inside.position_mm, depth_mm, inside.direction, None, inside.grid
             )

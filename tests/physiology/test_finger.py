@@ -142,11 +142,11 @@ def test_another_anatomy_from_a_file(tmp_path, small):
 
 
 def test_what_is_wrong_with_an_anatomy(tmp_path, small):
-    with raises(ProfileError, about="anatomy", value="none-such"):
+    with raises(ProfileError, key="anatomy", value="none-such"):
         Finger(small, 1, "none-such")
     path = tmp_path / "mine.toml"
     path.write_text('title = "x"\n[ra]\ndensity_per_cm2 = -1\n[sai]\n[pc]\nlegs = 3\n')
-    with raises(ProfileError, about=lambda about: "density" in about) as caught:
+    with raises(ProfileError, key=lambda about: "density" in about) as caught:
         Finger(small, 1, path)
     said = " ".join(sentence for _, sentence in caught.value.complaints)
     assert all(words in said for words in ("greater than", "is missing", "unknown key"))
@@ -183,14 +183,14 @@ def test_layers_change_what_fires_and_the_anatomy_s_count_before_the_profile_s(s
 def test_what_layers_cannot_do(small, layered, changed, tmp_path):
     rectangles = {"layout": "free", "positions_mm": [[0, 0], [3, 0]], "shape": "rectangle"}
     array = changed(layered(small), {"array": rectangles | {"size_mm": [1, 2]}})
-    with raises(DesignError, about="skin.medium"):
+    with raises(DesignError):
         _ = Finger(array, 1, "paper").rows
     path = tmp_path / "mine.toml"
     classes = "".join(f"[{each}]\ndensity_per_cm2 = 9\n" for each in ("ra", "sai", "pc"))
     for layer in ("conductivity_s_per_m = 1\nthickness_mm = 1", "conductivity_s_per_m = 1"):
         layers = f"[[layers]]\n{layer}\n"
         path.write_text('title = "x"\n' + layers * (2 - ("thickness" in layer)) + classes)
-        with raises(ProfileError, about="layers"):
+        with raises(ProfileError, key="layers"):
             load_anatomy(path)
 
 
@@ -221,5 +221,5 @@ def test_electrodes_beyond_the_contact_deliver_nothing(small):
 
 
 def test_a_seed_is_no_negative_number(profile):
-    with raises(ProfileError, about="seed", value=-1):
+    with raises(ProfileError, key="seed", value=-1):
         Finger(profile, -1)

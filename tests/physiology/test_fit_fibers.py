@@ -115,5 +115,5 @@ def test_a_run_of_the_reference_model_goes_on_where_it_stopped(
 
 def test_the_reference_model_without_its_packages(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyfibers", None)
-    with raises(DesignError, about="pyfibers"):
+    with raises(DesignError, names="pyfibers"):
         mrg.MrgFiber("through")

@@ -152,5 +152,5 @@ def test_a_table_of_one_layer_is_the_closed_form_to_the_far_side_of_a_large_arra
 
 
 def test_a_table_has_a_shallowest_depth():
-    with raises(DesignError, about="depth_mm", value=0.1):
+    with raises(DesignError, value=0.1):
         layered_potential(np.zeros((1, 1)), np.array([0.1]), (0.5, 0.0), HOMOGENEOUS)

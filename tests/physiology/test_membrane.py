@@ -185,7 +185,7 @@ def test_thicker_fibers_fire_first():
 @pytest.mark.parametrize("scale", [1e-4, 1e6])
 def test_no_threshold_is_one_clear_error(scale):
     none = {"value": "anodic", "allowed": (1e-4, 1000)}
-    with raises(DesignError, about="threshold_ma", **none):
+    with raises(DesignError, **none):
         threshold_ma(scale * upright(), Fiber(), cathodic=False)
 
 

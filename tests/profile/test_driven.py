@@ -20,18 +20,18 @@ def test_by_number_and_range(sites, expected):
 
 @pytest.mark.parametrize("text", ["", "a", "3-", "-3", "1;2", "5-2", "64", "0-64"])
 def test_what_is_no_list_of_electrodes(text):
-    with raises(ProfileError, about="sites", value=text):
+    with raises(ProfileError, key="sites", value=text):
         require_driven(MOUSE, text, ProfileError, "sites")
 
 
 @pytest.mark.parametrize(("sites", "site"), [([], None), ([64], 64), ([-1], -1)])
 def test_what_is_not_there(sites, site):
-    with raises(ProfileError, about="site", value=site, electrode=site):
+    with raises(ProfileError, key="site", value=site, electrode=site):
         require_driven(MOUSE, sites, ProfileError, "site")
 
 
 def test_masked_ones(changed):
     broken = changed(MOUSE, {"output.masked": (1, 27)})
     for sites in ([27, 28], "20-30"):
-        with raises(ProfileError, about="site", value=27, allowed=(0, 63), electrode=27):
+        with raises(ProfileError, key="site", value=27, allowed=(0, 63), electrode=27):
             require_driven(broken, sites, ProfileError, "site")

@@ -66,7 +66,7 @@ def test_what_is_no_array_is_one_sentence(places, words):
     ([(0, 0, 1), (1.4, 0, 2), (4, 0, 1)], 0, ["0 and 1", "1.4 mm"]),
 ])  # fmt: skip
 def test_electrodes_that_overlap_are_refused(places, first, shown):
-    with raises(ProfileError, about="electrodes", electrode=first, value=shown):
+    with raises(ProfileError, key="electrodes", electrode=first, value=shown):
         MOUSE.with_electrodes(places)
 
 

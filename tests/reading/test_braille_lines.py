@@ -129,11 +129,11 @@ def test_a_dot_that_was_not_delivered_is_missed():
 
 
 @pytest.mark.parametrize(("name", "options", "attributes"), [
-    ("line-7", {}, {"about": "profile", "value": (1, 7), "allowed": (3, 3)}),
-    ("kajimoto-61", {}, {"about": "profile", "value": "kajimoto-61"}),
-    ("electric-mouse", {"lines": 3}, {"about": "profile", "value": (8, 8), "remedy": "lines"}),
-    ("electric-mouse", {"lines": 0}, {"about": "lines", "value": 0, "allowed": 1}),
-    ("line-8", {"lines": 2}, {"about": "profile", "value": (1, 8), "remedy": ""}),
+    ("line-7", {}, {"value": (1, 7), "allowed": (3, 3)}),
+    ("kajimoto-61", {}, {"value": "kajimoto-61"}),
+    ("electric-mouse", {"lines": 3}, {"value": (8, 8)}),
+    ("electric-mouse", {"lines": 0}, {"names": "lines", "value": 0, "allowed": 1}),
+    ("line-8", {"lines": 2}, {"value": (1, 8)}),
 ])  # fmt: skip
 def test_arrays_without_room_are_named(name, options, attributes):
     with raises(ReadingError, **attributes):

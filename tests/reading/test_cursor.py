@@ -153,13 +153,13 @@ def test_whatever_is_pressed_it_stays_on_the_text(speed, keys):
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, math.nan, math.inf, 1e6])
 def test_impossible_speeds_are_named(speed):
-    with raises(ReadingError, about="speed_mm_s", value=speed):
+    with raises(ReadingError, names="speed_mm_s", value=speed):
         LineMotion(speed)
 
 
 @pytest.mark.parametrize("pause", [-1.0, math.nan, 1e9])
 def test_impossible_pauses_are_named(pause, feed_of, make_line):
-    with raises(ReadingError, about="pause_s", value=pause):
+    with raises(ReadingError, names="pause_s", value=pause):
         SweepingCursor(feed_of(make_line()), LineMotion(25.0), 1.0, pause)
 
 

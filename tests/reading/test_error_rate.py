@@ -45,7 +45,7 @@ def test_what_makes_no_difference(one, other):
 @pytest.mark.parametrize("truth", ["", " \n\t"])
 @pytest.mark.parametrize("rate", [character_error_rate, word_error_rate])
 def test_there_must_be_a_truth(rate, truth):
-    with raises(ReadingError, about="truth"):
+    with raises(ReadingError):
         rate(truth, "text")
 
 
@@ -91,5 +91,4 @@ def test_without_the_extra_it_says_which(monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ReadingError) as caught:
         character_error_rate("a", "b")
-    assert caught.value.about == "extra"
-    assert "smarttouch[legibility]" in caught.value.remedy
+    assert "smarttouch[legibility]" in str(caught.value)

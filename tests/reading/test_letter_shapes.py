@@ -39,7 +39,7 @@ def test_masked_electrodes_draw_nothing(profile, changed):
 
 
 def test_a_line_array_has_no_letters():
-    with raises(ExperimentError, about="profile", value=1, allowed=4):
+    with raises(ExperimentError, names="profile", value=1, allowed=4):
         draw_letter("A", load_profile("line-8"))
 
 
@@ -50,5 +50,5 @@ def test_letters_are_parsed():
 
 @pytest.mark.parametrize("text", ["A", "", "A1", "Ä,B"])
 def test_what_is_no_list_of_letters(text):
-    with raises(ExperimentError, about="letters", value=text):
+    with raises(ExperimentError, names="letters", value=text):
         parse_letters(text)

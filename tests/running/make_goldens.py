@@ -1,6 +1,6 @@
 """Makes the recordings that replay is tested with: ``python tests/running/make_goldens.py``.
 
-With names it makes these alone: ``make_goldens.py shared frame``.
+With names it makes these alone: ``make_goldens.py shared ra``.
 
 Each is a run of the real loop over a printed page, into a board in memory, by a clock of its own.
 Make them anew only where sequences are meant to change, and say so.
@@ -91,12 +91,7 @@ GOLDENS = (
     # As --scan auto: kernels of RA are added up, those of SAI stand alone behind them.
     Golden(
         "shared", "electric-mouse", Mode.NATURAL, "t", 0.9, wishes=((0.7, ControlState(Mode.RA)),),
-        sharing=SlotPolicy((Afferent.RA,), planned=False),
-    ),
-    # As --scan frame: each frame's currents are found anew, for both classes together.
-    Golden(
-        "frame", "electric-mouse", Mode.NATURAL, "h", 0.9, wishes=((0.7, ControlState(Mode.SAI)),),
-        sharing=SlotPolicy(tuple(Afferent), planned=True),
+        sharing=SlotPolicy((Afferent.RA,)),
     ),
 )  # fmt: skip
 
@@ -187,7 +182,7 @@ def make(golden, path):
     if golden.sharing != NO_SHARING:
         settings["sharing"] = {
             "primaries": [each.name for each in golden.sharing.afferents],
-            "planned": golden.sharing.planned,
+            "planned": False,
         }
     about = about_run(profile, settings, STARTED_UNIX_NS)
     about["versions"] = json.dumps({"smarttouch": __version__})

@@ -12,23 +12,22 @@ from ..raising import raises
 
 
 def test_which_points_share_slots(profile):
-    assert RunConfig().sharing(profile) == SlotPolicy((Afferent.RA,), planned=False)
+    assert RunConfig().sharing(profile) == SlotPolicy((Afferent.RA,))
     assert RunConfig(hold="charge").sharing(profile) == NO_SHARING
     for name in ("kajimoto-61", "line-7"):
         assert RunConfig().sharing(load_profile(name)) == NO_SHARING
     assert RunConfig(scan="points").sharing(profile) == NO_SHARING
-    assert RunConfig(scan="frame").sharing(profile) == SlotPolicy(tuple(Afferent), planned=True)
 
 
 def test_a_recorded_scan_is_used_where_the_board_can(profile):
-    shared = SlotPolicy((Afferent.RA,), planned=False)
+    shared = SlotPolicy((Afferent.RA,))
     assert RunConfig(scan=shared).sharing(profile) == shared
     assert RunConfig(scan=shared).sharing(load_profile("kajimoto-61")) == NO_SHARING
 
 
 def test_holding_goes_point_by_point(profile):
-    with raises(SmartTouchError, about="scan", remedy="scan points"):
-        RunConfig(scan="frame", hold="energy").sharing(profile)
+    with raises(SmartTouchError, names="scan"):
+        RunConfig(scan=SlotPolicy((Afferent.RA,)), hold="energy").sharing(profile)
 
 
 @pytest.mark.parametrize(("name", "value", "allowed"), [
@@ -38,11 +37,11 @@ def test_holding_goes_point_by_point(profile):
     ("seconds", 0.0, 0),
     ("seconds", float("nan"), 0),
     ("mode", "XY", tuple(each.value for each in Mode)),
-    ("scan", "all", SCANS),
+    ("scan", "frame", SCANS),
     ("hold", "voltage", ("charge", "energy")),
 ])  # fmt: skip
 def test_impossible_values_are_named(name, value, allowed):
-    with raises(SmartTouchError, about=name, value=value, allowed=allowed):
+    with raises(SmartTouchError, value=value, allowed=allowed):
         RunConfig(**{name: value})
 
 

@@ -284,10 +284,10 @@ def test_after_a_loss_nothing_but_zero_is_let_through(monkeypatch, profile, pipe
 
 def test_a_board_that_stays_lost_ends_the_run(monkeypatch, pipeline, board):
     def broken(*_):
-        raise LineLostError("the board at x has vanished", about="board")
+        raise LineLostError("the board at x has vanished")
 
     monkeypatch.setattr(board, "_send", broken)
-    with raises(LineLostError, about="board", value="x"), board:
+    with raises(LineLostError, names="board", value="x"), board:
         loop(Bars(60), pipeline, board)
     assert board.calls == ["open", "stop", "close"]
 
@@ -579,14 +579,14 @@ def test_a_board_stopped_by_nobody_who_may_is_a_fault(pipeline, board):
     def stops(_sent):
         board.stop()
 
-    with board, raises(BoardStoppedError, about="board"):
+    with board, raises(BoardStoppedError, names="board"):
         loop(Bars(60), pipeline, board, listeners=as_listeners([stops]))
 
 
 def test_on_a_finger_an_intensity_must_be_given(monkeypatch, pipeline, board):
     monkeypatch.setattr(type(board), "on_a_finger", True)
     with board:
-        with raises(BoardError, about="controls"):
+        with raises(BoardError, names="controls"):
             loop(Bars(5), pipeline, board)
         assert board.sequences == []
         controls = Controls(ControlState(Mode.RA, 0.0))

@@ -72,7 +72,7 @@ def test_the_board_s_time_is_planned_for(profile, bank, make_frame, patch):
     sequence = pipeline.process(make_frame(patch(), 10**9)).sequence
     assert sequence.period_us == 30_000 + 300 * sequence.slots
     assert np.all(np.diff(sequence.site.astype(int)) > 0)
-    with raises(ScheduleError, about="pulse.width_us", value=200, allowed=50):
+    with raises(ScheduleError, names="pulse.width_us", value=200, allowed=50):
         Pipeline(profile, bank, RunConfig(scan="points"), ScanTiming(width_us=50))
 
 
@@ -108,7 +108,7 @@ def test_modes_that_a_board_offers(profile, bank):
     )
     one_rate = Pipeline(profile, bank, RunConfig(scan="points"), ScanTiming(whole_hz=True))
     assert one_rate.offered() == (Mode.RA, Mode.SAI, Mode.PC)
-    with raises(ScheduleError, about="mode", value="natural", allowed=("RA", "SAI")):
+    with raises(ScheduleError, names="mode", value="natural", allowed=("RA", "SAI")):
         one_rate.change_mode(Mode.NATURAL)
     assert one_rate.mode is Mode.RA
     kit = load_profile("kajimoto-61")

@@ -9,6 +9,7 @@ from smarttouch.running.recorded_source import RecordedControls
 from smarttouch.running.recording_reader import Recording
 
 from ..raising import raises
+from .forged_recordings import put_together, take_apart
 
 
 @pytest.fixture(params=["sai-levels", "natural"])
@@ -38,5 +39,17 @@ def test_today_s_user_lowers_and_pauses(recording):
 
 
 def test_a_board_without_the_recorded_mode_is_refused(golden):
-    with raises(RecordingError, about="mode", value="natural"):
+    with raises(RecordingError, names="mode", value="natural"):
         RecordedControls(Recording(golden("natural")), ControlState(Mode.RA), (Mode.RA,))
+
+
+def test_a_level_above_the_strongest_comfortable_current_is_not_followed(golden, tmp_path):
+    about, messages = take_apart(golden("ra"))
+    for topic, content, _, _ in messages:
+        if topic == "/sequence":
+            content["level"] = 1.5
+    put_together(tmp_path / "forged.mcap", about, messages)
+    controls = RecordedControls(
+        Recording(tmp_path / "forged.mcap"), ControlState(Mode.RA, 0.2), tuple(Mode)
+    )
+    assert controls.state(10**9).level == 0.2

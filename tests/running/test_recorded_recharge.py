@@ -10,7 +10,7 @@ from smarttouch.base.errors import RecordingError
 from smarttouch.running.check_recording import check_recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.recording_files import export
+from smarttouch.running.recorded_run import load_recording
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.regulation import Regulator
 from smarttouch.running.step import StepResult
@@ -72,7 +72,7 @@ def test_charge_that_an_earlier_run_left_is_known(write, balance):
     assert report.exact, report.describe()
     assert not check_recording(write(balance(carried_pc), "silent", recharge=True)).exact
     path = write(name="short", recharge=True, carried_pc=[0] * 63)
-    with raises(RecordingError, about="settings.carried_pc", value=63, allowed=64):
+    with raises(RecordingError, value=63, allowed=64):
         check_recording(path)
 
 
@@ -94,20 +94,16 @@ def test_another_threshold_is_reported_with_its_electrode(write, profile, change
     assert found["recharge current"].electrode is not None
 
 
-def test_they_are_exported(write, balanced, tmp_path):
-    export(write(recharge=True), tmp_path / "out")
-    with np.load(tmp_path / "out" / "run.npz") as arrays:
-        assert arrays["recharge_us"].tolist() == [
-            each.step.sequence.recharge_us for each in balanced
-        ]
-        for row, sent in zip(arrays["recharge_ua"], balanced, strict=True):
-            was = sent.step.sequence.recharge_ua
-            assert np.array_equal(row, np.zeros(64) if was is None else was)
+def test_they_are_arrays(write, balanced):
+    arrays = load_recording(write(recharge=True)).arrays
+    sequences = [sent.step.sequence for sent in balanced]
+    assert arrays.recharge_us.tolist() == [sequence.recharge_us for sequence in sequences]
+    for row, sequence in zip(arrays.recharge_ua, sequences, strict=True):
+        expected = np.zeros(64) if sequence.recharge_ua is None else sequence.recharge_ua
+        assert np.array_equal(row, expected)
 
 
-def test_those_of_before_have_none(golden, tmp_path):
-    path = golden("regulated")
-    assert {each.step.sequence.recharge_us for each in Recording(path).steps()} == {0}
-    export(path, tmp_path / "out")
-    with np.load(tmp_path / "out" / "run.npz") as arrays:
-        assert not arrays["recharge_ua"].any()
+def test_those_of_before_have_none(golden):
+    arrays = load_recording(golden("regulated")).arrays
+    assert not arrays.recharge_us.any()
+    assert not arrays.recharge_ua.any()

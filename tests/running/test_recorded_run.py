@@ -1,4 +1,7 @@
-"""A recording as arrays: the same numbers as its steps, as tables, and compared."""
+"""A recording as arrays: the same numbers as its steps."""
+
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,27 +44,19 @@ def test_its_arrays_are_those_of_its_steps(recorded):
         np.testing.assert_array_equal(image, each.step.input.image)
 
 
-def test_as_a_table(recorded):
-    pytest.importorskip("pandas")
-    run = st.load_recording(str(recorded))
-    table = run.to_dataframe()
-    assert len(table) == len(run.arrays.step)
-    assert {"time_ns", "force_n", "intensity", "slots", "strongest_ua"} <= set(table.columns)
-    assert table.slots.sum() == len(run.arrays.site)
-    assert table.strongest_ua.max() == np.abs(run.arrays.current_ua.astype(int)).max()
-    assert not table[table.slots == 0].strongest_ua.any()
+PAGE = Path(__file__).parents[2] / "docs/reference/recorded-data.md"
 
 
-def test_two_are_compared(recorded, tmp_path):
-    run = st.load_recording(recorded)
-    assert run.compare(st.load_recording(recorded)) == {}
-    for name, options in {"weaker": {"intensity": 0.5}, "shorter": {"seconds": 1}}.items():
-        path = tmp_path / f"{name}.mcap"
-        given = {"mode": "natural", "seconds": 2} | options
-        st.run("text:on and on and on", "simulated:", listeners=[st.Recorder(path)], **given)
-        found = run.compare(st.load_recording(path))
-        if name == "weaker":
-            assert 0 < found["current_ua"] < 5000 or np.isinf(found["current_ua"])
-            assert 0 < found["intensity"] <= 0.5
-        else:
-            assert np.isinf(found["time_ns"])
+def test_the_page_describes_each_array(golden):
+    arrays = vars(st.load_recording(golden("regulated")).arrays)
+    rows = re.findall(r"^\| `(\w+)` \| \(([^)]*)\) (\w+) \|", PAGE.read_text("utf-8"), re.MULTILINE)
+    assert {name for name, _, _ in rows} == arrays.keys()
+    sizes = {
+        "N": len(arrays["step"]), "N+1": len(arrays["step"]) + 1, "S": len(arrays["site"]),
+        "E": 64, "V": len(arrays["volts"]), "M": len(arrays["volts_step"]), "3": 3,
+    }  # fmt: skip
+    assert sizes["V"] > sizes["M"] > 3
+    for name, shape, kind in rows:
+        sides = [side for side in shape.replace(" ", "").split(",") if side]
+        assert arrays[name].shape == tuple(sizes[side] for side in sides)
+        assert ("str" if arrays[name].dtype.kind == "U" else arrays[name].dtype.name) == kind

@@ -15,6 +15,7 @@ from smarttouch.running.recorded_source import open_recording
 from smarttouch.running.step import StepResult
 
 from ..raising import raises
+from .forged_recordings import put_together, take_apart
 
 
 def test_at_the_recorded_times_all_comes_again(recording, steps, profile, bank):
@@ -52,17 +53,6 @@ def test_every_frame_is_read_or_dropped(recording, profile, times):
         assert source.frames == 20
 
 
-def test_unpaced_gives_the_next_at_each_look(recording, profile):
-    with open_recording(str(recording), profile, unpaced=True) as source:
-        frames = []
-        while (frame := source.read(len(frames))) is not None:
-            frames.append(frame)
-    assert [frame.number for frame in frames] == [index // 2 for index in range(40)]
-    assert [frame.time_ns for frame in frames] == list(range(40))
-    assert {frame.age_ns for frame in frames} == {0}
-    assert (source.frames, source.dropped_frames) == (20, 0)
-
-
 def test_what_was_stale_stays_stale(tmp_path, record, steps, profile):
     """So that nothing is felt of it, as when it was recorded."""
     step = steps[0].step
@@ -81,11 +71,11 @@ def test_a_cut_one_is_played_as_far_as_it_goes(cut, profile):
 
 
 def test_what_cannot_be_played(tmp_path, record, profile):
-    with raises(SourceError, about="file", remedy="recording:FILE.mcap"):
+    with raises(SourceError):
         open_recording("", profile)
-    with raises(RecordingError, about="file", value=tmp_path / "none.mcap"):
+    with raises(RecordingError, value=tmp_path / "none.mcap"):
         open_recording(str(tmp_path / "none.mcap"), profile)
-    with raises(SourceError, about="file", value=tmp_path / "run.mcap"):
+    with raises(SourceError, value=tmp_path / "run.mcap"):
         open_recording(str(record(tmp_path / "run.mcap", [])), profile)
 
 
@@ -99,5 +89,41 @@ def test_on_a_finger_the_profile_is_narrowed_and_stimuli_stay_on_their_array(
             assert source.narrowed(profile).full_ma.max() <= profile.full_ma.max()
         else:
             assert source.narrowed(profile) is profile
-            with raises(RecordingError, about="electrodes", value=64):
+            with raises(RecordingError, names="electrodes", value=64):
                 source.narrowed(load_profile(other))
+
+
+@pytest.fixture
+def forge(golden, tmp_path):
+    """Return a maker of recordings with changed messages."""
+
+    def make(change):
+        about, messages = take_apart(golden("ra"))
+        put_together(path := tmp_path / "forged.mcap", about, change(messages))
+        return path
+
+    return make
+
+
+@pytest.mark.parametrize(("topic", "key", "value"), [
+    ("/sequence", "period_us", 0), ("/sequence", "period_us", 2**63), ("/finger", "time_ns", 2**62),
+])  # fmt: skip
+def test_a_recording_does_not_wait_for_ever(forge, profile, topic, key, value):
+    def change(messages):
+        at = max(index for index, message in enumerate(messages) if message[0] == topic)
+        messages[at][1][key] = value
+        return messages
+
+    with (
+        open_recording(str(forge(change)), profile) as source,
+        pytest.raises(RecordingError, match="an impossible step"),
+    ):
+        source.read(10**12)
+
+
+def test_where_steps_are_missing_there_is_no_current(forge, profile):
+    # A step every 50 ms.
+    path = forge(lambda messages: [each for each in messages if not 5 <= each[3] <= 12])
+    with open_recording(str(path), profile) as source:
+        stale = [source.read(time_ms * 10**6).stale for time_ms in (240, 345, 355, 640, 655)]
+    assert stale == [False, False, True, True, False]

@@ -1,6 +1,5 @@
 """Recordings of stimuli: where there is nothing to see there is no image, and all else works."""
 
-import csv
 import json
 from dataclasses import replace
 
@@ -17,7 +16,6 @@ from smarttouch.running.display import open_display
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import open_recording
 from smarttouch.running.recorder import Recorder
-from smarttouch.running.recording_files import describe, export
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
@@ -68,7 +66,6 @@ def test_stimuli_come_back_to_the_bit_and_without_an_image(run):
         for name in ("time_ns", "force_n", "period_us", "level", "pose", "number"):
             assert getattr(given, name) == getattr(was, name)
     assert recording.whole
-    assert dict(describe(path))["images"] == "0"
 
 
 def test_they_replay_to_the_bit(run, bank):
@@ -88,16 +85,6 @@ def test_they_are_played_once_more(run, profile):
         last = results[-1]
         assert source.read(last.input.time_ns + 1000 * last.sequence.period_us) is None
     assert (source.frames, source.dropped_frames) == (len(results), 0)
-
-
-def test_an_export_names_no_image(run, tmp_path):
-    path, results = run
-    export(path, tmp_path / "out")
-    assert list((tmp_path / "out" / "frames").iterdir()) == []
-    with (tmp_path / "out" / "steps.csv").open(newline="") as file:
-        assert {row["image"] for row in csv.DictReader(file)} == {""}
-    with np.load(tmp_path / "out" / "run.npz") as arrays:
-        assert arrays["activation"].shape == (len(results), 3, 64)
 
 
 @pytest.fixture(scope="module")

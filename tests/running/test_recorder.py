@@ -67,7 +67,7 @@ def test_where_no_recording_can_be(tmp_path, about):
     precious = tmp_path / "run.mcap"
     precious.write_text("precious")
     for path in (precious, tmp_path / "none" / "run.mcap"):
-        with raises(RecordingError, about="file", value=path):
+        with raises(RecordingError, value=path):
             RecordingWriter(path, about, 0)
     assert precious.read_text() == "precious"
 
@@ -88,7 +88,7 @@ def test_a_failure_is_raised_once_at_the_next_step(recorder, tmp_path, steps, mo
     until(lambda: recorder._failure is not None)
     recorder.event(0, "an event is no place to be told")
     path = tmp_path / "run.mcap"
-    with raises(RecordingError, about="file", value=path) as caught:
+    with raises(RecordingError, value=path) as caught:
         recorder.record(steps[2])
     assert "No space left on device" in str(caught.value)
     recorder.close()
@@ -108,7 +108,7 @@ def test_a_failure_without_a_next_step_is_raised_at_the_end(
     inner, name = place
     monkeypatch.setattr(getattr(recorder, inner), name, fail)
     recorder.record(steps[0])
-    with raises(RecordingError, about="file") as caught:
+    with raises(RecordingError) as caught:
         recorder.close()
     assert words in str(caught.value)
     recorder.close()
@@ -119,7 +119,7 @@ def test_a_disk_that_is_too_slow_ends_the_run(recorder, steps, monkeypatch):
     monkeypatch.setattr(recorder, "_write", lambda _: goes_on.wait(20))
     monkeypatch.setattr(module, "MOST_WAITING", 3)
 
-    with raises(RecordingError, about="file") as caught:
+    with raises(RecordingError) as caught:
         [recorder.record(sent) for sent in steps]
     assert "3 " in str(caught.value)
     goes_on.set()
@@ -273,7 +273,7 @@ def test_a_disk_that_does_not_take_it_ends_the_run(recorder, steps, monkeypatch)
     monkeypatch.setattr(module, "SYNC_S", 0.0)
     recorder.record(steps[0])
     until(lambda: recorder._failure is not None)
-    with raises(RecordingError, about="file"):
+    with raises(RecordingError):
         recorder.record(steps[1])
 
 
@@ -297,7 +297,7 @@ def test_a_recording_that_vanishes_is_an_error(recorder, tmp_path, steps, monkey
         monkeypatch.setattr(module, "SYNC_S", 0.0)
         recorder.record(steps[1])
         until(lambda: recorder._failure is not None)
-    with raises(RecordingError, about="file", value=path):
+    with raises(RecordingError, value=path):
         recorder.close() if late else recorder.record(steps[2])
     recorder.close()
     if (tmp_path / "moved.mcap").exists():

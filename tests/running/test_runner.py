@@ -124,7 +124,7 @@ def test_an_exception_in_a_listener_ends_at_zero(source, display, stage, monkeyp
     with pytest.raises(BrokenError):
         Runner(source, display, RunConfig(), listeners=[noting, other]).run()
     assert other.calls[-1] == "close"
-    with raises(BoardClosedError, about="board"):
+    with raises(BoardClosedError, names="board"):
         display.board.send(None)
 
 
@@ -148,10 +148,10 @@ def test_a_stop_from_another_thread_ends_it_at_zero(profile):
 
 def test_on_a_finger_an_intensity_is_required(profile, source):
     display = open_display("link:/dev/nowhere", profile)
-    with raises(SmartTouchError, about="intensity"):
+    with raises(SmartTouchError, names="intensity"):
         Runner(source, display, RunConfig()).run()
     # Then it is the port that is missing.
-    with raises(BoardError, about="port"):
+    with raises(BoardError, names="port"):
         Runner(source, display, RunConfig(intensity=0.3)).run()
 
 
@@ -200,7 +200,7 @@ def test_broken_electrodes_are_planned_around(monkeypatch):
 
 def test_a_picture_of_what_was_felt_needs_every_pulse(profile, source, tmp_path):
     display = open_display("memory:", profile)
-    with raises(SmartTouchError, about="felt"):
+    with raises(SmartTouchError):
         Runner(source, display, RunConfig(), listeners=[DeliveredPicture(tmp_path / "a.png")]).run()
 
 
@@ -225,7 +225,7 @@ def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_pa
 
 def test_a_picture_of_no_anatomy_is_refused_before_the_board(profile, source, tmp_path):
     display = open_display("simulated:", profile)
-    with raises(ProfileError, about="anatomy", value="none"):
+    with raises(ProfileError, key="anatomy", value="none"):
         Runner(
             source,
             display,

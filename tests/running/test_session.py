@@ -119,14 +119,14 @@ def test_what_is_no_pattern_is_refused_and_the_session_goes_on(pattern):
 ])  # fmt: skip
 def test_numbers_that_are_none_are_refused(about, call):
     touch, _ = session()
-    with touch, raises(SmartTouchError, about=about):
+    with touch, raises(SmartTouchError, names=about):
         call(touch)
 
 
 def test_without_force_no_level_is_reached(monkeypatch):
     monkeypatch.setattr(module, "_PATIENCE_S", 0.3)
     touch, results = session(force="fixed:0")
-    with touch, raises(st.LevelNotReachedError, about="level"):
+    with touch, raises(st.LevelNotReachedError, names="level"):
         touch.show(RING, 0.1)
     assert not any(each.sequence.slots for each in results)
 
@@ -192,7 +192,7 @@ def test_the_displays_of_a_hand_begin_together(url, monkeypatch):
         patterns = {each: RING[: len(each._display.profile.electrodes)] for each in hand}
         shown = st.show_together(patterns, 0.2)
         monkeypatch.setattr(module, "_PATIENCE_S", 0.3)
-        with raises(st.LevelNotReachedError, about="level"):
+        with raises(st.LevelNotReachedError, names="level"):
             hand[1].pause()
             st.show_together(patterns, 0.2)
     assert {each.sequences for each in shown.values()} == {10}
@@ -334,13 +334,13 @@ def test_what_ends_the_block_ends_at_zero():
     assert "ZeroDivisionError" in touch.statistics.ended
     assert touch.statistics.figures["emulator_violations"] == 0
     for call in (lambda: touch.show(RING, 0.1), lambda: touch.put(RING), touch.rise):
-        with raises(SmartTouchError, about="session"):
+        with raises(SmartTouchError, names="session"):
             call()
 
 
 def test_nothing_is_shown_outside_the_block():
     touch, _ = session()
-    with raises(SmartTouchError, about="session"):
+    with raises(SmartTouchError, names="session"):
         touch.show(RING, 0.1)
     with raises(SmartTouchError), session("emulator:", profile="line-8", force="nothing:")[0]:
         pass

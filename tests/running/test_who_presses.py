@@ -90,7 +90,7 @@ def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, 
     def source():
         return VIRTUAL[name](profile, tmp_path)
 
-    refused = {"about": "force", "remedy": "force"}
+    refused = {"names": "force"}
     with raises(SourceError, **refused):
         flows(source())
     with raises(SourceError, **refused):
@@ -156,5 +156,5 @@ def test_nothing_that_ships_measures_force_by_itself():
 @pytest.mark.parametrize("value", ["0.5", "fixed:", "", 0.5, math.nan])
 def test_what_names_no_source_of_force(profile, value):
     law = profile.force.model_dump() | {"source": value}
-    with raises(ProfileError, about="force.source"):
+    with raises(ProfileError, key="force.source"):
         profile.model_copy(update={"force": law})

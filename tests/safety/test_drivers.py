@@ -124,7 +124,7 @@ def test_a_driver_that_changes_what_keeps_it_safe_is_refused(name, at):
             change(board)
         Board.send(board, sequence(1, 240))
 
-    with raises(BoardError, about=about, value="Mine"):
+    with raises(BoardError, names=about, value="Mine"):
         run()
     assert board.flows == {"open": [], "before": []}.get(at, [0])
     assert board.stops > 0
@@ -144,29 +144,29 @@ def test_what_a_class_has_sealed_stays(kind, name):
         lambda: delattr(kind, name),
         lambda: setattr(Theirs(allowed()), name, print),
     ):
-        with raises(BoardError, about=name):
+        with raises(BoardError, names=name):
             attack()
 
 
 def test_a_base_beside_it_replaces_nothing():
     beside = type("Beside", (), {"send": print})
-    with raises(BoardError, about="send"):
+    with raises(BoardError, names="send"):
         type("Mine", (beside, Theirs), {})
-    with raises(BoardError, about="__bases__"):
+    with raises(BoardError, names="__bases__"):
         Theirs.__bases__ = (beside, Board)
-    with raises(BoardError, about="__class__"):
+    with raises(BoardError, names="__class__"):
         Theirs(allowed()).__class__ = beside
     for name in ("__getattribute__", "__setattr__"):
-        with raises(BoardError, about=name):
+        with raises(BoardError, names=name):
             type("Mine", (Theirs,), {name: lambda board, *_: None})
 
 
 @pytest.mark.parametrize("name", ["_gate", "_stopped", "_opened", "_halted", "_clock"])
 def test_a_property_comes_before_nothing_that_a_board_has(name):
     other = property(lambda board: None, lambda board, value: None)
-    with raises(BoardError, about=name):
+    with raises(BoardError, names=name):
         type("Mine", (Theirs,), {name: other})
-    with raises(BoardError, about=name):
+    with raises(BoardError, names=name):
         setattr(Theirs, name, other)
 
 
@@ -186,7 +186,7 @@ def test_limits_that_a_driver_writes_into_before_it_hands_them_on(monkeypatch):
         return Theirs(limits)
 
     monkeypatch.setattr("smarttouch.boards.open._driver", lambda url: (opener, ""))
-    with raises(BoardError, about="limits", value="Theirs"):
+    with raises(BoardError, names="limits", value="Theirs"):
         make_board("theirs:", allowed())
 
 

@@ -23,9 +23,8 @@ def test_repetitions_are_whole_numbers(limits, opened, times):
     assert refused(gate, pulses(1), times) == "times"
     with make_board("memory:", limits) as board:
         open_level(board.send, pulses(0), limits)
-        with pytest.raises(BoardError) as error:
+        with pytest.raises(BoardError, match="times"):
             board.send(pulses(1), times=times)
-        assert error.value.about == "times"
         board.send(pulses(1), times=np.int64(2))
 
 
@@ -183,8 +182,7 @@ def test_a_due_time_of_another_clock(limits, away_s):
     board.on_a_finger = True
     with board:
         due_ns = board.clock.now_ns() + round(away_s * SECOND)
-        with pytest.raises(BoardError) as error:
+        with pytest.raises(BoardError, match="due"):
             board.send(dataclasses.replace(pulses(0), intensity=0.0), due_ns=due_ns)
-        assert error.value.about == "due_ns"
         with pytest.raises(SequenceLateError):
             board.send(dataclasses.replace(pulses(0), intensity=0.0), due_ns=0)

@@ -172,7 +172,7 @@ def test_images_are_compressed_only_where_more_come(profile, device, compressed_
     ("0", {"baud": 9600}, "baud", ("size", "exposure", "fps")),
 ])  # fmt: skip
 def test_what_cannot_be(profile, device, rest, options, about, value):
-    with raises(SourceError, about=about, value=value):
+    with raises(SourceError, value=value):
         open_source(f"camera:{rest}", profile, **options)
     assert device.opened == []
 
@@ -182,11 +182,11 @@ def test_gone_is_several_failures_in_a_row(device):
     source.open()
     device.plugged = False
     assert [source.grab(0.0) for _ in range(camera.FAILURES - 1)] == [None] * 4
-    with raises(SourceLostError, about="camera", value=0):
+    with raises(SourceLostError, names="camera", value=0):
         source.grab(0.0)
     source.close()
     source.close()
-    with raises(SourceLostError, about="camera", value=0):
+    with raises(SourceLostError, names="camera", value=0):
         source.grab(0.0)
 
 
@@ -231,7 +231,7 @@ def test_the_driver_may_report_when_an_image_was_taken(device, monkeypatch):
 ])  # fmt: skip
 def test_a_missing_camera_is_one_sentence_and_nothing_else(profile, capfd, place):
     """The real OpenCV."""
-    with raises(SourceError, about="camera", value=place.removeprefix("camera:")):
+    with raises(SourceError, names="camera", value=place.removeprefix("camera:")):
         open_source(place, profile)
     captured = capfd.readouterr()
     assert captured.out == captured.err == ""
@@ -272,7 +272,7 @@ def test_every_image_becomes_grey(image, level):
 @pytest.mark.parametrize("image", [np.zeros((3, 4, 2), np.uint8), np.zeros((3, 4), np.float64)])
 def test_what_is_no_image(image):
     found = (image.shape, str(image.dtype))
-    with raises(SourceError, about="image", value=found):
+    with raises(SourceError, names="image", value=found):
         to_grey(image)
 
 

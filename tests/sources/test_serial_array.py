@@ -135,11 +135,11 @@ def test_a_port_that_is_gone(line, source):
     line.send(frame(0))
     assert source.grab(60) is not None
     line.pull_out()
-    with raises(SourceLostError, about="port", value=source.title):
+    with raises(SourceLostError, value=source.title):
         source.grab(60)
     source.close()
     source.close()
-    with raises(SourceError, about="port", value=line.name):
+    with raises(SourceError, value=line.name):
         source.open()
 
 
@@ -162,8 +162,8 @@ def test_bytes_that_are_no_frames_from_the_start_on(line, source, monkeypatch):
     monkeypatch.setattr(serial_array, "_UNREADABLE_S", 0.0)
     assert source.grab(0) is None, "as long as nothing comes there is nothing to say"
     line.send(b"Reading: 12.3 g\r\n")
-    odd = {"value": line.name, "remedy": "baud"}
-    with raises(SourceError, about="port", **odd) as caught:
+    odd = {"value": line.name}
+    with raises(SourceError, **odd) as caught:
         grab_all(source, line.sent)
     assert "921600" in str(caught.value)
 
@@ -195,7 +195,7 @@ def test_frames_over_tcp():
             data = b"".join(frame(number, 64, 64) for number in range(50))
             device.sendall(data)
             shots = grab_all(source, len(data))
-        with raises(SourceLostError, about="port", value=source.title):
+        with raises(SourceLostError, value=source.title):
             source.grab(60)
         source.close()
     assert books(shots) == 50
@@ -210,5 +210,5 @@ def test_frames_over_tcp():
     ("serial-array:/dev/null", 0, "baud", 0),
 ])  # fmt: skip
 def test_what_cannot_be_opened(profile, url, baud, about, value):
-    with raises(SourceError, about=about, value=value):
+    with raises(SourceError, names=about, value=value):
         open_source(url, profile, baud=baud)

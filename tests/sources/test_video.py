@@ -199,7 +199,7 @@ def test_what_is_no_video(profile, tmp_path, capfd, content, unpaced):
         write_clip(path, content)
     elif content is not None:
         path.write_bytes(content)
-    with raises(SourceError, about="file", value=path):
+    with raises(SourceError, value=path):
         open_source(f"video:{path}", profile, unpaced=unpaced)
     assert capfd.readouterr().err == ""
 
@@ -233,7 +233,7 @@ def test_slow_slides_are_not_stale(profile, folder):
 
 @pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), 1e6])
 def test_rates_that_cannot_be(profile, folder, fps):
-    with raises(SourceError, about="fps", value=fps):
+    with raises(SourceError, value=fps):
         open_source(f"frames:{folder}", profile, fps=fps)
 
 
@@ -256,7 +256,7 @@ def test_what_is_neither_a_video_nor_a_folder(profile, folder, url, kind, place,
     scheme, _, opened = url.partition(":")
     if "remedy" in attributes:
         attributes = {"remedy": f"{attributes['remedy']}{folder / opened}"}
-    with raises(SourceError, about=kind, value=folder / place, **attributes):
+    with raises(SourceError, value=folder / place, **attributes):
         open_source(f"{scheme}:{folder / opened}", profile)
 
 
@@ -269,7 +269,7 @@ def test_a_damaged_image_is_named_when_it_comes(profile, tmp_path, unpaced):
     damaged = tmp_path / "2.png"
     damaged.write_bytes(damaged.read_bytes()[:1500])
     sensor = open_source(f"frames:{tmp_path}", profile, unpaced=unpaced)
-    with raises(SourceError, about="file", value=damaged):
+    with raises(SourceError, value=damaged):
         levels(sensor)
 
 
@@ -341,5 +341,5 @@ def test_a_playlist_leads_nowhere(tmp_path, profile, playlist, ending):
     path = tmp_path / f"list.{ending}"
     path.write_text(playlist)
     for place in (path, tmp_path / "pipe.ts", Path("/dev/zero")):
-        with raises(SourceError, about="file", value=place):
+        with raises(SourceError, value=place):
             open_source(f"video:{place}", profile)

@@ -174,7 +174,7 @@ def test_a_page_is_magnified_as_asked(tmp_path, profile):
     with open_source(f"page:{file}?magnify=2", profile) as source:
         assert source.page.mm_per_pixel == pytest.approx(2 * 25.4 / 300, rel=1e-4)
     for wrong in ("much", "0", "nan", "11"):
-        with raises(PageError, about="magnify", value=wrong):
+        with raises(PageError, names="magnify", value=wrong):
             open_source(f"page:{file}?magnify={wrong}", profile)
 
 
@@ -200,5 +200,5 @@ def test_a_page_is_read_again_and_again(profile):
 
 @pytest.mark.parametrize("passes", [-1, 10_001])
 def test_passes_are_counted(profile, passes):
-    with raises(SourceError, about="passes", value=passes, allowed=(0, 10_000)):
+    with raises(SourceError, names="passes", value=passes, allowed=(0, 10_000)):
         open_source(f"text:i?passes={passes}", profile)

@@ -225,7 +225,7 @@ def test_longer_pulses_lengthen_the_period():
 
 
 def test_one_width_only_cannot_hold_charge():
-    with raises(ScheduleError, about="hold", value="charge", allowed="energy"):
+    with raises(ScheduleError, names="hold", value="charge", allowed="energy"):
         Adaptation(MOUSE, "charge", COMPLIANCE_V, ScanTiming(width_us=50))
     Adaptation(MOUSE, "energy", COMPLIANCE_V, ScanTiming(width_us=50))
 

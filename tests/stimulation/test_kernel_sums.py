@@ -6,12 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.kernels.frame_operator import AIM, FrameOperator
-from smarttouch.kernels.proved_sets import proved_sets
 from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.stimulation.kernel_sums import _parts
 from smarttouch.stimulation.scan_sequence import KernelTable
-from smarttouch.stimulation.slot_sums import round_charge_balanced
 
 from ..whole import WHOLE
 
@@ -20,7 +17,7 @@ INTENSITIES = (1.0, 0.6, 0.3, 0.1, 0.03, 0.01, 0.003)
 
 def made(profile, bank, whole):
     """Slots of sums of kernels, in whole numbers or in doubles."""
-    slots = FrameSlots(profile, bank, (Afferent.RA,), planned=False)
+    slots = FrameSlots(profile, bank, Afferent.RA)
     if whole:
         slots.table = KernelTable.of(bank.weights, {Afferent.RA: slots.kernels()})
     return slots
@@ -44,8 +41,8 @@ def both(profile, bank):
 def activations(count):
     for seed in range(count):
         random = np.random.default_rng(seed)
-        drawn = random.random((1, 64), np.float32)
-        yield drawn * (random.random((1, 64)) < random.choice([0.05, 0.2, 0.5, 1]))
+        drawn = random.random(64, np.float32)
+        yield drawn * (random.random(64) < random.choice([0.05, 0.2, 0.5, 1]))
 
 
 @given(
@@ -59,8 +56,8 @@ def test_without_a_judge_for_each_frame_currents_are_the_same(
     both, whole, seed, density, faintest, intensity
 ):
     random = np.random.default_rng(seed)
-    activation = random.uniform(faintest, 1, (1, 64)).astype(np.float32)
-    activation *= random.random((1, 64)) < density
+    activation = random.uniform(faintest, 1, 64).astype(np.float32)
+    activation *= random.random(64) < density
     found, expected = (each.slots(activation, intensity) for each in both[whole])
     assert np.array_equal(found.current_ua, expected.current_ua)
     assert np.array_equal(found.site, expected.site)
@@ -90,48 +87,9 @@ def test_parts_are_filled_one_after_the_other():
     assert _parts([], [], 10.0) == ([], 0.0)
 
 
-def test_no_slot_carries_more_than_is_stated(slots):
-    for activation in activations(20):
-        found = slots._plan(activation).found
-        total_ma = np.abs(found.current_ma).sum(axis=1) / 2
-        assert (total_ma <= found.most_ma + 1e-9).all()
-        assert found.most_ma <= slots._planned_ma
-
-
-def by_definition(slots, level):
-    """Set by set and part by part: the strongest first, each into the first part with room."""
-    bounds, aim = slots._planned_bounds, 1 - AIM * slots._planned_bounds.uneven
-    rows = []
-    for each in proved_sets(FrameOperator(slots._judge), bounds):
-        wanted = level[each.sites]
-        totals_ma = wanted * aim * each.totals_ma
-        parts, sums_ma = [], []
-        for index in np.argsort(-totals_ma, kind="stable")[: np.count_nonzero(totals_ma)]:
-            room = [sum_ma + totals_ma[index] <= slots._planned_ma for sum_ma in sums_ma]
-            part = room.index(True) if any(room) else len(parts)
-            if part == len(parts):
-                parts.append([])
-                sums_ma.append(0.0)
-            parts[part].append(index)
-            sums_ma[part] += totals_ma[index]
-        rows += [aim * wanted[part] @ each.kernels[part] for part in parts if len(part) > 1]
-    return np.array(rows).reshape(-1, len(level))
-
-
-def test_currents_are_those_by_definition(slots):
-    for activation in activations(30 if WHOLE else 10):
-        level = np.where(activation[0] > 0, 0.5 + 0.5 * activation[0].astype(np.float64), 0)
-        found = slots._sums.add_up(level)
-        expected_ma = by_definition(slots, level)
-        assert found.current_ma == pytest.approx(expected_ma, abs=1e-12)
-        for intensity in INTENSITIES:
-            sent = round_charge_balanced(1000 * intensity * found.current_ma)
-            assert np.array_equal(sent, round_charge_balanced(1000 * intensity * expected_ma))
-
-
 def test_no_frame_exposes_an_electrode_more_than_all_points_can(slots, profile):
     """By this bound schedulers know that a period is long enough without adding up a frame."""
     for intensity in INTENSITIES:
-        for activation in [np.ones((1, 64), np.float32), *activations(30 if WHOLE else 8)]:
+        for activation in [np.ones(64, np.float32), *activations(30 if WHOLE else 8)]:
             current_ua = slots.slots(activation, intensity).current_ua.astype(np.int64)
             assert (np.abs(current_ua).sum(axis=0) <= slots.most_ua).all()

@@ -89,7 +89,7 @@ def test_the_gate_bounds_charge_where_width_carries_intensity(by_width, bank):
 
 
 def test_a_board_with_one_width_needs_height(by_width, bank):
-    with raises(ScheduleError, about="pulse.carrier", value="width", allowed="height"):
+    with raises(ScheduleError, names="pulse.carrier", value="width", allowed="height"):
         ScanScheduler(by_width, bank, (Afferent.RA,), timing=ScanTiming(own_widths=False))
 
 
@@ -135,9 +135,9 @@ def test_hard_things_pulse_faster_when_pressed(profile, bank):
 
 
 @pytest.mark.parametrize(("options", "attributes"), [
-    ({"rate_hz": 50.0}, {"about": "rate_hz", "value": 50, "remedy": "pulse.ra_rate_hz"}),
-    ({"timing": ScanTiming(whole_hz=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
-    ({"timing": ScanTiming(in_index_order=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
+    ({"rate_hz": 50.0}, {"names": "rate_hz", "value": 50}),
+    ({"timing": ScanTiming(whole_hz=True)}, {"names": "mode", "allowed": ("RA", "SAI")}),
+    ({"timing": ScanTiming(in_index_order=True)}, {"names": "mode", "allowed": ("RA", "SAI")}),
 ])  # fmt: skip
 def test_where_two_rates_are_not_possible(profile, bank, options, attributes):
     with raises(ScheduleError, **attributes):

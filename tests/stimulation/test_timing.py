@@ -52,7 +52,7 @@ def test_a_scan_fits_its_share_of_the_period(slots, width_us, discharge_us):
 
 
 def test_less_than_one_hertz_is_no_rate():
-    with raises(ScheduleError, about="period_us", value=1.476, remedy="pulse.discharge_us"):
+    with raises(ScheduleError, value=1.476):
         ETACTILEKIT.shortest_period_us(0, 255, 200, 5000)
 
 
@@ -64,6 +64,6 @@ def test_other_pulses_than_the_board_s(timing, key, value, allowed):
     profile = load_profile("kajimoto-61")
     KAJIMOTO.check(profile)
     remedy = f"{key} = {allowed}"
-    with raises(ScheduleError, about=key, value=value, allowed=allowed, remedy=remedy) as error:
+    with raises(ScheduleError, names=key, value=value, allowed=allowed) as error:
         timing.check(profile)
     assert remedy in str(error.value)

@@ -6,7 +6,6 @@ import pytest
 
 import smarttouch as st
 from smarttouch import lab
-from smarttouch.instruments.drawing_source import library, open_draw
 from smarttouch.testing import StimulusContract
 
 
@@ -28,19 +27,6 @@ class TestVibration(StimulusContract):
 
     def make_impossible(self, profile):
         lab.open_trace("tone:loud")
-
-
-class TestDrawing(StimulusContract):
-    ends = False
-
-    def make(self, profile):
-        source = open_draw("", profile)
-        source.patterns = [*library(profile.electrodes)["sweep right"]]
-        source.draw("play loop")
-        return source
-
-    def make_impossible(self, profile):
-        open_draw("nothing.json", profile)
 
 
 class TestExperiment(StimulusContract):

@@ -46,14 +46,12 @@ class Spots(StimulusSource):
 class Run:
     """A run with a window."""
 
-    def __init__(self, profile, source, board, rate_hz=None, books=None, **options):
+    def __init__(self, profile, source, board, rate_hz=None, **options):
         self.stop, self.results = StopRequest(), {}
         self.display, self.source = st.open_display(board, profile), source
         options = {"finger": None, "keys": source.keys, "show": lambda _: None} | options
         self.window = Window(self.stop, **options)
         self.board = self.display.board
-        if books is not None:
-            self.board.keep_books(books)
         self.runner = Runner(
             source, self.display, st.RunConfig(intensity=1.0, rate_hz=rate_hz), stop=self.stop,
             # Kept before a page can show it.
@@ -113,7 +111,7 @@ def running(profile, monkeypatch):
 
 
 PIXELS = """array => {
-  const canvas = document.querySelector(array.canvas);
+  const canvas = document.querySelector('#electrodes');
   const paint = canvas.getContext('2d');
   const longest = Math.max(canvas.width, canvas.height);
   const scale = longest / Math.max(...array.extent);
@@ -127,11 +125,10 @@ PIXELS = """array => {
 }"""
 
 
-def drawn(page, profile, canvas="#electrodes"):
-    """Return the color of each electrode on a canvas, and what it says it shows."""
+def drawn(page, profile):
+    """Return the color of each electrode on the canvas, and what it says it shows."""
     electrodes = profile.electrodes
     return page.evaluate(PIXELS, {
-        "canvas": canvas,
         "extent": [each + 2 * MARGIN_MM for each in electrodes.extent_mm],
         "places": electrodes.position_mm.tolist(),
         "radius": 0.42 * electrodes.pitch_mm,

@@ -150,5 +150,5 @@ def test_save(drawing, tmp_path):
         assert bar == pytest.approx(round(bar), abs=0.2)
         assert bar >= 1
     path = tmp_path / "none" / "felt.png"
-    with raises(SmartTouchError, about="file", value=path):
+    with raises(SmartTouchError, names="file", value=path):
         drawing.save(path)

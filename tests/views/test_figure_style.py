@@ -14,12 +14,12 @@ from ..raising import raises
 @pytest.mark.parametrize("name", ["figure", "figure.gif", "figure.png.txt"])
 def test_a_name_of_no_kind_of_figure(name):
     allowed = (".png", ".pdf", ".svg")
-    with raises(SmartTouchError, about="file", value=Path(name), allowed=allowed):
+    with raises(SmartTouchError, value=Path(name), allowed=allowed):
         require_drawable(Path(name))
 
 
 def test_without_matplotlib(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     remedy = "pip install 'smarttouch[plot]'"
-    with raises(SmartTouchError, about="extra", remedy=remedy):
+    with raises(SmartTouchError, names=remedy):
         require_drawable(Path("figure.svg"))

@@ -84,5 +84,5 @@ def test_a_process_that_has_ended_ends_the_run(finger):
             live._process.kill()
             live._process.wait()
 
-    with raises(st.SmartTouchError, about="finger"):
+    with raises(st.SmartTouchError, names="finger"):
         run(finger.profile, Kills(), live)

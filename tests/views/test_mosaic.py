@@ -89,5 +89,5 @@ def test_what_is_far_away_does_not_eat_the_memory(profile):
 
 
 def test_nothing_seen_is_no_page(profile):
-    with raises(SmartTouchError, about="page"):
+    with raises(SmartTouchError, names="page"):
         Mosaic(profile.optics).page()

@@ -60,9 +60,9 @@ def test_panels_change_and_the_sum_only_grows(film):
 
 def test_what_cannot_be_drawn_is_one_sentence(tmp_path):
     path = tmp_path / "a.gif"
-    with raises(SmartTouchError, about="felt"):
+    with raises(SmartTouchError):
         run(path, "text:on", intensity=0.0)
-    with raises(SmartTouchError, about="felt"):
+    with raises(SmartTouchError):
         st.run(
             st.open_source("texture:grating:4mm,30deg", st.load_profile("electric-mouse")),
             st.open_display("simulated:"), listeners=[DeliveredPicture(path)], seconds=0.2,

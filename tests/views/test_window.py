@@ -327,7 +327,7 @@ def test_a_page_records_and_marks(running, tmp_path, monkeypatch):
             assert f"mark: mark {2 * number}" in words
             assert recording.whole
             # Its first sequences depend on what was before.
-            with raises(RecordingError, about="file"):
+            with raises(RecordingError):
                 check_recording(tmp_path / name)
         for wrong in ("note " + "x" * 201, "note two\nlines", "do level:1.5"):
             socket.send(wrong)
@@ -338,5 +338,5 @@ def test_a_page_records_and_marks(running, tmp_path, monkeypatch):
 
 
 def test_a_port_that_is_taken_is_refused(running):
-    with running() as run, raises(SmartTouchError, about="window", value=run.window.server.port):
+    with running() as run, raises(SmartTouchError, names="window", value=run.window.server.port):
         Window(run.stop, run.window.server.port)

@@ -63,7 +63,7 @@ def test_nothing_else_can_be_asked_for(what):
 def test_a_level_beyond_the_limit_is_refused(level):
     steering, controls, _, _ = make(most=0.55)
     before = controls.state(0)
-    with raises(SmartTouchError, about="intensity"):
+    with raises(SmartTouchError, names="intensity"):
         steering.act(1, f"level:{level}")
     assert controls.state(0) is before
 

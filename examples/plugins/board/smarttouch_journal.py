@@ -35,7 +35,7 @@ class JournalBoard(st.Board):
             clock="host",
         )
         if not rest:
-            raise st.BoardError("journal: needs a file, for example journal:run.txt", about="file")
+            raise st.BoardError("journal: needs a file, for example journal:run.txt")
         self._path = Path(rest)
         self._file: IO[str] | None = None
         self._lock = threading.Lock()
@@ -46,7 +46,7 @@ class JournalBoard(st.Board):
             self._file = self._path.open("w", encoding="utf-8")
         except OSError as error:
             raise st.BoardError(
-                f"cannot write {self._path} ({error.strerror}): give another file", about="file"
+                f"cannot write {self._path} ({error.strerror}): give another file"
             ) from None
         self._number = 0
         self._write("zero")

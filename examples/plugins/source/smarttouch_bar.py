@@ -22,13 +22,10 @@ def open_bar(rest: str, profile: st.Profile, *, speed_mm_s: float = 10.0) -> "Ba
     if not 0 < width_mm <= profile.optics.field_width_mm:
         raise st.SourceError(
             f"bar:{rest} is no width: give millimeters above 0, at most "
-            f"{profile.optics.field_width_mm:g}",
-            about="width",
+            f"{profile.optics.field_width_mm:g}"
         )
     if not 0 < speed_mm_s <= 1000:
-        raise st.SourceError(
-            f"{speed_mm_s:g} mm/s cannot be: give above 0, at most 1000", about="speed_mm_s"
-        )
+        raise st.SourceError(f"{speed_mm_s:g} mm/s cannot be: give above 0, at most 1000")
     return BarSource(width_mm, speed_mm_s, profile)
 
 

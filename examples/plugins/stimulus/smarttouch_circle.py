@@ -13,7 +13,7 @@ PERIOD_US = 20_000
 def open_circle(rest: str, profile: st.Profile) -> "CircleSource":
     """Open ``circle:`` or ``circle:TURNS``."""
     if not (rest or "1").isdecimal() or rest == "0":
-        raise st.SourceError(f"circle:{rest} is no number of turns: give 1 or more", about="turns")
+        raise st.SourceError(f"circle:{rest} is no number of turns: give 1 or more")
     return CircleSource(int(rest or 2), profile)
 
 

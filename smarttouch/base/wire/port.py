@@ -66,7 +66,7 @@ def open_port(
             # Short commands must not wait for earlier ones to be acknowledged.
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except (*LINE_ERRORS, ValueError, AttributeError) as failure:
-        raise error(f"cannot open {name}: {_advice(failure)}", about="port") from None
+        raise error(f"cannot open {name}: {_advice(failure)}") from None
     return port
 
 
@@ -180,9 +180,7 @@ def write_before(
 
 
 def _other(name: str) -> OtherDeviceError:
-    return OtherDeviceError(
-        f"by its USB numbers another device is at {name} now: nothing was sent", about="board"
-    )
+    return OtherDeviceError(f"by its USB numbers another device is at {name} now: nothing was sent")
 
 
 def reason(error: Exception) -> str:

@@ -56,8 +56,7 @@ def scale_of(kind: str, measured_ua: float | None) -> Scale:
         raise BoardError(
             f"output.ua_per_count = {measured_ua:g} is {measured_ua / nominal_ua:.3g} times the "
             f"{nominal_ua:.4g} µA of a {kind} board, and boards differ by {100 * BAND:.0f} % at "
-            f"most: {mistake}",
-            about="output.ua_per_count",
+            f"most: {mistake}"
         )
     return Scale(measured_ua, nominal_ua)
 
@@ -83,11 +82,9 @@ def check_reading(volts: float, ohm: float, current_ma: float) -> float:
     with the likely mistake, if it is out of band."""
     for what, value in (("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
-            raise BoardError(f"{what} {value:g} must be above 0 and finite", about=what)
+            raise BoardError(f"{what} {value:g} must be above 0 and finite")
     if not 0 < volts < math.inf:
-        raise BoardError(
-            f"{volts:g} V across {ohm:g} ohm is no current: check the connections", about="volts"
-        )
+        raise BoardError(f"{volts:g} V across {ohm:g} ohm is no current: check the connections")
     ratio = 1000 * volts / ohm / current_ma
     if in_band(ratio):
         return ratio
@@ -100,8 +97,7 @@ def check_reading(volts: float, ohm: float, current_ma: float) -> float:
         mistake = "peak to peak of both phases, where the peak is meant?"
     raise BoardError(
         f"{volts:g} V across {ohm:g} ohm are {ratio:.3g} times the nominal {current_ma:g} mA, and "
-        f"boards differ by {100 * BAND:.0f} % at most: {mistake}",
-        about="volts",
+        f"boards differ by {100 * BAND:.0f} % at most: {mistake}"
     )
 
 
@@ -131,13 +127,11 @@ def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[n
         raise BoardError(
             f"slot {int(wrong.argmax())} is no pattern of one electrode against all others, and "
             "this board can make no other: use its own profile",
-            about="current_ua",
             slot=int(wrong.argmax()),
         )
     if len(np.unique(electrode)) != len(electrode):
         raise BoardError(
             f"{len(electrode)} slots share {len(np.unique(electrode))} electrodes: this board "
-            "drives each once in a scan",
-            about="slots",
+            "drives each once in a scan"
         )
     return electrode, own

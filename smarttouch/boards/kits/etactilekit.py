@@ -122,9 +122,7 @@ class ETactileKitBoard(SteppedKit):
             # Its parser would never run again.
             raise BoardError(
                 f"a scan of {self._outputs} outputs takes {busy_us} µs, which does not fit "
-                f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate",
-                about="period_us",
-                remedy="pulse.discharge_us",
+                f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate"
             )
         return payload(sequence, self._wiring, self._scale, self._gate.limits)
 
@@ -251,8 +249,7 @@ class ETactileKitBoard(SteppedKit):
         else:
             raise LineLostError(
                 f"the board at {self._port_name} did not report all of its {self._outputs} "
-                "readings: measure again",
-                about="measure",
+                "readings: measure again"
             )
         volts = readings[self._wiring].astype(np.float64) * VOLTS_PER_COUNT
         through_skin = np.maximum(level_ua / 1000 - volts / DUMMY_KOHM, 1e-6)

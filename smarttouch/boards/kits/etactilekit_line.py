@@ -64,8 +64,7 @@ class ETactileKitLine(StreamedBoard):
         self._outputs = int(self._wiring.max()) + 1
         if self._outputs > 253:
             raise BoardError(
-                f"output {self._outputs - 1} is out of reach: an eTactileKit counts to 253 outputs",
-                about="output.wiring",
+                f"output {self._outputs - 1} is out of reach: an eTactileKit counts to 253 outputs"
             )
         self._echo = bytes([self._outputs])
         self._lost_frames = 0
@@ -105,8 +104,7 @@ class ETactileKitLine(StreamedBoard):
         if self._outputs > capacity:
             raise BoardError(
                 f"the eTactileKit at {self._port_name} has {capacity} outputs, the profile needs "
-                f"{self._outputs}: use the profile of this board",
-                about="electrodes",
+                f"{self._outputs}: use the profile of this board"
             )
         self._require_echo(chips)
         # No sense pulses: the guard of every change relies on that.
@@ -133,8 +131,7 @@ class ETactileKitLine(StreamedBoard):
                 return answer[0]
         raise SilentBoardError(
             f"the board at {self._port_name} does not answer as an eTactileKit does: check that "
-            "it is on, and switch it off and on",
-            about="board",
+            "it is on, and switch it off and on"
         )
 
     def _require_echo(self, chips: int) -> None:
@@ -156,8 +153,7 @@ class ETactileKitLine(StreamedBoard):
         raise BoardError(
             f"the firmware of the eTactileKit at {self._port_name} is older than commit 71adee2, "
             "and not supported: flash the newest one of the kit's repository, "
-            "aid-lab-org/eTactileKit",
-            about="firmware",
+            "aid-lab-org/eTactileKit"
         )
 
     def _forgets_hosts(self) -> bool:
@@ -194,8 +190,7 @@ class ETactileKitLine(StreamedBoard):
         if received != bytes([self._chips]):
             raise OtherDeviceError(
                 f"what is at {self._port_name} now does not answer as that board did: nothing but "
-                "this question was sent",
-                about="board",
+                "this question was sent"
             )
 
     # -- queries -------------------------------------------------------------
@@ -265,7 +260,5 @@ def _parse(options: str) -> tuple[bool, str | None]:
                 raise not_offered("?firmware", value, FIRMWARES, BoardError)
             firmware = value
         else:
-            raise BoardError(
-                f"etactilekit: takes the options ?slow and ?firmware, not ?{option}", about="option"
-            )
+            raise BoardError(f"etactilekit: takes the options ?slow and ?firmware, not ?{option}")
     return slow, firmware

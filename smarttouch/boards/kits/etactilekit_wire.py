@@ -65,26 +65,19 @@ def settings_of(sequence: ScanSequence) -> Settings:
     if len(np.unique(np.sign(current_ua))) > 1:
         raise BoardError(
             "some slots are anodic, some cathodic, and this board has one polarity for all: "
-            "send them as two sequences",
-            about="current_ua",
+            "send them as two sequences"
         )
     if sequence.slots and np.ptp(sequence.width_us):
         raise BoardError(
             f"slots of {int(sequence.width_us.min())} to {int(sequence.width_us.max())} µs in "
-            "one sequence, and this board has one pulse width for all",
-            about="width_us",
+            "one sequence, and this board has one pulse width for all"
         )
     width = int(sequence.width_us.max(initial=0))
     if sequence.slots and width < SHORTEST_US:
-        raise BoardError(
-            f"pulses of {width} µs are too short: at least {SHORTEST_US} µs", about="width_us"
-        )
+        raise BoardError(f"pulses of {width} µs are too short: at least {SHORTEST_US} µs")
     discharge = int(sequence.discharge_us.max(initial=0))
     if discharge >= FIRST_COMMAND:
-        raise BoardError(
-            f"a discharge of {discharge} µs is too long: at most {FIRST_COMMAND - 1}",
-            about="discharge_us",
-        )
+        raise BoardError(f"a discharge of {discharge} µs is too long: at most {FIRST_COMMAND - 1}")
     rate_hz = max(1, round(1e6 / sequence.period_us))
     return Settings(width, discharge, rate_hz, bool((current_ua < 0).any()))
 

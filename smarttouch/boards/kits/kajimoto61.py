@@ -64,9 +64,7 @@ class Kajimoto61Board(StreamedBoard):
         if limits.electrodes != ELECTRODES:
             raise BoardError(
                 f"a kajimoto61 board has {ELECTRODES} electrodes, the profile "
-                f"{limits.electrodes}: use the profile {self.default_profile}",
-                about="electrodes",
-                remedy=f"profile {self.default_profile}",
+                f"{limits.electrodes}: use the profile {self.default_profile}"
             )
         self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
         self.ua_per_count: float = self._scale.measured_ua
@@ -93,9 +91,7 @@ class Kajimoto61Board(StreamedBoard):
         if answer := self._read(64, 0.05):
             raise BoardError(
                 f"the board at {self._port_name} answers {len(answer)} bytes to a packet that a "
-                "kajimoto61 board answers with none: it is another one, perhaps etactilekit:",
-                about="board",
-                remedy="etactilekit:",
+                "kajimoto61 board answers with none: it is another one, perhaps etactilekit:"
             )
 
     def _zero(self) -> None:
@@ -112,21 +108,18 @@ class Kajimoto61Board(StreamedBoard):
             raise BoardError(
                 f"slot {slot} is cathodic, and this board is anodic only: choose a mode that its "
                 "profile offers",
-                about="current_ua",
                 slot=slot,
             )
         if (sequence.width_us != WIDTH_US).any() or (sequence.discharge_us > REST_US).any():
             raise BoardError(
                 f"this board pulses for {WIDTH_US} µs and grounds for {REST_US} µs, the sequence "
-                f"wants {int(sequence.width_us[0])} and {int(sequence.discharge_us[0])}",
-                about="width_us",
+                f"wants {int(sequence.width_us[0])} and {int(sequence.discharge_us[0])}"
             )
         shortest = self.timing.shortest_period_us(sequence.slots, ELECTRODES, WIDTH_US, REST_US)
         if sequence.period_us < shortest:
             raise BoardError(
                 f"a period of {sequence.period_us} µs is too short for {sequence.slots} "
-                f"electrodes: this board needs {shortest} µs",
-                about="period_us",
+                f"electrodes: this board needs {shortest} µs"
             )
         packet = np.zeros(1 + ELECTRODES, np.uint8)
         packet[0] = STIMULATE
@@ -218,8 +211,7 @@ class Kajimoto61Board(StreamedBoard):
                 raise BoardError(
                     f"the board at {self._port_name} answered {len(answer)} of {ELECTRODES + 1} "
                     "bytes to a measurement, or some that are no readings: it was put at zero; "
-                    "measure again",
-                    about="measure",
+                    "measure again"
                 )
         readings = np.frombuffer(answer[:-1], np.uint8).astype(np.float64)
         # The next voltage that reads the same still lies within what the board can supply.

@@ -49,8 +49,7 @@ class KeptLine:
         except OSError as error:
             raise BoardError(
                 f"the process that keeps the board's line cannot be started ({reason(error)}): "
-                "close other programs and try again",
-                about="keeper",
+                "close other programs and try again"
             ) from None
 
     def _start(self) -> None:
@@ -193,9 +192,7 @@ def _descriptor(port: Port) -> int:
     if not isinstance(port, (serial.Serial, protocol_socket.Serial)):
         raise BoardError(
             "this board continues by itself when its program is gone, so a process of its own "
-            "must hold the line, which is possible for a serial device or tcp://HOST:PORT only",
-            about="port",
-            remedy="tcp://HOST:PORT",
+            "must hold the line, which is possible for a serial device or tcp://HOST:PORT only"
         )
     return int(port.fileno())
 

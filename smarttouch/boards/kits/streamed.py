@@ -66,15 +66,11 @@ class StreamedBoard(Board):
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(limits, output)
         if not port:
-            raise BoardError(
-                f"{self.kind}: needs a port, for example {self.kind}:/dev/ttyUSB0", about="port"
-            )
+            raise BoardError(f"{self.kind}: needs a port, for example {self.kind}:/dev/ttyUSB0")
         if output is not None and output.kind != "one-against-all":
             raise BoardError(
                 f"a {self.kind} board is one-against-all, the profile needs {output.kind}: use "
-                f"the profile {self.default_profile}",
-                about="output.kind",
-                remedy=f"profile {self.default_profile}",
+                f"the profile {self.default_profile}"
             )
         self._port_name = port
         self._number = 0
@@ -142,8 +138,7 @@ class StreamedBoard(Board):
         if self._identity is None and not self.can_be_asked:
             raise BoardError(
                 f"{lost}; it has no USB serial number and cannot be identified, so "
-                "nothing is sent to what comes back: check the cable, then start again",
-                about=lost.about,
+                "nothing is sent to what comes back: check the cable, then start again"
             )
         try:
             restart_lost_board(self._start_again, lost)
@@ -275,7 +270,7 @@ class StreamedBoard(Board):
             self._fail(self._lost(f"has vanished ({reason(error)})"))
         except Exception as error:
             # Its pattern would be shown on, and heartbeats sent, with nobody to end it.
-            fault = BoardError(f"the driver {self.kind} has failed ({error!r})", about="board")
+            fault = BoardError(f"the driver {self.kind} has failed ({error!r})")
             fault.__cause__ = error
             self._fail(fault)
             with contextlib.suppress(BoardError), self._line:
@@ -368,11 +363,7 @@ class StreamedBoard(Board):
 
     def _lost(self, what: str) -> LineLostError:
         after = self._aftermath()
-        return LineLostError(
-            f"the board at {self._port_name} {what}{after}",
-            about="board",
-            remedy="switch it off" if after else "",
-        )
+        return LineLostError(f"the board at {self._port_name} {what}{after}")
 
     def _aftermath(self) -> str:
         return ""

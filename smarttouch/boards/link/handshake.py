@@ -41,8 +41,7 @@ def _offered(answer: Message, name: str) -> tuple[protocol.Output, Capabilities]
     if answer.version != protocol.VERSION:
         raise BoardError(
             f"the board at {name} speaks link version {answer.version}, this "
-            f"program {protocol.VERSION}: bring both to the same",
-            about="version",
+            f"program {protocol.VERSION}: bring both to the same"
         )
     head = protocol.CAPABILITIES.size
     if len(answer.payload) < head + protocol.KEEPING.size:
@@ -51,9 +50,7 @@ def _offered(answer: Message, name: str) -> tuple[protocol.Output, Capabilities]
         protocol.CAPABILITIES.unpack_from(answer.payload)
     )
     if output >= len(protocol.OUTPUTS):
-        raise BoardError(
-            f"the board at {name} has outputs of unknown kind {output}", about="output.kind"
-        )
+        raise BoardError(f"the board at {name} has outputs of unknown kind {output}")
     kind = protocol.OUTPUTS[output]
     room, packet, kernels = protocol.KEEPING.unpack_from(answer.payload, head)
     head += protocol.KEEPING.size
@@ -76,13 +73,10 @@ def _require_ready(
     """Raise if the emergency switch is open, or this is another board than before."""
     if found.emergency_switch and answer.state & protocol.SWITCH_OPEN:
         raise EmergencyStopError(
-            f"the emergency switch of the board at {name} is open: close it, then begin again",
-            about="board",
+            f"the emergency switch of the board at {name} is open: close it, then begin again"
         )
     if known not in (None, found):
-        raise OtherDeviceError(
-            f"the board at {name} now is another: only HELLO was sent to it", about="board"
-        )
+        raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
 
 
 def _require_fit(name: str, found: Capabilities, electrodes: int, wanted: Output | None) -> None:
@@ -91,22 +85,18 @@ def _require_fit(name: str, found: Capabilities, electrodes: int, wanted: Output
     if outputs != electrodes:
         raise BoardError(
             f"the board at {name} has {outputs} electrodes, the profile "
-            f"{electrodes}: use the profile of this board",
-            about="electrodes",
+            f"{electrodes}: use the profile of this board"
         )
     if wanted is not None and wanted.kind != kind:
         raise BoardError(
             f"the board at {name} is {kind}, the profile needs "
-            f"{wanted.kind}: use the profile of this board",
-            about="output.kind",
+            f"{wanted.kind}: use the profile of this board"
         )
 
 
 def malformed(name: str) -> BoardError:
     """Return the error of a board that gives invalid answers."""
-    return BoardError(
-        f"the board at {name} gives invalid answers: check its firmware", about="board"
-    )
+    return BoardError(f"the board at {name} gives invalid answers: check its firmware")
 
 
 OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
@@ -178,9 +168,7 @@ def give_kernels(
         if identity == image.identity and whole:
             if proof == image.proof(line.session.number):
                 return
-            raise KernelTableError(
-                f"the board at {line.name} holds other kernels than those sent", about="kernels"
-            )
+            raise KernelTableError(f"the board at {line.name} holds other kernels than those sent")
         # The first query carries no kernels: its answer shows where to begin.
         kept = kept if identity == image.identity and kept < len(image.data) else 0
         idle = 0 if kept > most else idle + 1
@@ -188,8 +176,7 @@ def give_kernels(
         at, data = kept, image.data[kept : kept + piece]
     # Its session may have ended, as after 100 ms in which the host was held up.
     raise LineLostError(
-        f"the board at {line.name} does not keep the kernels that it is sent: check its firmware",
-        about="kernels",
+        f"the board at {line.name} does not keep the kernels that it is sent: check its firmware"
     )
 
 

@@ -66,7 +66,7 @@ class LinkBoard(LinkHost):
 
     def _open(self) -> None:
         if not self._line.name:
-            raise BoardError("link: needs a port, for example link:/dev/ttyACM0", about="port")
+            raise BoardError("link: needs a port, for example link:/dev/ttyACM0")
         port = open_port(self._line.name)
         self._identity = identity_of(port)
         self._packets_before = 0
@@ -272,8 +272,7 @@ class LinkBoard(LinkHost):
     def _emergency(self) -> EmergencyStopError:
         return EmergencyStopError(
             f"the emergency switch of the board at {self._line.name} was opened: all electrodes "
-            "are at zero; close it, then begin again",
-            about="board",
+            "are at zero; close it, then begin again"
         )
 
     def _refused(self, message: Message) -> None:

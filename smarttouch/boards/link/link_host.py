@@ -210,8 +210,7 @@ class LinkHost(Board):
         if probe.slots and not found:
             raise BoardError(
                 f"the board at {self._line.name} did not report the voltages of its electrodes: "
-                "measure again",
-                about="measure",
+                "measure again"
             )
         return found[-1].astype(np.float64) if found else np.empty(0)
 

@@ -162,16 +162,13 @@ class LinkLine:
             self.wait(lambda: self.fault is not None or answered() or halted(), AGAIN_S)
             self.raise_fault()
             if halted():
-                raise BoardStoppedError(
-                    f"the board at {self.name} was stopped before it answered", about="board"
-                )
+                raise BoardStoppedError(f"the board at {self.name} was stopped before it answered")
             return self._answers.pop(kind) if answered() else None
 
     def _no_answer(self) -> SilentBoardError:
         return SilentBoardError(
             f"the board at {self.name} does not answer: check that it is on and speaks link "
-            f"version {VERSION}",
-            about="board",
+            f"version {VERSION}"
         )
 
     def send(
@@ -188,16 +185,14 @@ class LinkLine:
         ``latest_ns`` before its first byte; return whether it was written. A stop may come between
         its pieces."""
         if not self.writing.acquire(timeout=ANSWER_S):
-            raise BoardError(f"the line to {self.name} is blocked: check the cable", about="port")
+            raise BoardError(f"the line to {self.name} is blocked: check the cable")
         try:
             # Numbered under the lock, so that packets leave in order.
             packet = start + self.session.encode(kind, about, payload)
             assert self._port is not None
             for at in range(0, len(packet), PIECE):
                 if self.overtaken and len(packet) > PIECE:
-                    raise BoardError(
-                        "the board was stopped: open it again before sending", about="board"
-                    )
+                    raise BoardError("the board was stopped: open it again before sending")
                 piece = packet[at : at + PIECE]
                 if at:
                     self._port.write(piece)
@@ -232,12 +227,12 @@ class LinkLine:
     def lost(self, what: str) -> LineLostError:
         """Return a fault that a restart may repair."""
         message = f"the board at {self.name} {what}{self._aftermath()}"
-        return LineLostError(message, about="board")
+        return LineLostError(message)
 
     def gone(self, what: str) -> BoardError:
         """Return a fault that is final."""
         message = f"the board at {self.name} {what}{self._aftermath()}"
-        return BoardError(message, about="board")
+        return BoardError(message)
 
     @prioritized()
     def _read_all(self) -> None:

@@ -184,7 +184,6 @@ def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
         raise BoardError(
             f"a slot asks {strongest / 1000:.1f} mA of one source, the protocol carries at most "
             f"{_U16_MAX / 1000:.1f} mA: lower the currents",
-            about="source_ua",
             slot=int(source.argmax()),
         )
     found: NDArray[np.uint16] = source.astype("<u2")
@@ -286,7 +285,7 @@ class HostSession:
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the host's next packet."""
         if self._sent == LAST_NUMBER:
-            raise LineLostError(f"the session of {LAST_NUMBER} packets is over", about="packets")
+            raise LineLostError(f"the session of {LAST_NUMBER} packets is over")
         self._sent += 1
         if kind in ANSWERS:
             self._asked[self._sent] = ANSWERS[kind]

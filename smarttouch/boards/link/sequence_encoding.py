@@ -109,8 +109,7 @@ def encode_scan(
         raise BoardError(
             f"{slots} slots are more than this board takes at once ({most_slots} slots, "
             f"{most_bytes} bytes), and what is sent in parts is not repeated by the board: send it "
-            "once each period",
-            about="times",
+            "once each period"
         )
     lists = None if switched or image is None else _kept(sequence, image)
     lengths_us = sequence.width_us.astype(np.int64) + sequence.discharge_us
@@ -158,8 +157,7 @@ def _cut(sequence: ScanSequence, first: int, end: int, lists: KernelLists | None
 def _too_large(size: int, most_bytes: int) -> BoardError:
     return BoardError(
         f"a sequence of {size} bytes is above the board's limit of {most_bytes}: scan fewer "
-        "points at once",
-        about="packet",
+        "points at once"
     )
 
 
@@ -176,15 +174,13 @@ def _payload(
     if shapes > _MOST_SHAPES:
         raise BoardError(
             f"{shapes} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
-            "choose fewer pulse widths",
-            about="shapes",
+            "choose fewer pulse widths"
         )
     recharge = sequence.recharge_ua
     if switched and recharge is not None:
         raise BoardError(
             "a recharge phase needs a source for each electrode, and this board has one for all: "
-            "leave it out",
-            about="recharge_ua",
+            "leave it out"
         )
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
     flags = part | MEASURE * measure | RECHARGE * (recharge is not None)
@@ -320,6 +316,5 @@ def _rows(sequence: ScanSequence, switched: bool) -> NDArray[np.int16] | NDArray
 
 def _too_many(count: int) -> BoardError:
     return BoardError(
-        f"{count} slots or points of one kind are above the limit of {_U16_MAX}: scan fewer points",
-        about="slots",
+        f"{count} slots or points of one kind are above the limit of {_U16_MAX}: scan fewer points"
     )

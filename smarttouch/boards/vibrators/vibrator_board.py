@@ -83,13 +83,11 @@ class VibratorBoard(Board):
         if not self._sample_hz >= FEWEST_SAMPLES * self._carrier_hz:
             raise BoardError(
                 f"vibrators: {self._sample_hz} samples a second are too few for "
-                f"{self._carrier_hz:g} Hz: give rate={FEWEST_SAMPLES * self._carrier_hz:g} or more",
-                about="rate",
+                f"{self._carrier_hz:g} Hz: give rate={FEWEST_SAMPLES * self._carrier_hz:g} or more"
             )
         if device is None and not target.endswith(".wav"):
             raise BoardError(
-                f"vibrators: needs a file that ends in .wav, or audio, not {target!r}: {_EXAMPLE}",
-                about="board",
+                f"vibrators: needs a file that ends in .wav, or audio, not {target!r}: {_EXAMPLE}"
             )
         self._vibrators = rows * columns
         self._vibrator_of = None if electrodes is None else vibrator_of(electrodes, rows, columns)

@@ -165,11 +165,7 @@ class WavOutput:
         samples = np.rint(FULL_SCALE * self._waveform.render(count)).astype("<i2")
         self._written += count
         if 2 * self._waveform.channels * self._written > _LARGEST_BYTES:
-            raise BoardError(
-                "the WAV file of the vibrators is full, it holds 4 GB: lower its rate",
-                about="file",
-                remedy="rate",
-            )
+            raise BoardError("the WAV file of the vibrators is full, it holds 4 GB: lower its rate")
         try:
             self._file.writeframes(samples.tobytes())
             self._stream.flush()
@@ -209,18 +205,14 @@ class SoundOutput:
             reason = str(error).partition("\n")[0].rstrip(".")
             raise BoardError(
                 f"cannot play {waveform.channels} vibrators on the sound device "
-                f"{self._device or 'of this computer'}: {reason}; see python3 -m sounddevice",
-                about="sound device",
-                remedy="python3 -m sounddevice",
+                f"{self._device or 'of this computer'}: {reason}; see python3 -m sounddevice"
             ) from None
 
     def shake(
         self, amplitude: NDArray[np.float32], time_ns: int, period_ns: int, times: int
     ) -> None:
         if not self._stream.active:
-            raise BoardError(
-                "the sound device of the vibrators is gone: connect it again", about="sound device"
-            )
+            raise BoardError("the sound device of the vibrators is gone: connect it again")
         over_ns = times * period_ns
         with self._lock:
             self._silenced = False
@@ -269,7 +261,5 @@ def _import_sounddevice() -> Any:
     except OSError:
         raise BoardError(
             "vibrators:audio needs PortAudio: install it with apt install libportaudio2, or write "
-            "a file with vibrators:FILE.wav",
-            about="PortAudio",
-            remedy="apt install libportaudio2",
+            "a file with vibrators:FILE.wav"
         ) from None

@@ -95,8 +95,7 @@ def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
     """Return the joint result of repeated measurements."""
     if any(each.lifted for each in measured):
         raise CalibrationError(
-            "no electrode touches anything: put the finger on the array, and measure again",
-            about="finger",
+            "no electrode touches anything: put the finger on the array, and measure again"
         )
     kohm = np.array([each.kohm for each in measured])
     condition = tuple(_most(each) for each in zip(*(m.condition for m in measured), strict=True))
@@ -114,15 +113,13 @@ def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
     if lost or not good:
         raise CalibrationError(
             f"{broken} of {count} electrodes do not touch or are shorted, and {good} are good: lay "
-            "the finger on all of the array, clean and moisten it, and measure again",
-            about="contact",
+            "the finger on all of the array, clean and moisten it, and measure again"
         )
     restless = np.nanmedian(spread[touching] / middle[touching]) if len(kohm) > 1 else 0.0
     if restless > MOST_RESTLESS:
         raise CalibrationError(
             f"measurements of one electrode differ by {restless:.0%}: hold the finger still, and "
-            "measure again",
-            about="contact",
+            "measure again"
         )
     return found
 

@@ -111,9 +111,7 @@ def target_for(profile: Profile, dot_pitch_mm: float | None = None) -> DotTarget
                 f"{optics.sensor_columns} × {optics.sensor_rows} pixels over "
                 f"{optics.field_width_mm:g} × {optics.field_height_mm:g} mm are too coarse for a "
                 "target: set optics.rotation_deg, offset_x_mm and offset_y_mm by hand, or give the "
-                "pitch of its dots if the sensor is finer than the profile says",
-                about="optics",
-                remedy="dot_pitch_mm",
+                "pitch of its dots if the sensor is finer than the profile says"
             )
         pitch_mm = max(wished) if wished else min(fit)
     words = f"a pitch of {pitch_mm:g} mm between dots in a field of {field_mm:g} mm"
@@ -149,8 +147,7 @@ def find_dots(image: NDArray[np.uint8]) -> Dots:
     if min(image.shape) < FEWEST_SIDE:
         raise CalibrationError(
             f"an image of {image.shape[1]} × {image.shape[0]} pixels is too coarse for dots: "
-            f"{FEWEST_SIDE} a side are needed",
-            about="image",
+            f"{FEWEST_SIDE} a side are needed"
         )
     pixel, area = _blobs(image)
     seed = _find_l(pixel, area)
@@ -168,7 +165,7 @@ def _blobs(image: NDArray[np.uint8]) -> tuple[Points, NDArray[np.float64]]:
     ink, scale = _ink(image)
     if np.percentile(ink, 99.5) < LEAST_INK:
         raise CalibrationError(
-            "no dots are seen: lay the printed target under the sensor, and light it", about="dots"
+            "no dots are seen: lay the printed target under the sensor, and light it"
         )
     grey = np.rint(255 * ink).astype(np.uint8)
     level, binary = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
@@ -222,8 +219,7 @@ def _find_l(pixel: Points, area: NDArray[np.float64]) -> NDArray[np.float64]:
     if len(pixel) < 9:
         raise CalibrationError(
             f"only {len(pixel)} whole dots are seen, 9 are needed: bring the target into view and "
-            "into focus",
-            about="dots",
+            "into focus"
         )
     apart = np.linalg.norm(pixel[:, None] - pixel[None], axis=2)
     around = np.argsort(apart, axis=1)[:, 1:9]
@@ -247,8 +243,7 @@ def _find_l(pixel: Points, area: NDArray[np.float64]) -> NDArray[np.float64]:
     if best is None:
         raise CalibrationError(
             f"the L of four large dots is not seen among {len(pixel)} dots: move the target until "
-            "it is in the middle of the image, and in focus",
-            about="large dots",
+            "it is in the middle of the image, and in focus"
         )
     return best[1]
 

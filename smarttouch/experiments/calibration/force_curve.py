@@ -150,7 +150,7 @@ def parse_grams(text: str) -> list[float]:
         grams = [math.nan]
     if not all(0 <= each < math.inf for each in grams):
         message = f"weights {text!r} are not understood: give grams like 0,20,50,100"
-        raise CalibrationError(message, about="weights")
+        raise CalibrationError(message)
     return grams
 
 
@@ -161,9 +161,7 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
     if len(good) < FEWEST_READINGS or len(good) < (1 - MOST_MISSING) * len(raw):
         raise CalibrationError(
             f"{len(good)} of {len(raw)} readings at {grams:g} g are numbers, {FEWEST_READINGS} "
-            "and half of all are needed: check the cell's connections, or read for more seconds",
-            about="readings",
-            remedy="seconds",
+            "and half of all are needed: check the cell's connections, or read longer (--seconds)"
         )
     middle, spread = middle_and_spread(good)
     half = len(good) // 2
@@ -209,19 +207,17 @@ def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
 def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
     if len(wrong := grams[~(np.isfinite(grams) & (grams >= 0))]):
         message = f"{wrong[0]:g} g is no weight: give a number of grams, 0 or more"
-        raise CalibrationError(message, about="weights")
+        raise CalibrationError(message)
     distinct = len(np.unique(grams))
     if distinct < 3:
         raise CalibrationError(
-            f"{distinct} different weights do not determine the residual: give three or more",
-            about="weights",
+            f"{distinct} different weights do not determine the residual: give three or more"
         )
     full_g = 1000 * law.full_n / STANDARD_GRAVITY
     if grams.max() < LEAST_REACH * full_g:
         raise CalibrationError(
             f"the heaviest weight of {grams.max():g} g is far below full force, {full_g:.0f} g: "
-            "give one about as heavy as that",
-            about="weights",
+            "give one about as heavy as that"
         )
 
 
@@ -233,8 +229,7 @@ def _require_answer(
     if moved <= 5 * noise or moved == 0:
         raise CalibrationError(
             f"the readings move by {moved:.6g} from the lightest to the heaviest weight, and by "
-            f"{noise:.6g} by themselves: is the cell connected, and the weight on it?",
-            about="readings",
+            f"{noise:.6g} by themselves: is the cell connected, and the weight on it?"
         )
     mean = np.array([reading[grams == each].mean() for each in np.unique(grams)])
     steps = np.diff(mean)
@@ -243,8 +238,7 @@ def _require_answer(
         first, second = np.unique(grams)[[turned.argmax(), turned.argmax() + 1]]
         raise CalibrationError(
             f"the reading does not change in one direction from {first:g} to {second:g} g: weigh "
-            "again, each weight alone and at rest",
-            about="readings",
+            "again, each weight alone and at rest"
         )
 
 
@@ -255,14 +249,12 @@ def _require_good(found: ForceFound) -> None:
         )
         raise CalibrationError(
             f"the curve misses the weights by {found.residual_n:.3f} N rms, above "
-            f"{MOST_RESIDUAL:.0%} of full force, {found.full_n:g} N: weigh {worst.grams:g} g again",
-            about="residual",
+            f"{MOST_RESIDUAL:.0%} of full force, {found.full_n:g} N: weigh {worst.grams:g} g again"
         )
     restless = max(found.weighings, key=lambda each: abs(each.drift))
     drift_n = abs(restless.drift * found.slope_n)
     if drift_n > MOST_DRIFT * found.full_n:
         raise CalibrationError(
             f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "
-            "wait until it settles, and weigh again",
-            about="drift",
+            "wait until it settles, and weigh again"
         )

@@ -240,9 +240,7 @@ class LevelProcedure(Procedure):
         if max(found) < self._least_ma or min(found) > self._most_ma:
             raise CalibrationError(
                 "a lone disc was felt always or never, with both polarities: explain the task "
-                "again, calibrate thresholds, then start over",
-                about="answers",
-                remedy="smarttouch calibrate thresholds",
+                "again, calibrate thresholds, then start over"
             )
         assert tested is not None
         return tested
@@ -336,8 +334,7 @@ def measure_level(
         if not procedure.done:
             raise CalibrationError(
                 f"stopped, all electrodes are off: {session.done} answers are kept, the same "
-                "command goes on there",
-                about="level",
+                "command goes on there"
             )
     found = procedure.found
     file.set("perception.level", found.level)

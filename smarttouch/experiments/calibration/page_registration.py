@@ -101,9 +101,7 @@ def _within(dots: Dots, target: DotTarget) -> Dots:
     if there.sum() < FEWEST_DOTS:
         raise CalibrationError(
             f"{int(there.sum())} dots of the target are seen, {FEWEST_DOTS} are needed: bring more "
-            "of it into view, or print it with dots closer together",
-            about="dots",
-            remedy="dot_pitch_mm",
+            "of it into view, or print it with dots closer together"
         )
     return Dots(dots.pixel[there], dots.cell[there])
 
@@ -121,9 +119,7 @@ def _fit(dots: Dots, target: DotTarget) -> tuple[NDArray[np.float64], NDArray[np
     for _ in range(_ROUNDS):
         fitted, _ = cv2.findHomography(page_mm[kept], aim[kept], 0)
         if fitted is None:
-            raise CalibrationError(
-                "the dots lie on one line: bring more of the target into view", about="dots"
-            )
+            raise CalibrationError("the dots lie on one line: bring more of the target into view")
         homography = np.asarray(fitted, np.float64)
         # A tilted disc is seen as an ellipse, and its middle is not where the disc's middle is.
         aside = _seen_centers(homography, page_mm, radius) - apply(homography, page_mm)
@@ -164,17 +160,13 @@ def _require_good(found: RegistrationFound) -> None:
     if not worst <= MOST_RESIDUAL:
         raise CalibrationError(
             f"the dots are up to {worst:.2f} of an electrode's pitch from where they should be, "
-            f"above {MOST_RESIDUAL:g}: lay the target flat, check its dots and the lens",
-            about="residual",
-            remedy="dot_pitch_mm",
+            f"above {MOST_RESIDUAL:g}: lay the target flat, check its dots and the lens"
         )
     count = len(found.electrode_pixel)
     if len(found.outside) > MOST_OUTSIDE * count:
         raise CalibrationError(
             f"{len(found.outside)} of {count} electrodes look beyond the image: move the target's "
-            "L under the middle of the array, or check optics.magnification",
-            about="electrodes",
-            remedy="optics.magnification",
+            "L under the middle of the array, or check optics.magnification"
         )
 
 

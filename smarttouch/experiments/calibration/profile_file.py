@@ -48,12 +48,10 @@ class ProfileFile:
         self._overwrite = overwrite
         if output.suffix != ".toml":
             raise CalibrationError(
-                f"the new profile {output} must end in .toml", about="file", remedy="output"
+                f"the new profile {output} must end in .toml: give another --output"
             )
         if not output.absolute().parent.is_dir():
-            raise CalibrationError(
-                f"cannot write {output}: its folder does not exist", about="file", remedy="output"
-            )
+            raise CalibrationError(f"cannot write {output}: its folder does not exist: make it")
         self._require_free(output)
         self._keep_flat_field()
 
@@ -106,8 +104,6 @@ class ProfileFile:
             said = str(error).removeprefix(f"{draft}: ")
             raise CalibrationError(
                 f"what was measured is no valid profile, so nothing was written: {said}",
-                about=error.about,
-                remedy=error.remedy,
                 electrode=error.electrode,
             ) from None
 
@@ -117,17 +113,12 @@ class ProfileFile:
             self._require_unchanged()
             return
         if path.exists() and not self._overwrite:
-            raise CalibrationError(
-                f"{path} exists already: give another file, or overwrite it",
-                about="file",
-                remedy="overwrite",
-            )
+            raise CalibrationError(f"{path} exists already: give another file, or add --overwrite")
 
     def _require_unchanged(self) -> None:
         if read_text(self.output, CalibrationError, MOST_TOML_BYTES) != self._text:
             raise CalibrationError(
-                f"{self.output} was changed meanwhile, nothing was written: repeat the command",
-                about="file",
+                f"{self.output} was changed meanwhile, nothing was written: repeat the command"
             )
 
     def _table(self, name: str) -> MutableMapping[str, Any]:
@@ -169,25 +160,19 @@ def file_to_calibrate(
     if key is not None:
         raise CalibrationError(
             f"{output} is there, and differs from {start} in {key}: continue from what is there, "
-            "or write another file",
-            about=key,
-            remedy="output",
+            "or give another file to --output"
         )
     if part in file.profile.calibrated and not overwrite:
         raise CalibrationError(
-            f"{output} has its {part} already: overwrite that, which keeps the rest, or "
-            "write another file",
-            about=part,
-            remedy="overwrite or output",
+            f"{output} has its {part} already: --overwrite replaces that and keeps the rest, "
+            "--output writes another file"
         )
     notes = file.profile.calibrated
     measured = [name for name in notes if not notes[name].found.startswith("simulated")]
     if simulated and measured and not overwrite:
         raise CalibrationError(
             f"{output} has its {measured[0]} from a real finger or sensor: write a "
-            "simulation to another file, or overwrite it",
-            about=part,
-            remedy="output or overwrite",
+            "simulation to another file, or overwrite it"
         )
     return file
 
@@ -201,5 +186,5 @@ def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, Profile]:
         document = tomlkit.parse(text)
         table = document.unwrap()
     except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
-        raise ProfileError(f"{path} cannot be changed: {error}", about="file") from None
+        raise ProfileError(f"{path} cannot be changed: {error}", key="file") from None
     return text, document, profile_of(table, path)

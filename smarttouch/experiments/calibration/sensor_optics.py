@@ -46,13 +46,12 @@ def collect_images(source: Source, count: int) -> Images:
         elif time.monotonic() - last > SILENCE_S:
             raise CalibrationError(
                 f"{source.title} gave {len(images)} of {count} frames, and none for "
-                f"{SILENCE_S:g} s: check the source",
-                about="frames",
+                f"{SILENCE_S:g} s: check the source"
             )
         else:
             time.sleep(_LOOK_S)
     if not images:
-        raise CalibrationError(f"{source.title} gave no frames: check the source", about="frames")
+        raise CalibrationError(f"{source.title} gave no frames: check the source")
     return images
 
 
@@ -105,9 +104,7 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
     if after > MOST_UNEVEN:
         raise CalibrationError(
             f"blank paper is still uneven by {after:.1%} after correction, above "
-            f"{MOST_UNEVEN:.0%}: use blank paper, hold it still, and give more frames",
-            about="unevenness",
-            remedy="frames",
+            f"{MOST_UNEVEN:.0%}: use blank paper, hold it still, and take more with --frames"
         )
     stack = np.stack(list(white)).astype(np.float32)
     noise = float(np.median(stack.std(axis=0, ddof=1))) if len(stack) > 1 else float("nan")

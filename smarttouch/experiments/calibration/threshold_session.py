@@ -14,7 +14,6 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import CalibrationError
 from smarttouch.base.files import (
     open_alone,
-    parse_json,
     read_bytes,
     sync_folder,
     unwritable,
@@ -76,22 +75,20 @@ class Progress(Closing):
         whole = data[: data.rfind(b"\n") + 1]
         try:
             first, *lines = whole.splitlines() if data else [json.dumps(settings).encode()]
-            before = dict(parse_json(first))
+            before = dict(json.loads(first))
             self.found = dict(map(_RESULT.validate_json, lines))
             felt = [each for each in self.found.values() if each.felt]
             if any(not 0 < each.threshold_ma <= each.comfort_ma for each in felt):
                 raise ValueError("a threshold above comfort")
         except (ValueError, TypeError):
             raise CalibrationError(
-                f"{self.path} is not the beginning of a threshold session: remove it to start over",
-                about="file",
+                f"{self.path} is not the beginning of a threshold session: remove it to start over"
             ) from None
         for key, value in settings.items():
             if before.get(key) != value:
                 raise CalibrationError(
                     f"{self.path} was begun with {key} {before.get(key)}, not {value}: go on with "
-                    "the same, or remove it to start over",
-                    about=key,
+                    "the same, or remove it to start over"
                 )
         self._file.truncate(len(whole))
         self._file.seek(len(whole))
@@ -236,7 +233,6 @@ class ThresholdSession:
             raise CalibrationError(
                 f"electrode {site}: {procedure.guessed} of {procedure.blanks} trials without any "
                 "current were called felt: explain the task again, then run the same command again",
-                about="blanks",
                 electrode=site,
             )
         found = procedure.estimate

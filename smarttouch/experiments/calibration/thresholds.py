@@ -49,9 +49,7 @@ def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
     if not usable:
         raise CalibrationError(
             "no electrode was felt and then strong enough: check contact with "
-            "'smarttouch calibrate contact', and explain the task",
-            about="thresholds",
-            remedy="smarttouch calibrate contact",
+            "'smarttouch calibrate contact', and explain the task"
         )
     threshold, comfort = profile.threshold_ma.astype(float), profile.full_ma.astype(float)
     for site, each in usable.items():
@@ -166,8 +164,7 @@ class ThresholdProcedure:
         left = len(set(self.sites) - set(progress.found))
         return CalibrationError(
             f"stopped, all electrodes are off: {left} of {len(self.sites)} electrodes are left, "
-            "the same command goes on there",
-            about="thresholds",
+            "the same command goes on there"
         )
 
     def put_down(self, progress: Progress) -> str:

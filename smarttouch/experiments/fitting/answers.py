@@ -133,8 +133,7 @@ def read_table(
     for parameter, name in (("x", x), ("y", y), ("standard", standard)):
         if name not in head and name != "standard":
             raise ExperimentError(
-                f"{path} has no column {name!r} for {parameter}: choose {' or '.join(head)}",
-                about=parameter,
+                f"{path} has no column {name!r} for {parameter}: choose {' or '.join(head)}"
             )
     rows = []
     for number, cells in lines:
@@ -149,9 +148,7 @@ def read_table(
             )
         )
     if not rows:
-        raise ExperimentError(
-            f"{path} has no trials below its first line: give one that has", about="file"
-        )
+        raise ExperimentError(f"{path} has no trials below its first line: give one that has")
     table = np.array(rows, np.float64)
     alternatives = _alternatives([cells for _, cells in lines])
     found = []
@@ -172,7 +169,7 @@ def _cells(path: Path) -> tuple[tuple[str, ...], list[tuple[int, _Cells]]]:
     table = parse_csv(text, path, ExperimentError, delimiter, strict=True)
     head, rows = table.head, table.rows
     if not head:
-        raise ExperimentError(f"{path} is empty: give a file of answers", about="file")
+        raise ExperimentError(f"{path} is empty: give a file of answers")
     if rows and not text.endswith("\n") and len(rows[-1]) < len(head):
         rows.pop()
     found = []
@@ -180,8 +177,7 @@ def _cells(path: Path) -> tuple[tuple[str, ...], list[tuple[int, _Cells]]]:
         if len(row) < len(head):
             raise ExperimentError(
                 f"{path}, line {number}: {len(row)} cells, not {len(head)} as in the first line; "
-                "correct or delete it",
-                about="line",
+                "correct or delete it"
             )
         cells = dict(zip(head, map(str.strip, row), strict=False))
         if delimiter == ";":
@@ -193,9 +189,7 @@ def _cells(path: Path) -> tuple[tuple[str, ...], list[tuple[int, _Cells]]]:
 def _number(text: str, where: str, column: str) -> float:
     number = finite(text)
     if math.isnan(number):
-        raise ExperimentError(
-            f"{where}: {column} is {text!r}, not a number; correct or delete it", about=column
-        )
+        raise ExperimentError(f"{where}: {column} is {text!r}, not a number; correct or delete it")
     return number
 
 
@@ -205,9 +199,7 @@ def _success(text: str, where: str, column: str) -> float:
         return math.nan
     if word not in _YES | _NO:
         raise ExperimentError(
-            f"{where}: {column} is {text!r}, not 1 or 0; name another column for y",
-            about=column,
-            remedy="y",
+            f"{where}: {column} is {text!r}, not 1 or 0; name another column with --y"
         )
     return float(word in _YES)
 

@@ -86,25 +86,20 @@ class Model:
     def __post_init__(self) -> None:
         if self.shape is Shape.WEIBULL and not self.logarithmic:
             raise ExperimentError(
-                "Weibull's function needs a logarithmic axis: choose normal or logistic",
-                about="shape",
+                "Weibull's function needs a logarithmic axis: choose normal or logistic"
             )
         floor = 0.0 if isinstance(self.guess, str) else self.guess
         if not 0 <= floor < 1:
-            raise ExperimentError(
-                f"a guess rate of {floor:g} is no share: give 0 to below 1", about="guess"
-            )
+            raise ExperimentError(f"a guess rate of {floor:g} is no share: give 0 to below 1")
         if not 0 <= self.most_lapses < (1 - floor) / 2:
             raise ExperimentError(
                 f"a lapse rate of up to {self.most_lapses:g} leaves no room for answers: give less "
-                f"than {(1 - floor) / 2:g}",
-                about="most_lapses",
+                f"than {(1 - floor) / 2:g}"
             )
         if self.at is not None and not floor < self.at < 1:
             raise ExperimentError(
                 f"the threshold cannot be at {self.at:g} of the answers: give a share between "
-                f"{floor:g} and 1",
-                about="at",
+                f"{floor:g} and 1"
             )
 
     @property
@@ -127,11 +122,7 @@ class Model:
         if not self.logarithmic:
             return given
         if (given < 0).any():
-            raise ExperimentError(
-                f"{given.min():g} has no logarithm: fit it on a linear axis",
-                about="stimulus",
-                remedy="linear",
-            )
+            raise ExperimentError(f"{given.min():g} has no logarithm: fit it on a linear axis")
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(given))
 

@@ -52,19 +52,16 @@ class WeightedStaircase(Procedure):
         if not self.lowest <= self.start <= self.highest or self.lowest == self.highest:
             raise ExperimentError(
                 f"a staircase cannot begin at {self.start:g} in a range from {self.lowest:g} to "
-                f"{self.highest:g}: begin within it",
-                about="start",
+                f"{self.highest:g}: begin within it"
             )
         if self.logarithmic and self.lowest <= 0:
             raise ExperimentError(
-                f"a staircase of ratios cannot go down to {self.lowest:g}: end it above 0",
-                about="lowest",
+                f"a staircase of ratios cannot go down to {self.lowest:g}: end it above 0"
             )
         if not (self.step > 0 and 0 < self.target < 1):
             raise ExperimentError(
                 "a staircase needs a step above 0 and a target between 0 and 1, not "
-                f"{self.step:g} and {self.target:g}",
-                about="target" if self.step > 0 else "step",
+                f"{self.step:g} and {self.target:g}"
             )
         self._intervals = IntervalOrder(self.two_intervals, self.seed)
         self._down = math.log1p(self.step) if self.logarithmic else self.step
@@ -92,7 +89,7 @@ class WeightedStaircase(Procedure):
     def next(self) -> Condition:
         """Return the next condition."""
         if self.done:
-            raise ExperimentError("the staircase is done: there is no next trial", about="trial")
+            raise ExperimentError("the staircase is done: there is no next trial")
         if self._shown is None:
             comparison = self._from_scale(self._level)
             interval = self._intervals.next()
@@ -179,13 +176,10 @@ class QuestPlus:
         if not self.lowest < self.highest or (self.model.logarithmic and self.lowest <= 0):
             raise ExperimentError(
                 f"stimuli from {self.lowest:g} to {self.highest:g} are no range: begin "
-                f"{'above 0, and ' if self.model.logarithmic else ''}below its end",
-                about="range",
+                f"{'above 0, and ' if self.model.logarithmic else ''}below its end"
             )
         if isinstance(self.model.guess, str) and self.model.guess == "free":
-            raise ExperimentError(
-                "QUEST+ needs a known guess rate: 0, 0.5 or one of letters", about="guess"
-            )
+            raise ExperimentError("QUEST+ needs a known guess rate: 0, 0.5 or one of letters")
         low, high = (float(self.model.axis(each)) for each in (self.lowest, self.highest))
         self._places = np.linspace(low, high, STIMULI)
         self._thresholds = np.linspace(low, high, THRESHOLDS)
@@ -217,7 +211,7 @@ class QuestPlus:
     def next(self) -> Condition:
         """Return the next condition."""
         if self.done:
-            raise ExperimentError("all trials are done: there is no next one", about="trial")
+            raise ExperimentError("all trials are done: there is no next one")
         if self._shown is None:
             says = entropy(self._likely @ self._posterior) - self._unsure @ self._posterior
             self._place = int(says.argmax())
@@ -284,8 +278,7 @@ def frequency_procedures(
         if high <= low:
             raise ExperimentError(
                 f"nothing can be faster than a standard of {standard:g} Hz within the profile's "
-                f"limit of {highest_hz:g} Hz: give lower standards",
-                about="standards",
+                f"limit of {highest_hz:g} Hz: give lower standards"
             )
         order = seed + 1000 * index
         if method == "staircase":

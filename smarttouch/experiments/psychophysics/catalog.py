@@ -55,8 +55,7 @@ def load_own(name: str, kind: type[_T]) -> _T | None:
     if len(made) != 1:
         raise ExperimentError(
             f"{name} has {len(made) or 'no'} {kind.__name__}{'s' * (len(made) > 1)}: make one, as "
-            "in experiment = Experiment('what it asks', make)",
-            about="experiment",
+            "in experiment = Experiment('what it asks', make)"
         )
     return next(iter(made.values()))
 
@@ -70,13 +69,12 @@ def called(name: str, function: Callable[..., object], kind: type[_T], *argument
         raise
     except Exception as error:
         raise ExperimentError(
-            f"{name} fails{_line_of(error)}: {type(error).__name__}: {error}", about="experiment"
+            f"{name} fails{_line_of(error)}: {type(error).__name__}: {error}"
         ) from error
     if not isinstance(given, kind):
         raise ExperimentError(
             f"{name}: {getattr(function, '__qualname__', 'it')} returned {type(given).__name__}: "
-            f"it must return a {kind.__name__}",
-            about="experiment",
+            f"it must return a {kind.__name__}"
         )
     return given
 
@@ -171,8 +169,7 @@ def find_experiment(name: str) -> Experiment:
         known = [*CATALOG, *plug_in_names(GROUP)]
         raise ExperimentError(
             f"there is no experiment {name!r}: choose {' or '.join(known)}, or give a file of "
-            "your own, as in mine.py",
-            about="experiment",
+            "your own, as in mine.py"
         )
     return found
 
@@ -183,16 +180,14 @@ def new_experiment(name: str, profile: Profile, wanted: ExperimentOptions) -> De
     method = wanted.procedure or entry.methods[0]
     if method not in entry.methods:
         raise ExperimentError(
-            f"the procedure {method!r} is not for {name}: choose {' or '.join(entry.methods)}",
-            about="procedure",
+            f"the procedure {method!r} is not for {name}: choose {' or '.join(entry.methods)}"
         )
     if wanted.site is not None:
         require_driven(profile, [wanted.site], ExperimentError, "site")
     if name in _IN_MA and profile.pulse.carrier == "width":
         raise ExperimentError(
             f"{name} counts in mA, and intensity changes the width of this profile's pulses: set "
-            "pulse.carrier = 'height'",
-            about="pulse.carrier",
+            "pulse.carrier = 'height'"
         )
     train_s = entry.train_s if wanted.train_s is None else wanted.train_s
     stimuli = Stimuli(profile, wanted.afferent, train_s)
@@ -285,8 +280,7 @@ def _discomfort(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Des
     if stimuli.train_s < slowest_s:
         raise ExperimentError(
             f"a current that reaches discomfort in {stimuli.train_s:g} s comes too suddenly: let "
-            f"trains last {slowest_s:g} s or more",
-            about="train_s",
+            f"trains last {slowest_s:g} s or more"
         )
     task = DiscomfortTask(stimuli, _site(stimuli, wanted), _rate_hz(stimuli, wanted))
     return Design(task, Repeats(wanted.repetitions or 5), method, again=False)
@@ -297,8 +291,7 @@ def _two_point(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Desi
     if not apart_mm:
         raise ExperimentError(
             f"no two electrodes of {stimuli.profile.name} lie beside each other: choose another "
-            "profile",
-            about="profile",
+            "profile"
         )
     nearest = apart_mm[: 2 * _FARTHEST]
     procedure = _constant([(0.0, each) for each in nearest], wanted, True, REPETITIONS)
@@ -311,8 +304,7 @@ def _localization(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> D
     far_mm = sorted({abs(each) for each in beside if -each in beside})[:_FARTHEST]
     if not far_mm:
         raise ExperimentError(
-            f"site {site} has no neighbors as far left as right: choose one in the middle of a row",
-            about="site",
+            f"site {site} has no neighbors as far left as right: choose one in the middle of a row"
         )
     pairs = [(0.0, sign * each) for each in far_mm for sign in (-1, 1)]
     task = LocalizationTask(stimuli, site, _rate_hz(stimuli, wanted))

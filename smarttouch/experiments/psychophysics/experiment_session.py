@@ -47,9 +47,7 @@ class TrialSession:
             if procedure.done or not _same(procedure.next(), row):
                 raise ExperimentError(
                     f"{file.path}, trial {number + 1}, is not of this experiment: go on with the "
-                    "options it was begun with, overwrite it, or give another file",
-                    about="trial",
-                    remedy="overwrite or output",
+                    "options it was begun with, add --overwrite, or give another --output"
                 )
             procedure.answer(row.success)
         self.resumed: int = len(file.rows)
@@ -256,7 +254,7 @@ def parse_standards(text: str | None) -> tuple[float, ...] | None:
         standards = ()
     if not standards or not all(0 < each < 1e6 for each in standards):
         message = f"standards {text!r} are not understood: give frequencies in Hz, as in 15,30,45"
-        raise SmartTouchError(message, about="standards")
+        raise SmartTouchError(message)
     return tuple(dict.fromkeys(standards))
 
 
@@ -267,11 +265,10 @@ def session_name(
     for parameter, name in (("participant", participant), ("session", session)):
         if any(not (each.isalnum() or each in "-_.") for each in name):
             raise SmartTouchError(
-                f"{parameter} {name!r} becomes part of a file's name: use letters, digits, - and _",
-                about=parameter,
+                f"{parameter} {name!r} becomes part of a file's name: use letters, digits, - and _"
             )
     if seed is not None and seed < 0:
-        raise SmartTouchError(f"the seed {seed} must be 0 or more", about="seed")
+        raise SmartTouchError(f"the seed {seed} must be 0 or more")
     named = "-".join(each for each in (participant, session, experiment) if each)
     usual = zlib.crc32(f"{participant}/{session}".encode()) % 10_000
     return named, usual if seed is None else seed

@@ -101,9 +101,7 @@ class ExperimentSource(ProgramSource):
             if opening.fault or (trial.course is not None and self._unless_ready(0.0)):
                 raise ExperimentError(
                     f"no trial could begin for {patience_s:g} s, and nobody is there to "
-                    f"{self._missing}: give more intensity or force",
-                    about="trial",
-                    remedy="intensity or force",
+                    f"{self._missing}: give more --intensity or --force"
                 )
 
     def _unless_ready(self, _since_s: float) -> float | None:
@@ -216,8 +214,7 @@ class ExperimentSource(ProgramSource):
         if most is not None and spoiled > most:
             raise ExperimentError(
                 f"current was lost {spoiled} times in one trial, and {most} times are allowed: "
-                "check the board's line, and keep the finger on the electrodes",
-                about="trial",
+                "check the board's line, and keep the finger on the electrodes"
             )
 
     def _answer(self, response: str, rt_s: float | None, reached: float | None = None) -> Answer:

@@ -46,8 +46,7 @@ def up_to_the_ceiling(profile: Profile) -> Profile:
     if (profile.threshold_ma >= ceiling_ma).any():
         raise ExperimentError(
             f"a threshold of {profile.threshold_ma.max():.2f} mA is not below the limit of "
-            f"{most_ma:g} mA: correct perception.threshold_ma or limits.current_ma",
-            about="perception.threshold_ma",
+            f"{most_ma:g} mA: correct perception.threshold_ma or limits.current_ma"
         )
     perception = profile.perception.model_dump() | {"comfort_ma": ceiling_ma}
     return Profile.model_validate({**profile.model_dump(), "perception": perception})
@@ -63,9 +62,7 @@ class FreeLog(Closing):
                 path, "x", newline="", encoding="utf-8-sig", opener=owner_only
             )
         except FileExistsError:
-            raise ExperimentError(
-                f"{path} exists: give another file", about="file", remedy="output"
-            ) from None
+            raise ExperimentError(f"{path} exists: give another file") from None
         except OSError as error:
             raise unwritable(ExperimentError, path, error) from None
         self._writer = csv.writer(self._file)
@@ -105,8 +102,7 @@ class FreeSource(StimulusSource, Listener):
         if afferent not in offered:
             raise ExperimentError(
                 f"mode {afferent.name} is not possible with {profile.name}: choose "
-                + " or ".join(each.name for each in offered),
-                about="mode",
+                + " or ".join(each.name for each in offered)
             )
         if site is not None:
             require_driven(profile, [site], ExperimentError, "site")

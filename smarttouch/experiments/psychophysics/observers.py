@@ -194,8 +194,7 @@ class SimulatedObserver:
             known = (*self._judges, *_YES_OR_NO, "which")
             raise ExperimentError(
                 f"the simulated observer has no answer to {task!r}: it can answer "
-                f"{', '.join(known)}",
-                about="task",
+                f"{', '.join(known)}"
             )
         return self._judges[task]
 
@@ -250,8 +249,7 @@ class SimulatedObserver:
         if missing:
             raise ExperimentError(
                 f"the simulated observer has no template of {missing[0]!r}: give it a template of "
-                "each alternative",
-                about="template",
+                "each alternative"
             )
         nerve = self._nerve
         felt = np.max([nerve.at_electrodes(nerve.of(each)) for each in intervals], axis=0)

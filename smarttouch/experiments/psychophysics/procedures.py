@@ -63,9 +63,7 @@ class Interleaved:
 
     def __init__(self, procedures: Sequence[Procedure], seed: int = 0) -> None:
         if not procedures:
-            raise ExperimentError(
-                "there is no procedure to interleave: give at least one standard", about="standards"
-            )
+            raise ExperimentError("there is no procedure to interleave: give at least one standard")
         self.procedures: tuple[Procedure, ...] = tuple(procedures)
         self._random = np.random.default_rng([seed, len(procedures)])
         self._chosen: int | None = None
@@ -87,7 +85,7 @@ class Interleaved:
         if self._chosen is None:
             waiting = [i for i, each in enumerate(self.procedures) if not each.done]
             if not waiting:
-                raise ExperimentError("all trials are done: there is no next one", about="trial")
+                raise ExperimentError("all trials are done: there is no next one")
             self._chosen = int(self._random.choice(waiting))
         return replace(self.procedures[self._chosen].next(), index=self._chosen)
 
@@ -132,10 +130,7 @@ class Repeats(Procedure):
 
     def __init__(self, repetitions: int) -> None:
         if repetitions < 1:
-            raise ExperimentError(
-                f"{repetitions} repetitions are no experiment: give at least one",
-                about="repetitions",
-            )
+            raise ExperimentError(f"{repetitions} repetitions are no experiment: give at least one")
         self._count, self._answers = repetitions, 0
 
     @property
@@ -151,7 +146,7 @@ class Repeats(Procedure):
     def next(self) -> Condition:
         """Return the same condition, with the next number."""
         if self.done:
-            raise ExperimentError("all trials are done: there is no next one", about="trial")
+            raise ExperimentError("all trials are done: there is no next one")
         return Condition(0.0, math.nan, 0, repetition=self._answers, index=0)
 
     def answer(self, success: bool | None) -> None:
@@ -189,8 +184,7 @@ def ratio_pairs(
     ]
     if not pairs:
         raise ExperimentError(
-            f"no standard and comparison is at or below {highest:g}: give lower standards",
-            about="standards",
+            f"no standard and comparison is at or below {highest:g}: give lower standards"
         )
     return pairs
 
@@ -214,8 +208,7 @@ class ConstantStimuli:
         if not pairs or repetitions < 1:
             raise ExperimentError(
                 f"{len(pairs)} conditions and {repetitions} repetitions are no experiment: give at "
-                "least one of each",
-                about="repetitions" if pairs else "conditions",
+                "least one of each"
             )
         random = np.random.default_rng([seed, len(pairs), repetitions])
         first = _first_intervals(len(pairs), repetitions, random)
@@ -247,7 +240,7 @@ class ConstantStimuli:
     def next(self) -> Condition:
         """Return the next condition."""
         if self.done:
-            raise ExperimentError("all trials are done: there is no next one", about="trial")
+            raise ExperimentError("all trials are done: there is no next one")
         return self._plan[len(self._answers)]
 
     def answer(self, success: bool | None) -> None:

@@ -56,8 +56,7 @@ class Subject(Listener):
         if not isinstance(board, SimulatedBoard):
             raise ExperimentError(
                 "a simulated subject responds to simulated currents only: choose the board "
-                "simulated:",
-                about="board",
+                "simulated:"
             )
         self._board = board
 

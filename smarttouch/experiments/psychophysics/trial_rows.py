@@ -44,16 +44,12 @@ def write_cell(value: str | float | None, column: str) -> str:
     """Return the text of a cell."""
     if isinstance(value, str):
         if "\n" in value or "\r" in value:
-            raise ExperimentError(
-                f"{column} {value!r} has a line break: leave it out", about=column
-            )
+            raise ExperimentError(f"{column} {value!r} has a line break: leave it out")
         return value
     if value is None:
         return ""
     if not math.isfinite(value):
-        raise ExperimentError(
-            f"{column} is {value}, which no trial can be: give a number", about=column
-        )
+        raise ExperimentError(f"{column} is {value}, which no trial can be: give a number")
     # What comes from numpy would be written with its type's name.
     return repr(float(value)) if isinstance(value, float) else str(int(value))
 
@@ -138,9 +134,7 @@ class RowFile(Closing):
         self.path: Path = path
         self.about: About = about
         if path.suffix.lower() != ".csv":
-            raise ExperimentError(
-                f"answers go into a .csv file, not {path}: give such a name", about="file"
-            )
+            raise ExperimentError(f"answers go into a .csv file, not {path}: give such a name")
         if path.exists():
             require_file(path, ExperimentError, MOST_TABLE_BYTES)
         self._file = open_alone(path, ExperimentError)
@@ -189,8 +183,7 @@ class RowFile(Closing):
                 if has != wanted:
                     raise ExperimentError(
                         f"{self.path} has {name} {has!r}, not {wanted!r}: give another file, or "
-                        "overwrite it",
-                        about=name,
+                        "overwrite it"
                     )
 
 
@@ -206,8 +199,7 @@ def _parse(data: bytes, path: Path) -> list[TrialRow]:
     for column in COLUMNS.values():
         if column not in head:
             raise ExperimentError(
-                f"{path} has no column {column} in its first line: give a file of answers",
-                about=column,
+                f"{path} has no column {column} in its first line: give a file of answers"
             )
     place = {each.name: head.index(COLUMNS[each.name]) for each in fields(TrialRow)}
     kinds = {each.name: each.type for each in fields(TrialRow)}
@@ -221,7 +213,6 @@ def _parse(data: bytes, path: Path) -> list[TrialRow]:
         except (IndexError, ValueError):
             raise ExperimentError(
                 f"{path}, line {number}: {COLUMNS[name]} is missing or not what belongs there; "
-                "correct or delete the line",
-                about=COLUMNS[name],
+                "correct or delete the line"
             ) from None
     return rows

@@ -74,16 +74,14 @@ class Stimuli:
         if pulses < FEWEST_PULSES:
             raise ExperimentError(
                 f"{self.train_s:g} s at {rate_hz:g} Hz are {pulses} pulses, fewer than the "
-                f"{FEWEST_PULSES} that define a frequency: make trains longer",
-                about="train_s",
+                f"{FEWEST_PULSES} that define a frequency: make trains longer"
             )
         activation = np.zeros((len(Afferent), len(self.profile.electrodes)), np.float32)
         if isinstance(where, np.ndarray) and where.dtype.kind not in "iu":
             if where.shape != activation[0].shape:
                 raise ExperimentError(
                     f"an activation of {where.shape} is not for the {activation.shape[1]} sites of "
-                    f"{self.profile.name}: give one for each, or sites by their numbers",
-                    about="where",
+                    f"{self.profile.name}: give one for each, or sites by their numbers"
                 )
             activation[self.afferent] = where
         else:

@@ -2,7 +2,6 @@
 
 import { ElectrodesView, FeltView, PageView, SensorView, SeriesView, SumView, bytes, calm, latencyOf } from "./views.js";
 import { SlotPlayer } from "./slots.js";
-import { Drawing } from "./draw.js";
 
 const find = (id) => document.getElementById(id);
 const FELT_AS = { RA: "flutter", SAI: "pressure", PC: "vibration" };
@@ -18,7 +17,6 @@ let array;
 let keys = [];
 let state;
 let newest = null;
-let drawing = null;
 let asked = false;
 let drawnAt = 0;
 let saidAt = 0;
@@ -68,17 +66,13 @@ function greet(hello) {
   over = false;
   newest = null;
   find("stop").disabled = false;
-  offer(hello.choices);
   array = hello.array;
   keys = hello.keys;
   find("keys").textContent = hello.keys_help.trim();
   find("full").textContent = `+${array.full_ma.toFixed(1)} mA`;
   find("full-anodic").textContent = `−${array.full_ma.toFixed(1)} mA`;
   for (const id of ["electrodes-card", "page-card", "series-card", "table-card"]) find(id).hidden = hello.blind;
-  find("draw-card").hidden = !hello.draws;
-  find("page-card").hidden = hello.blind || hello.draws;
-  if (hello.draws) drawing ??= new Drawing(find, say, array);
-  for (const id of ["felt-card", "sum-card"]) find(id).hidden = !hello.finger || (id === "sum-card" && hello.draws);
+  for (const id of ["felt-card", "sum-card"]) find(id).hidden = !hello.finger;
   views = {
     electrodes: new ElectrodesView(find("electrodes"), array),
     sensor: new SensorView(find("sensor")),
@@ -112,7 +106,6 @@ function greet(hello) {
 function disable(off) {
   for (const id of ["less", "more", "slider", "none", "pause", "steer", "record", "mark"]) find(id).disabled = off;
   for (const each of find("modes").children) each.disabled = off;
-  find("draw-card").inert = off;
 }
 
 function update(message) {
@@ -120,7 +113,6 @@ function update(message) {
   state = message.state;
   state.events.forEach(note);
   if (message.picture) newest = message.picture;
-  if (message.drawn) drawing.take(message.drawn);
   if (message.sheet !== undefined) views.page.lay(message.sheet, `sheet.png?n=${message.sheet?.number}-${Date.now()}`);
   if (message.picture && !views.blind) views.series.take(message.picture);
   if (message.felt) {
@@ -271,22 +263,6 @@ function end({ reason, failed }) {
   alertUser(failed ? `The run has failed: ${reason}` : `The run is over: ${reason || "it was ended"}. All electrodes are off.`);
   disable(true);
   find("stop").disabled = true;
-  find("again-more").open = true;
-}
-
-// Sources and boards of the next run.
-function offer(choices) {
-  find("again-card").hidden = !choices;
-  if (!choices || find("source").children.length) return;
-  find("source").append(...choices.sources.map((each) => new Option(each, each)), new Option("words …", ""));
-  find("boards").append(...choices.boards.map((each) => new Option(each, each)));
-  find("board").value = choices.boards[0];
-  find("words").maxLength = choices.words;
-}
-
-function again() {
-  const source = find("source").value || `text:${find("words").value}`;
-  say(`run ${JSON.stringify({ source, board: find("board").value, confirmed: find("confirmed").checked })}`);
 }
 
 find("stop").addEventListener("click", stop);
@@ -294,7 +270,6 @@ find("less").addEventListener("click", () => say("do less"));
 find("more").addEventListener("click", () => say("do more"));
 find("none").addEventListener("click", () => say("do none"));
 find("pause").addEventListener("click", () => say(state?.paused ? "do resume" : "do pause"));
-find("again").addEventListener("click", again);
 find("slider").addEventListener("input", () => {
   slidAt = performance.now();
   say(`do level:${Number(find("slider").value) / 100}`);
@@ -305,9 +280,6 @@ find("mark").addEventListener("click", () => {
   find("note").value = "";
 });
 find("sum-clear").addEventListener("click", () => views.sum?.clear());
-find("source").addEventListener("change", () => {
-  find("words-row").hidden = find("source").value !== "";
-});
 find("steer").addEventListener("click", () => say(state?.steers === "you" ? "leave" : "steer"));
 
 const ARROWS = { ArrowLeft: "left", ArrowRight: "right", Enter: "\n" };
@@ -322,7 +294,7 @@ document.addEventListener("keydown", (event) => {
     else if (!event.repeat) find("pause").click();
     return;
   }
-  if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, #sketch, #slider")) return;
+  if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, #slider")) return;
   if (event.key === "Enter" && event.target !== document.body) return;
   const key = ARROWS[event.key] ?? event.key;
   const own = { "+": "do more", "=": "do more", "-": "do less", "_": "do less", 0: "do none" };

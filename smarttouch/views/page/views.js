@@ -38,7 +38,7 @@ export const latencyOf = (picture) =>
 export const calm = () => window.matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 // A canvas in millimeters, with the array's own places.
-export class Field {
+class Field {
   constructor(canvas, halfWidth, halfHeight, longest = 560) {
     this.canvas = canvas;
     this.scale = longest / (2 * Math.max(halfWidth, halfHeight));
@@ -381,7 +381,7 @@ export class SeriesView {
     this.draw(time_s - LASTS_S, time_s);
   }
 
-  draw(from, to, now = null) {
+  draw(from, to) {
     const { canvas, rows, points } = this;
     const paint = canvas.getContext("2d");
     const [wide, high] = [canvas.width, canvas.height / rows.length];
@@ -397,14 +397,13 @@ export class SeriesView {
       paint.strokeRect(0, base, wide, 0.1);
       paint.fillStyle = paint.strokeStyle = color;
       paint.font = "600 17px system-ui, sans-serif";
-      const latest = (now === null ? points.at(-1) : points[now])?.[row + 1] ?? 0;
+      const latest = points.at(-1)?.[row + 1] ?? 0;
       paint.fillText(`${name} ${latest.toFixed(2)} ${unit}   (${word} ${line.toFixed(2)})`, 2, base - high + 26);
       paint.lineWidth = 2;
       paint.beginPath();
       points.forEach((point) => paint.lineTo(x(point[0]), y(point[row + 1])));
       paint.stroke();
       paint.lineWidth = 1;
-      if (now !== null && points[now]) paint.fillRect(x(points[now][0]) - 1, y(most), 2, base - y(most));
     });
   }
 }

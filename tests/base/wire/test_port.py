@@ -24,7 +24,7 @@ from ...raising import raises
     "/dev/nowhere", "/dev/null", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "nonsense://x",
 ])  # fmt: skip
 def test_what_cannot_be_opened_is_named(name):
-    with raises(BoardError, about="port", value=name) as error:
+    with raises(BoardError, value=name) as error:
         open_port(name)
     assert name in str(error.value)
 
@@ -33,7 +33,7 @@ def test_an_address_where_nobody_listens():
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     name = f"tcp://127.0.0.1:{port}"
-    with raises(BoardError, about="port", value=name):
+    with raises(BoardError, value=name):
         open_port(name)
 
 
@@ -50,7 +50,7 @@ def test_short_writes_over_tcp_do_not_wait(scheme):
 
 
 def test_a_port_that_stays_away_is_not_waited_for_longer_than_asked():
-    with raises(BoardError, about="port", value="/dev/nowhere"):
+    with raises(BoardError, value="/dev/nowhere"):
         reopen_port("/dev/nowhere", 0.12, None)
 
 
@@ -108,7 +108,7 @@ def test_another_device_in_a_ports_place_is_not_opened_for_writing(plugged, befo
     with open_port(name) as port:
         identity = identity_of(port)
     _, far = plugged(**after)
-    with raises(OtherDeviceError, about="board", value=name):
+    with raises(OtherDeviceError, value=name):
         reopen_port(name, 0.12, identity)
     assert heard(far) == b""
 

@@ -143,7 +143,7 @@ def test_a_board_of_another_version_is_reported_in_a_sentence(world, monkeypatch
     monkeypatch.setattr(world.firmware, "feed", old_board)
     monkeypatch.setattr(world.firmware, "advance", lambda now_ns: b"")
     monkeypatch.setattr(world, "answer", lambda data: world.to_host.due.append((0, data)))
-    with raises(BoardError, about="version", value=2, allowed=protocol.VERSION):
+    with raises(BoardError, names="version", value=2, allowed=protocol.VERSION):
         world.make_board()._open()
 
 
@@ -165,12 +165,12 @@ def test_an_emergency_switch_ends_the_run_and_keeps_the_board_shut(world, board)
     slots = world.books.slots
     world.wait(protocol.ALIVE_MS + 2)
     for _ in range(2):
-        with raises(EmergencyStopError, about="board"):
+        with raises(EmergencyStopError, names="board"):
             board._send(sequence(), 1)
-    with raises(EmergencyStopError, about="board"):
+    with raises(EmergencyStopError, names="board"):
         world.make_board()._open()
     world.firmware.switch_open = False
     world.wait(50)
-    with raises(EmergencyStopError, about="board"):
+    with raises(EmergencyStopError, names="board"):
         board._send(sequence(), 1)
     assert world.books.slots == slots

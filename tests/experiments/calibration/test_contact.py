@@ -64,7 +64,7 @@ def test_what_goes_into_the_profile(profile, changed):
     assert values[0] == 30
 
 
-LIFTED = {"about": "finger"}
+LIFTED = {"names": "finger"}
 
 
 @pytest.mark.parametrize(("runs", "attributes"), [
@@ -72,10 +72,10 @@ LIFTED = {"about": "finger"}
     ([measured([30] * 6, GOOD), measured([np.inf] * 6, ["open"] * 6)], LIFTED),
     (
         [measured([30, 30] + [np.inf] * 4, ["good"] * 2 + ["open"] * 4)],
-        {"about": "contact", "value": 4},
+        {"value": 4},
     ),
-    ([measured([30] * 6, ["unsure"] * 6)], {"about": "contact", "value": 0}),
-    ([measured([10 * 4**i] * 6, GOOD) for i in range(3)], {"about": "contact"}),
+    ([measured([30] * 6, ["unsure"] * 6)], {"value": 0}),
+    ([measured([10 * 4**i] * 6, GOOD) for i in range(3)], {}),
 ])  # fmt: skip
 def test_no_contact_is_one_sentence(runs, attributes):
     with raises(CalibrationError, **attributes):
@@ -110,7 +110,7 @@ class Lossy:
     def measure(self):
         self.measured += 1
         if self.measured in self.lost_at:
-            raise LineLostError("gone", about="board")
+            raise LineLostError("gone")
         return self.measured
 
 

@@ -91,7 +91,7 @@ class Listed:
 @pytest.mark.parametrize("readings", [[], [1, 2], [np.nan] * 9, [1, 2, 3, 4, 5] + [np.nan] * 6])
 def test_readings_that_are_none(readings):
     count = np.isfinite(readings).sum()
-    with raises(CalibrationError, about="readings", value=count, allowed=5, remedy="seconds"):
+    with raises(CalibrationError, value=count, allowed=5):
         weigh(Listed(readings), 20, 1.0)
 
 
@@ -135,6 +135,6 @@ def test_nonsense_is_one_sentence(profile, name, grams, reading, attributes):
 def test_a_weight_that_was_not_at_rest(profile):
     found = weighed(SimulatedCell())
     found[2] = dataclasses.replace(found[2], drift=0.1 * 4.1e5)
-    with raises(CalibrationError, about="drift", value=pytest.approx(0.1, abs=0.001)) as caught:
+    with raises(CalibrationError, names="drift", value=pytest.approx(0.1, abs=0.001)) as caught:
         fit_curve(found, profile.force)
     assert "50 g" in str(caught.value)

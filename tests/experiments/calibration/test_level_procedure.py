@@ -83,7 +83,7 @@ def test_the_same_answers_lead_to_the_same_conditions():
 
 @pytest.mark.parametrize("felt", [True, False])
 def test_one_answer_to_all_is_no_test(felt):
-    with raises(CalibrationError, about="answers"):
+    with raises(CalibrationError):
         answered([felt])
 
 
@@ -109,5 +109,5 @@ def test_trials_are_a_disc_of_either_polarity_or_a_letter(profile):
 
 
 def test_an_array_that_draws_no_letters_is_refused():
-    with raises(ExperimentError, about="profile"):
+    with raises(ExperimentError, names="profile"):
         LevelTask(load_profile("line-8"))

@@ -61,16 +61,16 @@ def test_any_numbers_and_words_are_read_back(tmp_path_factory, values, found):
 def test_nothing_is_overwritten_unless_requested(tmp_path):
     mine = tmp_path / "mine.toml"
     mine.write_text("what was there")
-    with raises(CalibrationError, about="file", value=mine, remedy="overwrite"):
+    with raises(CalibrationError, value=mine):
         ProfileFile("electric-mouse", mine)
     # Nor what came there meanwhile.
     late = ProfileFile("electric-mouse", tmp_path / "late.toml")
     (tmp_path / "late.toml").write_text("came meanwhile")
-    with raises(CalibrationError, about="file", value=tmp_path / "late.toml"):
+    with raises(CalibrationError, value=tmp_path / "late.toml"):
         late.write()
     other = ProfileFile("electric-mouse", tmp_path / "other.toml")
     (tmp_path / "other.npz").write_bytes(b"there")
-    with raises(CalibrationError, about="file", value=tmp_path / "other.npz"):
+    with raises(CalibrationError, value=tmp_path / "other.npz"):
         other.write({tmp_path / "other.npz": b"new"})
     assert mine.read_text() == "what was there"
     assert (tmp_path / "late.toml").read_text() == "came meanwhile"
@@ -84,7 +84,7 @@ def test_what_would_not_load_replaces_nothing(tmp_path):
     before = mine.read_bytes()
     file = ProfileFile(str(mine), mine, overwrite=True)
     file.set("perception.threshold_ma", [1.0, 2.0])
-    with raises(CalibrationError, about="perception.threshold_ma", value=2, allowed=64):
+    with raises(CalibrationError, names="perception.threshold_ma", value=2, allowed=64):
         file.write({tmp_path / "mine.npz": b"beside"})
     assert mine.read_bytes() == before
     assert sorted(each.name for each in tmp_path.iterdir()) == ["mine.toml"]
@@ -104,12 +104,12 @@ def test_a_flat_field_is_still_found_from_another_folder(tmp_path):
 @pytest.mark.parametrize("output", ["mine.txt", "none/mine.toml", "folder.toml"])
 def test_outputs_that_cannot_be(tmp_path, output):
     (tmp_path / "folder.toml").mkdir()
-    with raises(CalibrationError, about="file", value=tmp_path / output):
+    with raises(CalibrationError, value=tmp_path / output):
         ProfileFile("electric-mouse", tmp_path / output, overwrite=True)
 
 
 def test_a_start_that_is_none(tmp_path):
-    with raises(ProfileError, about="profile", value="nobody"):
+    with raises(ProfileError, names="profile", value="nobody"):
         ProfileFile("nobody", tmp_path / "mine.toml")
 
 
@@ -120,7 +120,7 @@ def test_a_disk_that_is_full(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("smarttouch.experiments.calibration.profile_file.os.fsync", fail)
-    with raises(CalibrationError, about="file", value=tmp_path / "mine.toml"):
+    with raises(CalibrationError, value=tmp_path / "mine.toml"):
         file.write()
     assert list(tmp_path.iterdir()) == []
 
@@ -152,7 +152,7 @@ def test_a_part_again_needs_overwrite_and_keeps_the_rest(tmp_path):
     calibrated("force", "force.curve", [0.0, 1e-6], mine)
     calibrated("contact", "output.masked", [3], mine)
     before = mine.read_bytes()
-    with raises(CalibrationError, about="force", value=mine, remedy="overwrite or output"):
+    with raises(CalibrationError, names="force", value=mine):
         file_to_calibrate("force", None, "electric-mouse", mine)
     assert mine.read_bytes() == before
     profile = calibrated("force", "force.curve", [0.5, 1e-6], mine, overwrite=True)
@@ -166,7 +166,7 @@ def test_a_simulation_does_not_mix_with_what_was_measured(tmp_path):
     mine = tmp_path / "mine.toml"
     start = (None, "electric-mouse", mine)
     calibrated("force", "force.curve", [0.0, 1e-6], mine)
-    with raises(CalibrationError, about="contact", value=mine):
+    with raises(CalibrationError, value=mine):
         file_to_calibrate("contact", *start, simulated=True)
     assert file_to_calibrate("contact", *start, overwrite=True, simulated=True)
     again = file_to_calibrate("force", *start, overwrite=True, simulated=True)
@@ -182,7 +182,7 @@ def test_a_start_of_another_device_or_with_other_limits_is_refused(tmp_path, cha
     lowered.set("limits.current_ma", 4.0)
     lowered.write()
     for start, overwrite in ((str(other), False), (str(other), True)):
-        with raises(CalibrationError, about="limits.current_ma", value=mine):
+        with raises(CalibrationError, names="limits.current_ma", value=mine):
             file_to_calibrate("contact", start, "electric-mouse", mine, overwrite)
     with raises(CalibrationError, value=mine):
         file_to_calibrate("contact", "line-7", "electric-mouse", mine)
@@ -192,7 +192,7 @@ def test_an_output_that_is_no_profile_is_kept(tmp_path):
     mine = tmp_path / "mine.toml"
     mine.write_text("what was there")
     for overwrite in (False, True):
-        with raises(ProfileError, about="file", value=mine):
+        with raises(ProfileError, value=mine):
             file_to_calibrate("force", None, "electric-mouse", mine, overwrite)
     assert mine.read_text() == "what was there"
 
@@ -204,6 +204,6 @@ def test_what_another_has_written_meanwhile_is_kept(tmp_path):
     calibrated("contact", "output.masked", [3], mine)
     before = mine.read_bytes()
     slow.set("perception.threshold_ma", [1.1] * 64)
-    with raises(CalibrationError, about="file", value=mine):
+    with raises(CalibrationError, value=mine):
         slow.write()
     assert mine.read_bytes() == before

@@ -50,7 +50,7 @@ def test_paper_that_moved_is_refused():
     white = patch.see(scene, 8) + patch.see(scene[:, ::-1], 8)
     alternating = [each for pair in zip(white[:8], white[8:], strict=True) for each in pair]
     moved = {"value": lambda uneven: uneven > MOST_UNEVEN, "allowed": MOST_UNEVEN}
-    with raises(CalibrationError, about="unevenness", **moved):
+    with raises(CalibrationError, **moved):
         measure_optics(patch.images(16, light=False), alternating)
 
 
@@ -79,10 +79,10 @@ def test_each_image_once_and_none_that_is_stale():
 
 
 def test_a_sensor_that_gives_nothing(monkeypatch):
-    with raises(CalibrationError, about="frames", value="no frames"):
+    with raises(CalibrationError, names="frames", value="no frames"):
         collect_images(Listed(np.empty((0, 2, 2), np.uint8)), 3)
     monkeypatch.setattr("smarttouch.experiments.calibration.sensor_optics.SILENCE_S", 0.05)
-    with raises(CalibrationError, about="frames", value=2, allowed=3):
+    with raises(CalibrationError, names="frames", value=2, allowed=3):
         collect_images(Listed(images(2), end=False), 3)
 
 

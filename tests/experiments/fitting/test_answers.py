@@ -76,20 +76,20 @@ def test_alternatives(tmp_path, responses, alternatives):
 
 
 @pytest.mark.parametrize(("text", "attributes", "line"), [
-    ("", {"about": "file"}, None),
-    ("comparison,success\n", {"about": "file"}, None),
+    ("", {}, None),
+    ("comparison,success\n", {}, None),
     (
         "a,success\n1,1\n",
-        {"about": "x", "value": "comparison", "allowed": ("a", "success")},
+        {"names": "x", "value": "comparison", "allowed": ("a", "success")},
         None,
     ),
-    ("comparison,b\n1,1\n", {"about": "y", "value": "success"}, None),
-    ("comparison,success\n1,1\nx,1\n", {"about": "comparison", "value": "x"}, 3),
-    ("comparison,success\n1,0.7\n", {"about": "success", "value": "0.7"}, 2),
-    ("comparison,success\n1\n1,1\n", {"about": "line", "value": 1, "allowed": 2}, 2),
-    ("comparison,success\ninf,1\n", {"about": "comparison", "value": "inf"}, 2),
-    (b"\xff\xfe", {"about": "file"}, None),
-    ('comparison,success\n"1,1\n', {"about": "file"}, None),
+    ("comparison,b\n1,1\n", {"names": "y", "value": "success"}, None),
+    ("comparison,success\n1,1\nx,1\n", {"names": "comparison", "value": "x"}, 3),
+    ("comparison,success\n1,0.7\n", {"names": "success", "value": "0.7"}, 2),
+    ("comparison,success\n1\n1,1\n", {"names": "line", "value": 1, "allowed": 2}, 2),
+    ("comparison,success\ninf,1\n", {"names": "comparison", "value": "inf"}, 2),
+    (b"\xff\xfe", {}, None),
+    ('comparison,success\n"1,1\n', {}, None),
 ])  # fmt: skip
 def test_errors(tmp_path, text, attributes, line):
     path = file(tmp_path, text)
@@ -101,7 +101,7 @@ def test_errors(tmp_path, text, attributes, line):
 
 
 def test_no_file_and_no_standard(tmp_path):
-    with raises(ExperimentError, about="file", value=tmp_path / "none.csv"):
+    with raises(ExperimentError, value=tmp_path / "none.csv"):
         read_table(tmp_path / "none.csv")
-    with raises(ExperimentError, about="standard", value="base"):
+    with raises(ExperimentError, names="standard", value="base"):
         read_table(file(tmp_path, "comparison,success\n1,1\n"), standard="base")

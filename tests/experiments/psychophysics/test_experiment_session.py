@@ -136,7 +136,7 @@ def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path, more):
         made.procedure.next()
         made.procedure.answer(True)
     file = RowFile(path, About("f", "constant", "p", "s", 3))
-    with file, raises(ExperimentError, about="trial", value=1):
+    with file, raises(ExperimentError, names="trial", value=1):
         TrialSession(made.task, made.procedure, file, DATE)
 
 

@@ -178,7 +178,7 @@ def test_where_currents_count_no_key_changes_one_unnoticed(take):
 
 
 def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(take):
-    with raises(ExperimentError, about="trial", value=3, remedy="intensity or force"):
+    with raises(ExperimentError, names="trial", value=3):
         take(
             Perfect(),
             controls=Controls(ControlState(Mode.RA, 0.0)),
@@ -368,7 +368,7 @@ def test_every_stimulus_is_numbered_and_none_has_an_image(begin):
 def test_courses_that_cannot_be(arguments):
     ((name, value),) = arguments.items()
     value = pytest.approx(value, nan_ok=True)
-    with raises(ExperimentError, about=name, value=value):
+    with raises(ExperimentError, names=name, value=value):
         TrialTiming(**arguments)
 
 

@@ -147,14 +147,14 @@ def test_rows_are_on_disk_at_once(line, tmp_path):
     )
     assert told == ["mode SAI"]
     log.close()
-    with raises(ExperimentError, about="file", value=tmp_path / "free.csv", remedy="output"):
+    with raises(ExperimentError, names="file", value=tmp_path / "free.csv"):
         FreeLog(tmp_path / "free.csv")
 
 
 @pytest.mark.parametrize(("options", "attributes"), [
-    ({"rate_hz": 5.0}, {"about": "rate_hz", "value": 5, "allowed": (10, 200)}),
-    ({"afferent": Afferent.PC}, {"about": "mode", "value": "PC", "allowed": ("RA",)}),
-    ({"site": 8}, {"about": "site", "value": 8}),
+    ({"rate_hz": 5.0}, {"names": "rate_hz", "value": 5, "allowed": (10, 200)}),
+    ({"afferent": Afferent.PC}, {"names": "mode", "value": "PC", "allowed": ("RA",)}),
+    ({"site": 8}, {"names": "site", "value": 8}),
 ])  # fmt: skip
 def test_what_cannot_be_asked_for(line, tmp_path, options, attributes):
     with FreeLog(tmp_path / "free.csv") as log, raises(ExperimentError, **attributes):

@@ -313,7 +313,7 @@ class TestTheTasks:
         trial = [points(*shapes["I"])]
         right = share(200, lambda: dull.respond("which", trial, names), "I")
         assert 1 / 3 < right < 0.8
-        with raises(ExperimentError, about="template", value="X"):
+        with raises(ExperimentError, names="template", value="X"):
             sharp.respond("which", trial, ["I", "X"])
 
     @pytest.mark.parametrize(("task", "alternatives"), [
@@ -326,7 +326,7 @@ class TestTheTasks:
         assert first == pytest.approx(0.5, abs=0.15)
 
     def test_an_unknown_task_is_named(self, observer):
-        with raises(ExperimentError, about="task", value="smell", allowed="faster"):
+        with raises(ExperimentError, value="smell", allowed="faster"):
             observer().respond("smell", [NOTHING], "12")
 
     def test_the_same_seed_gives_the_same_answers(self, observer, train):

@@ -63,10 +63,10 @@ def test_another_package_has_one(tmp_path, monkeypatch):
     install(tmp_path, "theirs", points, {"their_gap": EXAMPLE.read_text("utf-8")})
     assert find_experiment("gap").about == "which had a gap: width, mm"
     assert new_experiment("gap", MOUSE, WANTED).procedure.total == 9
-    with raises(ExperimentError, value="theirs", about="their_gap:make"):
+    with raises(ExperimentError, value="theirs", names="their_gap:make"):
         find_experiment("other")
     install(tmp_path, "more", points, {})
-    with raises(ExperimentError, value="more and theirs", about="experiment"):
+    with raises(ExperimentError, value="more and theirs", names="experiment"):
         find_experiment("gap")
 
 
@@ -104,5 +104,5 @@ def test_sites_are_whole_numbers_and_activations_are_not():
     for where in ([3, 5], np.array([3, 5]), on, on.astype(np.float32)):
         train = stimuli.train(where, 50)
         assert np.flatnonzero(train.activation[WANTED.afferent]).tolist() == [3, 5]
-    with raises(ExperimentError, about="where", value="(6,)"):
+    with raises(ExperimentError, value="(6,)"):
         stimuli.train(np.zeros(6), 50)

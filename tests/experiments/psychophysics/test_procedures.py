@@ -80,11 +80,11 @@ def test_unanswered_trials_come_again_once(missed, missed_again):
 
 
 def test_errors():
-    with raises(ExperimentError, about="conditions", value=0):
+    with raises(ExperimentError, names="conditions", value=0):
         ConstantStimuli([])
     procedure = ConstantStimuli([(1.0, 2.0)], 1)
     procedure.answer(True)
-    with raises(ExperimentError, about="trial"):
+    with raises(ExperimentError, names="trial"):
         procedure.next()
 
 

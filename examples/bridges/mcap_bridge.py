@@ -1,0 +1,48 @@
+"""Show the images of a ROS 2 topic in an MCAP file, at the times of their messages.
+
+    python mcap_bridge.py FILE TOPIC BOARD INTENSITY [FORCE]
+
+Reads sensor_msgs/msg/CompressedImage, and sensor_msgs/msg/Image as mono8, rgb8 or bgr8.
+"""
+
+import io
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from PIL import Image
+
+import smarttouch as st
+
+
+def image_of(message: Any) -> np.ndarray:
+    """Return gray levels (H, W) or RGB (H, W, 3) of a message."""
+    if hasattr(message, "format"):
+        return np.array(Image.open(io.BytesIO(message.data)).convert("L"))
+    channels = {"mono8": 1, "rgb8": 3, "bgr8": 3}[message.encoding]
+    rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
+    image = rows[:, : message.width * channels].reshape(message.height, message.width, channels)
+    return image[:, :, ::-1] if message.encoding == "bgr8" else image
+
+
+def main(path: str, topic: str, board: str, intensity: str, force: str | None = None) -> None:
+    """Put each image at its time."""
+    display = st.open_display(board)
+    session = display.session(mode="RA", intensity=float(intensity), force=force)
+    count, ahead_s = 0, 0.0
+    with Path(path).open("rb") as file, session as touch:
+        messages = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, _, record, message in messages.iter_decoded_messages(topic):
+            ahead_s = ahead_s or record.log_time / 1e9 - time.monotonic()
+            time.sleep(max(0.0, record.log_time / 1e9 - ahead_s - time.monotonic()))
+            touch.put(st.Frame(image_of(message), 0))
+            count += 1
+    print(f"{count} images, {touch.statistics.delivered} sequences with pulses")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
