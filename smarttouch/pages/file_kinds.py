@@ -6,7 +6,7 @@ from pathlib import Path
 
 from smarttouch.base.errors import BrailleError
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, decoded, open_file, read_bytes
-from smarttouch.pages.structured_text import format_of
+from smarttouch.pages.pandoc_text import format_of
 
 _MOST_TEXT_BYTES = 50_000_000
 _BEGINNING_BYTES = 4096

@@ -12,11 +12,11 @@ from smarttouch.base.errors import ReadingError
 from smarttouch.pages.document import open_document, parse_pages
 from smarttouch.pages.file_kinds import FileKind, file_kind, read_plain_text
 from smarttouch.pages.page_image import Page
+from smarttouch.pages.pandoc_text import read_pandoc_text
 from smarttouch.pages.prepared_page import (
     PreparedPage,
     prepare_text,
 )
-from smarttouch.pages.structured_text import read_structured_text
 from smarttouch.pages.text_lines import TextLine
 from smarttouch.reading.recognition import (
     Note,
@@ -227,7 +227,7 @@ class ReadingMaterial:
         if self.kind is FileKind.TEXT:
             return read_plain_text(Path(self.name))
         if self.kind is FileKind.STRUCTURED:
-            return read_structured_text(Path(self.name)).text
+            return read_pandoc_text(Path(self.name), self.note)
         return None
 
     def numbers(self) -> list[int]:

@@ -1,7 +1,7 @@
 """A virtual finger over a page: its path, and frames like those of a photo-sensor patch."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,9 +17,9 @@ from smarttouch.pages.document import PdfDocument, open_document
 from smarttouch.pages.file_kinds import FileKind, file_kind
 from smarttouch.pages.ink import reduced, separate_ink
 from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page
+from smarttouch.pages.pandoc_text import read_pandoc_text
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
-from smarttouch.pages.structured_text import read_structured_text
 from smarttouch.pages.text_lines import TextLine, find_lines
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
@@ -183,8 +183,10 @@ def open_page(
     Of a photograph the sheet is shown, laid flat and without its shadow. The page is magnified
     beyond the profile's scale; ``auto`` makes its usual lines fill the array.
     """
-    page, assumed = load_or_guess(Path(rest), dpi, page_width_mm)
-    notices = [assumed] if assumed else []
+    notices: list[str] = []
+    page, assumed = load_or_guess(Path(rest), dpi, page_width_mm, notices.append)
+    if assumed:
+        notices.append(assumed)
     corners = None if path is not None or light_on_dark else find_sheet(page.grey)
     if corners is not None:
         flat = separate_ink(flattened(page.grey, corners), False).cleaned
@@ -240,12 +242,16 @@ def _print_mm(page: Page, light_on_dark: bool) -> float | None:
     return lines[int(np.searchsorted(length, length[-1] / 2))].height_mm
 
 
-def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tuple[Page, str]:
-    """Return a page, and a sentence if its scale is guessed or doubtful; a .txt without a scale is
-    printed."""
+def load_or_guess(
+    path: Path, dpi: float | None, width_mm: float | None, note: Callable[[str], None]
+) -> tuple[Page, str]:
+    """Return a page, and a sentence if its scale is guessed or doubtful.
+
+    A text without a scale is printed; ``note`` gets what is left out of it.
+    """
     kind = file_kind(path) if path.is_file() else None
     if kind is FileKind.STRUCTURED:
-        return print_text(read_structured_text(path).text), ""
+        return print_text(read_pandoc_text(path, note)), ""
     text = kind is FileKind.TEXT and path.suffix.lower() == ".txt"
     if text and dpi is None and width_mm is None:
         return print_text(read_text(path, PageError).strip()), ""

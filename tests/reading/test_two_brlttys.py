@@ -1,15 +1,15 @@
 """The recipe for a second display: two BRLTTYs side by side, each with a program of its own."""
 
 import re
+from pathlib import Path
 
 import pytest
 
 from smarttouch.reading.brltty_connection import Address, BrlttyConnection
 
-from ..documented import ROOT
 from .real_brltty import Brltty, free_port, require_brltty, wait_until
 
-PAGE = ROOT / "docs" / "how-to" / "braille-display.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "braille-display.md"
 WIDTH = 10
 
 

@@ -3,11 +3,11 @@
 import re
 import subprocess
 import sys
+from pathlib import Path
 
-from ..documented import ROOT
 from ..whole import WHOLE
 
-EXAMPLE = ROOT / "examples" / "plugins" / "board"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "plugins" / "board"
 
 MUTANTS = """
 from dataclasses import replace

@@ -1,0 +1,179 @@
+"""Documents become plain paragraphs, and what is left out of them is named."""
+
+import shutil
+import subprocess
+import zipfile
+
+import pytest
+from PIL import Image
+
+from smarttouch.base.errors import PageError
+from smarttouch.pages import pandoc_text
+from smarttouch.pages.pandoc_text import format_of, read_pandoc_text
+
+needs_pandoc = pytest.mark.skipif(shutil.which("pandoc") is None, reason="pandoc is not installed")
+
+SOURCE = """---
+title: Tea and people
+author: [A. Writer, B. Other]
+---
+
+# The *first* part
+
+Words with **weight** and a
+second line, 10^6^ of H~2~O[^1].
+
+- one
+- two
+    1. small
+    2. smaller
+
+[^1]: Not more.
+
+| Stop   | Sat  | Sun  |
+|--------|------|------|
+| Mill   | 8:05 |      |
+| Bridge |      | 9:12 |
+"""
+TEXT = """The first part
+Words with weight and a second line, 10^6 of H_2O (Not more.).
+- one
+- two
+1. small
+2. smaller
+Stop; Sat; Sun
+Mill; 8:05; -
+Bridge; -; 9:12"""
+
+
+def read(path):
+    notes = []
+    return read_pandoc_text(path, notes.append), notes
+
+
+def written(folder, kind, source=SOURCE):
+    """Return a file of a kind, made by pandoc from Markdown."""
+    path = folder / f"document.{kind}"
+    if kind == "md":
+        path.write_text(source)
+    else:
+        command = ["pandoc", "-f", "markdown", "-s", "--mathml", "-t", kind, "-o", path]
+        subprocess.run(command, input=source, text=True, check=True)
+    return path
+
+
+@needs_pandoc
+@pytest.mark.parametrize("kind", ["html", "epub", "docx", "odt", "md"])
+def test_a_document_is_plain_paragraphs(tmp_path, kind):
+    path = written(tmp_path, kind)
+    assert format_of(path) == {"md": "commonmark_x"}.get(kind, kind)
+    text, notes = read(path)
+    mark = {"html": "^1", "epub": ""}.get(kind, " (Not more.)")
+    assert text.startswith("Tea and people\n")
+    assert TEXT.replace(" (Not more.)", mark) in text
+    assert "Not more." in text
+    assert notes == []
+
+
+MARKS = {
+    "10<sup>6</sup>": "10^6",
+    "10<sup>6</sup>5": "10^(6)5",
+    "e<sup>-<b>12</b></sup>": "e^-12",
+    "e<sup>a+b</sup>": "e^(a+b)",
+    "H<sub>2</sub>O": "H_2O",
+    "21<sup>st</sup>": "21st",
+    "now <del>old</del>": "now (struck out: old)",
+    "one<br>two": "one\ntwo",
+}
+
+
+@needs_pandoc
+@pytest.mark.parametrize("markup", MARKS)
+@pytest.mark.parametrize("suffix", ["html", "md"])
+def test_raised_lowered_and_struck_out_text_is_marked(tmp_path, markup, suffix):
+    if suffix == "md" and "<del>" in markup:
+        markup, expected = "now ~~old~~", MARKS[markup]
+    else:
+        expected = MARKS[markup]
+    path = tmp_path / f"a.{suffix}"
+    path.write_text(markup)
+    assert read(path) == (expected, [])
+
+
+@needs_pandoc
+@pytest.mark.parametrize("kind", ["html", "docx", "odt", "md"])
+def test_formulas_and_pictures_are_named(tmp_path, kind):
+    picture = tmp_path / "a.png"
+    Image.new("L", (9, 9)).save(picture)
+    source = (
+        f"---\ntitle: T\n---\nArea $\\frac{{1}}{{2}}$ and $\\sqrt{{x}}$\n\n![a cat]({picture})\n"
+    )
+    text, notes = read(written(tmp_path, kind, source))
+    place = "(embedded object)" if kind == "odt" else "(formula)"
+    assert text.startswith(f"T\nArea {place} and {place}\n")
+    formulas = "text boxes, frames) are left out: 2" if kind == "odt" else "2 formulas are left out"
+    assert "1 picture is left out" in notes
+    assert any(note.endswith(formulas) for note in notes)
+
+
+@needs_pandoc
+def test_a_row_keeps_its_cells_below_a_tall_cell(tmp_path):
+    path = tmp_path / "a.md"
+    path.write_text("<table><tr><td rowspan=2>in<td>3<td></td></tr><tr><td><td>4</td></tr></table>")
+    assert read(path) == ("in; 3; -\n-; -; 4", [])
+
+
+@needs_pandoc
+def test_html_names_what_it_hides_and_opens_nothing_else(tmp_path):
+    (tmp_path / "secret.html").write_text("<p>secret</p>")
+    path = tmp_path / "page.html"
+    path.write_text(
+        f"<html><body><p>wo<span role='doc-pagebreak'>7</span>rds</p><iframe src='{tmp_path}/"
+        "secret.html'></iframe><script>document.write('script')</script></body></html>"
+    )
+    text, (page, embedded) = read(path)
+    assert text == "words"
+    assert page == "1 page number of print is left out"
+    assert embedded.endswith(": 1")
+
+
+@needs_pandoc
+def test_encrypted_fonts_of_an_epub_are_not_needed(tmp_path):
+    path = written(tmp_path, "epub")
+    with zipfile.ZipFile(path, "a") as packed:
+        packed.writestr("META-INF/encryption.xml", "<encryption/>")
+        packed.writestr("EPUB/fonts/a.otf", b"\x00\xff")
+    assert "Mill; 8:05; -" in read(path)[0]
+
+
+@needs_pandoc
+def test_damaged_large_and_foreign_documents_are_refused(tmp_path, monkeypatch):
+    damaged = tmp_path / "damaged.odt"
+    damaged.write_bytes(written(tmp_path, "odt").read_bytes()[:2000])
+    latin = tmp_path / "latin.md"
+    latin.write_bytes(b"caf\xe9")
+    large = written(tmp_path, "docx")
+    monkeypatch.setattr(pandoc_text, "MOST_UNPACKED_BYTES", 20_000)
+    refusals = [(damaged, "damaged"), (latin, r"UTF-8 \(byte 4\)"), (large, "unpack")]
+    for path, words in refusals:
+        with pytest.raises(PageError, match=words):
+            read(path)
+
+
+def test_without_pandoc_it_is_named(tmp_path, monkeypatch):
+    path = tmp_path / "a.md"
+    path.write_text("# Words")
+    monkeypatch.setattr(pandoc_text.shutil, "which", lambda _name: None)
+    with pytest.raises(PageError, match="apt install pandoc"):
+        read(path)
+
+
+def test_what_pandoc_does_not_read(tmp_path):
+    for name, data in (("a", b"# words"), ("a.txt", b"words"), ("a.html", b"\x00"), ("a.jpg", b"")):
+        (tmp_path / name).write_bytes(data)
+        assert format_of(tmp_path / name) is None
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as packed:
+        packed.writestr("words.txt", "words")
+    assert format_of(tmp_path / "a.zip") is None
+    with pytest.raises(PageError, match=r"slides\.PPTX is a presentation"):
+        format_of(tmp_path / "slides.PPTX")
