@@ -96,6 +96,7 @@ from smarttouch.sources.given_sources import Given as Given
 from smarttouch.sources.given_sources import Imaging as Imaging
 from smarttouch.sources.source_contract import Device as Device
 from smarttouch.sources.source_contract import Input as Input
+from smarttouch.sources.source_contract import Pointer as Pointer
 from smarttouch.sources.source_contract import Pose as Pose
 from smarttouch.sources.source_contract import Sheet as Sheet
 from smarttouch.sources.source_contract import Source as Source

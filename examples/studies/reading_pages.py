@@ -33,7 +33,7 @@ from smarttouch.reading.delivered_lines import (
     read_at_nerve,
 )
 from smarttouch.reading.legibility import character_error_rate, read_pictures
-from smarttouch.reading.letter_shapes import Shapes, Style, shape_line
+from smarttouch.reading.letter_shapes import Shapes, shape_line
 from smarttouch.reading.line_feed import TouchLine
 from smarttouch.reading.line_source import LineMotion
 from smarttouch.reading.material import ReadingMaterial
@@ -66,7 +66,7 @@ class Setting:
 
 
 BEFORE = Setting()
-LEVELS, STYLES = (1.0, 0.7, 0.5, 0.4), ("graded", "plain", "thinned")
+LEVELS, STYLES = (1.0, 0.7, 0.5, 0.4), ("graded", "plain")
 CHANGES: dict[str, tuple[Any, ...]] = {
     "scan": ("points", "frame"), "speed": (0.5, 2.0), "size": (0.75,),
 }  # fmt: skip
@@ -94,7 +94,7 @@ def smaller(line: TouchLine, size: float) -> TouchLine:
 @cache
 def delivered(page: str, setting: Setting) -> tuple[tuple[DeliveredLine, ...], str]:
     """Return the first lines of running text as the board delivers them, and what they say."""
-    chosen, shapes = profile(), Shapes(Style(setting.style))
+    chosen, shapes = profile(), Shapes(setting.style == "graded")
     speed_mm_s = setting.speed * shapes.motion(chosen).speed_mm_s
     reading = LineDelivery(
         chosen, load_bank(chosen), shapes.tone, LineMotion(speed_mm_s), Mode.RA,
@@ -108,7 +108,7 @@ def delivered(page: str, setting: Setting) -> tuple[tuple[DeliveredLine, ...], s
     if not found:
         raise SystemExit(f"{page} has no line of at least {LEAST_LOWER} small letters")
     indices, texts = zip(*found, strict=True)
-    lines = [smaller(shape_line(sheet, k, chosen, shapes.style), setting.size) for k in indices]
+    lines = [smaller(shape_line(sheet, k, chosen), setting.size) for k in indices]
     truth = "\n".join(texts)
     return tuple(deliver_pulses(line, reading) for line in lines), truth
 

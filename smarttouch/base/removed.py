@@ -13,12 +13,18 @@ COMMANDS = {
     "report": "send smarttouch --version, pip list and the command that went wrong",
 }
 OPTIONS = {
+    "--adaptive": "run smarttouch experiment run 'detection?procedure=questplus&site=N'",
     "--compare": "design one kind after the other; the profile's output.kind decides",
     "--dot-pitch-mm": "give --size-mm, the side of the target",
+    "--frames": "leave it out; 16 frames are averaged",
     "--leave-out": "leave it out; characters without cells are always left out and named",
+    "--note": "name the recording; experiment run has --session",
     "--overwrite": "remove the file, or give another name",
     "--robust": "leave it out; kernels are designed for the nominal finger",
+    "--save": "record with smarttouch live SOURCE --record FILE.mcap",
+    "--schema": "st.Profile.model_json_schema() in Python has it",
     "--stream": "run examples/bridges/lsl_bridge.py",
+    "--subject": "name the recording; experiment run has --subject",
     "--three-state": "leave it out; the profile's output.kind decides",
 }
 URLS = {

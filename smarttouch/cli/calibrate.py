@@ -114,7 +114,7 @@ _Yes = Annotated[bool, option("Ask no questions: everything is in place.", None,
 _Simulate = Annotated[
     bool, option("Run the whole calibration without hardware.", None, "--simulate")
 ]
-_Frames = Annotated[int, option("Average this many frames.", "N", min=1, max=1000)]
+_FRAMES = 16  # that are averaged
 _SourceUrl = Annotated[str | None, option("Take frames from this source, such as camera:0.", "URL")]
 _BoardUrl = Annotated[
     str,
@@ -133,7 +133,6 @@ def optics(
     white: Annotated[
         str | None, option("Take frames of white paper from this source.", "URL")
     ] = None,
-    frames: _Frames = 16,
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
@@ -145,7 +144,7 @@ def optics(
     if simulate:
         of = file.profile.optics
         patch = sensor_optics.SimulatedPatch((of.sensor_rows, of.sensor_columns), dead=2, hot=1)
-        seen = [patch.images(frames, light=light) for light in (False, True)]
+        seen = [patch.images(_FRAMES, light=light) for light in (False, True)]
     else:
         sources = (dark or source, white or source)
         if None in sources:
@@ -155,7 +154,7 @@ def optics(
         for url, question in zip(sources, asked, strict=True):
             assert url is not None
             ask(question, yes or url != source)
-            images = sensor_optics.images_of(url, file.profile, frames, corrected=False)
+            images = sensor_optics.images_of(url, file.profile, _FRAMES, corrected=False)
             seen.append(images)
     found = sensor_optics.measure_optics(*seen)
     show_optics(found)
@@ -174,7 +173,6 @@ def registration(
         float | None,
         option("Set the side of the target; it suits the sensor's field otherwise.", "MM"),
     ] = None,
-    frames: _Frames = 16,
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
@@ -205,7 +203,7 @@ def registration(
         raise CalibrationError("give --source or --simulate")
     else:
         ask("Lay the target under the sensor, its text on top, its middle under the array's.", yes)
-        mean = mean_image(images_of(source, file.profile, frames, corrected=True))
+        mean = mean_image(images_of(source, file.profile, _FRAMES, corrected=True))
         image = mean.round().astype("uint8")
     found = register(image, file.profile, made)
     show_registration(found)
@@ -259,9 +257,6 @@ def thresholds(
     electrodes: Annotated[
         str | None, option("Measure these electrodes; all that are not masked otherwise.", "0-7,12")
     ] = None,
-    adaptive: Annotated[
-        bool, option("Add yes-or-no trials after the rising current.", None, "--adaptive")
-    ] = False,
     repeats: Annotated[
         int, option("Repeat the rising current this many times.", "N", min=1, max=10)
     ] = 3,
@@ -285,7 +280,7 @@ def thresholds(
     require_answers(simulate, board, _SIMULATED, CalibrationError)
     procedure = ThresholdProcedure(
         start=calibration.start(board), file=file, board_url=board, sites=sites.tolist(),
-        adaptive=adaptive, repeats=repeats, seed=seed, simulate=simulate,
+        repeats=repeats, seed=seed, simulate=simulate,
     )  # fmt: skip
     with procedure.progress() as progress:
         try:

@@ -145,21 +145,11 @@ def list_profiles(context: typer.Context) -> None:
 
 
 @profiles.command()
-def show(
-    name: _Name = "",
-    schema: Annotated[
-        bool, option("Print the JSON Schema of all profiles instead.", None, "--schema")
-    ] = False,
-) -> None:
+def show(name: _Name = "") -> None:
     """Print all values of a profile, defaults included, and what calibrations measured."""
-    import json
-
-    from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
+    from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.profile.toml_writer import as_toml
 
-    if schema:
-        typer.echo(json.dumps(Profile.model_json_schema(), indent=1))
-        return
     typer.echo(as_toml(load_profile(name or DEFAULT_PROFILE)), nl=False)
 
 

@@ -1,7 +1,6 @@
 """``smarttouch devices``: boards, sensors and cameras found, looked at, measured and tried."""
 
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -94,14 +93,10 @@ def show(
         ),
     ],
     seconds: Annotated[float, option("Watch a sensor for this time.", "S")] = 2.0,
-    save: Annotated[Path | None, option("Write the last frame to this file.", "PNG")] = None,
     profile: ProfileOption = None,
 ) -> None:
     """Show what a board is and can do, or what a sensor or load cell delivers."""
-    import cv2
-
     from smarttouch.base.errors import require_within
-    from smarttouch.base.files import require_folder, write_bytes
     from smarttouch.base.registry import known_names
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources import open_source
@@ -113,11 +108,8 @@ def show(
         _describe_board(url, profile)
         return
     require_within(SmartTouchError, "seconds", seconds, 0, 3600, above=True)
-    require_folder(save)
     chosen = load_profile(profile or DEFAULT_PROFILE)
     if kind in known_names("smarttouch.forces"):
-        if save is not None:
-            raise SmartTouchError(f"{url} has no frames to save: leave this out")
         with open_force(url, chosen) as pressed:
             rows = sample_force(pressed, seconds)
         print_table([*rows, *(("note", note) for note in pressed.notes)], left=2)
@@ -126,9 +118,6 @@ def show(
         look = sample_source(source, seconds)
     notes = [("note", note) for note in source.notes]
     print_table([*look.rows(source), *notes], left=2)
-    if save is not None and look.last is not None and look.last.image is not None:
-        write_bytes(save, cv2.imencode(".png", look.last.image)[1].tobytes())
-        typer.echo(f"The last frame is in {save}.")
 
 
 def _describe_board(url: str, profile: str | None) -> None:

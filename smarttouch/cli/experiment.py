@@ -226,6 +226,7 @@ def run_listed(
         float | None,
         option("Set the rate of pulses where the experiment does not.", "HZ", "--rate", panel=MORE),
     ] = None,
+    subject: Annotated[str, option("Name the participant.", "NAME")] = "",
     session: _Session = "",
     seed: Annotated[
         int | None,
@@ -250,7 +251,7 @@ def run_listed(
 
     Keys: the answers that the screen names, r to repeat the trial, and those of live; q to continue
     another time. With free: ↑ ↓ for the amplitude, ← → for the rate, [ ] for the site, 1 to 9 to
-    mark what is perceived; every change is a row of the CSV file.
+    mark what is perceived; every change is an event of the recording.
     """
     from dataclasses import replace
 
@@ -275,7 +276,10 @@ def run_listed(
         if simulate is not None:
             message = "nobody is simulated in free stimulation: leave this out"
             raise ExperimentError(message)
-        _run_free(replace(run, board=board), mode, parts, rate_hz, output)
+        if output is not None:
+            message = "free stimulation has no answers: leave out --output, and use --record"
+            raise ExperimentError(message)
+        _run_free(replace(run, board=board), mode, parts, rate_hz)
         return
     if simulate is not None:
         simulate = choice_of("simulate", simulate, ("model", "random", "first", "silent"))
@@ -291,7 +295,7 @@ def run_listed(
         run = replace(run, profile="concentric")
     chosen = run.load_profile()
     named = f"{Path(name).stem}-{afferent.name}"
-    stem, order = session_name(named, run.subject, session, seed)
+    stem, order = session_name(named, subject, session, seed)
     options = ExperimentOptions(
         afferent, parts.procedure, parse_standards(parts.standards), parts.repetitions,
         parts.trials, parts.site, parts.train_s, rate_hz, parts.letters, parts.two_intervals, order,
@@ -302,9 +306,9 @@ def run_listed(
     timing = TrialTiming(parts.gap_s, parts.answer_s or None, made.again, patience_s)
     path = output or Path(f"{stem}.csv")
     # A file of a person's answers is not continued by a simulated participant, nor the reverse.
-    participant = "-".join(filter(None, (run.subject, simulate and f"simulated-{simulate}")))
+    participant = "-".join(filter(None, (subject, simulate and f"simulated-{simulate}")))
     about = About(named, made.method, participant, session, order)
-    config = run.config(afferent.name, scan="points", seed=order, note=run.note or session)
+    config = run.config(afferent.name, scan="points", seed=order, subject=subject, note=session)
     with open_experiment(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
@@ -338,20 +342,21 @@ def _present(
         say(sitting.after())
 
 
-def _run_free(
-    run: RunOptionGroup, mode: str, parts: _Parts, rate_hz: float | None, output: Path | None
-) -> None:
+_FREE_HZ = 50.0  # rate to begin with
+
+
+def _run_free(run: RunOptionGroup, mode: str, parts: _Parts, rate_hz: float | None) -> None:
     """Let a user turn the current by hand, up to the device's own limit (paper, III-A)."""
     from dataclasses import replace
 
     from smarttouch.base.afferent import Mode
-    from smarttouch.cli.options import parse_afferent
+    from smarttouch.base.errors import choice_of
     from smarttouch.experiments.psychophysics.experiment_session import numbered
     from smarttouch.experiments.psychophysics.free_stimulation import (
-        FreeLog,
         FreeSource,
-        up_to_the_ceiling,
+        raise_to_device_limits,
     )
+    from smarttouch.experiments.psychophysics.trials import Stimuli
     from smarttouch.imaging.array_window import reading_force_n
     from smarttouch.kernels.bank import load_bank
     from smarttouch.views.progress import bank_progress
@@ -359,22 +364,21 @@ def _run_free(
     if not sys.stdin.isatty() and run.seconds is None:
         message = "there is no keyboard, by which this would end: use a terminal, or give --seconds"
         raise ExperimentError(message)
-    run = replace(run, profile=run.profile or "line-8")
+    record = run.record or numbered(Path("free.mcap"))
+    run = replace(run, profile=run.profile or "line-8", record=record)
     if run.intensity is None and not run.on_a_finger:
         # Adjusted by hand, from zero here too.
         run = replace(run, intensity=0.0)
-    raised = up_to_the_ceiling(run.load_profile())
+    profile = raise_to_device_limits(run.load_profile())
     with bank_progress(run.quiet) as progress:
-        offered = tuple(sorted(load_bank(raised, progress).weights))
-    with FreeLog(output or numbered(Path("free.csv"))) as log:
-        source = FreeSource(
-            raised, offered, log, parse_afferent(mode), parts.site,
-            50.0 if rate_hz is None else rate_hz, reading_force_n(raised),
-        )  # fmt: skip
-        source.url = "experiment:free"
-        run.start(
-            source, raised, run.config(Mode.COLOR, scan="points"), keys=source.keys,
-            keys_help="← → rate    [ ] site    1 to 9 mark    ",
-        )  # fmt: skip
-        if not run.quiet:
-            typer.echo(f"every change is in {log.path}")
+        offered = sorted(load_bank(profile, progress).weights)
+    first = choice_of("mode", mode, [each.name for each in offered])
+    classes = sorted(offered, key=lambda each: each.name != first)
+    site = Stimuli(profile, classes[0], 1.0).middle if parts.site is None else parts.site
+    rate = _FREE_HZ if rate_hz is None else rate_hz
+    source = FreeSource(profile, classes, site, rate, reading_force_n(profile))
+    source.url = "experiment:free"
+    config = run.config(Mode.COLOR, scan="points")
+    run.start(source, profile, config, keys=source.keys, keys_help=source.keys_help)
+    if not run.quiet:
+        typer.echo(f"every change is an event of {run.record}")

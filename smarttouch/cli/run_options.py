@@ -83,10 +83,6 @@ class RunOptionGroup(OptionGroup):
         ),
     ] = None
     record: Annotated[Path | None, option("Record the whole run.", "MCAP")] = None
-    subject: Annotated[
-        str, option("Name the participant in the recording.", "NAME", panel=KEPT)
-    ] = ""
-    note: Annotated[str, option("Add a note to the recording.", "TEXT", panel=KEPT)] = ""
     json_file: JsonOption = None
     window: Annotated[
         int | None, option("Open a page in the browser that shows and steers the run.", "[PORT]")
@@ -162,7 +158,7 @@ class RunOptionGroup(OptionGroup):
         from smarttouch.base.url_options import options_of, read_options
         from smarttouch.running.config import RunConfig
 
-        names = ("seconds", "intensity", "subject", "note")
+        names = ("seconds", "intensity")
         settings = {name: getattr(self, name) for name in names}
         for each in self.set_ or ():
             about = each.partition("=")[0]

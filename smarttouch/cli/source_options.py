@@ -121,7 +121,6 @@ def table_of(table: str | None, language: str | None) -> str:
 class _Form:
     """Options that follow the name of a form in ``--as``."""
 
-    style: str = "plain"
     table: str | None = None
     cells: str = "line"
     lines: int = 1
@@ -135,7 +134,7 @@ class FormOptions(OptionGroup):
     kind: Annotated[
         str | None,
         option(
-            "Read shapes or braille. Options follow: 'shapes?style=thinned', "
+            "Read shapes or braille. Options follow: 'shapes?speed_mm_s=20', "
             "'braille?table=en-2&cells=cell&lines=2&speed_mm_s=40'.",
             "FORM",
             "--as",
@@ -152,7 +151,7 @@ class FormOptions(OptionGroup):
         from smarttouch.base.errors import ReadingError, choice_of
         from smarttouch.base.url_options import options_of, read_options
         from smarttouch.reading.braille_lines import Braille, Presentation
-        from smarttouch.reading.letter_shapes import Shapes, Style
+        from smarttouch.reading.letter_shapes import Shapes
 
         text, given = read_options(_Form, self.kind or usual, ReadingError)
         if "?" in text:
@@ -160,7 +159,7 @@ class FormOptions(OptionGroup):
             message = f"{text!r} has an option that there is not: choose {known}"
             raise ReadingError(message)
         form = _Form(**given)
-        shapes = Shapes(choice_of("style", form.style, Style), named)
+        shapes = Shapes(named=named)
         presentation = choice_of("cells", form.cells, Presentation)
         if choice_of("kind", text, ("shapes", "braille")) == "shapes":
             return shapes, form.speed_mm_s

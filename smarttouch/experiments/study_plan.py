@@ -29,7 +29,7 @@ from smarttouch.reading.letter_responses import (
     letter_templates,
     letters_on_finger,
 )
-from smarttouch.reading.letter_shapes import ALPHABET, Shapes, Style
+from smarttouch.reading.letter_shapes import ALPHABET, Shapes
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.running.config import RunConfig
 from smarttouch.running.delivered import DeliveredSlots
@@ -283,7 +283,7 @@ def from_csv(text: str) -> list[StudyRow]:
     ]
 
 
-_SHAPES = Shapes(Style.GRADED)
+_SHAPES = Shapes(graded=True)
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,19 @@ from smarttouch.base.errors import SmartTouchError, SourceError, require_within
 from smarttouch.base.events import Note
 from smarttouch.imaging.array_window import pixel_pitch_mm, profile_for_reading, reading_force_n
 from smarttouch.instruments.hand_motion import HandMotion, open_motion, strokes_over
+from smarttouch.instruments.page_motion import PageMotion
 from smarttouch.instruments.relief import open_texture
 from smarttouch.instruments.textures import Texture
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.running.step import StepResult
-from smarttouch.sources.source_contract import DeviceWarnings, Pose, Stimulus, StimulusSource
+from smarttouch.sources.source_contract import (
+    DeviceWarnings,
+    Pose,
+    Sheet,
+    Stimulus,
+    StimulusSource,
+)
 from smarttouch.views.delivered_drawing import DeliveredDrawing, Under
 
 SLIDES = 1.5
@@ -153,6 +160,7 @@ class MouseSource(StimulusSource):
         self.measures_force: bool = motion.measures_force
         self.texture: Texture = texture
         self.motion: HandMotion = motion
+        self.pointer: PageMotion | None = motion if isinstance(motion, PageMotion) else None
         self.mode: Mode = mode
         self.merged: int = 0  # ridges that passed under an electrode in the same frame as another
         self._electrodes = len(profile.electrodes)
@@ -169,6 +177,10 @@ class MouseSource(StimulusSource):
         self._image = np.full(self._shape, 255, np.uint8)
         self._said = DeviceWarnings(self.notes)
         self._warned = False
+
+    @property
+    def sheet(self) -> Sheet | None:
+        return None if self.pointer is None else self.pointer.sheet
 
     def read(self, time_ns: int) -> Stimulus | None:
         """Return what passes under the array at a time; None at the end of the motion."""
@@ -244,11 +256,14 @@ class MouseSource(StimulusSource):
 
 
 def open_motion_over(texture: Texture, url: str, profile: Profile, **options: Any) -> HandMotion:
-    """Open a motion by its URL, with what its kind needs of the texture or the profile."""
+    """Open a motion by its URL, with what its kind needs of the texture or the profile.
+
+    ``page`` is the pointer over the page of the run's window.
+    """
+    if url == "page":
+        return PageMotion(texture)
     kind = url.partition(":")[0]
-    if kind == "window":
-        options["texture"] = texture
-    elif kind == "sweep" and texture.size_mm is not None:
+    if kind == "sweep" and texture.size_mm is not None:
         options |= strokes_over(texture.size_mm, profile.electrodes.extent_mm)
     elif kind not in ("sweep", "path", "evdev"):
         options["profile"] = profile

@@ -20,16 +20,16 @@ _WAIT_S = 0.1
 _GROUP = "join the group input (sudo usermod -aG input $USER) and log in again"
 
 
-def open_evdev(rest: str, *, cpi: float = USUAL_CPI, grab: bool = False) -> "EvdevMotion":
+def open_evdev(rest: str, *, cpi: float = USUAL_CPI) -> "EvdevMotion":
     """Open ``evdev:DEVICE``, or the first mouse found; options are those of `EvdevMotion`."""
     require_within(SourceError, "cpi", cpi, 10, 100_000, f"a mouse of {cpi:g} counts per inch")
-    return EvdevMotion(_open(rest) if rest else _first_mouse(), cpi, grab)
+    return EvdevMotion(_open(rest) if rest else _first_mouse(), cpi)
 
 
 class EvdevMotion(HandMotion):
-    """Sum of a mouse's counts, read on a thread; `grab` keeps them from other programs."""
+    """Sum of a mouse's counts, read on a thread."""
 
-    def __init__(self, device: "InputDevice[str]", cpi: float, grab: bool = False) -> None:
+    def __init__(self, device: "InputDevice[str]", cpi: float) -> None:
         super().__init__(f"{device.name} at {cpi:g} counts per inch")
         self.resolution_mm: float = INCH_MM / cpi
         self._device, self._path = device, str(device.path)
@@ -37,13 +37,6 @@ class EvdevMotion(HandMotion):
         self._first: tuple[int, int] | None = None
         self._gone = self._closed = False
         self._lock = threading.Lock()
-        if grab:
-            try:
-                device.grab()
-            except OSError as error:
-                device.close()
-                message = f"{self._path} cannot be had alone ({error.strerror}): share it"
-                raise SourceError(message) from None
         self._thread = threading.Thread(target=self._listen, name="mouse", daemon=True)
         self._thread.start()
 
@@ -67,7 +60,6 @@ class EvdevMotion(HandMotion):
         self._closed = True
         self._thread.join()
         with contextlib.suppress(OSError):
-            # Closing lets go of a grab.
             self._device.close()
 
     def _listen(self) -> None:

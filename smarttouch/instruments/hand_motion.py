@@ -21,7 +21,6 @@ _OPENERS = {
     "evdev": ("smarttouch.instruments.evdev_motion", "open_evdev"),
     "path": ("smarttouch.instruments.hand_motion", "open_path"),
     "sweep": ("smarttouch.instruments.hand_motion", "open_sweep"),
-    "window": ("smarttouch.instruments.window_motion", "open_window"),
 }
 """Module and function ``(rest, **options)`` of each kind; imported when one is opened."""
 _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
@@ -53,7 +52,7 @@ class HandMotion(Device, ABC):
 
 
 def open_motion(url: str, **options: Any) -> HandMotion:
-    """Open ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or any source with a pose.
+    """Open ``sweep:``, ``evdev:DEVICE``, ``path:CSV``, or any source with a pose.
 
     Options may stand in the URL, as in ``sweep:?speed_mm_s=20``; None is an option not given.
     """

@@ -26,7 +26,7 @@ from smarttouch.reading.delivered_lines import (
     nerve_figures,
     read_at_nerve,
 )
-from smarttouch.reading.letter_shapes import Shapes, Style, require_rows, shape_line
+from smarttouch.reading.letter_shapes import Shapes, require_rows, shape_line
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.ocr import Layout, recognize
 from smarttouch.reading.recognition import recognized_lines
@@ -190,10 +190,9 @@ def legibility_of_shapes(
     for page in source.prepared():
         indices = range(len(page.lines))
         page_texts += [text for _, text in recognized_lines(page, options, source.note)]
-        lines = [shape_line(page, index, profile, shapes.style) for index in indices]
+        lines = [shape_line(page, index, profile) for index in indices]
         shown = collect(deliver_lines(lines, reading), total, total + len(indices), progress)
-        graded = (shape_line(page, index, profile, Style.GRADED) for index in indices)
-        ideal = [ideal_picture(line, profile, step_mm) for line in graded]
+        ideal = [ideal_picture(line, profile, step_mm) for line in lines]
         delivered.append((shown, options.languages))
         texts.append(read_pictures([each.picture for each in shown], options.languages))
         limit_texts.append(read_pictures(ideal, options.languages))
@@ -311,7 +310,7 @@ def measure_legibility(
         ("error rate, sampling limit", f"{found.sampling_limit:.3f}"),
         ("error rate, delivered", f"{found.character_error_rate:.3f}"),
     ]
-    shape = {"as": "shapes", "style": presented.style.value, "rows": rows_of(reading.profile)}
+    shape = {"as": "shapes", "rows": rows_of(reading.profile)}
     figures = {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}
     if fingers:
         nerve = legibility_at_nerve(found, reading, fingers, paths, progress)

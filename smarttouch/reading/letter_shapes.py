@@ -1,8 +1,7 @@
-"""Letter shapes: single letters on an array, and lines of print, plain, thinned or graded."""
+"""Letter shapes: single letters on an array, and lines of print."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 import cv2
 import numpy as np
@@ -31,30 +30,12 @@ ENOUGH_ROWS = 8
 """Sufficient rows: on 4 half of the characters are lost, on 8 hardly one in a hundred."""
 INK_LEVEL = 128  # level of prepared paper below which is ink
 NIB_PIXELS = PIXELS_PER_CELL - 1  # width of a thinned stroke
-_PLAIN, _THINNED = 0.3, 0.35
+_PLAIN = Tone(0.3, 0.3, prepared=True)
 """Least ink of an active cell. Half of it, the obvious choice, loses thin strokes: of print in
 8 rows 8 to 20 % of the characters then cannot be read, here 1 to 3 %."""
-
-
-class Style(StrEnum):
-    """Styles of letter shapes: mappings from ink to activation."""
-
-    PLAIN = "plain"
-    """On or off."""
-    THINNED = "thinned"
-    """On or off, every stroke as wide as a cell: thin ones stay whole, and holes of thick ones
-    open."""
-    GRADED = "graded"
-    """Activation in proportion to the ink in a cell."""
-
-
-_TONES = {
-    Style.PLAIN: Tone(_PLAIN, _PLAIN, prepared=True),
-    Style.THINNED: Tone(_THINNED, _THINNED, prepared=True),
-    Style.GRADED: Tone(0.0, 1.0, prepared=True),
-}
-
-
+_GRADED = Tone(0.0, 1.0, prepared=True)
+_DRAWN = Tone(0.35, 0.35, prepared=True)
+"""Tone of single letters, whose strokes are one cell wide."""
 UNKNOWN_LEVEL = 0.7
 """Part of comfort at which lines are read best, at the worse of two anatomies, by simulated fingers
 whose level is not known: `examples/studies/reading_pages.py`."""
@@ -64,14 +45,15 @@ whose level is not known: `examples/studies/reading_pages.py`."""
 class Shapes:
     """Letter-shape presentation: lines of print under the finger."""
 
-    style: Style = Style.PLAIN
+    graded: bool = False
+    """Whether activation is in proportion to the ink in a cell, as simulations need it."""
     named: bool = False
     """Whether lines come with their words, by Tesseract where these are not known."""
 
     @property
     def tone(self) -> Tone:
         """Tone curve from ink to activation."""
-        return _TONES[self.style]
+        return _GRADED if self.graded else _PLAIN
 
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
@@ -87,7 +69,7 @@ class Shapes:
         for prepared in source.prepared():
             words = _words_of(prepared, source) if self.named else iter(())
             for index in range(len(prepared.lines)):
-                line = shape_line(prepared, index, profile, self.style)
+                line = shape_line(prepared, index, profile)
                 yield replace(line, text=next(words, ""))
 
 
@@ -118,13 +100,11 @@ def require_rows(profile: Profile, note: Note) -> None:
         )
 
 
-def shape_line(prepared: PreparedPage, index: int, profile: Profile, style: Style) -> TouchLine:
+def shape_line(prepared: PreparedPage, index: int, profile: Profile) -> TouchLine:
     """Return a line of print, magnified so that ascender to descender fills the array."""
     line = prepared.lines[index]
     rows = profile.optics.sensor_rows
     strip = prepared.strip(index, rows)
-    if style is Style.THINNED:
-        strip = thin(strip)
     pixel_mm = pixel_pitch_mm(profile)
     half_mm = profile.optics.field_width_mm / 2
     # A strip begins and ends with some paper.
@@ -186,6 +166,6 @@ def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
     image[top : top + size[1], left : left + size[0]] = np.asarray(fitted)
     ink = 255 - thin(image)
     activation = Registration(profile.electrodes, window.optics, shape).sample(ink)
-    Shapes(Style.THINNED).tone.apply(activation)
+    _DRAWN.apply(activation)
     activation[list(profile.output.masked)] = 0
     return activation

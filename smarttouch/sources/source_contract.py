@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,6 +190,15 @@ class Sheet:
     corner_mm: tuple[float, float] = (0.0, 0.0)
 
 
+class Pointer(Protocol):
+    """Part of a source that the pointer over the `sheet` moves, once a window shows it."""
+
+    is_shown: bool
+
+    def move(self, x_mm: float, y_mm: float) -> None:
+        """Move to a place on the sheet; ValueError outside of it."""
+
+
 class Source(Device, ABC):
     """Base of all sources.
 
@@ -214,6 +223,8 @@ class Source(Device, ABC):
     """Distinct frames or stimuli that it delivered."""
     dropped_frames: int = 0
     """Frames or stimuli that arrived but were never read."""
+    pointer: Pointer | None = None
+    """What the pointer over a page of the window moves, if anything."""
     fixed_mode: ClassVar[bool] = False
     """Whether it chooses the classes that it drives, so that the user cannot."""
     settings: Mapping[str, Any] = MappingProxyType({})

@@ -150,8 +150,6 @@ READER_MM_S = 7.0
 """Speed at which the sample page is read at some 30 words a minute: its 20 words take 39 s."""
 AGAIN_S = 1.0  # time for which the lifted finger rests before it reads the page again
 MOST_PASSES = 10_000
-LEAST_MAGNIFIED, MOST_MAGNIFIED = 0.1, 10.0
-"""Range of the magnification of a page beyond the profile's."""
 _SHADE = 0.1  # relative loss of light at the corners of the patch
 _SLOPE = 0.03
 _CHOSEN_DPI = (97.0, 700.0)
@@ -175,13 +173,11 @@ def open_page(
     speed_mm_s: float = USUAL_MM_S,
     path: Path | None = None,
     light_on_dark: bool = False,
-    magnify: str = "1",
     passes: int = 1,
 ) -> "PageSource":
-    """Open ``page:FILE``; options are those of `PageSource`, its scale, magnification and passes.
+    """Open ``page:FILE``; options are those of `PageSource`, its scale and passes.
 
-    Of a photograph the sheet is shown, laid flat and without its shadow. The page is magnified
-    beyond the profile's scale; ``auto`` makes its usual lines fill the array.
+    Of a photograph the sheet is shown, laid flat and without its shadow.
     """
     notices: list[str] = []
     page, assumed = load_or_guess(Path(rest), dpi, page_width_mm, notices.append)
@@ -194,39 +190,17 @@ def open_page(
         of_sheet = page_width_mm is not None or assumed
         page = Page(flat, page.size_mm[0] / flat.shape[1] if of_sheet else page.mm_per_pixel)
         notices.append(LAID_FLAT)
-    print_mm = _print_mm(page, light_on_dark) if assumed or magnify == "auto" else None
+    print_mm = _print_mm(page, light_on_dark) if assumed else None
     if assumed and print_mm and not _PRINT_MM[0] < print_mm < _PRINT_MM[1]:
         scale = page.mm_per_pixel * USUAL_PRINT_MM / print_mm
         if scale * max(page.grey.shape) < LARGEST_MM:
-            page, print_mm = Page(page.grey, scale), USUAL_PRINT_MM
+            page = Page(page.grey, scale)
             wide_mm = f"{page.size_mm[0]:.0f} mm wide"
             notices.append(f"its print would then be too large or small: as 11 points, {wide_mm}")
-    factor = _magnification(magnify, print_mm, profile)
-    if factor != 1:
-        page = Page(page.grey, page.mm_per_pixel * factor)
-        notices.append(f"it is magnified {factor:.3g} times")
     title, notice = Path(rest).name, "; ".join(notices)
     source = PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
     source.repeat(passes)
     return source
-
-
-def _magnification(text: str, print_mm: float | None, profile: Profile) -> float:
-    """Return a factor as given, or the one by which print of a height fills the array."""
-    if text == "auto":
-        seen_mm = profile.electrodes.extent_mm[1] / profile.optics.magnification
-        factor = seen_mm / print_mm if print_mm else 1.0
-        return min(max(factor, LEAST_MAGNIFIED), MOST_MAGNIFIED)
-    try:
-        factor = float(text)
-    except ValueError:
-        factor = math.nan
-    if not LEAST_MAGNIFIED <= factor <= MOST_MAGNIFIED:
-        raise PageError(
-            f"magnify {text} is not possible: give auto, or a number from "
-            f"{LEAST_MAGNIFIED:g} to {MOST_MAGNIFIED:g}"
-        )
-    return factor
 
 
 def _print_mm(page: Page, light_on_dark: bool) -> float | None:

@@ -110,11 +110,14 @@ class Window(Listener):
         """Serve the page, and wait for it and for the finger: the board is not open."""
         self._context = run
         self.steering = Steering(run.controls, self._run_stop, self._keys, alone=self._alone)
+        if run.source.pointer is not None:
+            run.source.pointer.is_shown = True
         finger = self._finger(run)
         hello: dict[str, Any] = {
             "type": "hello",
             "blind": self._blind,
             "board": str(run.settings.get("board", "")),
+            "moves": run.source.pointer is not None,
             "modes": [str(each) for each in run.controls.modes],
             "keys": list(self._keys),
             "keys_help": self._keys_help,

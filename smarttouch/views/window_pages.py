@@ -15,6 +15,7 @@ from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.stopping import StopRequest
 from smarttouch.running.inputs import STEP, Controls
 from smarttouch.running.step import StepResult
+from smarttouch.sources.source_contract import Source
 from smarttouch.views.window_server import import_server
 
 if TYPE_CHECKING:
@@ -138,6 +139,8 @@ class PageState(Protocol):
     @property
     def steering(self) -> Steering: ...
     @property
+    def source(self) -> Source: ...
+    @property
     def hello(self) -> str:
         """The first message of a run."""
 
@@ -247,6 +250,8 @@ class Pages:
         verb, _, rest = text.partition(" ")
         if text == "seen":
             page.waits = True
+        elif verb == "move":
+            return self._move(page, rest)
         elif text == "stop":
             await self._stop()
         elif text == "steer":
@@ -263,6 +268,17 @@ class Pages:
         else:
             return False
         return True
+
+    def _move(self, page: ConnectedPage, place: str) -> bool:
+        """Move what the pointer moves, if the page steers; return False if that is invalid."""
+        pointer = self._state.source.pointer
+        try:
+            x_mm, y_mm = map(float, place.split())
+            if pointer is not None and self._state.steering.steer(page.number):
+                pointer.move(x_mm, y_mm)
+        except ValueError:
+            return False
+        return pointer is not None
 
     async def _act(self, page: ConnectedPage, verb: str, rest: str) -> None:
         steering = self._state.steering

@@ -189,7 +189,7 @@ def test_thresholds_of_a_simulated_subject(run, tmp_path):
 @pytest.mark.skipif(not WHOLE, reason="long: with SMARTTOUCH_WHOLE=1, as in .ci/run")
 def test_a_simulated_subject_answers_trials_on_another_board(run, tmp_path):
     """Over 48 electrodes of the mouse: bias 0 %, spread 4 %; comfort -1 and 4 %."""
-    trials = "thresholds --simulate --adaptive --electrodes 30 --board simulated:"
+    trials = "thresholds --simulate --electrodes 30 --board simulated:"
     shown = done(run(f"{trials} --profile kajimoto-61 --output mine.toml"))
     assert re.findall(r"electrode (\d+)", shown) == ["30"]
     found, usual = load_profile(tmp_path / "mine.toml").perception, load_profile("kajimoto-61")

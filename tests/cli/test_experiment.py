@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+import smarttouch as st
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import ExperimentError
 from smarttouch.base.events import FingerLifted, TrialEvent
@@ -132,16 +133,22 @@ def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_p
 
 
 def test_free_stimulation_by_hand(start_at_a_terminal, tmp_path):
-    process, keys = start_at_a_terminal("experiment", "run", "free", "--json", "run.json")
-    path = tmp_path / "free.csv"
-    for key, row in ((b"+", "amplitude,0.1"), (b"\x1b[C", "rate,55.0"), (b"m", "mode,SAI")):
+    free = "experiment", "run", "free", "--plain", "--json", "run.json"
+    process, keys = start_at_a_terminal(*free)
+    for key, words in (
+        (b"+", "RA, site 3, 50 Hz, 0.100 mA"), (b"\x1b[C", "RA, site 3, 55 Hz, 0.100 mA"),
+        (b"m", "SAI, site 3, 55 Hz, 0.100 mA"), (b"7", "mark: 7"),
+    ):  # fmt: skip
         os.write(keys, key)
-        while process.poll() is None and row not in path.read_text(encoding="utf-8-sig"):
-            time.sleep(0.02)
+        while words not in (line := process.stdout.readline()):
+            assert line
     os.write(keys, b"q")
     out, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
-    assert "free.csv" in out
+    assert "free.mcap" in out
+    recorded = [words for _, words in st.load_recording(tmp_path / "free.mcap").events]
+    assert "SAI, site 3, 55 Hz, 0.100 mA" in recorded
+    assert "mark: 7" in recorded
     figures = json.loads((tmp_path / "run.json").read_text())
     assert figures["emulator_violations"] == 0
     assert figures["max_current_ma"] < 0.11
@@ -150,8 +157,8 @@ def test_free_stimulation_by_hand(start_at_a_terminal, tmp_path):
 def test_free_stimulation_for_some_seconds(program_here, tmp_path):
     free = "experiment run free --board simulated: --seconds 1"
     program_here(f"{free} --intensity 0.5").fine()
-    assert (tmp_path / "free.csv").exists()
-    assert "free-2.csv" in program_here(free).stdout
+    assert (tmp_path / "free.mcap").exists()
+    assert "free-2.mcap" in program_here(free).stdout
 
 
 @pytest.mark.parametrize(("arguments", "check"), [
@@ -166,6 +173,7 @@ def test_free_stimulation_for_some_seconds(program_here, tmp_path):
     (f"{SIMULATED} --seed -1", says(value=-1, allowed=0)),
     (f"{SIMULATED} --output a.txt", wrong("a.txt", ".csv")),
     ("experiment run free --simulate first", wrong()),
+    ("experiment run free --output a.csv", wrong("--output", "--record")),
     ("experiment run free", wrong()),
 ])  # fmt: skip
 def test_what_cannot_be_asked_for(program_here, arguments, check):

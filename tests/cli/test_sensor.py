@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from PIL import Image
 from typer.testing import CliRunner
 
 from smarttouch.base.errors import ProfileError, SourceError
@@ -30,16 +29,14 @@ def table(output):
     return {line[:13].strip(): line[13:].strip() for line in output.splitlines()}
 
 
-def test_a_page_is_shown_and_its_last_frame_kept(run, tmp_path):
-    shown = run("show", "text:touch", "--seconds", 0.2, "--save", "last.png")
+def test_a_page_is_shown(run):
+    shown = run("show", "text:touch", "--seconds", 0.2)
     assert shown.exit_code == 0, shown.exception
     rows = table(shown.output)
     assert rows["source"]
     assert re.findall(r"\d+", rows["read"]) == ["21", "100"]
     assert rows["size"].startswith("64 x 64, ")
     assert re.search(r"\b0\.\d+ N", rows["force"])
-    with Image.open(tmp_path / "last.png") as image:
-        assert (image.size, image.mode) == ((64, 64), "L")
 
 
 def test_a_force_is_shown(run, tmp_path):
@@ -53,8 +50,6 @@ def test_a_force_is_shown(run, tmp_path):
 @pytest.mark.parametrize(("arguments", "wrong"), [
     ("show nothing:", says(SourceError, value="nothing:")),
     ("show text:x --seconds 0", says(value=0, allowed=(0, 3600))),
-    ("show text:x --save no/where.png", says(value=Path("no/where.png"))),
-    ("show fixed:1 --save a.png", says()),
     ("show text:x --profile none", says(ProfileError, "'none'")),
     ("show hx711:/dev/nowhere",
      says(SourceError, "electric-mouse", "force.curve", "0.00980665")),

@@ -28,16 +28,11 @@ class FakeDevice:
         assert readonly
         self.path, self.name = path, "a fake mouse"
         self.fd, self._wake = os.pipe()
-        self._events, self.grabbed, self.closed = [], False, False
+        self._events, self.closed = [], False
         type(self).latest = self
 
     def capabilities(self):
         return {CODES.EV_REL: list(self.moves)}
-
-    def grab(self):
-        if self.taken:
-            raise OSError(16, "Device or resource busy")
-        self.grabbed = True
 
     def play(self, *events):
         self._events += [SimpleNamespace(type=a, code=b, value=c) for a, b, c in events]
@@ -109,16 +104,6 @@ def test_a_mouse_that_is_pulled_out_ends_the_run(device):
         motion._thread.join(10)
         with raises(SourceLostError, value=device.place):
             motion.read(0)
-
-
-def test_it_can_be_had_alone(device):
-    with open_motion("evdev:", grab=True):
-        assert device.latest.grabbed
-    device.taken = True
-    busy = {"value": device.place}
-    with raises(SourceError, **busy):
-        open_motion("evdev:", grab=True)
-    assert device.latest.closed
 
 
 def test_the_first_mouse_is_found_among_others(device, monkeypatch):

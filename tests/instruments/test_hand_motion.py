@@ -92,7 +92,7 @@ def test_a_sensor_gives_the_motion():
     ("camera:x", {}, "camera", "x"),
 ])  # fmt: skip
 def test_errors_are_reported(url, options, about, value):
-    known = ("sweep", "path", "evdev", "window", "camera")
+    known = ("sweep", "path", "evdev", "camera")
     allowed = {"motion": known, "rounds": (1, 10_000)}.get(about)
     with raises(SourceError, names=about, value=value, allowed=allowed):
         open_motion(url, **options)

@@ -1,6 +1,5 @@
 """Profiles with electrodes from a table: of a file, an array or a command, and what is refused."""
 
-import json
 import subprocess
 
 import numpy as np
@@ -97,15 +96,6 @@ def test_a_command_writes_a_profile_of_it(table, tmp_path):
     again = smarttouch("profiles", "new", table, path)
     assert again.returncode == 2
     assert "--overwrite" in again.stderr
-
-
-def test_a_command_prints_the_schema_of_profiles():
-    """It says of each table and key what a profile may say."""
-    done = smarttouch("profiles", "show", "--schema")
-    schema = json.loads(done.stdout)
-    assert schema == st.Profile.model_json_schema()
-    assert set(schema["properties"]) == {*type(MOUSE).model_fields}
-    assert schema["$defs"]["FreeLayout"]["properties"]["positions_mm"]["maxItems"] == 4096
 
 
 def test_a_grid_has_its_size_everywhere_and_shows_the_same_page(tmp_path):

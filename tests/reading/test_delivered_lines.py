@@ -16,7 +16,7 @@ from smarttouch.reading.delivered_lines import (
     deliver_pulses,
     ideal_picture,
 )
-from smarttouch.reading.letter_shapes import Shapes, Style
+from smarttouch.reading.letter_shapes import Shapes
 from smarttouch.reading.line_source import LineMotion
 from smarttouch.running.delivered import PIXELS_PER_PITCH, LinePicture
 from smarttouch.stimulation.scan_sequence import SlotPolicy
@@ -114,8 +114,8 @@ def test_pictures_are_as_high_as_asked(reading):
 def test_plain_shapes_are_on_or_off_and_graded_ones_are_not():
     ink = np.linspace(0, 1, 11).astype(np.float32)
     plain, graded = ink.copy(), ink.copy()
-    Shapes(Style.PLAIN).tone.apply(plain)
-    Shapes(Style.GRADED).tone.apply(graded)
+    Shapes().tone.apply(plain)
+    Shapes(graded=True).tone.apply(graded)
     assert plain.tolist() == [0.0] * 3 + [1.0] * 8
     np.testing.assert_allclose(graded, ink)
 

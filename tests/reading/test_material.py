@@ -10,7 +10,7 @@ from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille_lines import Braille, Presentation
-from smarttouch.reading.letter_shapes import Shapes, Style, thin
+from smarttouch.reading.letter_shapes import Shapes, thin
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions
 
@@ -121,16 +121,6 @@ def test_where_nothing_is_found_that_is_the_error(source_of, reading):
     for kind in (Shapes(), Braille()):
         with pytest.raises(ReadingError, match="no line of text"):
             list(kind.lines(source_of("two.tif", "", ""), reading))
-
-
-def test_thinned_strokes_are_as_wide_as_the_nib(source_of, reading):
-    bold = next(Shapes(Style.GRADED).lines(source_of("text:HHH"), reading)).image
-    thinned = next(Shapes(Style.THINNED).lines(source_of("text:HHH"), reading)).image
-    assert bold.shape == thinned.shape
-    # Across the upper half of an H there are its two stems.
-    row = thinned[thinned.shape[0] // 4] < 128
-    runs = np.diff(np.flatnonzero(np.diff(row.astype(int), prepend=0, append=0)))[::2]
-    assert (np.abs(runs - 7) <= 1).all()
 
 
 def test_thinning_keeps_a_hole_open():

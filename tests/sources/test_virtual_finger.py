@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.base.errors import PageError, SourceError
+from smarttouch.base.errors import SourceError
 from smarttouch.base.files import data_folder
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import print_text
@@ -152,30 +152,6 @@ def test_of_a_photograph_the_sheet_is_shown(tmp_path, profile):
     assert np.median(source.page.grey) == 255
     assert source.page.grey[:20].min() > 200
     assert len(source.path.lines) == len(printed.lines)
-
-
-@pytest.mark.parametrize("size_pt", [6, 10, 24])
-def test_usual_lines_fill_the_array_where_that_is_asked(tmp_path, profile, size_pt):
-    printed = print_page(some_lines(6, 20), size_pt=size_pt, dpi=200, heading="Of fingers")
-    file = tmp_path / "page.png"
-    Image.fromarray(printed.page.grey).save(file, dpi=(200, 200))
-    with open_source(f"page:{file}?magnify=auto", profile) as source:
-        line = source.path.lines[len(source.path.lines) // 2]
-        assert line.height_mm == pytest.approx(
-            profile.electrodes.extent_mm[1] / profile.optics.magnification, rel=0.1
-        )
-        (factor,) = numbers_in(source.notes[0])
-        assert source.page.mm_per_pixel == pytest.approx(factor * 25.4 / 200, rel=0.01)
-
-
-def test_a_page_is_magnified_as_asked(tmp_path, profile):
-    file = tmp_path / "page.png"
-    Image.fromarray(spot(10, 10)).save(file, dpi=(300, 300))
-    with open_source(f"page:{file}?magnify=2", profile) as source:
-        assert source.page.mm_per_pixel == pytest.approx(2 * 25.4 / 300, rel=1e-4)
-    for wrong in ("much", "0", "nan", "11"):
-        with raises(PageError, names="magnify", value=wrong):
-            open_source(f"page:{file}?magnify={wrong}", profile)
 
 
 def test_a_page_is_read_again_and_again(profile):

@@ -1,8 +1,7 @@
-"""Threshold procedures of one electrode, and the currents that they may reach.
+"""The threshold procedure of one electrode, and the currents that it may reach.
 
-Both are pure: they return the next level and take whether a key was pressed; current and timing
-are the caller's. The first ascends to limits. The second asks for yes or no, by QUEST+; trials
-without current find out how often *felt* is said of nothing.
+It ascends to limits: it returns the next level and takes whether a key was pressed; current and
+timing are the caller's.
 """
 
 import math
@@ -11,8 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from smarttouch.boards.board import Board
-from smarttouch.experiments.fitting.psychometric import Estimate, Model
-from smarttouch.experiments.psychophysics.adaptive_procedures import QuestPlus
 from smarttouch.experiments.psychophysics.experiment_source import STEP_S
 from smarttouch.experiments.psychophysics.procedures import middle_and_spread
 from smarttouch.profile import Profile
@@ -234,70 +231,3 @@ class AscendingLimits:
         self.runs.append(Run(self._threshold_ma, comfort_ma))
         if not self.done:
             self._begin()
-
-
-GRID_FACTOR = 2.0  # factor by which thresholds are looked for below and above the expected one
-STEEP = 0.2  # largest spread of *felt*, in spans of that
-BLANK_SHARE = 0.15  # part of the trials without current
-ENOUGH_SPREAD = 0.05  # spread of the posterior of the log threshold that ends the procedure
-FEWEST_TRIALS = 10
-MOST_TRIALS = 26  # fewest and most trials with current
-MOST_GUESSED = 0.4
-"""Part of the blank trials called felt above which the threshold is not determined."""
-
-
-@dataclass
-class AdaptiveThreshold:
-    """Adaptive procedure at one electrode: QUEST+, with blank trials between.
-
-    In a loop until `done`: show the level of `next`, then `answer` whether it was felt.
-    """
-
-    expected_ma: float  # the ascending estimate
-    ceiling_ma: float  # never exceeded; the ascending comfort is a good one
-    seed: int | tuple[int, ...] = 0  # of when blank trials come
-    blanks: int = 0
-    guessed: int = 0
-
-    def __post_init__(self) -> None:
-        self._random = np.random.default_rng(self.seed)
-        self._blank = False
-        self._quest = QuestPlus(
-            self.expected_ma / GRID_FACTOR, min(GRID_FACTOR * self.expected_ma, self.ceiling_ma),
-            Model(guess="equal", at=0.5), most_trials=MOST_TRIALS, fewest_trials=FEWEST_TRIALS,
-            enough_spread=ENOUGH_SPREAD, two_intervals=False, widest=STEEP,
-        )  # fmt: skip
-
-    @property
-    def done(self) -> bool:
-        return self._quest.done
-
-    @property
-    def trials(self) -> int:
-        """Number of all trials until now."""
-        return self._quest.trials + self.blanks
-
-    @property
-    def estimate(self) -> Estimate:
-        """Current that is felt half the time, apart from guesses and lapses, and its spread, mA."""
-        found = self._quest.estimate()
-        assert found is not None
-        return found
-
-    @property
-    def believable(self) -> bool:
-        """True if blank trials were mostly called blank."""
-        return self.guessed <= MOST_GUESSED * max(self.blanks, 2)
-
-    def next(self) -> float:
-        """Return the level of the next trial, mA."""
-        self._blank = bool(self._random.random() < BLANK_SHARE)
-        return 0.0 if self._blank else min(self._quest.next().comparison, self.ceiling_ma)
-
-    def answer(self, felt: bool) -> None:
-        """Take the answer: whether the last level was felt."""
-        if self._blank:
-            self.blanks += 1
-            self.guessed += felt
-        else:
-            self._quest.answer(felt)

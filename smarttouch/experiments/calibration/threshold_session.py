@@ -3,7 +3,7 @@
 import json
 import os
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from smarttouch.base.files import (
 from smarttouch.base.stopping import Closing
 from smarttouch.boards.board import Board
 from smarttouch.experiments.calibration.threshold_procedures import (
-    AdaptiveThreshold,
     AscendingLimits,
     Thresholds,
     ceiling_ma,
@@ -105,10 +104,9 @@ class Progress(Closing):
             raise unwritable(CalibrationError, self.path, error) from None
 
 
-TRIAL_S = 0.8  # time of a yes-no trial at its level
+TRIAL_S = 0.8
 _SLOWER = 0.98  # part of the largest slope at which a current rises
 _ANY_KEY = {"\n": "y"}
-_FELT = {"y": "y", "n": "n", "Y": "y", "N": "n", " ": "y", "\n": "y", "\r": "y"}
 
 _Trials = Generator[Trial, Answer, Thresholds]
 
@@ -126,7 +124,6 @@ class ThresholdSession:
         # keeps each electrode as it is done; those that it has already are left out
         progress: Progress,
         *,
-        adaptive: bool = False,  # whether yes-or-no trials follow the rising current
         repeats: int = 3,  # of the rising current
         seed: int = 0,  # of all that is drawn
         # given each electrode and its result
@@ -135,7 +132,7 @@ class ThresholdSession:
         self._profile, self._board = profile, board
         self._measuring = measuring_profile(profile)
         self._sites, self._progress = sites, progress
-        self._adaptive, self._repeats, self._seed, self._show = adaptive, repeats, seed, show
+        self._repeats, self._seed, self._show = repeats, seed, show
         self._trials = self._measure_all()
         self._next: Trial | None = None
         self._begun = False
@@ -180,8 +177,6 @@ class ThresholdSession:
         found = yield from self._rise(site, 0)
         if found.felt and not found.usable:
             found = yield from self._rise(site, 1)
-        if self._adaptive and found.usable:
-            return (yield from self._refined(site, found))
         return found
 
     def _rise(self, site: int, attempt: int) -> _Trials:
@@ -206,38 +201,6 @@ class ThresholdSession:
             course=course,
         )
         return course.result()
-
-    def _refined(self, site: int, rising: Thresholds) -> _Trials:
-        """Return the threshold by yes-or-no trials, none stronger than was comfortable."""
-        procedure = AdaptiveThreshold(rising.threshold_ma, rising.comfort_ma, (self._seed, site, 2))
-        while not procedure.done:
-            level_ma = procedure.next()
-            shown_ma = level_ma or rising.threshold_ma
-            soft_s = shown_ma / (_SLOWER * slew_ma_s(self._measuring, site))
-            level = min(1.0, shown_ma / float(self._measuring.full_ma[site]))
-            train = replace(self._train(site, soft_s + TRIAL_S), level=level, soft_s=soft_s)
-            answer = yield Trial(
-                Condition(0.0, level_ma, 0, procedure.trials, site),
-                (train if level_ma else train.blank(),),
-                task="felt",
-                question="felt? y or n",
-                answers=_FELT,
-                target="y" if level_ma else "n",
-                success="y",
-                words=f"electrode {site}, {level_ma:.3f} mA",
-                unit="mA",
-                exact=True,
-            )
-            procedure.answer(answer.response == "y")
-        if not procedure.believable:
-            raise CalibrationError(
-                f"electrode {site}: {procedure.guessed} of {procedure.blanks} trials without any "
-                "current were called felt: explain the task again, then run the same command again",
-                electrode=site,
-            )
-        found = procedure.estimate
-        spread = found.spread / found.threshold
-        return replace(rising, threshold_ma=found.threshold, spread=spread)
 
     def _train(self, site: int, seconds: float) -> Train:
         pulse = self._measuring.pulse

@@ -60,16 +60,15 @@ def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
     )
 
 
-def sentence(found: Found, *, adaptive: bool) -> str:
+def sentence(found: Found) -> str:
     """Return the sentence for the profile."""
     usable = [each for each in found.values() if each.usable]
     threshold = np.array([each.threshold_ma for each in usable])
     comfort = np.array([each.comfort_ma for each in usable])
     spread = float(np.median([each.spread for each in usable]))
-    how = "yes or no after rising current" if adaptive else "rising current"
     kept = sorted(site for site, each in found.items() if not each.usable)
     return (
-        f"{len(usable)} electrodes by {how}, threshold {np.median(threshold):.2f} mA "
+        f"{len(usable)} electrodes by rising current, threshold {np.median(threshold):.2f} mA "
         f"({threshold.min():.2f} to {threshold.max():.2f}), comfortable up to "
         f"{np.median(comfort):.2f} mA ({comfort.min():.2f} to {comfort.max():.2f}), spread of a "
         f"threshold {spread:.1%}, {sum(each.runs for each in found.values())} runs, "
@@ -94,8 +93,7 @@ class ThresholdProcedure:
     file: ProfileFile  # where it goes
     board_url: str
     sites: Sequence[int]
-    # adaptive, repeats, seed: see `ThresholdSession`
-    adaptive: bool = False
+    # repeats, seed: see `ThresholdSession`
     repeats: int = 3
     seed: int = 0
     # a simulated subject answers, on the board ``simulated:``, without waiting
@@ -109,7 +107,7 @@ class ThresholdProcedure:
             {
                 "profile": self.start, "electrodes": len(profile.electrodes),
                 "board": self.board_url.partition(":")[0],
-                "pulse_us": profile.pulse.width_us, "adaptive": self.adaptive,
+                "pulse_us": profile.pulse.width_us,
                 "repeats": self.repeats, "simulate": self.simulate,
             },
         )  # fmt: skip
@@ -130,7 +128,7 @@ class ThresholdProcedure:
         display = Display("simulated:" if self.simulate else self.board_url, measuring)
         session = ThresholdSession(
             profile, display.board, self.sites, progress,
-            adaptive=self.adaptive, repeats=self.repeats, seed=self.seed,
+            repeats=self.repeats, seed=self.seed,
             show=lambda site, found: say(_describe(site, found)),
         )  # fmt: skip
         source = ExperimentSource(
@@ -171,7 +169,7 @@ class ThresholdProcedure:
         threshold_ma, comfort_ma = filled(self.file.profile, progress.found)
         self.file.set("perception.threshold_ma", threshold_ma)
         self.file.set("perception.comfort_ma", comfort_ma)
-        return sentence(progress.found, adaptive=self.adaptive)
+        return sentence(progress.found)
 
 
 def present(

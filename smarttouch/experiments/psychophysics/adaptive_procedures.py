@@ -163,10 +163,6 @@ class QuestPlus:
     model: Model = field(default_factory=Model)
     standard: float = 0.0  # standard; 0 if there is none
     most_trials: int = 60
-    fewest_trials: int = 20
-    # it also ends when the posterior of the threshold is as narrow as this: a part of the
-    # threshold, or, on a linear axis, in its unit. 0: never.
-    enough_spread: float = 0.0
     two_intervals: bool = True  # whether standard and comparison come one after the other
     seed: int = 0  # of the interval in which the comparison comes
     widest: float = WIDEST  # spread of the grid, in spans of the stimuli
@@ -198,15 +194,14 @@ class QuestPlus:
         self._shown: Condition | None = None
 
     @property
-    def total(self) -> int | None:
-        """Largest number of trials; None if it may end before."""
-        return None if self.enough_spread else self.most_trials
+    def total(self) -> int:
+        """Number of trials."""
+        return self.most_trials
 
     @property
     def done(self) -> bool:
-        """Whether the posterior is narrow enough, or all trials are used."""
-        enough = self._answered >= self.fewest_trials and self._spread <= self.enough_spread
-        return enough or self.trials >= self.most_trials
+        """Whether all trials are used."""
+        return self.trials >= self.most_trials
 
     def next(self) -> Condition:
         """Return the next condition."""
@@ -287,13 +282,9 @@ def frequency_procedures(
                 WeightedStaircase(first, low, high, _STEP, standard, most_trials=most, seed=order)
             )
         else:
-            most = trials or 60
             procedures.append(
-                QuestPlus(
-                    low, high, Model(guess=0.5), standard, most, fewest_trials=min(20, most),
-                    seed=order,
-                )
-            )  # fmt: skip
+                QuestPlus(low, high, Model(guess=0.5), standard, trials or 60, seed=order)
+            )
     return Interleaved(procedures, seed)
 
 
@@ -316,6 +307,5 @@ def detection_procedure(
         )  # fmt: skip
     model = Model(guess=0.5 if two_intervals else 0.0)
     return QuestPlus(
-        low, high, model, 0.0, trials or 60, fewest_trials=min(20, trials or 60),
-        two_intervals=two_intervals, seed=seed,
+        low, high, model, 0.0, trials or 60, two_intervals=two_intervals, seed=seed
     )  # fmt: skip

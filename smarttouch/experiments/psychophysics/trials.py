@@ -27,7 +27,6 @@ class Train:
     # in [0, 1]: of the strongest comfortable current, on top of what the user wishes
     level: float = 1.0
     rises: bool = False  # whether it rises to that level evenly from nothing, over its whole length
-    soft_s: float = 0.0  # time in which it rises to that level; 0 is at once
     # (3, E) float32: activation of the train that this one is the blank of
     blanked: NDArray[np.float32] | None = None
 
@@ -42,16 +41,12 @@ class Train:
             self,
             activation=np.zeros_like(self.activation),
             level=self.level_at(0),
-            soft_s=0.0,
             blanked=self.activation,
         )
 
     def level_at(self, pulse: int) -> float:
         """Return the level of a pulse, counted from 0."""
-        if self.rises:
-            return self.level * (pulse + 1) / self.pulses
-        risen_s = (pulse + 1) * self.period_us / 1e6
-        return self.level * min(1.0, risen_s / self.soft_s) if self.soft_s else self.level
+        return self.level * (pulse + 1) / self.pulses if self.rises else self.level
 
 
 class Stimuli:

@@ -80,6 +80,8 @@ function greet(hello) {
     series: new SeriesView(find("series"), array),
     felt: hello.finger && new FeltView(find("felt"), hello.finger, array),
   };
+  views.moves = hello.moves;
+  find("page").style.touchAction = hello.moves ? "none" : "";
   if (views.felt) views.sum = new SumView(find("sum"), views.page, views.felt);
   player ??= new SlotPlayer(find);
   player.view = views.electrodes;
@@ -265,6 +267,11 @@ function end({ reason, failed }) {
   find("stop").disabled = true;
 }
 
+// The pointer over the page is the hand on the texture.
+find("page").addEventListener("pointermove", (event) => {
+  const place = views.moves && views.page.under(event);
+  if (place) say(`move ${place.join(" ")}`);
+});
 find("stop").addEventListener("click", stop);
 find("less").addEventListener("click", () => say("do less"));
 find("more").addEventListener("click", () => say("do more"));

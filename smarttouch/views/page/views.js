@@ -270,6 +270,18 @@ export class PageView {
     return [(x - this.corner[0]) * scale, (y - this.corner[1]) * scale];
   }
 
+  // Place of the pointer on the page, mm; null while there is no page.
+  under({ offsetX, offsetY }) {
+    const { canvas, corner, scale } = this;
+    const { clientWidth, clientHeight } = canvas;
+    // Pixels of the screen in a millimeter: the picture is fitted into the canvas.
+    const zoom = scale * Math.min(clientWidth / canvas.width, clientHeight / canvas.height);
+    const x = (offsetX - clientWidth / 2) / zoom + canvas.width / scale / 2;
+    const y = (offsetY - clientHeight / 2) / zoom + canvas.height / scale / 2;
+    if (!this.page || Math.min(x, y) < 0 || x > canvas.width / scale || y > canvas.height / scale) return null;
+    return [corner[0] + x, corner[1] + y];
+  }
+
   take(picture) {
     const [x, y] = this.at(picture.pose);
     if (x < 0 || y < 0 || x > this.canvas.width || y > this.canvas.height) this.lay(null);

@@ -123,13 +123,10 @@ def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **o
     return shown
 
 
-@pytest.mark.parametrize("adaptive", [False, True])
-def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(
-    profile, tmp_path, begun, adaptive
-):
+def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile, tmp_path, begun):
     progress, display = begun(tmp_path / "p.json", {}), display_of(profile)
-    wanted = [3] if adaptive else [3, 9]
-    run(display, profile, subjects(profile), wanted, progress, adaptive=adaptive, repeats=1)
+    wanted = [3, 9]
+    run(display, profile, subjects(profile), wanted, progress, repeats=1)
     last_ma, last_ns, sites = 0.0, 0, set()
     slew = float(profile.full_ma.max()) / profile.limits.ramp_s
     for sequence in display.board.sequences:
@@ -245,13 +242,10 @@ class Losing(Unpaced):
         pass
 
 
-@pytest.mark.parametrize("adaptive", [False, True])
-def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun, adaptive):
+def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun):
     progress, display = begun(tmp_path / "p.json", {}), display_of(profile, Losing)
-    # While it rises, twice, and in the trials.
-    display.board.at = lost = [300, 700, 2600] if adaptive else [300, 700]
-    repeats = 3 if adaptive else 1
-    run(display, profile, subjects(profile), [0], progress, adaptive=adaptive, repeats=repeats)
+    display.board.at = lost = [300, 700]
+    run(display, profile, subjects(profile), [0], progress, repeats=1)
     sequences = display.board.sequences
     for each in lost:
         assert level_of(sequences[each - 1]) > 0
@@ -332,8 +326,8 @@ def test_what_was_not_measured_stays_as_it_was(profile, changed):
         profile, {"perception.threshold_ma": [1.1] * 64, "perception.comfort_ma": [2.2] * 64}
     )
     assert filled(own, {5: found()})[1] == [2.2] * 5 + [2.0] + [2.2] * 58
-    assert sentence(measured, adaptive=False).startswith("2 ")
-    assert "[1, 2]" in sentence(measured, adaptive=True)
+    assert sentence(measured).startswith("2 ")
+    assert "[1, 2]" in sentence(measured)
     with raises(CalibrationError):
         filled(profile, {1: found(np.nan, np.nan)})
 

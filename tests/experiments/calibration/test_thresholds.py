@@ -5,14 +5,12 @@ import os
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.experiments.calibration.threshold_procedures import (
     MOST_HURRIED,
-    MOST_TRIALS,
     TICK_S,
-    AdaptiveThreshold,
     AscendingLimits,
 )
 
@@ -32,13 +30,6 @@ def rise(subject, ceiling_ma=CEILING_MA, **options):
     return procedure.result()
 
 
-def ask(subject, rising, seed=0):
-    procedure = AdaptiveThreshold(rising.threshold_ma, rising.comfort_ma, seed)
-    while not procedure.done:
-        procedure.answer(subject.says_felt(procedure.next(), 1.5))
-    return procedure
-
-
 KINDS = {
     "usual": {}, "steep": {"slope": 0.05}, "shallow": {"slope": 0.2}, "drifting": {"drift": 0.03},
     "slow": {"reaction_s": 0.6}, "careless": {"guess": 0.02, "lapse": 0.05},
@@ -48,7 +39,7 @@ KINDS = {
 @pytest.mark.parametrize("kind", sample(KINDS))
 def test_bias_and_spread_over_many_subjects(kind):
     """Thresholds from 0.6 to 2.4 mA where 1.2 mA are expected."""
-    rising, comfort, asked, trials = [], [], [], []
+    rising, comfort = [], []
     for seed in range(FINGERS if kind == "usual" else 40):
         random = np.random.default_rng(seed)
         threshold = 1.2 * math.exp(0.25 * random.standard_normal())
@@ -57,21 +48,13 @@ def test_bias_and_spread_over_many_subjects(kind):
         found = rise(subject, seed=seed)
         rising.append(found.threshold_ma / threshold - 1)
         comfort.append(found.comfort_ma / strongest - 1)
-        procedure = ask(subject, found, seed)
-        asked.append(procedure.estimate.threshold / threshold - 1)
-        trials.append(procedure.trials)
-    for name, off in ("rising", rising), ("adaptive", asked), ("comfort", comfort):
+    for name, off in ("rising", rising), ("comfort", comfort):
         print(f"{kind}, {len(off)} fingers, {name}: off by {np.mean(off):+.1%} ± {np.std(off):.1%}")
     # Measured, rising: bias −3 to +7 %, spread 4 to 9 %; comfort −11 to +2 %, 3 to 9 %.
     assert abs(np.mean(rising)) < 0.1
     assert np.std(rising) < 0.11
     assert -0.13 < np.mean(comfort) < 0.03
     assert np.std(comfort) < 0.1
-    # Measured, asked: bias 0 to 1 %, with drift 3; spread 2 to 6 %.
-    assert abs(np.mean(asked)) < (0.06 if kind == "drifting" else 0.025)
-    assert np.std(asked) < 0.075
-    assert np.std(asked) < np.std(rising)
-    assert np.mean(trials) < MOST_TRIALS
 
 
 def test_a_subject_without_noise_is_found_to_a_step():
@@ -167,29 +150,3 @@ def test_whatever_is_pressed_it_ends_within_the_ceiling(ceiling, expected, share
     found = procedure.result()
     if procedure.done and found.felt:
         assert 0 < found.threshold_ma <= found.comfort_ma <= ceiling
-
-
-@settings(max_examples=30, deadline=None)
-@given(
-    answers=st.lists(st.booleans(), min_size=2 * MOST_TRIALS, max_size=2 * MOST_TRIALS),
-    expected=st.floats(0.05, 4),
-)
-def test_whatever_is_answered_trials_stay_within_the_ceiling(answers, expected):
-    procedure = AdaptiveThreshold(expected, 1.3 * expected)
-    for each in answers:
-        level = procedure.next()
-        assert 0 <= level <= 1.3 * expected
-        procedure.answer(each)
-        if procedure.done:
-            break
-    assert procedure.done
-    assert expected / 3 <= procedure.estimate.threshold <= 3 * expected
-
-
-def test_feeling_everything_is_not_believable():
-    procedure = AdaptiveThreshold(1.2, 2.4, seed=1)
-    while not procedure.done:
-        procedure.next()
-        procedure.answer(True)
-    assert procedure.blanks >= 2
-    assert not procedure.believable

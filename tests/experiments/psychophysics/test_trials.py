@@ -41,13 +41,6 @@ def test_a_blank_is_as_long_as_its_train(stimuli):
     assert train.activation[Afferent.PC].sum() == 2
 
 
-def test_a_soft_train_rises_to_its_level_and_stays(stimuli):
-    train = replace(stimuli.train([1], 50), soft_s=0.1, level=0.5)
-    levels = [train.level_at(each) for each in range(train.pulses)]
-    assert levels[:6] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.5])
-    assert set(levels[5:]) == {0.5}
-
-
 def test_a_rising_train_reaches_its_level_at_its_last_pulse(stimuli):
     train = replace(stimuli.train([1], 20), rises=True, level=0.8)
     levels = [train.level_at(each) for each in range(train.pulses)]
