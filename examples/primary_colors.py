@@ -29,3 +29,11 @@ for afferent, answer in mixture.answers.items():
 # Pulses for each class, at its own rate, by its own kernels.
 draw_mixture(trace, mixture)
 plt.show()
+
+# %%
+# PC by a mechanical vibrator instead of current (the paper's hybrid display): it plays into a file
+# what the sequences ask for.
+path = Path(mkdtemp()) / "pc.wav"
+tone = "vibration:tone:200Hz,2um"
+st.run(tone, "simulated:", mode="color", seconds=0.5, listeners=[st.Vibrator(path)])
+print(f"{path.stat().st_size} bytes of sound")

@@ -63,7 +63,7 @@ def test_board_form_and_plain_lines_come_from_the_profile(program_here, tmp_path
     kept, given = program_here(*read), program_here(*read, "--board", "memory:", "--as", "shapes")
     assert (kept.returncode, given.returncode) == (0, 0), given.stderr
     assert kept.stdout.splitlines()[0].endswith(", simulated:")
-    assert given.stdout.splitlines()[1].endswith(", memory:")
+    assert given.stdout.splitlines()[0].endswith(", memory:")
     for done in (kept, given):
         assert "line 1 of 1: a\n" in done.stdout
         assert "1 line read: a\n" in done.stdout
