@@ -40,6 +40,6 @@ class PageMotion(HandMotion):
     def read(self, time_ns: int) -> tuple[float, float]:
         """Return the displacement of the pointer from the middle."""
         if not self.is_shown:
-            raise SourceError("motion=page follows the pointer over the run's page: add --window")
+            raise SourceError("motion=page follows the pointer over a run's page: open its window")
         x, y = self._place_mm
         return x - self.origin_mm[0], y - self.origin_mm[1]

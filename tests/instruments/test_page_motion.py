@@ -73,7 +73,7 @@ def test_without_the_secret_or_something_to_move_nothing_moves(running, grating)
 
 
 def test_a_run_without_a_window_is_refused(grating):
-    with grating, raises(SourceError, value=("motion=page", "--window")):
+    with grating, raises(SourceError, value=("motion=page", "window")):
         grating.read(0)
 
 
