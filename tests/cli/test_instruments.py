@@ -114,6 +114,7 @@ def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_pat
     ("vibration:tone:30Hz,9um --mode PC", says(SourceError)),
     ("vibration:tone:30Hz,9um --json no/f.json", says(value=Path("no/f.json"))),
     ("texture:grating:x", says(PageError, "'grating:x'", "grating:4mm,30deg")),
+    ("texture:?motion=page", says(SourceError, "motion=page", "--window")),
     ("texture:?motion=evdev:/dev/null",
      says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]")),
     ("texture: --rate 300", says(SourceError, value=300, allowed=(10, 200))),
