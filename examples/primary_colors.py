@@ -6,6 +6,9 @@ As a screen mixes red, green and blue, a vibration is split into what each class
 answer, and each class is let fire as its afferents would have.
 """
 
+from pathlib import Path
+from tempfile import mkdtemp
+
 import matplotlib.pyplot as plt
 from studies.vibration_figures import draw_mixture, thresholds_figure
 
