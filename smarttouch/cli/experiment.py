@@ -226,7 +226,7 @@ def run_listed(
         float | None,
         option("Set the rate of pulses where the experiment does not.", "HZ", "--rate", panel=MORE),
     ] = None,
-    subject: Annotated[str, option("Name the participant.", "NAME")] = "",
+    subject: Annotated[str, option("Name the participant.", "NAME", panel=MORE)] = "",
     session: _Session = "",
     seed: Annotated[
         int | None,
