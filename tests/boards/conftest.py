@@ -283,7 +283,7 @@ class Hosted:
         if firmware == "C":
             _, port = start_firmware(f"--books={folder}", "--ramp-ms=0")
         elif firmware == "M3":
-            port = start_cortex_m3(electrodes=8, ramp_ms=0).name
+            port = start_cortex_m3(electrodes=8, ramp_ms=0, counts=True).name
         else:
             more = [f"--firmware={firmware}"] if firmware else []
             _, port = start_emulator(
