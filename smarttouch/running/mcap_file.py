@@ -64,7 +64,7 @@ _CHUNK = struct.Struct("<QQ")  # head of a chunk: first time, last time
 
 
 class McapFile:
-    """An MCAP file: schemas, channels and metadata, and its messages as often as they are read.
+    """An MCAP file: channels and metadata, and its messages as often as they are read.
 
     The reader of mcap needs the index at the end, which a killed program did not write. This one
     goes record by record, checks each chunk's CRC, and leaves out what is damaged. Raises
@@ -73,7 +73,6 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.ended: bool = False  # whether its end is there
@@ -103,7 +102,7 @@ class McapFile:
             raise unreadable(RecordingError, self.path, error) from None
 
     def _records(self, file: BinaryIO, opcode: int, at: int, length: int) -> list[McapRecord]:
-        """Return the records at a place, after noting schemas, channels and metadata."""
+        """Return the records at a place, after noting channels and metadata."""
         try:
             if length > MOST_RECORD_BYTES:
                 raise ValueError(f"a record has {length:,} bytes")
@@ -113,9 +112,7 @@ class McapFile:
             self._bad_at.add(at)
             return []
         for record in records:
-            if isinstance(record, Schema):
-                self.schemas[record.id] = record
-            elif isinstance(record, Channel):
+            if isinstance(record, Channel):
                 self.channels[record.id] = record
             elif isinstance(record, Metadata):
                 self.metadata[record.name] = record.metadata
