@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import owner_only, unwritable
-from smarttouch.base.removed import URLS, instead_of
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 
@@ -38,10 +37,7 @@ class Vibrator(Listener):
         super().__init__()
         self._target = target
         self._output: _WavFile | _SoundCard | None = None
-        name, colon, _ = str(target).partition(":")
-        if colon and (sentence := instead_of(URLS, name)):
-            raise SmartTouchError(sentence)
-        if target != "sound:" and Path(target).suffix != ".wav":
+        if target != "sound:" and (Path(target).suffix != ".wav" or "vibrators:" in str(target)):
             raise SmartTouchError(f"{target} is not a WAV file, such as pc.wav, nor sound:")
 
     def prepare(self, run: RunContext) -> None:
