@@ -187,16 +187,16 @@ def test_thresholds_of_a_simulated_subject(run, tmp_path):
 
 
 @pytest.mark.skipif(not WHOLE, reason="long: with SMARTTOUCH_WHOLE=1, as in .ci/run")
-def test_a_simulated_subject_answers_trials_on_another_board(run, tmp_path):
-    """Over 48 electrodes of the mouse: bias 0 %, spread 4 %; comfort -1 and 4 %."""
-    trials = "thresholds --simulate --electrodes 30 --board simulated:"
-    shown = done(run(f"{trials} --profile kajimoto-61 --output mine.toml"))
+def test_thresholds_of_a_simulated_subject_on_another_board(run, tmp_path):
+    """Current rises once at the electrode: within a fifth, as in test_threshold_session."""
+    thresholds = "thresholds --simulate --electrodes 30 --board simulated:"
+    shown = done(run(f"{thresholds} --profile kajimoto-61 --output mine.toml"))
     assert re.findall(r"electrode (\d+)", shown) == ["30"]
     found, usual = load_profile(tmp_path / "mine.toml").perception, load_profile("kajimoto-61")
     measuring = measuring_profile(usual)
     truth = simulated_finger(usual, measuring, measuring.full_ma.tolist(), 0)
-    assert found.threshold_ma[30] == pytest.approx(truth.threshold_ma[30], rel=0.12)
-    assert found.comfort_ma[30] == pytest.approx(truth.enough_ma[30], rel=0.12)
+    assert found.threshold_ma[30] == pytest.approx(truth.threshold_ma[30], rel=0.2)
+    assert found.comfort_ma[30] == pytest.approx(truth.enough_ma[30], rel=0.2)
 
 
 def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
