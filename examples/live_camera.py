@@ -48,10 +48,10 @@ class CameraSource(st.OpticalSource):
         there, image = self._camera.read()
         if not there:
             return None
-        grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        grey = cv2.resize(grey, self._size, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)
         self.frames += 1
-        return st.Frame(grey, time_ns, force_n=0.9, number=self.frames - 1)
+        # OpenCV has blue first; a frame takes red first, or grey levels.
+        return st.Frame(small[:, :, ::-1], time_ns, force_n=0.9, number=self.frames - 1)
 
 
 # %%

@@ -20,9 +20,9 @@ import smarttouch as st
 
 
 def image_of(message: Any) -> np.ndarray:
-    """Return gray levels (H, W) or RGB (H, W, 3) of a message."""
+    """Return gray levels (H, W), RGB (H, W, 3) or RGBA (H, W, 4) of a message."""
     if hasattr(message, "format"):
-        return np.array(Image.open(io.BytesIO(message.data)).convert("L"))
+        return np.array(Image.open(io.BytesIO(message.data)).convert("RGBA"))
     channels = {"mono8": 1, "rgb8": 3, "bgr8": 3}[message.encoding]
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
     image = rows[:, : message.width * channels].reshape(message.height, message.width, channels)

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ImageOps
 
 from smarttouch.base.errors import PageError, UnknownSizeError
 from smarttouch.base.files import MOST_ARRAY_BYTES, open_file
+from smarttouch.pages.grey_image import read_pixels
 from smarttouch.pages.page_image import (
     check_scale_options,
     open_image,
@@ -93,7 +93,7 @@ def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = 
             grey, scale = read_grey(path, image, dpi, width_mm)
             deep = image.mode.startswith("I") or image.mode == "F"
             if deep:
-                values = np.asarray(ImageOps.exif_transpose(image), np.float64)
+                values = np.atleast_3d(read_pixels(image))[:, :, 0].astype(np.float64)
         if scale is None:
             raise _unscaled(path)
         mm_per_pixel = scale

@@ -18,6 +18,7 @@ from smarttouch.pages.page_image import (
     Page,
     check_scale_options,
     open_image,
+    page_frames,
     read_grey,
     require_pixels,
     require_size_mm,
@@ -113,18 +114,17 @@ class ImageDocument(Document):
         super().__init__(path)
         self._dpi, self._page_width_mm = dpi, page_width_mm
         with open_image(path, _DOCUMENT) as image:
-            # Frames of other formats are animations.
-            self._count = getattr(image, "n_frames", 1) if image.format == "TIFF" else 1
+            self._frames = page_frames(image)
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._frames)
 
     def close(self) -> None:
         """Do nothing: the file is open only while a page is loaded."""
 
     def _load(self, index: int) -> Page:
         with open_image(self.path, _DOCUMENT) as image:
-            image.seek(index)
+            image.seek(self._frames[index])
             grey, mm_per_pixel = read_grey(self.path, image, self._dpi, self._page_width_mm)
         height, width = grey.shape
         if mm_per_pixel is None:

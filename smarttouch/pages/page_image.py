@@ -6,14 +6,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError
 
 from smarttouch.base.errors import PageError
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
+from smarttouch.pages.grey_image import read_pixels, to_grey
 
 MOST_PIXELS = 100_000_000
 FEWEST_PIXELS = 8  # least side of a page
@@ -28,6 +30,8 @@ _EVEN = 1.02  # ratio of resolutions across and down below which they are equal
 _MOST_UNEVEN = 4.0
 """Largest plausible ratio: the coarsest kind of fax has 2.1; more is an error of the file."""
 _ORIENTATION = 0x0112  # EXIF tag; 5 and above lay the rows of the file upright
+_SUBFILE, _NO_PAGE = 254, 1 | 4  # tag of a TIFF; bits of reduced images and masks
+_OLD_SUBFILE, _REDUCED = 255, 2
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions that Pillow raises on damaged files."""
 
@@ -76,6 +80,23 @@ def open_image(path: Path, kind: str = IMAGE) -> Iterator[Image.Image]:
         raise PageError(f"{path} cannot be read: {error}") from None
 
 
+def page_frames(image: Image.Image) -> list[int]:
+    """Return the frames of an open image that are pages.
+
+    Thumbnails, coarser copies and masks of a TIFF are not, nor are the frames of an animation.
+    """
+    if image.format != "TIFF":
+        return [0]
+    frames = range(getattr(image, "n_frames", 1))
+    pages = []
+    for frame in frames:
+        image.seek(frame)
+        tags: Any = getattr(image, "tag_v2", {})
+        if not (tags.get(_SUBFILE, 0) & _NO_PAGE or tags.get(_OLD_SUBFILE) == _REDUCED):
+            pages.append(frame)
+    return pages or list(frames)
+
+
 def read_grey(
     path: Path, image: Image.Image, dpi: float | None = None, page_width_mm: float | None = None
 ) -> tuple[NDArray[np.uint8], float | None]:
@@ -86,7 +107,7 @@ def read_grey(
     require_pixels(str(path), *image.size)
     across, down = _stated_dpi(image)
     finer = max(across, down)
-    grey = _to_grey(image)
+    grey = to_grey(read_pixels(image))
     if finer > _EVEN * min(across, down):
         height, width = grey.shape
         size = (round(width * finer / across), round(height * finer / down))
@@ -133,22 +154,3 @@ def _stated_dpi(image: Image.Image) -> tuple[float, float]:
     if max(across, down) > _MOST_UNEVEN * min(across, down):
         return 0.0, 0.0
     return (down, across) if image.getexif().get(_ORIENTATION, 1) >= 5 else (across, down)
-
-
-def _to_grey(image: Image.Image) -> NDArray[np.uint8]:
-    image = ImageOps.exif_transpose(image)
-    if image.mode.startswith("I") or image.mode == "F":
-        return _from_deep(np.asarray(image, np.float64))
-    if image.has_transparency_data:
-        image = image.convert("RGBA")
-        white = Image.new("RGBA", image.size, (255, 255, 255, 255))
-        image = Image.alpha_composite(white, image)
-    return np.array(image.convert("L"))
-
-
-def _from_deep(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    values = np.nan_to_num(values)
-    peak = values.max(initial=0)
-    # A deep file does not state its white: the smallest usual one that fits is assumed.
-    full = next((each for each in (1.0, 255.0, 65535.0) if peak <= each), peak)
-    return np.asarray(np.clip(np.rint(values * (255 / full)), 0, 255), np.uint8)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SourceError, SourceLostError, require_within
+from smarttouch.pages.grey_image import GreyConverter
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 
@@ -114,6 +115,7 @@ class CameraDevice(ImageDevice):
         self._size, self._exposure, self._fps = size, exposure, fps
         self._capture: cv2.VideoCapture | None = None
         self._failures = 0
+        self._converter = GreyConverter()
 
     def open(self) -> None:
         # By default the driver waits ten seconds for an image.
@@ -194,7 +196,17 @@ class CameraDevice(ImageDevice):
             time.sleep(min(timeout_s, _PAUSE_S))
             return None
         self._failures = 0
-        return Shot(to_grey(image), self._taken_ns(capture))
+        return Shot(self._grey(image), self._taken_ns(capture))
+
+    def _grey(self, image: NDArray[Any]) -> NDArray[np.uint8]:
+        """Return an image of OpenCV, whose colors are blue, green and red, in grey."""
+        if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] == 2):
+            raise SourceError(
+                f"{self.title} gives images of shape {image.shape}: only grey and color can be read"
+            )
+        if image.ndim == 3 and image.shape[2] >= 3:
+            image = image[:, :, 2::-1]
+        return self._converter.convert(image)
 
     @staticmethod
     def _taken_ns(capture: cv2.VideoCapture) -> int:
@@ -207,22 +219,6 @@ class CameraDevice(ImageDevice):
         if self._capture is not None:
             self._capture.release()
             self._capture = None
-
-
-def to_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return an image of OpenCV in grey, (H, W) uint8; 16-bit images by their upper eight bits."""
-    if image.dtype == np.uint16:
-        image = (image >> 8).astype(np.uint8)
-    channels = 1 if image.ndim == 2 else image.shape[-1]
-    if image.dtype != np.uint8 or image.ndim not in (2, 3) or channels not in (1, 3, 4):
-        raise SourceError(
-            f"images of shape {image.shape} and type {image.dtype} cannot be read: give grey or "
-            "color"
-        )
-    if channels == 1:
-        return np.ascontiguousarray(image.reshape(image.shape[:2]))
-    code = cv2.COLOR_BGR2GRAY if channels == 3 else cv2.COLOR_BGRA2GRAY
-    return np.asarray(cv2.cvtColor(image, code), np.uint8)
 
 
 def _device(rest: str) -> int | str:

@@ -13,6 +13,7 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import SourceError, kind_in_words
 from smarttouch.base.events import Emit
+from smarttouch.pages.grey_image import to_grey
 from smarttouch.profile import Profile
 from smarttouch.sources import kind_of, open_source
 from smarttouch.sources.source_contract import (
@@ -49,27 +50,24 @@ def checked_input(given: Any, who: object, electrodes: int) -> Input:
 def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
     """Return an image as gray levels, (H, W) uint8, 0 black: from bool, gray, RGB or RGBA.
 
-    What is transparent is white. Raises a SourceError for other types and shapes: which number
-    is white would be a guess.
+    The ground under transparent print is chosen so that it is seen. Raises a SourceError for other
+    types and shapes: which number is white would be a guess.
     """
     wanted = "give gray levels (H, W) uint8, 0 black and 255 white"
     if not isinstance(image, np.ndarray):
         raise SourceError(f"{who} gave an image that is {kind_in_words(image)}: {wanted}")
-    if image.dtype == np.bool_:
-        image = image.astype(np.uint8) * np.uint8(255)
     channels = image.shape[2] if image.ndim == 3 else 1
-    if image.dtype != np.uint8 or image.ndim not in (2, 3) or channels not in (1, 3, 4):
+    if (
+        image.dtype not in (np.uint8, np.bool_)
+        or image.ndim not in (2, 3)
+        or channels not in (1, 3, 4)
+    ):
         raise SourceError(
             f"{who} gave an image of {image.dtype} {image.shape}: {wanted}, or RGB (H, W, 3)"
         )
     if not image.size:
         raise SourceError(f"{who} gave an image without pixels {image.shape}: {wanted}")
-    if channels == 1:
-        return np.ascontiguousarray(image.reshape(image.shape[:2]))
-    gray = image[:, :, :3] @ _GRAY
-    if channels == 4:
-        gray = 255 + (gray - 255) * (image[:, :, 3] / 255)
-    return np.asarray(np.rint(gray), np.uint8)
+    return to_grey(image)
 
 
 def checked_activation(activation: Any, who: object, electrodes: int) -> NDArray[np.float32]:

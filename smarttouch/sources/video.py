@@ -13,25 +13,27 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, ImageOps
+from PIL import Image
 
 from smarttouch.base.errors import PageError, SourceError, require_within
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, require_file
+from smarttouch.pages.grey_image import GreyConverter, read_pixels
 from smarttouch.pages.page_image import open_image
 from smarttouch.profile import Profile
-from smarttouch.sources.camera import QUIET_OPENCV, to_grey
+from smarttouch.sources.camera import QUIET_OPENCV
 from smarttouch.sources.live_capture import STALE_S, ImageDevice, LiveSource, Shot, SourceEndedError
 from smarttouch.sources.preprocess import FramePreprocessor
 from smarttouch.sources.source_contract import Frame, OpticalSource
 
 USUAL_HZ = 30.0
 FASTEST_HZ = 1000.0
-SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
+SUFFIXES = (
+    ".avif", ".bmp", ".gif", ".jp2", ".jpeg", ".jpg", ".pbm", ".pgm", ".png", ".ppm", ".tif",
+    ".tiff", ".webp",
+)  # fmt: skip
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
 _MISSING = 0.05  # accepted part of missing frames; containers only estimate how many they hold
-_TURNED = ("JPEG", "TIFF")
-"""Formats that may state the camera's orientation before they are decoded."""
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")
 # Silences the decoder's messages on damaged frames; read once, when a process first opens a video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -77,6 +79,7 @@ class VideoFile(Clip):
         super().__init__(path)
         self._capture = cv2.VideoCapture()
         self._first: NDArray[np.uint8] | None = None
+        self._converter = GreyConverter()
         self._read = 0
 
     def open(self) -> None:
@@ -108,7 +111,7 @@ class VideoFile(Clip):
             image, self._first = self._first, None
             return image
         color = self._captured(decoded=True)
-        return None if color is None else to_grey(color)
+        return None if color is None else self._converter.convert(color[:, :, ::-1])
 
     def skip(self) -> bool:
         if self._first is not None:
@@ -141,24 +144,36 @@ class ImageFolder(Clip):
         super().__init__(path)
         self.rate_hz = rate_hz
         self._files: list[Path] = []
+        self._shape: tuple[int, ...] = ()
+        self._converter = GreyConverter()
         self._index = 0
 
     def open(self) -> None:
         self._files = _images(self.path)
         self.count: int = len(self._files)
-        sizes = [_size(file) for file in self._files]
-        for file, (width, height) in zip(self._files, sizes, strict=True):
-            if (width, height) != sizes[0]:
-                raise SourceError(
-                    f"{file} has {width} x {height} pixels, {self._files[0].name} has "
-                    f"{sizes[0][0]} x {sizes[0][1]}: all images of a folder must be of one size"
-                )
+        self._shape = _load(self._files[0], self._converter).shape
+        for file in self._files[1:]:
+            with _reading(file) as image:
+                width, height = image.size
+            # Some formats state at their end how they lie, so either way is possible here.
+            if sorted((width, height)) != sorted(self._shape):
+                raise self._other_size(file, width, height)
+
+    def _other_size(self, file: Path, width: int, height: int) -> SourceError:
+        return SourceError(
+            f"{file} has {width} x {height} pixels, {self._files[0].name} has "
+            f"{self._shape[1]} x {self._shape[0]}: all images of a folder must be of one size"
+        )
 
     def next(self) -> NDArray[np.uint8] | None:
         if self._index == len(self._files):
             return None
+        file = self._files[self._index]
         self._index += 1
-        return _load(self._files[self._index - 1])
+        image = _load(file, self._converter)
+        if image.shape != self._shape:
+            raise self._other_size(file, image.shape[1], image.shape[0])
+        return image
 
     def skip(self) -> bool:
         if self._index == len(self._files):
@@ -192,7 +207,7 @@ def _images(folder: Path) -> list[Path]:
         message = f"cannot read the folder {folder}: {error.strerror}"
         raise SourceError(message) from None
     if not files:
-        message = f"{folder} contains no images: give PNG, JPEG, BMP, TIFF or PGM files"
+        message = f"{folder} contains no images: give PNG, JPEG, TIFF, WebP or BMP files"
         raise SourceError(message)
     return sorted(files, key=_natural)
 
@@ -214,27 +229,18 @@ def _reading(file: Path) -> Iterator[Image.Image]:
         raise SourceError(f"{error}; remove it from the folder") from None
 
 
-def _size(file: Path) -> tuple[int, int]:
-    """Return width and height of the image in its stated orientation."""
+def _load(file: Path, converter: GreyConverter) -> NDArray[np.uint8]:
     with _reading(file) as image:
-        width, height = image.size
-        if image.format in _TURNED and image.getexif().get(ExifTags.Base.Orientation, 1) >= 5:
-            width, height = height, width
+        _require_pixels(file, *image.size)
+        return converter.convert(read_pixels(image))
+
+
+def _require_pixels(file: Path, width: int, height: int) -> None:
     if min(width, height) < _FEWEST_PIXELS or width * height > _MOST_PIXELS:
         raise SourceError(
             f"{file} has {width} x {height} pixels: a frame needs at least {_FEWEST_PIXELS} x "
             f"{_FEWEST_PIXELS}, and at most {_MOST_PIXELS // 10**6} megapixels"
         )
-    return width, height
-
-
-def _load(file: Path) -> NDArray[np.uint8]:
-    with _reading(file) as image:
-        upright = ImageOps.exif_transpose(image) if image.format in _TURNED else image
-        if upright.mode.startswith("I"):
-            deep = np.clip(np.asarray(upright), 0, 65535).astype(np.uint16)
-            return to_grey(deep)
-        return np.array(upright.convert("L"))
 
 
 HOPELESS_NS = 250_000_000

@@ -22,7 +22,6 @@ from smarttouch.sources.camera import (
     QUIET_OPENCV,
     SILENT,
     CameraDevice,
-    to_grey,
 )
 
 from ..raising import raises
@@ -255,25 +254,6 @@ def test_opencv_logs_again_when_all_are_done():
     second.set()
     thread.join()
     assert OPENCV_LOG.getLogLevel() == level
-
-
-@pytest.mark.parametrize(("image", "level"), [
-    (np.full((3, 4), 77, np.uint8), 77), (np.full((3, 4, 1), 77, np.uint8), 77),
-    (np.full((3, 4, 3), 77, np.uint8), 77), (np.full((3, 4, 4), 77, np.uint8), 77),
-    (np.full((3, 4), 77 * 256, np.uint16), 77),
-])  # fmt: skip
-def test_every_image_becomes_grey(image, level):
-    grey = to_grey(image)
-    assert grey.shape == (3, 4)
-    assert grey.dtype == np.uint8
-    assert (grey == level).all()
-
-
-@pytest.mark.parametrize("image", [np.zeros((3, 4, 2), np.uint8), np.zeros((3, 4), np.float64)])
-def test_what_is_no_image(image):
-    found = (image.shape, str(image.dtype))
-    with raises(SourceError, names="image", value=found):
-        to_grey(image)
 
 
 def test_the_driver_is_not_waited_for_long(device, monkeypatch):

@@ -273,17 +273,6 @@ def test_a_damaged_image_is_named_when_it_comes(profile, tmp_path, unpaced):
         levels(sensor)
 
 
-def test_kinds_of_images(profile, tmp_path):
-    """16 bit, color, and one that lies on its side."""
-    deep = np.full((6, 8), 100 * 256, np.uint16)
-    Image.fromarray(deep).save(tmp_path / "1.png")
-    Image.new("RGB", (8, 6), (100, 100, 100)).save(tmp_path / "2.png")
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    Image.new("L", (6, 8), 100).save(tmp_path / "3.jpg", exif=exif)
-    assert levels(open_source(f"frames:{tmp_path}", profile, unpaced=True)) == [100, 100, 100]
-
-
 def test_each_image_comes_at_its_time():
     clock = Clock()
     shots, missed = paced(Levels(5, 50.0), clock)

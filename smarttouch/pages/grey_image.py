@@ -1,0 +1,234 @@
+"""Grey levels of 8 bits from any image of a file, a camera or a program."""
+
+import itertools
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageFile, ImageOps
+
+Pixels = NDArray[Any]
+
+LUMA = np.array([0.299, 0.587, 0.114])
+"""Weights of red, green and blue, ITU-R BT.601."""
+_STEPS = (0.0, 0.25, 0.5, 0.75, 1.0)
+_MIXES = np.array([mix for mix in itertools.product(_STEPS, repeat=3) if sum(mix) == 1])
+_MIXES = np.vstack([LUMA, _MIXES[np.abs(_MIXES - LUMA).sum(axis=1).argsort(kind="stable")]])
+"""Weights that may show colored print, the nearest to luma first: paper stays white."""
+_KEPT = 0.9  # share of the best contrast from which the present weights stay
+_AS_GOOD = 0.01  # difference of contrast below which mixes are equally good
+_EDGE_LEVELS = 40  # difference of a channel from which two pixels are an edge
+_EDGE_PIXELS = 3  # distance of the two pixels
+_FEWEST_EDGES = 50
+_SAMPLED = 40_000  # pairs of pixels across, and as many down, that are looked at
+_BRIGHTEST = 0.999  # quantile of floating-point levels that is white: highlights may be above
+_THICK = 8
+"""Strokes are thinner than the image's shorter side divided by this."""
+_WHITE_IS_ZERO = 262, 0  # photometric interpretation of a TIFF
+_OTHER_BYTE = {"B": "L", "L": "B", "N": "B"}
+"""Orders of two bytes whose upper byte is the lower one of the other order."""
+
+
+class GreyConverter:
+    """Converts the images of one source to grey levels.
+
+    What images do not state is decided by the first one that needs it, and kept for the next:
+    the level of white, the ground below transparent images, and the weights of the colors. White
+    and the weights change only where a later image requires it.
+    """
+
+    def __init__(self) -> None:
+        self._white = self._black = 0.0
+        self._alpha_is_ink: bool | None = None
+        self._ground = 255
+        self._weights = LUMA
+
+    def convert(self, pixels: Pixels) -> NDArray[np.uint8]:
+        """Return an image in grey, (H, W) uint8.
+
+        Parameters
+        ----------
+        pixels : ndarray, (H, W) or (H, W, C)
+            Grey, grey and alpha, RGB or RGBA: bool, integers of any depth, or floating point.
+        """
+        if pixels.ndim == 2:
+            pixels = pixels[:, :, None]
+        channels = pixels.shape[2]
+        alpha = None
+        if channels in (2, 4):
+            alpha = _scaled(pixels[:, :, -1], 0.0, _white_level(pixels[:, :, -1]))
+            channels -= 1
+        levels = self._levels(pixels[:, :, :channels])
+        if alpha is not None and alpha.size and alpha.min() < 255:
+            return self._laid_down(levels, alpha)
+        return self._mixed(levels)
+
+    def _levels(self, colors: Pixels) -> NDArray[np.uint8]:
+        """Return an image of any depth in 8 bits."""
+        if colors.dtype == np.uint8:
+            return np.ascontiguousarray(colors)
+        if colors.dtype.kind == "f":
+            colors = np.where(np.isfinite(colors), colors, 0)
+        self._black = min(self._black, float(colors.min(initial=0)))
+        self._white = max(self._white, _white_level(colors, self._black))
+        return _scaled(colors, self._black, self._white)
+
+    def _laid_down(self, levels: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return a transparent image on a ground on which its print is seen."""
+        if self._alpha_is_ink is None:
+            self._choose_ground(levels, alpha)
+        if self._alpha_is_ink:
+            return np.asarray(255 - alpha, np.uint8)
+        # Colors that nobody sees do not count.
+        seen = np.where(alpha[:, :, None] > 0, levels, np.uint8(self._ground))
+        grey = self._mixed(seen).astype(np.float32) - self._ground
+        return np.asarray(np.rint(self._ground + grey * (alpha / np.float32(255))), np.uint8)
+
+    def _choose_ground(self, levels: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> None:
+        visible = alpha >= 128
+        covers = visible.mean() >= 0.5
+        side = max(3, min(alpha.shape) // _THICK)
+        # Without a border, so that print that touches the edge is thin as well.
+        thick = cv2.erode(
+            visible.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0,
+            borderType=cv2.BORDER_CONSTANT,
+        )  # fmt: skip
+        # Thin print may be of any color, also black and white at once: its alpha is its ink.
+        self._alpha_is_ink = bool(visible.any() and not covers and not thick.any())
+        bright = visible.any() and np.median(levels[visible]) >= 128
+        # A picture that fills the image goes on around itself; anything else stands out.
+        self._ground = 255 if bright == covers else 0
+
+    def _mixed(self, levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return colors as grey; where luma shows no print, by weights that do."""
+        if levels.shape[2] == 1:
+            return levels[:, :, 0]
+        self._weights = _weights(levels, self._weights)
+        if self._weights is LUMA:
+            return np.asarray(cv2.cvtColor(levels, cv2.COLOR_RGB2GRAY), np.uint8)
+        return np.asarray(cv2.transform(levels, self._weights[None]), np.uint8)
+
+
+def to_grey(pixels: Pixels) -> NDArray[np.uint8]:
+    """Return one image in grey, (H, W) uint8; see `GreyConverter.convert`."""
+    return GreyConverter().convert(pixels)
+
+
+def _weights(levels: NDArray[np.uint8], present: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the weights by which most edges of a colored image are seen, (3,).
+
+    An edge counts in full with half the contrast that it has in its best channel. The present
+    weights stay if they show nearly as much as the best.
+    """
+    step = max(1, levels.shape[0] * levels.shape[1] // _SAMPLED)
+    across, down = levels[::step].astype(np.int16), levels[:, ::step].astype(np.int16)
+    pairs = [
+        (across[:, _EDGE_PIXELS:] - across[:, :-_EDGE_PIXELS]).reshape(-1, 3),
+        (down[_EDGE_PIXELS:] - down[:-_EDGE_PIXELS]).reshape(-1, 3),
+    ]
+    edges = np.concatenate(pairs)
+    largest = np.abs(edges).max(axis=1)
+    edges, largest = edges[largest >= _EDGE_LEVELS], largest[largest >= _EDGE_LEVELS]
+    if len(edges) < _FEWEST_EDGES:
+        return present
+
+    def seen(mixes: NDArray[np.float64]) -> NDArray[np.float64]:
+        contrast = np.abs(edges @ mixes.T) / largest[:, None]
+        return np.asarray(np.minimum(1, 2 * contrast).mean(axis=0))
+
+    now = float(seen(present[None])[0])
+    if now >= _KEPT:
+        return present
+    shown = seen(_MIXES)
+    if now >= _KEPT * shown.max():
+        return present
+    best = int(np.argmax(shown >= shown.max() - _AS_GOOD))
+    return _MIXES[best] if best else LUMA
+
+
+def _white_level(values: Pixels, black: float = 0.0) -> float:
+    """Return the white of images that do not state it: the fewest bits that hold their levels.
+
+    Integers have at least 8 bits, unless they are 0 and 1 alone.
+    """
+    if values.dtype.kind == "f":
+        some = values.ravel()[:: max(1, values.size // 1_000_000)]
+        peak = float(np.quantile(some, _BRIGHTEST)) - black if some.size else 0.0
+        if black < 0 < peak:
+            return peak
+        if 0 < peak < 1:
+            return float(2.0 ** np.ceil(np.log2(peak)))
+        return float(max(1, 2 ** int(peak).bit_length() - 1))
+    peak = int(values.max(initial=0)) - int(black)
+    return 1.0 if peak <= 1 else float(max(255, 2 ** peak.bit_length() - 1))
+
+
+def _scaled(values: Pixels, black: float, white: float) -> NDArray[np.uint8]:
+    if values.dtype == np.uint8 and white == 255:
+        return np.asarray(values)
+    levels = (values.astype(np.float32) - np.float32(black)) * np.float32(255 / white)
+    return np.asarray(np.clip(np.rint(levels, out=levels), 0, 255), np.uint8)
+
+
+def read_pixels(image: Image.Image) -> Pixels:
+    """Return an open image upright, at its full depth: grey (H, W), with alpha, RGB or RGBA."""
+    if image.mode.startswith("I") or image.mode == "F":
+        return _deep_grey(image)
+    low = _low_bytes(image)
+    upright = ImageOps.exif_transpose(image)
+    if low is not None:
+        high, rest = (
+            np.asarray(each, np.uint16) for each in (upright, ImageOps.exif_transpose(low))
+        )
+        return np.asarray(high * np.uint16(256) + rest)
+    if upright.mode == "LAB":
+        return np.asarray(upright.getchannel("L"))
+    if upright.has_transparency_data:
+        return np.asarray(_opened(upright).convert("RGBA"))
+    return np.asarray(upright.convert("L" if upright.mode in ("1", "L") else "RGB"))
+
+
+def _opened(image: Image.Image) -> Image.Image:
+    """Return an image with plain alpha instead of colors that are multiplied by it."""
+    return image.convert({"La": "LA", "RGBa": "RGBA"}.get(image.mode, image.mode))
+
+
+def _deep_grey(image: Image.Image) -> Pixels:
+    upright = ImageOps.exif_transpose(image)
+    values = np.asarray(upright)
+    tag, zero = _WHITE_IS_ZERO
+    if getattr(image, "tag_v2", {}).get(tag) == zero:
+        # Pillow inverts such images of 8 bits only.
+        values = np.asarray(_white_level(values)).astype(values.dtype) - values
+    hidden = image.info.get("transparency")
+    return np.dstack([values, values != hidden]) if isinstance(hidden, int) else values
+
+
+def _low_bytes(image: Image.Image) -> Any:
+    """Return the lower bytes of an image of 16 bits in color, of which Pillow reads the upper ones.
+
+    None for other images. They are had by reading it in the other order of bytes.
+    """
+    if not isinstance(image, ImageFile.ImageFile) or image.mode not in ("RGB", "RGBA"):
+        return None
+    file, page = image.fp, image.tell()
+    if file is None or not any(";16" in str(tile) for tile in image.tile):
+        return None
+    place = file.tell()
+    file.seek(0)
+    low: Any = Image.open(file)
+    low.seek(page)
+    swapped = []
+    for tile in low.tile:
+        raw, *rest = (tile.args,) if isinstance(tile.args, str) else tile.args
+        # Grey with alpha has four bytes a pixel: both halves of the grey, then of the alpha.
+        other = "RGBA" if raw == "LA;16B" else raw[:-1] + _OTHER_BYTE.get(raw[-1], raw[-1])
+        swapped.append(tile._replace(args=(other, *rest) if rest else other))
+    low.tile = swapped
+    low.load()
+    file.seek(place)
+    if other != "RGBA":
+        return low
+    _, grey, _, alpha = low.split()
+    return Image.merge("RGBA", (grey, grey, grey, alpha))

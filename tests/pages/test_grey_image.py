@@ -1,0 +1,210 @@
+"""Any kind of image becomes the same grey picture, as a page and as a frame."""
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from PIL import Image, TiffImagePlugin
+
+from smarttouch.pages.document import open_document
+from smarttouch.pages.grey_image import GreyConverter, to_grey
+from smarttouch.sources import open_source
+
+PRINT = np.full((60, 160), 255, np.uint8)
+cv2.putText(PRINT, "mill 42", (8, 42), cv2.FONT_HERSHEY_SIMPLEX, 1.1, 0, 2, cv2.LINE_AA)
+INK = 255 - PRINT
+
+
+def deep(bits, color=False):
+    """Return a writer of the print with the given bits, in 16."""
+
+    def write(path):
+        levels = np.rint(PRINT * ((2**bits - 1) / 255)).astype(np.uint16)
+        cv2.imwrite(str(path), np.dstack([levels] * 3) if color else levels)
+
+    return write
+
+
+def pillow(make, **options):
+    return lambda path: make().save(path, **options)
+
+
+def on_transparent(*colors):
+    """Return a maker of print without a ground; each color has its share of the width."""
+
+    def make():
+        pixels = np.zeros((*PRINT.shape, 4), np.uint8)
+        for part, color in zip(np.array_split(pixels, len(colors), axis=1), colors, strict=True):
+            part[..., :3] = color
+        pixels[..., 3] = INK
+        return Image.fromarray(pixels)
+
+    return make
+
+
+def clear_palette():
+    """White print of a palette whose other entry is transparent."""
+    image = Image.fromarray((INK > 127).astype(np.uint8), "P")
+    image.putpalette([0, 0, 0, 255, 255, 255])
+    image.info["transparency"] = 0
+    return image
+
+
+def turned(values, orientation):
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    return lambda path: Image.fromarray(values).save(path, exif=exif, lossless=True)
+
+
+def white_is_zero(path):
+    """Write 12 bits in 16 of a TIFF in which 0 is white."""
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[262] = 0
+    Image.fromarray(INK.astype(np.uint16) * 16).save(path, tiffinfo=tags)
+
+
+def deep_grey_alpha(path):
+    """Write 10 bits in 16, grey with alpha, which Pillow cannot write."""
+    grey = np.rint(PRINT * (1023 / 255))
+    rows = np.dstack([grey, np.full_like(grey, 65535)]).astype(">u2").reshape(len(PRINT), -1)
+    raw = b"".join(b"\0" + row.tobytes() for row in rows)
+    parts = [(b"IHDR", struct.pack(">IIBBBBB", *PRINT.shape[::-1], 16, 4, 0, 0, 0))]
+    parts += [(b"IDAT", zlib.compress(raw)), (b"IEND", b"")]
+    chunks = (
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in parts
+    )
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
+
+
+def animation(path):
+    first = Image.fromarray(PRINT)
+    first.save(path, save_all=True, append_images=[Image.fromarray(INK)], duration=40)
+
+
+HIGHLIGHT = PRINT / 255.0
+HIGHLIGHT[:3, :3] = 1.3
+
+KINDS = {
+    **{f"deep-{bits}.png": deep(bits) for bits in range(8, 17)},
+    **{f"color-{bits}.{kind}": deep(bits, color=True)
+       for bits in (10, 12, 16) for kind in ("png", "tif")},
+    "grey-alpha-10.png": deep_grey_alpha,
+    "white-is-zero.tif": white_is_zero,
+    "float-1.tif": pillow(lambda: Image.fromarray(np.float32(PRINT / 255))),
+    "float-255.tif": pillow(lambda: Image.fromarray(np.float32(PRINT))),
+    "float-signed.tif": pillow(lambda: Image.fromarray(np.float32(PRINT / 127.5 - 1))),
+    "float-highlight.tif": pillow(lambda: Image.fromarray(np.float32(HIGHLIGHT))),
+    "float-hole.tif": pillow(
+        lambda: Image.fromarray(np.where(PRINT < 1, np.nan, PRINT).astype(np.float32))
+    ),
+    "palette.png": pillow(lambda: Image.fromarray(PRINT).convert("P")),
+    "black-on-clear.png": pillow(on_transparent((0, 0, 0))),
+    "white-on-clear.png": pillow(on_transparent((255, 255, 255))),
+    "pale-on-clear.webp": pillow(on_transparent((240, 240, 250)), lossless=True, exact=True),
+    "both-on-clear.png": pillow(on_transparent((255, 255, 255), (0, 0, 0))),
+    "lab.tif": pillow(lambda: Image.merge("LAB", [
+        Image.fromarray(PRINT), *[Image.new("L", PRINT.shape[::-1], 0)] * 2])),
+    "upside-down.png": turned(PRINT[::-1, ::-1], 3),
+    "upside-down.webp": turned(PRINT[::-1, ::-1], 3),
+    "on-its-side.png": turned(np.rot90(PRINT), 6),
+    "animation.gif": animation,
+    "animation.webp": lambda path: animation(path),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_page_and_a_frame_of_any_kind(profile, tmp_path, name):
+    KINDS[name](tmp_path / name)
+    with open_document(tmp_path / name, dpi=150) as document:
+        page = document.page(0).grey
+    with open_source(f"frames:{tmp_path}", profile, unpaced=True) as source:
+        frame = source.read(0).image
+    np.testing.assert_array_equal(page, frame)
+    assert page.shape == PRINT.shape
+    # Palettes and lossy kinds have fewer levels.
+    most = 128 if name.startswith(("palette", "animation")) else 2
+    assert np.abs(page.astype(int) - PRINT).max() <= most
+
+
+@pytest.mark.parametrize(("ink", "ground"), [
+    ((200, 60, 60), (60, 140, 60)), ((220, 30, 30), (87, 87, 87)), ((255, 255, 0), (255, 255, 255)),
+    ((0, 0, 0), (255, 255, 255)), ((40, 90, 200), (130, 60, 70)),
+])  # fmt: skip
+def test_print_of_any_color_is_seen(ink, ground):
+    share = INK[..., None] / 255
+    grey = to_grey(np.rint(share * ink + (1 - share) * ground).astype(np.uint8))
+    largest = np.abs(np.subtract(ink, ground)).max()
+    assert abs(int(grey[INK == 255].mean()) - int(grey[INK == 0].mean())) >= 0.4 * largest
+    assert abs(np.corrcoef(grey.ravel(), INK.ravel())[0, 1]) > 0.99
+
+
+def test_black_print_below_a_marker_stays_legible():
+    yellow = np.dstack([PRINT, PRINT, np.where(np.arange(60)[:, None] < 50, 0, PRINT)])
+    pale = np.full((40, 160, 3), 255, np.uint8)
+    pale[10:30, 10:150] = (255, 225, 60)
+    grey = to_grey(np.vstack([yellow, pale]).astype(np.uint8))
+    assert grey[:40][PRINT[:40] == 255].min() - int(grey[:40][PRINT[:40] == 0].max()) > 100
+
+
+def test_luma_where_it_shows_all():
+    red = np.dstack([np.full_like(PRINT, 255), PRINT, PRINT])
+    np.testing.assert_array_equal(to_grey(red), cv2.cvtColor(red, cv2.COLOR_RGB2GRAY))
+
+
+def test_a_picture_that_fills_the_image_goes_on_around_itself():
+    """As of a window with round corners, in light and in dark."""
+    for light in (False, True):
+        window = np.dstack([PRINT if light else INK] * 3 + [np.full_like(PRINT, 255)])
+        window[:4, :4, 3] = 0
+        grey = to_grey(window)
+        assert (grey[:4, :4] == (255 if light else 0)).all()
+
+
+def test_frames_stay_comparable():
+    """A darker image of one source is darker; a brighter one raises white for all that follow."""
+    converter = GreyConverter()
+    levels = [
+        int(converter.convert(np.full((8, 8), level, np.uint16)).max())
+        for level in (1000, 500, 4000, 1000)
+    ]
+    assert levels == [249, 125, 249, 62]
+
+
+@given(
+    hnp.arrays(
+        st.sampled_from([np.uint8, np.uint16, np.int16, np.int32, np.float32, np.bool_]),
+        hnp.array_shapes(min_dims=2, max_dims=2, max_side=20).flatmap(
+            lambda shape: st.sampled_from([shape, *[(*shape, depth) for depth in (1, 2, 3, 4)]])
+        ),
+    )
+)
+def test_no_pixels_are_too_much(pixels):
+    grey = to_grey(pixels)
+    assert grey.dtype == np.uint8
+    assert grey.shape == pixels.shape[:2]
+
+
+@pytest.mark.parametrize(("kinds", "pages"), [
+    ([2, 2], [0, 1]), ([0, 1, 1], [0]), ([1, 0], [1]), ([2, 4, 2], [0, 2]), ([1, 1], [0, 1]),
+    ([None, None], [0, 1]),
+])  # fmt: skip
+def test_copies_and_masks_of_a_tiff_are_no_pages(tmp_path, kinds, pages):
+    """Bits of NewSubfileType: 1 for a smaller copy, 2 for a page of many, 4 for a mask."""
+    path = tmp_path / "pages.tif"
+    with TiffImagePlugin.AppendingTiffWriter(str(path), True) as file:
+        for number, kind in enumerate(kinds):
+            tags = TiffImagePlugin.ImageFileDirectory_v2()
+            if kind is not None:
+                tags[254] = kind
+            Image.new("L", (40, 30), 10 * number).save(file, "tiff", tiffinfo=tags)
+            file.newFrame()
+    with open_document(path, dpi=100) as document:
+        assert [int(document.page(index).grey[0, 0]) for index in range(len(document))] == [
+            10 * number for number in pages
+        ]
