@@ -23,7 +23,7 @@ from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display_board import DisplayBoard
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import Listener, RunContext, as_listeners
+from smarttouch.running.listener import InkWatch, Listener, RunContext, as_listeners
 from smarttouch.running.loop import emit_to, run_loop, steady_environment
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import Regulator, make_regulator, masked_where_broken
@@ -79,7 +79,7 @@ class Runner:
         self._force = None if isinstance(force, str) else force
         self._force_url = force if isinstance(force, str) else None
         self.statistics: RunStatistics = RunStatistics()
-        self._listeners = as_listeners(listeners)
+        self._listeners = [*as_listeners(listeners), InkWatch(self._advise)]
         self._vibrated = any(each.vibrates_pc for each in self._listeners)
         self._load_kernels = load_kernels
         self._operation = operation = operation or Operation()

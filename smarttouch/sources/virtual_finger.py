@@ -183,6 +183,9 @@ def open_page(
     page, assumed = load_or_guess(Path(rest), dpi, page_width_mm, notices.append)
     if assumed:
         notices.append(assumed)
+    if not light_on_dark and separate_ink(page.grey).light_on_dark:
+        page = Page(np.asarray(255 - page.grey, np.uint8), page.mm_per_pixel)
+        notices.append("the print is light on dark, and is shown dark on light")
     corners = None if path is not None or light_on_dark else find_sheet(page.grey)
     if corners is not None:
         flat = separate_ink(flattened(page.grey, corners), False).cleaned

@@ -110,6 +110,22 @@ def test_the_finger_follows_light_print_by_itself(profile):
     assert found == open_source(url, profile, light_on_dark=True).path.lines
 
 
+def test_light_print_is_shown_dark_unless_imaging_knows_of_it(profile, tmp_path):
+    page = print_text("touch")
+
+    def show(grey, **options):
+        Image.fromarray(grey).save(tmp_path / "page.png")
+        dpi = 25.4 / page.mm_per_pixel
+        return open_page(str(tmp_path / "page.png"), profile, dpi=dpi, **options)
+
+    dark, light = show(page.grey), show(255 - page.grey)
+    np.testing.assert_array_equal(light.read(TEN_MS).image, dark.read(TEN_MS).image)
+    assert dark.notes == []
+    assert "light on dark" in light.notes[0]
+    asked = show(255 - page.grey, light_on_dark=True)
+    np.testing.assert_array_equal(asked.page.grey, 255 - dark.page.grey)
+
+
 def test_a_page_without_a_scale_gets_a_guessed_one_with_a_note(tmp_path, profile):
     path = tmp_path / "page.png"
     Image.fromarray(np.full((400, 300), 240, np.uint8)).save(path)
