@@ -1,12 +1,10 @@
 """Shift and turn between two images, to a part of a pixel.
 
-Phase correlation finds the shift; Gauss–Newton steps on the grey levels refine it
+Correlation finds the shift; Gauss–Newton steps on the grey levels refine it
 (inverse compositional: Baker and Matthews, Lucas-Kanade 20 Years On, 2004).
 """
 
 import math
-from collections.abc import Callable
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,33 +19,21 @@ LEAST_SLOPE = 6.0
 """Mean square of the grey levels' slope, (levels/pixel)², below which a direction shows no print:
 noise of 2 levels and uneven light make some 1.5."""
 MOST_UNEXPLAINED = 0.25  # share of the grey levels' variance that the shift may leave unexplained
-_PROMISING = 0.5  # largest such share before the shift is refined
-_STEPS = 4
+_PROMISING = 0.5  # least correlation at which no other shift is looked for
+_STEPS = 6
 _CLOSE = 0.02  # length of a step, in pixels, below which the iteration ends
-_LONGEST_STEP = 2.0
+_LONGEST_STEP = 4.0
 _LEAST_OVERLAP = 0.5  # least share of either side common to two images: a longer jump is rejected
 _FEWEST_COMMON = 2
 _FEWEST_PIXELS = 4
 _NOISE = 4.0  # variance of a sensor's noise, levels²
-
-_NEARLY = 1.05
-"""Ratio of what trials leave unexplained below which both are as good: light adds to it."""
 _MOST_TURN_RAD = 0.1  # largest turn from image to image
 _COARSER = 2
 
 Image = NDArray[np.float32]
+Floats = NDArray[np.float64]
 Shift = tuple[float, float]  # shift to the right and down
-Correlation = Callable[[Image, Image], Shift]
-
-
-class _Trial(NamedTuple):
-    """Overlap of the shifted and turned image with the one before."""
-
-    shift: Shift
-    turn_rad: float
-    common: tuple[slice, slice]
-    rest: Image  # difference, (N,) levels, without its mean: light may change
-    unexplained: float
+Common = tuple[slice, slice]
 
 
 class Matcher:
@@ -60,13 +46,8 @@ class Matcher:
         self.shape: tuple[int, int] = (rows, columns)
         self._method = cv2.INTER_CUBIC if small else cv2.INTER_AREA
         self._least_slope = LEAST_SLOPE / FINER**2 if small else LEAST_SLOPE
-        self._native = FINER if small else 1
         self._seen = min(self.shape) // _COARSER >= _FEWEST_PIXELS
-        self._working = np.empty(self.shape, np.uint8)
-        self._image, self._before, self._laid_back, self._slope_x, self._slope_y = (
-            np.zeros(self.shape, np.float32) for _ in range(5)
-        )
-        self._to = np.eye(2, 3, dtype=np.float32)
+        self._before = self._image = np.zeros(self.shape, np.float32)
         self._middle = ((columns - 1) / 2, (rows - 1) / 2)
         self._beside = np.arange(columns, dtype=np.float32) - np.float32(self._middle[0])
         self._below = np.arange(rows, dtype=np.float32)[:, None] - np.float32(self._middle[1])
@@ -77,190 +58,123 @@ class Matcher:
         """Return shift and turn of the content; zeros if unknown, or for a first image."""
         if image.shape != self.shape:
             size = self.shape[::-1]
-            cv2.resize(image, size, dst=self._working, interpolation=self._method)
-            image = self._working
-        self._image[:] = image
-        found = None if first else self._find()
-        shift, turn_rad = found or ((0.0, 0.0), 0.0)
+            image = np.asarray(cv2.resize(image, size, interpolation=self._method), np.uint8)
+        self._before, self._image = self._image, image.astype(np.float32)
+        found = None if first or not self._seen else self._find()
         if first or found is not None:
-            self._usual = shift
-        self._image, self._before = self._before, self._image
-        cv2.Sobel(self._before, cv2.CV_32F, 1, 0, dst=self._slope_x, ksize=3, scale=1 / 8)
-        cv2.Sobel(self._before, cv2.CV_32F, 0, 1, dst=self._slope_y, ksize=3, scale=1 / 8)
-        return *shift, turn_rad
+            self._usual = found[:2] if found else (0.0, 0.0)
+        return found or (0.0, 0.0, 0.0)
 
-    def _find(self) -> tuple[Shift, float] | None:
+    def _find(self) -> tuple[float, float, float] | None:
         """Return the shift and turn that explain the image; None if there are none."""
-        best = self._begin() if self._seen else None
-        if best is None:
+        begin = self._begin()
+        common = None if begin is None else self._common(begin, 1)
+        if begin is None or common is None:
             return None
-        slopes = _Slopes(self._slope_x[best.common], self._slope_y[best.common], self._least_slope)
-        for _ in range(_STEPS):
-            step = slopes.solve(best.rest)
-            length = math.hypot(*step)
-            if length > _LONGEST_STEP:
-                break
-            trial = self._try((best.shift[0] + step[0], best.shift[1] + step[1]), best.common)
-            if trial is None or trial.unexplained >= best.unexplained:
-                break
-            best = trial
-            if length < _CLOSE:
-                break
-        turned = self._turned(best) if self.turns and slopes.whole else None
-        if turned is not None and turned.unexplained <= MOST_UNEXPLAINED:
-            return turned.shift, turned.turn_rad
-        along = slopes.along(best.shift) if best.unexplained <= MOST_UNEXPLAINED else None
-        return None if along is None else (along, 0.0)
-
-    def _turned(self, best: _Trial) -> _Trial | None:
-        """Return a better trial with a turn; None if there is none."""
-        rows, columns = best.common
-        slope_x, slope_y = self._slope_x[best.common], self._slope_y[best.common]
-        turning = slope_y * self._beside[columns] - slope_x * self._below[rows]
-        # Light fixed to the sensor moves over the print, and must not be taken for a turn.
-        level = self._before[best.common]
-        lights = level, level * self._beside[columns], level * self._below[rows]
-        slopes = np.stack([each.ravel() for each in (slope_x, slope_y, turning, *lights)])
-        slopes -= slopes.mean(axis=1, keepdims=True)
-        try:
-            inverse = np.linalg.inv(slopes @ slopes.T)
-        except np.linalg.LinAlgError:
+        steep, slopes = self._slopes(common)
+        if not len(steep):
             return None
-        found = None
+        turns = self.turns and len(steep) == 2
+        solve = np.linalg.pinv((slopes @ slopes.T).astype(np.float64), hermitian=True)
+        shift, turn_rad = np.array(begin), 0.0
+        rest, unexplained = self._rest(shift, turn_rad, common)
         for _ in range(_STEPS):
-            x, y, turn_rad = (inverse @ (slopes @ best.rest))[:3].tolist()
-            shift = best.shift[0] + x, best.shift[1] + y
-            if math.hypot(x, y) > _LONGEST_STEP or abs(best.turn_rad + turn_rad) > _MOST_TURN_RAD:
+            step = solve @ (slopes @ rest)
+            move, turn = step[: len(steep)] @ steep, step[2] if turns else 0.0
+            shift, turn_rad = shift + move, turn_rad + turn
+            length = math.hypot(*move)
+            if length > _LONGEST_STEP or abs(turn_rad) > _MOST_TURN_RAD:
+                return None
+            rest, unexplained = self._rest(shift, turn_rad, common)
+            if length + abs(turn) * max(self._middle) < _CLOSE:
                 break
-            trial = self._try(shift, best.common, best.turn_rad + turn_rad)
-            if trial is None or trial.unexplained > _NEARLY * best.unexplained:
-                break
-            best = found = trial
-            if math.hypot(x, y) + abs(turn_rad) * max(self._middle) < _CLOSE:
-                break
-        return found
+        if unexplained > MOST_UNEXPLAINED:
+            return None
+        # Only the part across print is known.
+        x, y = (steep @ shift) @ steep
+        return float(x), float(y), float(turn_rad)
 
-    def _begin(self) -> _Trial | None:
-        """Return the best of the usual shift, zero, and the peak of the correlation."""
-        phase = self._correlate(_phase_correlation, self._native)
-        best = self._best({phase, self._usual, (0.0, 0.0)})
-        if best is not None and best.unexplained <= _PROMISING:
-            return best
-        # Phase correlation weights all detail alike, and the finest of blurred print is noise.
-        return self._best({self._correlate(_correlation, _COARSER)}) or best
-
-    def _best(self, shifts: set[Shift]) -> _Trial | None:
-        trials = [trial for shift in shifts if (trial := self._try(shift)) is not None]
-        return min(trials, key=lambda trial: trial.unexplained, default=None)
-
-    def _correlate(self, method: Correlation, reduction: int) -> Shift:
-        rows, columns = (max(1, side // reduction) for side in self.shape)
-        before, now = (
-            np.asarray(cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)
-            for image in (self._before, self._image)
+    def _slopes(self, common: Common) -> tuple[Floats, Image]:
+        """Return the directions in which the grey levels show a shift, (K, 2), and how the levels
+        change with a shift in each, a turn if K is 2, and light, (K + 4 or K + 3, N)."""
+        along_x, along_y = (
+            np.asarray(cv2.Sobel(self._before, cv2.CV_32F, *way, ksize=3, scale=1 / 8)[common])
+            for way in ((1, 0), (0, 1))
         )
-        x, y = method(before, now)
-        return x * self.shape[1] / columns, y * self.shape[0] / rows
+        gradient = np.stack([along_x.ravel(), along_y.ravel()])
+        squares, directions = np.linalg.eigh(np.cov(gradient, bias=True))
+        steep = directions.T[squares > self._least_slope]
+        beside, below = self._beside[common[1]], self._below[common[0]]
+        level = self._before[common]
+        # Light fixed to the sensor moves over the print, and must not be taken for motion.
+        others = [level, level * beside, level * below]
+        if self.turns and len(steep) == 2:
+            others.insert(0, along_y * beside - along_x * below)
+        slopes = np.vstack([steep @ gradient, [each.ravel() for each in others]])
+        return steep, (slopes - slopes.mean(axis=1, keepdims=True)).astype(np.float32)
 
-    def _try(
-        self, shift: Shift, common: tuple[slice, slice] | None = None, turn_rad: float = 0.0
-    ) -> _Trial | None:
-        """Return the overlap at a shift and turn; None if it is too small."""
-        common = common or self._common(shift)
-        if common is None:
-            return None
+    def _rest(self, shift: Floats, turn_rad: float, common: Common) -> tuple[Image, float]:
+        """Return the difference of the images there, (N,) levels, without its mean, and the share
+        of their variance that it is."""
         cos, sin = math.cos(turn_rad), math.sin(turn_rad)
         x, y = self._middle
-        self._to[0] = cos, -sin, shift[0] + x - cos * x + sin * y
-        self._to[1] = sin, cos, shift[1] + y - sin * x - cos * y
-        cv2.warpAffine(
-            self._image, self._to, self.shape[::-1], dst=self._laid_back,
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE,
+        to_now = np.array([
+            [cos, -sin, shift[0] + x - cos * x + sin * y],
+            [sin, cos, shift[1] + y - sin * x - cos * y],
+        ])  # fmt: skip
+        laid_back = cv2.warpAffine(
+            self._image, to_now, self.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
         )  # fmt: skip
-        before, now = self._before[common], self._laid_back[common]
-        rest = np.asarray(cv2.subtract(before, now), np.float32).ravel()
-        rest -= np.float32(cv2.mean(rest)[0])
-        contrast = (_deviation(before) ** 2 + _deviation(now) ** 2) / 2
-        return _Trial(
-            shift, turn_rad, common, rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
-        )
+        before, now = self._before[common], np.asarray(laid_back, np.float32)[common]
+        rest = (before - now).ravel()
+        rest -= rest.mean()
+        contrast = float(before.var() + now.var()) / 2
+        return rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
 
-    def _common(self, shift: Shift) -> tuple[slice, slice] | None:
-        """Return the rows and columns common to both images, without the outermost."""
+    def _begin(self) -> Shift | None:
+        """Return the best of the usual shift, zero, and the peaks of two correlations."""
+        (x, y), _ = cv2.phaseCorrelate(self._before, self._image)
+        best = max((self._correlation(each), each) for each in {(x, y), self._usual, (0.0, 0.0)})
+        if best[0] < _PROMISING:
+            # Phase correlation weights all detail alike, and the finest of blurred print is noise.
+            far = _largest_covariance(self._before, self._image)
+            best = max(best, (self._correlation(far), far))
+        return best[1] if best[0] > 0 else None
+
+    def _correlation(self, shift: Shift) -> float:
+        """Return the correlation at a shift in whole pixels; -1 if the overlap is too small."""
+        common = self._common(shift)
+        if common is None:
+            return -1.0
+        x, y = (round(by) for by in shift)
+        rows, columns = common
+        now = self._image[rows.start + y : rows.stop + y, columns.start + x : columns.stop + x]
+        before = np.ascontiguousarray(self._before[common])
+        found = cv2.matchTemplate(before, np.ascontiguousarray(now), cv2.TM_CCOEFF_NORMED)
+        return float(found[0, 0])
+
+    def _common(self, shift: Shift, border: int = 0) -> Common | None:
+        """Return rows and columns of the image before that both show, without a border."""
         slices = []
-        for side, by in zip(self.shape, shift[::-1], strict=True):
-            if not abs(by) <= (1 - _LEAST_OVERLAP) * side:
-                return None
-            start, stop = 1 + max(0, math.ceil(-by)), side - 1 - max(0, math.ceil(by))
-            if stop - start < _FEWEST_COMMON:
+        for side, by in zip(self.shape, map(round, shift[::-1]), strict=True):
+            start, stop = border + max(0, -by), side - border - max(0, by)
+            if abs(by) > (1 - _LEAST_OVERLAP) * side or stop - start < _FEWEST_COMMON:
                 return None
             slices.append(slice(start, stop))
         rows, columns = slices
         return rows, columns
 
 
-def _phase_correlation(before: Image, now: Image) -> Shift:
-    (x, y), _ = cv2.phaseCorrelate(before, now)
-    return x, y
-
-
-def _correlation(before: Image, now: Image) -> Shift:
-    """Return the shift, in whole pixels, of the largest covariance of the overlap."""
-    rows, columns = before.shape
-    size = (2 * rows, 2 * columns)
-    one, first, second = (
-        np.fft.rfft2(levels, size)
-        for levels in (np.ones_like(now), before - before.mean(), now - now.mean())
+def _largest_covariance(before: Image, now: Image) -> Shift:
+    """Return the shift, in whole pixels of the halved images, of the largest covariance."""
+    rows, columns = (side // _COARSER for side in before.shape)
+    first, second = (
+        np.asarray(cv2.resize(levels, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)
+        for levels in (before, now)
     )
-    common = np.fft.irfft2(one.conj() * one, size)
-    covariance = np.fft.irfft2(first.conj() * second, size)
-    covariance /= np.maximum(common, _LEAST_OVERLAP**2 * rows * columns)
-    y, x = divmod(int(covariance.argmax()), size[1])
-    return float((x + columns) % size[1] - columns), float((y + rows) % size[0] - rows)
-
-
-def _deviation(levels: Image) -> float:
-    return float(cv2.meanStdDev(levels)[1][0, 0])
-
-
-class _Slopes:
-    """Slopes of the grey levels, and the directions in which they show a shift."""
-
-    def __init__(self, slope_x: Image, slope_y: Image, least: float) -> None:
-        slopes = np.stack([slope_x.ravel(), slope_y.ravel()])
-        slopes -= slopes.mean(axis=1, keepdims=True)
-        self._slopes = slopes
-        (xx, xy), (_, yy) = (slopes @ slopes.T).tolist()
-        turn = math.atan2(2 * xy, xx - yy) / 2
-        cos, sin = math.cos(turn), math.sin(turn)
-        middle, spread = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
-        steep = (((cos, sin), middle + spread), ((-sin, cos), middle - spread))
-        self._steep = [
-            (direction, sum_) for direction, sum_ in steep if sum_ > least * slopes.shape[1]
-        ]
-
-    @property
-    def whole(self) -> bool:
-        """Whether they show a shift in any direction."""
-        return len(self._steep) == 2
-
-    def solve(self, rest: Image) -> Shift:
-        """Return the step that would explain ``rest``, where the slopes are steep enough."""
-        by_x, by_y = (self._slopes @ rest).tolist()
-        x = y = 0.0
-        for (cos, sin), sum_ in self._steep:
-            length = (cos * by_x + sin * by_y) / sum_
-            x += cos * length
-            y += sin * length
-        return x, y
-
-    def along(self, shift: Shift) -> Shift | None:
-        """Return the measurable part of a shift; None if there is none."""
-        if not self._steep:
-            return None
-        x = y = 0.0
-        for (cos, sin), _ in self._steep:
-            length = cos * shift[0] + sin * shift[1]
-            x += cos * length
-            y += sin * length
-        return x, y
+    down, across = rows // 2, columns // 2
+    wide = np.pad(second - second.mean(), ((down, down), (across, across)))
+    covariance = cv2.matchTemplate(wide, first - first.mean(), cv2.TM_CCORR)
+    _, _, _, (x, y) = cv2.minMaxLoc(covariance)
+    return float(_COARSER * (x - across)), float(_COARSER * (y - down))
