@@ -18,6 +18,8 @@ from PIL import Image
 
 import smarttouch as st
 
+LONGEST_GAP_S = 10.0
+
 
 def image_of(message: Any) -> np.ndarray:
     """Return gray levels (H, W), RGB (H, W, 3) or RGBA (H, W, 4) of a message."""
@@ -33,12 +35,17 @@ def main(path: str, topic: str, board: str, intensity: str, force: str | None = 
     """Put each image at its time."""
     display = st.open_display(board)
     session = display.session(mode="RA", intensity=float(intensity), force=force)
-    count, ahead_s = 0, 0.0
+    count, before_s, due_s = 0, None, 0.0
     with Path(path).open("rb") as file, session as touch:
         messages = make_reader(file, decoder_factories=[DecoderFactory()])
         for _, _, record, message in messages.iter_decoded_messages(topic):
-            ahead_s = ahead_s or record.log_time / 1e9 - time.monotonic()
-            time.sleep(max(0.0, record.log_time / 1e9 - ahead_s - time.monotonic()))
+            logged_s = record.log_time / 1e9
+            gap_s = 0.0 if before_s is None else logged_s - before_s
+            if not 0 <= gap_s <= LONGEST_GAP_S:
+                print(f"image {count}: the recorded time jumps by {gap_s:g} s, which is left out")
+                gap_s = 0.0
+            before_s, due_s = logged_s, max(due_s + gap_s, time.monotonic())
+            time.sleep(max(0.0, due_s - time.monotonic()))
             touch.put(st.Frame(image_of(message), 0))
             count += 1
     print(f"{count} images, {touch.statistics.delivered} sequences with pulses")

@@ -2,7 +2,6 @@
 
 import os
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -46,40 +45,23 @@ def open_camera(
 
 
 def cameras() -> list[tuple[int, str]]:
-    """Return number and name of the cameras that Linux lists; none is opened."""
-    known = Path("/sys/class/video4linux").glob("video*/name")
-    return sorted((int(each.parent.name[5:]), each.read_text().strip()) for each in known)
+    """Return number and name of the cameras that Linux lists; none is opened.
+
+    Further nodes of a camera, as for its metadata, are left out.
+    """
+    nodes = Path("/sys/class/video4linux").glob("video*/index")
+    return sorted(
+        (int(node.parent.name[5:]), node.with_name("name").read_text().strip())
+        for node in nodes
+        if int(node.read_text()) == 0
+    )
 
 
-OPENCV_LOG = cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2
-"""Module with OpenCV's log level: before 4.13 it is the main one."""
-SILENT = 0
-
-
-class _Quiet:
-    """Silences OpenCV's log, whose level is global, while any thread is inside."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._inside = 0
-        self._level = 0
-
-    def __enter__(self) -> None:
-        with self._lock:
-            if not self._inside:
-                self._level = OPENCV_LOG.getLogLevel()
-                OPENCV_LOG.setLogLevel(SILENT)
-            self._inside += 1
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._inside -= 1
-            if not self._inside:
-                OPENCV_LOG.setLogLevel(self._level)
-
-
-QUIET_OPENCV = _Quiet()
-"""Context that keeps OpenCV's own warnings off the terminal: notes replace them."""
+def silence_opencv() -> None:
+    """Keep OpenCV's own warnings off the terminal from now on: notes and errors replace them."""
+    # Before OpenCV 4.13 the log level is set in the main module.
+    log = cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2
+    log.setLogLevel(0)
 
 
 def _format(capture: cv2.VideoCapture) -> tuple[int, int, float]:
@@ -115,33 +97,43 @@ class CameraDevice(ImageDevice):
         self._size, self._exposure, self._fps = size, exposure, fps
         self._capture: cv2.VideoCapture | None = None
         self._failures = 0
+        self._stated = 0, 0
         self._converter = GreyConverter()
 
     def open(self) -> None:
         # By default the driver waits ten seconds for an image.
         os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
-        with QUIET_OPENCV:
-            try:
-                self._capture = cv2.VideoCapture(
-                    self._device, _BACKENDS.get(sys.platform, cv2.CAP_ANY)
-                )
-                opened = self._capture.isOpened()
-                if opened:
-                    self._set_up(self._capture)
-            except cv2.error:
-                opened = False
+        silence_opencv()
+        try:
+            self._capture = cv2.VideoCapture(self._device, _BACKENDS.get(sys.platform, cv2.CAP_ANY))
+            opened = self._capture.isOpened()
+            if opened:
+                self._set_up(self._capture)
+        except cv2.error:
+            opened = False
         if not opened:
             self.close()
-            raise SourceError(
-                f"cannot open {self.title}: check that it is plugged in, that its number is right "
-                "and that no other program uses it"
-            )
+            raise SourceError(f"cannot open {self.title}: {self._obstacle()}")
         self._failures = 0
+
+    def _obstacle(self) -> str:
+        """Return why the camera may not open, and what to do."""
+        node = f"/dev/video{self._device}" if isinstance(self._device, int) else self._device
+        if Path(node).exists() and not os.access(node, os.R_OK | os.W_OK):
+            return (
+                f"you may not read {node}: join its group (sudo usermod -aG video $USER) and log "
+                "in again"
+            )
+        return (
+            "check that it is plugged in, that its number is right and that no other program uses "
+            "it"
+        )
 
     def _set_up(self, capture: cv2.VideoCapture) -> None:
         capture.set(cv2.CAP_PROP_BUFFERSIZE, BUFFERS)
         self._set_format(capture)
         width, height, given_hz = _format(capture)
+        self._stated = width, height
         if self._size is not None and (width, height) != tuple(self._size):
             self._note(f"gives {width} x {height}, not {self._size[0]} x {self._size[1]}")
         if self._fps is not None and given_hz > 0 and abs(given_hz - self._fps) > 0.05 * self._fps:
@@ -184,11 +176,10 @@ class CameraDevice(ImageDevice):
         capture = self._capture
         if capture is None:
             raise SourceLostError(f"{self.title} is not open")
-        with QUIET_OPENCV:
-            try:
-                taken, image = capture.read()
-            except cv2.error:
-                taken, image = False, None
+        try:
+            taken, image = capture.read()
+        except cv2.error:
+            taken, image = False, None
         if not taken or image is None or not image.size:
             self._failures += 1
             if self._failures >= FAILURES:
@@ -196,7 +187,16 @@ class CameraDevice(ImageDevice):
             time.sleep(min(timeout_s, _PAUSE_S))
             return None
         self._failures = 0
+        self._note_size(image.shape[1], image.shape[0])
         return Shot(self._grey(image), self._taken_ns(capture))
+
+    def _note_size(self, width: int, height: int) -> None:
+        """Say it where images are not of the size that the driver states, or change theirs."""
+        if (width, height) != self._stated:
+            self._note(
+                f"sends images of {width} x {height}, not of {self._stated[0]} x {self._stated[1]}"
+            )
+            self._stated = width, height
 
     def _grey(self, image: NDArray[Any]) -> NDArray[np.uint8]:
         """Return an image of OpenCV, whose colors are blue, green and red, in grey."""

@@ -5,7 +5,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,22 +20,9 @@ from smarttouch.sources.source_contract import (
     Frame,
     OpticalSource,
     OutageTracker,
-    Pose,
 )
 
-STALE_S = 0.5  # time without a new image after which the last one is stale
-
-
-class SourceEndedError(Exception):
-    """A device has no more images, as at the end of a file.
-
-    ``note`` is a warning for the user, ``missed`` the number of images skipped since the last
-    shot.
-    """
-
-    def __init__(self, note: str = "", missed: int = 0) -> None:
-        super().__init__(note)
-        self.missed = missed
+STALE_NS = 500_000_000  # time without a new image after which the last one is stale
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +49,6 @@ class ImageDevice(ABC):
 
     title: str
     """Name of the device, in a few words."""
-    stale_s: float = STALE_S
-    """Age after which an image is stale; longer only for slow images."""
 
     @cached_property
     def notes(self) -> list[str]:
@@ -82,8 +67,6 @@ class ImageDevice(ABC):
         ------
         SourceLostError
             If the device is lost.
-        SourceEndedError
-            If there will be no more images.
         """
 
     @abstractmethod
@@ -95,14 +78,6 @@ FIRST_IMAGE_S = 2.0  # time limit of the first read, as devices start slowly
 GRAB_S = 0.1  # longest wait for a device in one call, so that closing is prompt
 RETRY_S = 0.25  # interval of attempts to reopen a lost device
 JOIN_S = 2.0  # time to wait for a driver that hangs, before it is abandoned
-
-
-@dataclass(frozen=True, eq=False)
-class _Captured:
-    image: NDArray[np.uint8]
-    pose: Pose
-    taken_ns: int
-    number: int
 
 
 class LiveSource(OpticalSource):
@@ -150,9 +125,9 @@ class LiveSource(OpticalSource):
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._changed = threading.Condition()  # guards the counts and all attributes below
-        self._newest: _Captured | None = None
+        self._newest: Frame | None = None
+        self._taken_ns = 0
         self._unread = False
-        self._over = False
         self._closed = False
         self._failure: SourceError | None = None
         self._raised = False
@@ -166,7 +141,7 @@ class LiveSource(OpticalSource):
             raise
 
     def read(self, time_ns: int) -> Frame | None:
-        """Return the newest frame, without waiting; None at the end of the device.
+        """Return the newest frame, without waiting; None once it is closed.
 
         The first read waits for the first image. ``force_n`` is not known.
 
@@ -181,12 +156,10 @@ class LiveSource(OpticalSource):
             if self._thread is None:
                 self._thread = threading.Thread(target=self._grab_all, daemon=True)
                 self._thread.start()
-                self._changed.wait_for(lambda: self._newest or self._over, FIRST_IMAGE_S)
+                self._changed.wait_for(lambda: self._newest or self._failure, FIRST_IMAGE_S)
             if self._failure is not None:
                 self._raised = True
                 raise self._failure
-            if self._over and not self._unread:
-                return None
             newest = self._newest
             if newest is None:
                 message = (
@@ -195,24 +168,16 @@ class LiveSource(OpticalSource):
                 )
                 raise SourceError(message)
             self._unread = False
-        age_ns = max(0, self._now_ns() - newest.taken_ns)
-        return Frame(
-            newest.image, time_ns, newest.pose, math.nan, number=newest.number, age_ns=age_ns,
-            stale=age_ns > self._stale_ns,
-        )  # fmt: skip
-
-    @property
-    def _stale_ns(self) -> float:
-        return self._device.stale_s * 1e9
+            age_ns = max(0, self._now_ns() - self._taken_ns)
+        return replace(newest, time_ns=time_ns, age_ns=age_ns, stale=age_ns > STALE_NS)
 
     def patience_ns(self, time_ns: int) -> int:
         """Return how long the next image may be waited for: only while the last one is stale."""
         with self._changed:
             self.news.clear()
-            newest = self._newest
-            if newest is None or self._unread or self._over:
+            if self._newest is None or self._unread or self._failure is not None:
                 return 0
-        return IDLE_NS if self._now_ns() - newest.taken_ns > self._stale_ns else 0
+            return IDLE_NS if self._now_ns() - self._taken_ns > STALE_NS else 0
 
     def close(self) -> None:
         """Stop the thread, close the device, and count unread frames as dropped."""
@@ -239,10 +204,6 @@ class LiveSource(OpticalSource):
                 shot = self._grab()
                 if shot is not None:
                     self._take(shot)
-        except SourceEndedError as end:
-            self._miss(end.missed)
-            if str(end):
-                self.notes.append(str(end))
         except SourceError as error:
             self._fail(error)
         except Exception as error:
@@ -251,7 +212,6 @@ class LiveSource(OpticalSource):
             self._fail(failure)
         finally:
             with self._changed:
-                self._over = True
                 self._changed.notify_all()
             self.news.set()
             self._device.close()
@@ -293,22 +253,16 @@ class LiveSource(OpticalSource):
 
     def _take(self, shot: Shot) -> None:
         image, pose = self._intake.take(shot.image)
-        self._miss(shot.missed)
         with self._changed:
             if self._closed:
                 return
-            self.frames += 1
-            self.dropped_frames += self._unread
-            self._newest = _Captured(image, pose, shot.taken_ns, self.frames - 1)
+            self.frames += shot.missed + 1
+            self.dropped_frames += shot.missed + self._unread
+            self._newest = Frame(image, 0, pose, math.nan, number=self.frames - 1)
+            self._taken_ns = shot.taken_ns
             self._unread = True
             self._changed.notify_all()
         self.news.set()
-
-    def _miss(self, images: int) -> None:
-        with self._changed:
-            if not self._closed:
-                self.frames += images
-                self.dropped_frames += images
 
     def _fail(self, failure: SourceError) -> None:
         with self._changed:

@@ -3,10 +3,10 @@
 import math
 import os
 import re
-import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,7 @@ from smarttouch.base.files import MOST_DOCUMENT_BYTES, require_file
 from smarttouch.pages.grey_image import GreyConverter, read_pixels
 from smarttouch.pages.page_image import open_image
 from smarttouch.profile import Profile
-from smarttouch.sources.camera import QUIET_OPENCV
-from smarttouch.sources.live_capture import STALE_S, ImageDevice, LiveSource, Shot, SourceEndedError
+from smarttouch.sources.camera import silence_opencv
 from smarttouch.sources.preprocess import FramePreprocessor
 from smarttouch.sources.source_contract import Frame, OpticalSource
 
@@ -33,6 +32,7 @@ SUFFIXES = (
 )  # fmt: skip
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
+MOST_DECODED = 8  # images behind the one that is due from which they are skipped undecoded
 _MISSING = 0.05  # accepted part of missing frames; containers only estimate how many they hold
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")
 # Silences the decoder's messages on damaged frames; read once, when a process first opens a video.
@@ -84,8 +84,8 @@ class VideoFile(Clip):
 
     def open(self) -> None:
         _require_file(self.path)
-        with QUIET_OPENCV:
-            self._capture.open(str(self.path))
+        silence_opencv()
+        self._capture.open(str(self.path))
         # Any text is a video to some decoders.
         text = int(self._capture.get(cv2.CAP_PROP_FOURCC)) == _TEXT
         if not self._capture.isOpened() or text:
@@ -121,11 +121,10 @@ class VideoFile(Clip):
 
     def _captured(self, decoded: bool) -> Any:
         """Return the next frame in color, or True where none is decoded; None at the end."""
-        with QUIET_OPENCV:
-            try:
-                found = self._capture.read()[1] if decoded else self._capture.grab() or None
-            except cv2.error:
-                found = None
+        try:
+            found = self._capture.read()[1] if decoded else self._capture.grab() or None
+        except cv2.error:
+            found = None
         self._read += found is not None
         note = f"{self.title} breaks off: {self._read} of its {self.count} frames could be read"
         missing = self.count - self._read > max(1, _MISSING * self.count)
@@ -243,13 +242,9 @@ def _require_pixels(file: Path, width: int, height: int) -> None:
         )
 
 
-HOPELESS_NS = 250_000_000
-"""Delay after which frames are skipped undecoded until the next one is due."""
-
-
 def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> OpticalSource:
     """Open ``video:FILE``, any video that OpenCV reads; ``unpaced`` gives one frame a read."""
-    return open_clip(VideoFile(Path(rest)), profile, unpaced)
+    return ClipSource(VideoFile(Path(rest)), profile, unpaced)
 
 
 def open_frames(
@@ -262,102 +257,59 @@ def open_frames(
     rate_hz = USUAL_HZ if fps is None else fps
     words = f"a rate of {rate_hz:g} images a second"
     require_within(SourceError, "fps", rate_hz, 0, FASTEST_HZ, words, above=True)
-    return open_clip(ImageFolder(Path(rest), rate_hz), profile, unpaced)
+    return ClipSource(ImageFolder(Path(rest), rate_hz), profile, unpaced)
 
 
-def open_clip(clip: Clip, profile: Profile, unpaced: bool) -> OpticalSource:
-    """Return the source of a clip, at its own pace or with an image for each read."""
-    if unpaced:
-        return UnpacedClip(clip, profile)
-    source = LiveSource(PacedClip(clip), profile)
-    if clip.count:
-        source.duration_s = clip.count / clip.rate_hz
-    return source
+class ClipSource(OpticalSource):
+    """Shows the image of a clip that is due at the time of the read, or the next at each read.
 
+    Images in between are decoded as well, so that motion is followed, but for those that are far
+    behind; all of them count as dropped.
+    """
 
-class PacedClip(ImageDevice):
-    """Gives each image at its time, as a camera would; the first at the first `grab`."""
+    ended = "end of the clip"
 
-    def __init__(
-        self,
-        clip: Clip,
-        now_ns: Callable[[], int] = time.perf_counter_ns,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._clip = clip
-        self._now_ns, self._sleep = now_ns, sleep
-        self.title: str = clip.title
-        self.notes = clip.notes
-        self._start_ns: int | None = None
-        self._number = 0
-        self._ahead: NDArray[np.uint8] | None = None
-        self._ended = False
-        self._missed = 0
-
-    def open(self) -> None:
-        self._clip.open()
-        # Slow slides are not stale before the next one is overdue.
-        self.stale_s: float = max(STALE_S, 2 / self._clip.rate_hz)
-
-    def grab(self, timeout_s: float) -> Shot | None:
-        if self._start_ns is None:
-            self._start_ns = self._now_ns()
-        self._catch_up()
-        if self._ahead is None and not self._ended:
-            self._ahead = self._clip.next()
-            self._ended = self._ahead is None
-        left_s = (self._due_ns() - self._now_ns()) / 1e9
-        if left_s > 0:
-            self._sleep(min(left_s, timeout_s))
-            if left_s > timeout_s:
-                return None
-        missed, self._missed = self._missed, 0
-        if self._ahead is None:
-            raise SourceEndedError(missed=missed)
-        shot = Shot(self._ahead, self._due_ns(), missed)
-        self._ahead = None
-        self._number += 1
-        return shot
-
-    def _due_ns(self) -> int:
-        return (self._start_ns or 0) + round(self._number * 1e9 / self._clip.rate_hz)
-
-    def _catch_up(self) -> None:
-        """Skip images that are too late."""
-        if self._now_ns() - self._due_ns() <= HOPELESS_NS:
-            return
-        while self._now_ns() > self._due_ns() and not self._ended:
-            if self._ahead is not None:
-                self._ahead = None
-            elif not self._clip.skip():
-                self._ended = True
-                break
-            self._missed += 1
-            self._number += 1
-
-    def close(self) -> None:
-        self._clip.close()
-
-
-class UnpacedClip(OpticalSource):
-    """Gives the next image at each read; none is dropped, however long the reader takes."""
-
-    def __init__(self, clip: Clip, profile: Profile) -> None:
+    def __init__(self, clip: Clip, profile: Profile, unpaced: bool) -> None:
         super().__init__(clip.title)
+        self._clip, self._unpaced = clip, unpaced
         self._intake = FramePreprocessor(profile)
-        self._clip = clip
+        self._frame: Frame | None = None
+        self._is_unread = self._is_over = False
         self.notes: list[str] = clip.notes
         clip.open()
+        if clip.count and not unpaced:
+            self.duration_s = clip.count / clip.rate_hz
 
     def read(self, time_ns: int) -> Frame | None:
-        """Return the next frame; None at the end."""
-        image = self._clip.next()
-        if image is None:
+        """Return the frame at a time since the start; None at the end."""
+        due = self.frames if self._unpaced else int(time_ns * self._clip.rate_hz / 1e9)
+        while self.frames <= due and not self._is_over:
+            self._take(far_behind=due - self.frames >= MOST_DECODED)
+        if self._frame is None or (self._is_over and not self._is_unread):
             return None
-        image, pose = self._intake.take(image)
+        self._is_unread = False
+        taken_ns = round(self._frame.number * 1e9 / self._clip.rate_hz)
+        age_ns = 0 if self._unpaced else max(0, time_ns - taken_ns)
+        return replace(self._frame, time_ns=time_ns, age_ns=age_ns)
+
+    def _take(self, far_behind: bool) -> None:
+        """Take the next image, or skip it undecoded."""
+        image = None if far_behind else self._clip.next()
+        if image is None and not (far_behind and self._clip.skip()):
+            self._is_over = True
+            return
+        self.dropped_frames += self._is_unread
+        self._is_unread = image is not None
+        if image is None:
+            self.dropped_frames += 1
+        else:
+            image, pose = self._intake.take(image)
+            self._frame = Frame(image, 0, pose, math.nan, number=self.frames)
         self.frames += 1
-        return Frame(image, time_ns, pose, math.nan, number=self.frames - 1)
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file, and count an unread frame as dropped."""
+        self.dropped_frames += self._is_unread
+        self._is_unread = False
+        self._is_over = True
         self._clip.close()

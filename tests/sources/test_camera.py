@@ -6,7 +6,6 @@ There is no camera where tests run: `FakeCapture` is one that can be unplugged.
 import math
 import os
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -16,13 +15,7 @@ import pytest
 
 from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.sources import camera, live_capture, open_source
-from smarttouch.sources.camera import (
-    COMPRESSED,
-    OPENCV_LOG,
-    QUIET_OPENCV,
-    SILENT,
-    CameraDevice,
-)
+from smarttouch.sources.camera import COMPRESSED, CameraDevice
 
 from ..raising import raises
 from ..said import numbers_in
@@ -236,24 +229,38 @@ def test_a_missing_camera_is_one_sentence_and_nothing_else(profile, capfd, place
     assert captured.out == captured.err == ""
 
 
-def test_opencv_logs_again_when_all_are_done():
-    level = OPENCV_LOG.getLogLevel()
-    assert level != SILENT
-    first, second = threading.Event(), threading.Event()
+def test_a_camera_without_permission_names_the_remedy(profile, device, monkeypatch, tmp_path):
+    node = tmp_path / "video0"
+    node.touch()
+    device.plugged = False
+    monkeypatch.setattr(os, "access", lambda path, mode: str(path) != str(node))
+    with raises(SourceError, names=("usermod", "video"), value=node):
+        open_source(f"camera:{node}", profile)
 
-    def meanwhile():
-        with QUIET_OPENCV:
-            first.set()
-            second.wait(60)
 
-    thread = threading.Thread(target=meanwhile)
-    with QUIET_OPENCV:
-        thread.start()
-        first.wait(60)
-    assert OPENCV_LOG.getLogLevel() == SILENT
-    second.set()
-    thread.join()
-    assert OPENCV_LOG.getLogLevel() == level
+def test_images_of_another_size_than_stated_are_said_once_each(device, monkeypatch):
+    sizes = iter([(480, 640), (1472, 2560), (1472, 2560), (240, 320)])
+    monkeypatch.setattr(
+        FakeCapture, "read", lambda _: (True, np.zeros((*next(sizes), 3), np.uint8))
+    )
+    source = CameraDevice("0")
+    source.open()
+    shapes = [source.grab(0.0).image.shape for _ in range(4)]
+    assert shapes[-1] == (240, 320)
+    assert [numbers_in(note) for note in source.notes] == [
+        [0, 2560, 1472, 640, 480],
+        [0, 320, 240, 2560, 1472],
+    ]
+
+
+def test_nodes_for_metadata_are_not_listed(monkeypatch, tmp_path):
+    for number, (index, name) in enumerate([(0, "Cam"), (1, "Cam"), (0, "IR"), (1, "IR")]):
+        node = tmp_path / f"video{number}"
+        node.mkdir()
+        (node / "index").write_text(f"{index}\n")
+        (node / "name").write_text(f"{name}\n")
+    monkeypatch.setattr(camera, "Path", lambda _: tmp_path)
+    assert camera.cameras() == [(0, "Cam"), (2, "IR")]
 
 
 def test_the_driver_is_not_waited_for_long(device, monkeypatch):

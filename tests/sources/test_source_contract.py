@@ -60,9 +60,6 @@ class TestUnpacedFolder(Contract):
 class TestPacedFolder(TestUnpacedFolder):
     unpaced, fps = None, 200.0
 
-    def pause(self):
-        time.sleep(0.005)
-
 
 class TestUnpacedVideo(Contract):
     nowhere = "video:nothing.avi"

@@ -2,7 +2,6 @@
 
 import math
 import os
-import time
 from pathlib import Path
 
 import cv2
@@ -14,8 +13,7 @@ from PIL import Image
 
 from smarttouch.base.errors import SourceError
 from smarttouch.sources import open_source
-from smarttouch.sources.live_capture import SourceEndedError
-from smarttouch.sources.video import Clip, PacedClip
+from smarttouch.sources.video import MOST_DECODED, Clip, ClipSource
 
 from ..raising import raises
 from ..said import numbers_in
@@ -37,12 +35,11 @@ def write_clip(path, images, rate_hz=200.0, codec="MJPG"):
 
 
 class Levels(Clip):
-    """Images whose grey level is their number; each takes its time to decode."""
+    """Images whose grey level is their number; notes which were skipped."""
 
-    def __init__(self, count, rate_hz, clock=None, decode_ns=()):
-        super().__init__(type("Path", (), {"name": "levels"})())
+    def __init__(self, count, rate_hz):
+        super().__init__(Path("levels"))
         self.rate_hz, self._left = rate_hz, list(range(count))
-        self._clock, self._decode_ns = clock, dict(decode_ns)
         self.skipped = []
 
     def open(self):
@@ -52,44 +49,11 @@ class Levels(Clip):
         pass
 
     def next(self):
-        if not self._left:
-            return None
-        number = self._left.pop(0)
-        if self._clock is not None:
-            self._clock.now += self._decode_ns.get(number, 0)
-        return np.full((8, 8), number, np.uint8)
+        return np.full((8, 8), self._left.pop(0), np.uint8) if self._left else None
 
     def skip(self):
-        if not self._left:
-            return False
-        self.skipped.append(self._left.pop(0))
-        return True
-
-
-class Clock:
-    def __init__(self):
-        self.now = 5 * SECOND
-
-    def now_ns(self):
-        return self.now
-
-    def sleep(self, seconds):
-        self.now += math.ceil(seconds * 1e9)
-
-
-def paced(clip, clock):
-    """Return (number, time since the first) of all shots, and how many were missed."""
-    source = PacedClip(clip, clock.now_ns, clock.sleep)
-    source.open()
-    shots, missed = [], 0
-    while True:
-        try:
-            shot = source.grab(0.1)
-        except SourceEndedError as end:
-            return shots, missed + end.missed
-        if shot is not None:
-            shots.append((int(shot.image[0, 0]), clock.now - 5 * SECOND, shot.taken_ns))
-            missed += shot.missed
+        self.skipped += self._left[:1]
+        return bool(self._left) and self._left.pop(0) is not None
 
 
 @pytest.fixture
@@ -115,12 +79,13 @@ def folder(tmp_path):
     return tmp_path
 
 
-def levels(sensor):
-    """Read a sensor to its end; return the levels of its images."""
+def levels(sensor, step_ns=0):
+    """Read a sensor to its end, by so much time; return the levels of its images."""
+    found, time_ns = [], 0
     with sensor:
-        found = []
-        while (frame := sensor.read(0)) is not None:
+        while (frame := sensor.read(time_ns)) is not None:
             found.append(round(float(frame.image.mean())))
+            time_ns += step_ns
     return found
 
 
@@ -141,14 +106,17 @@ def test_a_video_frame_by_frame(profile, write_video):
 
 
 def test_a_video_at_its_pace(profile, write_video):
+    """Read at 80 Hz, of 200 images a second some are passed over, and none by the clock."""
     with open_source(f"video:{write_video()}", profile) as sensor:
         assert sensor.duration_s == pytest.approx(0.2)
-        read = set()
-        while (frame := sensor.read(0)) is not None:
-            read.add(frame.number)
-            time.sleep(0.012)
-    assert sensor.frames == 40 == len(read) + sensor.dropped_frames
-    assert sensor.dropped_frames > 0
+        frames = [sensor.read(12_500_000 * count) for count in range(16)]
+        assert [sensor.read(200_000_000).number, sensor.read(200_000_000)] == [39, None]
+    assert [frame.number for frame in frames] == [5 * count // 2 for count in range(16)]
+    assert [frame.age_ns for frame in frames[:3]] == [0, 2_500_000, 0]
+    assert (sensor.frames, sensor.dropped_frames) == (40, 23)
+    # Motion is followed over images that are passed over.
+    pixel_mm = profile.optics.field_width_mm / 64
+    assert frames[-1].pose.x_mm == pytest.approx(2 * 37 * pixel_mm, rel=0.02)
 
 
 def test_an_mp4(profile, write_video):
@@ -162,7 +130,7 @@ def test_a_video_that_breaks_off_ends_there(profile, write_video, capfd, unpaced
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
     sensor = open_source(f"video:{path}", profile, unpaced=unpaced)
-    assert levels(sensor)
+    assert levels(sensor, SECOND // 100)
     assert sensor.read(0) is None
     assert 5 < sensor.frames < 30
     (note,) = sensor.notes
@@ -212,23 +180,13 @@ def test_a_folder_in_natural_order(profile, folder):
 def test_a_folder_at_its_pace(profile, folder):
     sensor = open_source(f"frames:{folder}", profile, fps=100.0)
     assert sensor.duration_s == pytest.approx(0.06)
-    found = levels(sensor)
-    assert set(found) <= {0, 10, 20, 30, 40, 50}
-    assert found == sorted(found)
-    assert sensor.frames == 6 == len(set(found)) + sensor.dropped_frames
+    assert levels(sensor, 4_000_000) == [10 * (2 * count // 5) for count in range(15)]
+    assert (sensor.frames, sensor.dropped_frames) == (6, 0)
 
 
 def test_thirty_images_a_second_if_unknown(profile, folder):
     with open_source(f"frames:{folder}", profile) as sensor:
         assert sensor.duration_s == pytest.approx(0.2)
-
-
-def test_slow_slides_are_not_stale(profile, folder):
-    with open_source(f"frames:{folder}", profile, fps=0.5) as sensor:
-        sensor.read(0)
-        for after_s, stale in ((3, False), (5, True)):
-            sensor._now_ns = lambda after_s=after_s: sensor._newest.taken_ns + after_s * SECOND
-            assert sensor.read(0).stale is stale
 
 
 @pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), 1e6])
@@ -270,54 +228,38 @@ def test_a_damaged_image_is_named_when_it_comes(profile, tmp_path, unpaced):
     damaged.write_bytes(damaged.read_bytes()[:1500])
     sensor = open_source(f"frames:{tmp_path}", profile, unpaced=unpaced)
     with raises(SourceError, value=damaged):
-        levels(sensor)
-
-
-def test_each_image_comes_at_its_time():
-    clock = Clock()
-    shots, missed = paced(Levels(5, 50.0), clock)
-    assert [number for number, _, _ in shots] == [0, 1, 2, 3, 4]
-    for number, at_ns, taken_ns in shots:
-        assert at_ns == pytest.approx(number * SECOND / 50, abs=10)
-        assert taken_ns == 5 * SECOND + number * SECOND // 50
-    assert missed == 0
-    assert clock.now - 5 * SECOND == pytest.approx(0.1 * SECOND, abs=10)
-
-
-def test_a_late_image_does_not_shift_the_next():
-    clock = Clock()
-    shots, missed = paced(Levels(9, 50.0, clock, {2: 70_000_000}), clock)
-    assert [number for number, _, _ in shots] == list(range(9))
-    assert missed == 0
-    assert shots[2][1] == pytest.approx(0.09 * SECOND, abs=1e7)
-    for number in (6, 7, 8):
-        assert shots[number][1] == pytest.approx(number * SECOND / 50, abs=10)
+        levels(sensor, SECOND // 100)
 
 
 @given(
-    st.integers(1, 60),
-    st.sampled_from([3.0, 30.0, 200.0]),
-    st.dictionaries(st.integers(0, 59), st.integers(0, 2 * SECOND), max_size=8),
-)
-def test_every_image_comes_or_is_missed(count, rate_hz, decode_ns):
-    clock = Clock()
-    clip = Levels(count, rate_hz, clock, decode_ns)
-    shots, missed = paced(clip, clock)
-    numbers = [number for number, _, _ in shots]
-    assert len(numbers) + missed == count
-    assert numbers == sorted(set(numbers))
-    assert set(clip.skipped).isdisjoint(numbers)
-    for number, at_ns, _ in shots:
-        assert at_ns >= number * SECOND // int(rate_hz)
+    st.integers(0, 60), st.sampled_from([3.0, 30.0, 200.0]),
+    st.lists(st.integers(0, SECOND), min_size=1, max_size=30),
+)  # fmt: skip
+def test_each_image_is_shown_at_its_time_or_dropped(profile, count, rate_hz, steps):
+    clip = Levels(count, rate_hz)
+    sensor = ClipSource(clip, profile, unpaced=False)
+    read, ended = set(), False
+    for time_ns in np.cumsum(steps).tolist():
+        due, frame = int(time_ns * rate_hz / SECOND), sensor.read(time_ns)
+        if frame is not None:
+            assert not ended
+            assert frame.number == frame.image[0, 0] == min(due, count - 1)
+            assert not frame.stale
+            read.add(frame.number)
+        else:
+            ended = True
+            assert due >= count
+    sensor.close()
+    assert sensor.frames == len(read) + sensor.dropped_frames <= count
+    assert read.isdisjoint(clip.skipped)
 
 
-def test_a_hopelessly_late_clip_skips_to_the_present():
-    clock = Clock()
-    shots, missed = paced(Levels(100, 50.0, clock, {10: SECOND}), clock)
-    numbers = [number for number, _, _ in shots]
-    assert numbers[:11] == list(range(11))
-    assert numbers[11] >= 59
-    assert missed == numbers[11] - 11
+def test_images_far_behind_are_not_decoded(profile):
+    clip = Levels(100, 50.0)
+    sensor = ClipSource(clip, profile, unpaced=False)
+    sensor.read(0)
+    assert sensor.read(SECOND).number == 50
+    assert clip.skipped == list(range(1, 51 - MOST_DECODED))
 
 
 @pytest.mark.parametrize("playlist", [
