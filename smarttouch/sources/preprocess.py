@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import CalibrationError, SourceError
 from smarttouch.base.files import MOST_ARRAY_BYTES, open_file, write_bytes
 from smarttouch.profile import Optics, Profile
-from smarttouch.sources.image_match import Matcher, Shift
+from smarttouch.sources.image_match import Matcher
 from smarttouch.sources.source_contract import Pose
 
 DEAD_SHARE = 0.25  # part of the median response to light below which a pixel is dead
@@ -32,17 +32,17 @@ class FlatField:
 
     def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:
         if dark.ndim != 2 or dark.shape != gain.shape or not dark.size:
-            raise _no_field(
+            raise SourceError(
                 f"the dark level of shape {dark.shape} and the gain of shape {gain.shape} are no "
                 "flat field: calibrate the optics again"
             )
         if not (np.isfinite(dark).all() and np.isfinite(gain).all() and (gain >= 0).all()):
-            raise _no_field(
+            raise SourceError(
                 "the flat field has values that are negative or not finite: calibrate the optics "
                 "again"
             )
         if not gain.any():
-            raise _no_field("every pixel is dead in the flat field: calibrate the optics again")
+            raise SourceError("every pixel is dead in the flat field: calibrate the optics again")
         self.dark: NDArray[np.float32] = np.ascontiguousarray(dark, np.float32)
         self.gain: NDArray[np.float32] = np.ascontiguousarray(gain, np.float32)
 
@@ -68,7 +68,7 @@ class FlatField:
         """Return a corrected image, with the same response of every pixel."""
         if image.shape != self.gain.shape:
             (rows, columns), (height, width) = image.shape[:2], self.gain.shape
-            raise _no_field(
+            raise SourceError(
                 f"the flat field is for frames of {width} × {height}, this one has {columns} × "
                 f"{rows}: calibrate the optics again, or remove optics.flat_field"
             )
@@ -137,22 +137,18 @@ class FlatField:
             message = (
                 f"no flat field {path}: put it beside the profile, or remove optics.flat_field"
             )
-            raise _no_field(message)
+            raise SourceError(message)
         with open_file(Path(path), SourceError, MOST_ARRAY_BYTES) as file:
             try:
                 stored = np.load(file, allow_pickle=False)
                 dark, gain = (np.asarray(stored[name], np.float32) for name in ("dark", "gain"))
             except Exception:
                 # A damaged archive fails in a dozen ways, down to those of its compression.
-                raise _no_field(
+                raise SourceError(
                     f"{path} is not a flat field: calibrate the optics again, or remove "
                     "optics.flat_field"
                 ) from None
         return cls(dark, gain)
-
-
-def _no_field(message: str) -> SourceError:
-    return SourceError(message)
 
 
 def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
@@ -169,45 +165,6 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
 
 
 _SQUARE = 1.03  # ratio of the sides of pixels below which they are square
-
-
-class MotionTracker:
-    """Tracks the motion of a patch over the page by its images.
-
-    Motion that cannot be measured counts as none: on blank paper, along a straight edge that fills
-    the patch, or where two images have too little in common.
-    """
-
-    def __init__(self, profile: Profile) -> None:
-        self.turn_rad: float = 0.0
-        self._optics = profile.optics
-        self._matcher: Matcher | None = None
-        self._shape = (0, 0)
-        self._page_mm = ((0.0, 0.0), (0.0, 0.0))
-        self._first = True
-
-    def follow(self, image: NDArray[np.uint8]) -> Shift:
-        """Return the motion of the patch on the page since the last image, mm along its rows and
-        columns.
-
-        When the print moves left in the image, the patch has moved right. An image of another size
-        starts again.
-        """
-        if self._matcher is None or image.shape != self._shape:
-            self._shape = (image.shape[0], image.shape[1])
-            self._matcher = Matcher(self._shape)
-            self._page_mm = page_per_pixel(self._optics, self._matcher.shape)
-            self._matcher.turns = _is_even(self._page_mm)
-            self._first = True
-        x, y, turn_rad = self._matcher.match(image, self._first)
-        self._first = False
-        (x_by_x, x_by_y), (y_by_x, y_by_y) = self._page_mm
-        self.turn_rad = -turn_rad
-        return -(x_by_x * x + x_by_y * y), -(y_by_x * x + y_by_y * y)
-
-    def forget(self) -> None:
-        """Restart: the motion to the next image is unknown."""
-        self._first = True
 
 
 def page_per_pixel(
@@ -242,7 +199,11 @@ def _is_even(page_mm: tuple[tuple[float, float], tuple[float, float]]) -> bool:
 
 
 class FramePreprocessor:
-    """Corrects images by the profile's flat field, and sums the motion between them to a pose."""
+    """Corrects images by the profile's flat field, and sums the motion between them to a pose.
+
+    Motion that cannot be measured counts as none: on blank paper, along a straight edge that fills
+    the patch, or where two images have too little in common.
+    """
 
     def __init__(self, profile: Profile) -> None:
         self._correct: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None
@@ -251,20 +212,43 @@ class FramePreprocessor:
             # The first call may import scipy, which must not delay the first image of a run.
             flat_field.correct(np.zeros(flat_field.gain.shape, np.uint8))
             self._correct = flat_field.correct
-        self._tracker = MotionTracker(profile)
+        self._optics = profile.optics
+        self._matcher: Matcher | None = None
+        self._shape: tuple[int, ...] = ()
+        self._page_mm = np.zeros((2, 2))
+        self._is_first = True
         self._x_mm = self._y_mm = self._angle_rad = 0.0
 
     def take(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Pose]:
         """Return the corrected image, and its pose."""
         if self._correct is not None:
             image = self._correct(image)
-        x_mm, y_mm = self._tracker.follow(image)
-        self._angle_rad += self._tracker.turn_rad
+        x_mm, y_mm, turn_rad = self.follow(image)
+        self._angle_rad += turn_rad
         cos, sin = math.cos(self._angle_rad), math.sin(self._angle_rad)
         self._x_mm += cos * x_mm - sin * y_mm
         self._y_mm += sin * x_mm + cos * y_mm
         return image, Pose(self._x_mm, self._y_mm, self._angle_rad)
 
+    def follow(self, image: NDArray[np.uint8]) -> tuple[float, float, float]:
+        """Return the motion of the patch on the page since the last image: mm along its rows and
+        columns, and its turn in radians.
+
+        When the print moves left in the image, the patch has moved right. An image of another size
+        starts again.
+        """
+        if self._matcher is None or image.shape != self._shape:
+            self._shape = image.shape
+            self._matcher = Matcher((image.shape[0], image.shape[1]))
+            page_mm = page_per_pixel(self._optics, self._matcher.shape)
+            self._matcher.turns = _is_even(page_mm)
+            self._page_mm = np.array(page_mm)
+            self._is_first = True
+        x, y, turn_rad = self._matcher.match(image, self._is_first)
+        self._is_first = False
+        x_mm, y_mm = (-self._page_mm @ (x, y)).tolist()
+        return x_mm, y_mm, -turn_rad
+
     def interrupt(self) -> None:
         """Ignore the motion to the next image, after an unknown time."""
-        self._tracker.forget()
+        self._is_first = True

@@ -1,19 +1,20 @@
 """Videos and folders of images, at their own pace or as fast as they are read."""
 
+import contextlib
+import itertools
 import math
 import os
 import re
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
+import PIL.Image
 from numpy.typing import NDArray
-from PIL import Image
 
 from smarttouch.base.errors import PageError, SourceError, require_within
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, require_file
@@ -45,143 +46,94 @@ os.environ.setdefault(
 )
 
 
-class Clip(ABC):
-    """Sequence of images, to be read once."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.title: str = path.name or str(path)
-        self.rate_hz: float = USUAL_HZ
-        self.count = 0  # number of images; 0 if not known. A video's count is often an estimate
-        self.notes: list[str] = []
-
-    @abstractmethod
-    def open(self) -> None:
-        """Open the clip; raise SourceError if that fails."""
-
-    @abstractmethod
-    def next(self) -> NDArray[np.uint8] | None:
-        """Return the next image, grey, (H, W); None at the end."""
-
-    @abstractmethod
-    def skip(self) -> bool:
-        """Skip the next image; return False at the end."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close the clip."""
+Image = NDArray[np.uint8]  # grey, (H, W)
 
 
-class VideoFile(Clip):
-    """A video, through OpenCV."""
+@dataclass
+class Clip:
+    """Sequence of images, to be read once: each is a function that decodes it, None if it cannot.
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._capture = cv2.VideoCapture()
-        self._first: NDArray[np.uint8] | None = None
-        self._converter = GreyConverter()
-        self._read = 0
+    ``count`` is the number of images, 0 if it is not known; a video's is often an estimate.
+    """
 
-    def open(self) -> None:
-        _require_file(self.path)
-        silence_opencv()
-        self._capture.open(str(self.path))
-        # Any text is a video to some decoders.
-        text = int(self._capture.get(cv2.CAP_PROP_FOURCC)) == _TEXT
-        if not self._capture.isOpened() or text:
-            self.close()
-            message = f"{self.path} is not a readable video: give an MP4, AVI, MKV or MOV"
-            raise SourceError(message)
-        rate_hz = self._capture.get(cv2.CAP_PROP_FPS)
-        if 0 < rate_hz <= FASTEST_HZ:
-            self.rate_hz = rate_hz
-        else:
-            self.notes.append(
-                f"{self.title} does not state its frame rate: {USUAL_HZ:g} Hz is assumed"
-            )
-        count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        self.count: int = int(count) if 0 < count < 1e9 else 0
-        self._first = self.next()
-        if self._first is None or min(self._first.shape) < _FEWEST_PIXELS:
-            self.close()
-            raise SourceError(f"{self.path} has no readable frame: record it again")
-
-    def next(self) -> NDArray[np.uint8] | None:
-        if self._first is not None:
-            image, self._first = self._first, None
-            return image
-        color = self._captured(decoded=True)
-        return None if color is None else self._converter.convert(color[:, :, ::-1])
-
-    def skip(self) -> bool:
-        if self._first is not None:
-            self._first = None
-            return True
-        return self._captured(decoded=False) is not None
-
-    def _captured(self, decoded: bool) -> Any:
-        """Return the next frame in color, or True where none is decoded; None at the end."""
-        try:
-            found = self._capture.read()[1] if decoded else self._capture.grab() or None
-        except cv2.error:
-            found = None
-        self._read += found is not None
-        note = f"{self.title} breaks off: {self._read} of its {self.count} frames could be read"
-        missing = self.count - self._read > max(1, _MISSING * self.count)
-        if found is None and missing and note not in self.notes:
-            self.notes.append(note)
-        return found
-
-    def close(self) -> None:
-        self._capture.release()
+    title: str
+    rate_hz: float
+    count: int
+    images: Iterator[Callable[[], Image | None]]
+    notes: list[str] = field(default_factory=list)
+    close: Callable[[], None] = lambda: None
 
 
-class ImageFolder(Clip):
-    """A folder of images of one size, in natural order of their names."""
+def video_clip(path: Path) -> Clip:
+    """Open a video by OpenCV."""
+    _require_file(path)
+    silence_opencv()
+    capture = cv2.VideoCapture(str(path))
+    # Any text is a video to some decoders.
+    if not capture.isOpened() or int(capture.get(cv2.CAP_PROP_FOURCC)) == _TEXT:
+        capture.release()
+        message = f"{path} is not a readable video: give an MP4, AVI, MKV or MOV"
+        raise SourceError(message)
+    count, rate_hz = capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)
+    clip = Clip(path.name, rate_hz, int(count) if 0 < count < 1e9 else 0, iter(()))
+    clip.close = capture.release
+    if not 0 < rate_hz <= FASTEST_HZ:
+        clip.rate_hz = USUAL_HZ
+        clip.notes.append(f"{path.name} does not state its frame rate: {USUAL_HZ:g} Hz is assumed")
+    images = _grabbed(capture, clip)
+    first = next(images, lambda: None)()
+    if first is None or min(first.shape) < _FEWEST_PIXELS:
+        capture.release()
+        raise SourceError(f"{path} has no readable frame: record it again")
+    clip.images = itertools.chain([lambda: first], images)
+    return clip
 
-    def __init__(self, path: Path, rate_hz: float) -> None:
-        super().__init__(path)
-        self.rate_hz = rate_hz
-        self._files: list[Path] = []
-        self._shape: tuple[int, ...] = ()
-        self._converter = GreyConverter()
-        self._index = 0
 
-    def open(self) -> None:
-        self._files = _images(self.path)
-        self.count: int = len(self._files)
-        self._shape = _load(self._files[0], self._converter).shape
-        for file in self._files[1:]:
-            with _reading(file) as image:
-                width, height = image.size
-            # Some formats state at their end how they lie, so either way is possible here.
-            if sorted((width, height)) != sorted(self._shape):
-                raise self._other_size(file, width, height)
+def _grabbed(capture: cv2.VideoCapture, clip: Clip) -> Iterator[Callable[[], Image | None]]:
+    """Go through a video; note where it breaks off."""
+    converter, read = GreyConverter(), 0
 
-    def _other_size(self, file: Path, width: int, height: int) -> SourceError:
-        return SourceError(
-            f"{file} has {width} x {height} pixels, {self._files[0].name} has "
-            f"{self._shape[1]} x {self._shape[0]}: all images of a folder must be of one size"
+    def decode() -> Image | None:
+        with contextlib.suppress(cv2.error):
+            found, color = capture.retrieve()
+            if found:
+                return converter.convert(np.asarray(color)[:, :, ::-1])
+        return None
+
+    with contextlib.suppress(cv2.error):
+        while capture.grab():
+            read += 1
+            yield decode
+    if clip.count - read > max(1, _MISSING * clip.count):
+        clip.notes.append(
+            f"{clip.title} breaks off: {read} of its {clip.count} frames could be read"
         )
 
-    def next(self) -> NDArray[np.uint8] | None:
-        if self._index == len(self._files):
-            return None
-        file = self._files[self._index]
-        self._index += 1
-        image = _load(file, self._converter)
-        if image.shape != self._shape:
-            raise self._other_size(file, image.shape[1], image.shape[0])
+
+def folder_clip(path: Path, rate_hz: float) -> Clip:
+    """Open a folder of images of one size, in natural order of their names."""
+    files, converter = _images(path), GreyConverter()
+    shape = _load(files[0], converter).shape
+
+    def require_shape(file: Path, height: int, width: int) -> None:
+        if (height, width) != shape:
+            raise SourceError(
+                f"{file} has {width} x {height} pixels, {files[0].name} has {shape[1]} x "
+                f"{shape[0]}: all images of a folder must be of one size"
+            )
+
+    def load(file: Path) -> Image:
+        image = _load(file, converter)
+        require_shape(file, *image.shape)
         return image
 
-    def skip(self) -> bool:
-        if self._index == len(self._files):
-            return False
-        self._index += 1
-        return True
-
-    def close(self) -> None:
-        """Do nothing: each image is read whole."""
+    for file in files[1:]:
+        with _reading(file) as image:
+            width, height = image.size
+        # Some formats state at their end how they lie, so either way is possible here.
+        if (width, height) != shape:
+            require_shape(file, height, width)
+    return Clip(path.name, rate_hz, len(files), (partial(load, file) for file in files))
 
 
 def _require_file(path: Path) -> None:
@@ -220,7 +172,7 @@ def _natural(file: Path) -> list[tuple[int, int, str]]:
 
 
 @contextmanager
-def _reading(file: Path) -> Iterator[Image.Image]:
+def _reading(file: Path) -> Iterator[PIL.Image.Image]:
     try:
         with open_image(file) as image:
             yield image
@@ -244,7 +196,7 @@ def _require_pixels(file: Path, width: int, height: int) -> None:
 
 def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> OpticalSource:
     """Open ``video:FILE``, any video that OpenCV reads; ``unpaced`` gives one frame a read."""
-    return ClipSource(VideoFile(Path(rest)), profile, unpaced)
+    return ClipSource(video_clip(Path(rest)), profile, unpaced)
 
 
 def open_frames(
@@ -257,7 +209,7 @@ def open_frames(
     rate_hz = USUAL_HZ if fps is None else fps
     words = f"a rate of {rate_hz:g} images a second"
     require_within(SourceError, "fps", rate_hz, 0, FASTEST_HZ, words, above=True)
-    return ClipSource(ImageFolder(Path(rest), rate_hz), profile, unpaced)
+    return ClipSource(folder_clip(Path(rest), rate_hz), profile, unpaced)
 
 
 class ClipSource(OpticalSource):
@@ -276,7 +228,6 @@ class ClipSource(OpticalSource):
         self._frame: Frame | None = None
         self._is_unread = self._is_over = False
         self.notes: list[str] = clip.notes
-        clip.open()
         if clip.count and not unpaced:
             self.duration_s = clip.count / clip.rate_hz
 
@@ -294,9 +245,12 @@ class ClipSource(OpticalSource):
 
     def _take(self, far_behind: bool) -> None:
         """Take the next image, or skip it undecoded."""
-        image = None if far_behind else self._clip.next()
-        if image is None and not (far_behind and self._clip.skip()):
+        decode = next(self._clip.images, None)
+        image = None if decode is None or far_behind else decode()
+        if decode is None or (image is None and not far_behind):
             self._is_over = True
+            if decode is not None:
+                self.notes.append(f"{self.title} breaks off: image {self.frames} is damaged")
             return
         self.dropped_frames += self._is_unread
         self._is_unread = image is not None

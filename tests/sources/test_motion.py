@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from smarttouch.base.files import data_folder
 from smarttouch.pages.document import open_document
-from smarttouch.sources.preprocess import FramePreprocessor, MotionTracker, page_per_pixel
+from smarttouch.sources.preprocess import FramePreprocessor, page_per_pixel
 from smarttouch.sources.virtual_finger import PageSource
 
 from ..whole import sample
@@ -43,29 +43,29 @@ def look(blots):
 def follow(tracker, *images):
     """Return the motion at the last of the images."""
     for image in images:
-        motion = tracker.follow(image)
-    return motion
+        x_mm, y_mm, _ = tracker.follow(image)
+    return x_mm, y_mm
 
 
 @pytest.mark.parametrize(("x", "y"), [(3, 0), (0, -5), (1.5, 2.25), (-20, 12), (0.3, -0.2)])
 def test_the_patch_moves_against_its_print(profile, look, x, y):
     pixel_mm = FIELD_MM / 64
-    motion = follow(MotionTracker(profile), look(), look(x, y))
+    motion = follow(FramePreprocessor(profile), look(), look(x, y))
     assert motion == pytest.approx((x * pixel_mm, y * pixel_mm), abs=0.1 * pixel_mm)
 
 
 def test_the_first_image_and_one_after_a_gap_give_no_motion(profile, look):
-    tracker = MotionTracker(profile)
-    assert tracker.follow(look()) == (0, 0)
-    tracker.forget()
-    assert tracker.follow(look(3)) == (0, 0)
-    assert tracker.follow(look(6))[0] > 0
+    tracker = FramePreprocessor(profile)
+    assert follow(tracker, look()) == (0, 0)
+    tracker.interrupt()
+    assert follow(tracker, look(3)) == (0, 0)
+    assert follow(tracker, look(6))[0] > 0
 
 
 def test_another_size_restarts(profile, look):
-    tracker = MotionTracker(profile)
+    tracker = FramePreprocessor(profile)
     assert follow(tracker, look(), look(3, size=(48, 32))) == (0, 0)
-    x_mm, _ = tracker.follow(look(6, size=(48, 32)))
+    x_mm, _ = follow(tracker, look(6, size=(48, 32)))
     assert x_mm == pytest.approx(3 * FIELD_MM / 48, rel=0.05)
 
 
@@ -74,7 +74,7 @@ def test_the_field_spreads_over_images_of_any_size(profile, look, size):
     zoom = max(1, max(size) // 64)
     seen = size[0] // zoom, size[1] // zoom
     images = [cv2.resize(look(*at, size=seen), size) for at in ((0, 0), (2, 1))]
-    x_mm, y_mm = follow(MotionTracker(profile), *images)
+    x_mm, y_mm = follow(FramePreprocessor(profile), *images)
     assert x_mm == pytest.approx(2 * FIELD_MM / seen[0], abs=0.15 * FIELD_MM / seen[0])
     assert y_mm == pytest.approx(1 * FIELD_MM / seen[1], abs=0.15 * FIELD_MM / seen[1])
 
@@ -108,9 +108,9 @@ def test_the_scale_of_a_tilted_camera_is_that_of_its_middle(profile, changed):
 
 
 def test_light_that_changes_is_no_motion(profile, look):
-    tracker = MotionTracker(profile)
+    tracker = FramePreprocessor(profile)
     assert follow(tracker, look() // 2, look() // 2 + 110) == pytest.approx((0, 0), abs=0.005)
-    x_mm, _ = tracker.follow(look(3) // 2)
+    x_mm, _ = follow(tracker, look(3) // 2)
     assert x_mm == pytest.approx(3 * FIELD_MM / 64, abs=0.005)
 
 
@@ -122,20 +122,20 @@ def paper(random, slope=0.0):
 
 def test_blank_paper_shows_no_motion(profile):
     random = np.random.default_rng(0)
-    tracker = MotionTracker(profile)
-    motions = [tracker.follow(paper(random, 1.0)) for _ in range(50)]
+    tracker = FramePreprocessor(profile)
+    motions = [follow(tracker, paper(random, 1.0)) for _ in range(50)]
     assert motions == [(0, 0)] * 50
 
 
 def test_two_images_that_have_nothing_in_common(profile, look):
-    assert follow(MotionTracker(profile), look(-100, -100), look(100, 100)) == (0, 0)
-    assert follow(MotionTracker(profile), look(), look(50, 0)) == (0, 0)
+    assert follow(FramePreprocessor(profile), look(-100, -100), look(100, 100)) == (0, 0)
+    assert follow(FramePreprocessor(profile), look(), look(50, 0)) == (0, 0)
 
 
 def test_motion_along_an_edge_is_not_known(profile):
     """Of a long vertical stroke only the way across can be seen."""
     random = np.random.default_rng(1)
-    tracker = MotionTracker(profile)
+    tracker = FramePreprocessor(profile)
     down = []
     for step in range(30):
         image = paper(random).astype(np.float32)
@@ -162,9 +162,9 @@ def test_a_line_of_print(profile, changed, tmp_path, side, speed_mm_s, most_px, 
     optics = {"optics.sensor_columns": side, "optics.sensor_rows": side}
     profile = changed(profile, optics)
     page = open_document(data_folder("sample_images") / "page.png").page(0)
-    sensor, tracker = PageSource(page, profile, "line", path=path), MotionTracker(profile)
+    sensor, tracker = PageSource(page, profile, "line", path=path), FramePreprocessor(profile)
     frames = [sensor.read(10_000_000 * k) for k in range(int(100 * times[-1]))]
-    motions = np.array([tracker.follow(frame.image) for frame in frames])[1:]
+    motions = np.array([follow(tracker, frame.image) for frame in frames])[1:]
     truth = np.diff([(frame.pose.x_mm, frame.pose.y_mm) for frame in frames], axis=0)
     error_px = np.hypot(*(motions - truth).T) * side / FIELD_MM
     assert np.percentile(error_px, 95) < most_px
@@ -179,7 +179,7 @@ def test_a_line_of_print(profile, changed, tmp_path, side, speed_mm_s, most_px, 
     )
 )
 def test_no_image_is_too_much(profile, images):
-    tracker = MotionTracker(profile)
+    tracker = FramePreprocessor(profile)
     for image in images:
         assert all(map(math.isfinite, follow(tracker, image, image)))
 
@@ -206,9 +206,10 @@ def turned_look(blots, x, y, degrees, light=1.0):
 @pytest.mark.parametrize("degrees", sample([-3.0, -0.5, 0.0, 0.2, 2.0]))
 @pytest.mark.parametrize(("x", "y"), [(0, 0), (3, -2)])
 def test_a_turn_of_the_patch_is_known(profile, blots, degrees, x, y):
-    tracker = MotionTracker(profile)
-    follow(tracker, turned_look(blots, 0, 0, 10), turned_look(blots, x, y, 10 + degrees))
-    assert math.degrees(tracker.turn_rad) == pytest.approx(degrees, abs=0.1)
+    tracker = FramePreprocessor(profile)
+    tracker.follow(turned_look(blots, 0, 0, 10))
+    _, _, turn_rad = tracker.follow(turned_look(blots, x, y, 10 + degrees))
+    assert math.degrees(turn_rad) == pytest.approx(degrees, abs=0.1)
 
 
 def test_a_path_that_turns_is_summed_to_a_pose(profile, blots):
@@ -224,6 +225,6 @@ def test_a_path_that_turns_is_summed_to_a_pose(profile, blots):
 
 def test_pixels_that_are_not_square_give_no_turn(profile, changed, blots):
     flat = changed(profile, {"optics.field_height_mm": 4.0})
-    tracker = MotionTracker(flat)
-    follow(tracker, turned_look(blots, 0, 0, 0), turned_look(blots, 0, 0, 2))
-    assert tracker.turn_rad == 0
+    tracker = FramePreprocessor(flat)
+    tracker.follow(turned_look(blots, 0, 0, 0))
+    assert tracker.follow(turned_look(blots, 0, 0, 2))[2] == 0
