@@ -115,9 +115,9 @@ def show(
         print_table([*rows, *(("note", note) for note in pressed.notes)], left=2)
         return
     with open_source(url, chosen) as source:
-        look = sample_source(source, seconds)
+        rows = sample_source(source, seconds)
     notes = [("note", note) for note in source.notes]
-    print_table([*look.rows(source), *notes], left=2)
+    print_table([*rows, *notes], left=2)
 
 
 def _describe_board(url: str, profile: str | None) -> None:

@@ -1,6 +1,5 @@
 """Sources from what a program has at hand, and checks of what a source returns."""
 
-import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -98,7 +97,6 @@ Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]  # what a source
 class Images(OpticalSource):
     """Images one after another, one for each sequence; at the finger's full force."""
 
-    frames: int
     knows_force = True
     ended = "all images have been shown"
 
@@ -158,16 +156,18 @@ Imaging = Callable[[Frame, ElectrodeArray], NDArray[np.floating[Any]]]
 """Returns the activation of each class at each electrode, (3, E) in [0, 1], of a frame."""
 
 
+_OF_THE_SOURCE = (
+    "url", "duration_s", "knows_force", "measures_force", "news", "patience_ns", "narrowed",
+)  # fmt: skip
+
+
 class OwnImaging(StimulusSource):
     """Stimuli that a function makes of an optical source's frames; recordings keep both."""
 
     def __init__(self, source: Source, imaging: Imaging, profile: Profile) -> None:
         super().__init__(source.title)
-        self.url: str = source.url
-        self.duration_s: float | None = source.duration_s
-        self.knows_force: bool = source.knows_force
-        self.measures_force: bool = source.measures_force
-        self.news: threading.Event | None = source.news
+        for name in _OF_THE_SOURCE:
+            setattr(self, name, getattr(source, name))
         self._source, self._imaging, self._electrodes = source, imaging, profile.electrodes
         self._who = getattr(imaging, "__qualname__", type(imaging).__name__)
 
@@ -189,14 +189,6 @@ class OwnImaging(StimulusSource):
             pose=frame.pose, number=frame.number, age_ns=frame.age_ns, stale=frame.stale,
             image=frame.image, period_us=frame.period_us,
         )  # fmt: skip
-
-    def patience_ns(self, time_ns: int) -> int:
-        """Return how long the source may be waited for, ns."""
-        return self._source.patience_ns(time_ns)
-
-    def narrowed(self, profile: Profile) -> Profile:
-        """Return the profile that the source's stimulation is planned by."""
-        return self._source.narrowed(profile)
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:

@@ -104,9 +104,6 @@ class LiveSource(OpticalSource):
         If the device cannot be opened.
     """
 
-    frames: int
-    dropped_frames: int
-
     def __init__(
         self,
         device: ImageDevice,

@@ -2,63 +2,44 @@
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.sources.force import ForceSource
-from smarttouch.sources.source_contract import Input, Source
+from smarttouch.sources.source_contract import Source
 
 READ_HZ = 100.0  # rate at which a source is read
 
 
-@dataclass(frozen=True, eq=False)
-class SourceSample:
-    """Sample of a source: force at each read, NaN where unknown, and age of each frame, (N,)."""
-
-    force_n: NDArray[np.float64]
-    last: Input | None
-    age_ms: NDArray[np.float64]
-    lasted_s: float
-
-    def rows(self, source: Source) -> list[tuple[str, str]]:
-        """Return names and values of the sample, in words."""
-        rows = [
-            ("source", source.title),
-            ("frames", f"{source.frames}, {source.frames / self.lasted_s:.1f} a second"),
-            ("read", f"{source.frames - source.dropped_frames}, polled at {READ_HZ:g} Hz"),
-            ("passed over", str(source.dropped_frames)),
-        ]
-        if self.last is not None:
-            image, pose = self.last.image, self.last.pose
-            if image is not None:
-                height, width = image.shape
-                grey = f"grey {image.min()} to {image.max()}, mean {image.mean():.0f}"
-                rows.append(("size", f"{width} x {height}, {grey}"))
-            moved = f"x {pose.x_mm:.2f} mm, y {pose.y_mm:.2f} mm"
-            rows += [
-                ("age", f"{np.median(self.age_ms):.1f} ms, at most {self.age_ms.max():.1f}"),
-                ("at", moved + (", stale" if self.last.stale else "")),
-            ]
-        return [*rows, ("force", _range(self.force_n))]
-
-
-def sample_source(source: Source, seconds: float) -> SourceSample:
-    """Read an open source for a time, or until it ends."""
+def sample_source(source: Source, seconds: float) -> list[tuple[str, str]]:
+    """Read an open source for a time, or until it ends; return names and values, in words."""
     frames = []
     for time_ns in _ticks(seconds):
         frame = source.read(time_ns)
         if frame is None:
             break
         frames.append(frame)
-    last = frames[-1] if frames else None
-    return SourceSample(
-        np.array([each.force_n for each in frames], np.float64),
-        last,
-        np.array([each.age_ns / 1e6 for each in frames]),
-        seconds if last is None else max(last.time_ns / 1e9, 1 / READ_HZ),
-    )
+    lasted_s = max(frames[-1].time_ns / 1e9, 1 / READ_HZ) if frames else seconds
+    rows = [
+        ("source", source.title),
+        ("frames", f"{source.frames}, {source.frames / lasted_s:.1f} a second"),
+        ("read", f"{source.frames - source.dropped_frames}, polled at {READ_HZ:g} Hz"),
+        ("passed over", str(source.dropped_frames)),
+    ]
+    if frames:
+        image, pose = frames[-1].image, frames[-1].pose
+        if image is not None:
+            height, width = image.shape
+            grey = f"grey {image.min()} to {image.max()}, mean {image.mean():.0f}"
+            rows.append(("size", f"{width} x {height}, {grey}"))
+        age_ms = np.array([frame.age_ns / 1e6 for frame in frames])
+        moved = f"x {pose.x_mm:.2f} mm, y {pose.y_mm:.2f} mm"
+        rows += [
+            ("age", f"{np.median(age_ms):.1f} ms, at most {age_ms.max():.1f}"),
+            ("at", moved + (", stale" if frames[-1].stale else "")),
+        ]
+    return [*rows, ("force", _range(np.array([frame.force_n for frame in frames])))]
 
 
 def sample_force(source: ForceSource, seconds: float) -> list[tuple[str, str]]:

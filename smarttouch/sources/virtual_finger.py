@@ -269,8 +269,6 @@ class PageSource(OpticalSource):
     are read.
     """
 
-    frames: int
-
     ended = "end of the page"
     knows_force = True
 
