@@ -23,6 +23,7 @@ _EDGE_PIXELS = 3  # distance of the two pixels
 _FEWEST_EDGES = 50
 _SAMPLED = 40_000  # pairs of pixels across, and as many down, that are looked at
 _BRIGHTEST = 0.999  # quantile of floating-point levels that is white: highlights may be above
+_CONTRAST = 64  # levels between the darkest and the brightest of a picture that carries print
 _THICK = 8
 """Strokes are thinner than the image's shorter side divided by this."""
 _WHITE_IS_ZERO = 262, 0  # photometric interpretation of a TIFF
@@ -86,8 +87,7 @@ class GreyConverter:
         return np.asarray(np.rint(self._ground + grey * (alpha / np.float32(255))), np.uint8)
 
     def _choose_ground(self, levels: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> None:
-        visible = alpha >= 128
-        covers = visible.mean() >= 0.5
+        visible = alpha >= max(1, int(alpha.max()) // 2)
         side = max(3, min(alpha.shape) // _THICK)
         # Without a border, so that print that touches the edge is thin as well.
         thick = cv2.erode(
@@ -95,10 +95,11 @@ class GreyConverter:
             borderType=cv2.BORDER_CONSTANT,
         )  # fmt: skip
         # Thin print may be of any color, also black and white at once: its alpha is its ink.
-        self._alpha_is_ink = bool(visible.any() and not covers and not thick.any())
-        bright = visible.any() and np.median(levels[visible]) >= 128
-        # A picture that fills the image goes on around itself; anything else stands out.
-        self._ground = 255 if bright == covers else 0
+        self._alpha_is_ink = bool(visible.any() and not thick.any())
+        if visible.any():
+            low, middle, high = np.percentile(levels[visible], (0.5, 50, 99.5))
+            # A picture with print goes on around itself; an even one is print, or print cut out.
+            self._ground = 255 if (middle >= 128) == (high - low >= _CONTRAST) else 0
 
     def _mixed(self, levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return colors as grey; where luma shows no print, by weights that do."""

@@ -108,6 +108,7 @@ KINDS = {
     "white-on-clear.png": pillow(on_transparent((255, 255, 255))),
     "pale-on-clear.webp": pillow(on_transparent((240, 240, 250)), lossless=True, exact=True),
     "both-on-clear.png": pillow(on_transparent((255, 255, 255), (0, 0, 0))),
+    "cut-out.png": pillow(lambda: Image.fromarray(np.dstack([INK | 255] * 3 + [PRINT]))),
     "lab.tif": pillow(lambda: Image.merge("LAB", [
         Image.fromarray(PRINT), *[Image.new("L", PRINT.shape[::-1], 0)] * 2])),
     "upside-down.png": turned(PRINT[::-1, ::-1], 3),
@@ -157,13 +158,19 @@ def test_luma_where_it_shows_all():
     np.testing.assert_array_equal(to_grey(red), cv2.cvtColor(red, cv2.COLOR_RGB2GRAY))
 
 
-def test_a_picture_that_fills_the_image_goes_on_around_itself():
-    """As of a window with round corners, in light and in dark."""
-    for light in (False, True):
-        window = np.dstack([PRINT if light else INK] * 3 + [np.full_like(PRINT, 255)])
-        window[:4, :4, 3] = 0
-        grey = to_grey(window)
-        assert (grey[:4, :4] == (255 if light else 0)).all()
+@pytest.mark.parametrize("light", [True, False])
+@pytest.mark.parametrize("around", [4, 200])
+def test_a_picture_with_print_goes_on_around_itself(light, around):
+    """As of a window with a transparent frame, however large."""
+    window = np.dstack([PRINT if light else INK] * 3 + [np.full_like(PRINT, 255)])
+    grey = to_grey(np.pad(window, ((around, around), (around, around), (0, 0))))
+    assert (grey[:around] == (255 if light else 0)).all()
+    np.testing.assert_array_equal(grey[around:-around, around:-around], window[..., 0])
+
+
+def test_faint_print_on_transparent_ground_is_seen():
+    faint = np.dstack([np.full_like(PRINT, 255)] * 3 + [INK // 3])
+    np.testing.assert_array_equal(to_grey(faint), 255 - INK // 3)
 
 
 def test_frames_stay_comparable():
