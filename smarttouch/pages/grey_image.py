@@ -16,11 +16,11 @@ _STEPS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MIXES = np.array([mix for mix in itertools.product(_STEPS, repeat=3) if sum(mix) == 1])
 _MIXES = np.vstack([LUMA, _MIXES[np.abs(_MIXES - LUMA).sum(axis=1).argsort(kind="stable")]])
 """Weights that may show colored print, the nearest to luma first: paper stays white."""
-_KEPT = 0.9  # share of the best contrast from which the present weights stay
+_KEPT = 0.95  # share of the best contrast from which the present weights stay
 _AS_GOOD = 0.01  # difference of contrast below which mixes are equally good
 _EDGE_LEVELS = 40  # difference of a channel from which two pixels are an edge
 _EDGE_PIXELS = 3  # distance of the two pixels
-_FEWEST_EDGES = 50
+_FEWEST_EDGES, _MOST_EDGES = 50, 4000
 _SAMPLED = 40_000  # pairs of pixels across, and as many down, that are looked at
 _BRIGHTEST = 0.999  # quantile of floating-point levels that is white: highlights may be above
 _CONTRAST = 64  # levels between the darkest and the brightest of a picture that carries print
@@ -123,19 +123,17 @@ def _weights(levels: NDArray[np.uint8], present: NDArray[np.float64]) -> NDArray
     weights stay if they show nearly as much as the best.
     """
     step = max(1, levels.shape[0] * levels.shape[1] // _SAMPLED)
-    across, down = levels[::step].astype(np.int16), levels[:, ::step].astype(np.int16)
-    pairs = [
-        (across[:, _EDGE_PIXELS:] - across[:, :-_EDGE_PIXELS]).reshape(-1, 3),
-        (down[_EDGE_PIXELS:] - down[:-_EDGE_PIXELS]).reshape(-1, 3),
-    ]
-    edges = np.concatenate(pairs)
-    largest = np.abs(edges).max(axis=1)
-    edges, largest = edges[largest >= _EDGE_LEVELS], largest[largest >= _EDGE_LEVELS]
+    across, down = levels[::step], levels[:, ::step]
+    edges = np.concatenate([
+        _edges(across[:, _EDGE_PIXELS:], across[:, :-_EDGE_PIXELS]),
+        _edges(down[_EDGE_PIXELS:], down[:-_EDGE_PIXELS]),
+    ])  # fmt: skip
     if len(edges) < _FEWEST_EDGES:
         return present
+    edges = edges[:: 1 + len(edges) // _MOST_EDGES]
 
     def seen(mixes: NDArray[np.float64]) -> NDArray[np.float64]:
-        contrast = np.abs(edges @ mixes.T) / largest[:, None]
+        contrast = np.abs(edges @ mixes.T) / np.abs(edges).max(axis=1, keepdims=True)
         return np.asarray(np.minimum(1, 2 * contrast).mean(axis=0))
 
     now = float(seen(present[None])[0])
@@ -146,6 +144,13 @@ def _weights(levels: NDArray[np.uint8], present: NDArray[np.float64]) -> NDArray
         return present
     best = int(np.argmax(shown >= shown.max() - _AS_GOOD))
     return _MIXES[best] if best else LUMA
+
+
+def _edges(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the differences of color where they are large, (N, 3)."""
+    red, green, blue = np.moveaxis(np.maximum(first, second) - np.minimum(first, second), 2, 0)
+    is_edge = np.maximum(np.maximum(red, green), blue) >= _EDGE_LEVELS
+    return np.asarray(first[is_edge].astype(np.float32) - second[is_edge])
 
 
 def _white_level(values: Pixels, black: float = 0.0) -> float:

@@ -205,7 +205,7 @@ class CameraDevice(ImageDevice):
                 f"{self.title} gives images of shape {image.shape}: only grey and color can be read"
             )
         if image.ndim == 3 and image.shape[2] >= 3:
-            image = image[:, :, 2::-1]
+            image = cv2.cvtColor(np.ascontiguousarray(image[:, :, :3]), cv2.COLOR_BGR2RGB)
         return self._converter.convert(image)
 
     @staticmethod

@@ -97,7 +97,7 @@ def _grabbed(capture: cv2.VideoCapture, clip: Clip) -> Iterator[Callable[[], Ima
         with contextlib.suppress(cv2.error):
             found, color = capture.retrieve()
             if found:
-                return converter.convert(np.asarray(color)[:, :, ::-1])
+                return converter.convert(cv2.cvtColor(color, cv2.COLOR_BGR2RGB))
         return None
 
     with contextlib.suppress(cv2.error):
