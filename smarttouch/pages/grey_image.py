@@ -185,7 +185,7 @@ def read_pixels(image: Image.Image) -> Pixels:
     upright = ImageOps.exif_transpose(image)
     if low is not None:
         high, rest = (
-            np.asarray(each, np.uint16) for each in (upright, ImageOps.exif_transpose(low))
+            np.asarray(part, np.uint16) for part in (upright, ImageOps.exif_transpose(low))
         )
         return np.asarray(high * np.uint16(256) + rest)
     if upright.mode == "LAB":
@@ -221,7 +221,7 @@ def _low_bytes(image: Image.Image) -> Any:
     file, page = image.fp, image.tell()
     if file is None or not any(";16" in str(tile) for tile in image.tile):
         return None
-    place = file.tell()
+    position = file.tell()
     file.seek(0)
     low: Any = Image.open(file)
     low.seek(page)
@@ -233,7 +233,7 @@ def _low_bytes(image: Image.Image) -> Any:
         swapped.append(tile._replace(args=(other, *rest) if rest else other))
     low.tile = swapped
     low.load()
-    file.seek(place)
+    file.seek(position)
     if other != "RGBA":
         return low
     _, grey, _, alpha = low.split()

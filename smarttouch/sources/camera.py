@@ -143,9 +143,9 @@ class CameraDevice(ImageDevice):
             if not (capture.set(cv2.CAP_PROP_EXPOSURE, self._exposure) and manual):
                 self._note(f"does not accept an exposure of {self._exposure:g}: it keeps its own")
             else:
-                given = capture.get(cv2.CAP_PROP_EXPOSURE)
-                if abs(given - self._exposure) > 0.1 * abs(self._exposure):
-                    self._note(f"exposes by {given:g}, not {self._exposure:g}")
+                exposure = capture.get(cv2.CAP_PROP_EXPOSURE)
+                if abs(exposure - self._exposure) > 0.1 * abs(self._exposure):
+                    self._note(f"exposes by {exposure:g}, not {self._exposure:g}")
 
     def _set_format(self, capture: cv2.VideoCapture) -> None:
         """Set size and rate, and compression where it gives more images of that size."""

@@ -60,10 +60,10 @@ class Matcher:
             size = self.shape[::-1]
             image = np.asarray(cv2.resize(image, size, interpolation=self._method), np.uint8)
         self._before, self._image = self._image, image.astype(np.float32)
-        found = None if first or not self._seen else self._find()
-        if first or found is not None:
-            self._usual = found[:2] if found else (0.0, 0.0)
-        return found or (0.0, 0.0, 0.0)
+        motion = None if first or not self._seen else self._find()
+        if first or motion is not None:
+            self._usual = motion[:2] if motion else (0.0, 0.0)
+        return motion or (0.0, 0.0, 0.0)
 
     def _find(self) -> tuple[float, float, float] | None:
         """Return the shift and turn that explain the image; None if there are none."""
@@ -110,7 +110,7 @@ class Matcher:
         others = [level, level * beside, level * below]
         if self.turns and len(steep) == 2:
             others.insert(0, along_y * beside - along_x * below)
-        slopes = np.vstack([steep @ gradient, [each.ravel() for each in others]])
+        slopes = np.vstack([steep @ gradient, [slope.ravel() for slope in others]])
         return steep, (slopes - slopes.mean(axis=1, keepdims=True)).astype(np.float32)
 
     def _rest(self, shift: Floats, turn_rad: float, common: Common) -> tuple[Image, float]:
@@ -135,7 +135,7 @@ class Matcher:
     def _begin(self) -> Shift | None:
         """Return the best of the usual shift, zero, and the peaks of two correlations."""
         (x, y), _ = cv2.phaseCorrelate(self._before, self._image)
-        best = max((self._correlation(each), each) for each in {(x, y), self._usual, (0.0, 0.0)})
+        best = max((self._correlation(by), by) for by in {(x, y), self._usual, (0.0, 0.0)})
         if best[0] < _PROMISING:
             # Phase correlation weights all detail alike, and the finest of blurred print is noise.
             far = _largest_covariance(self._before, self._image)
@@ -151,8 +151,8 @@ class Matcher:
         rows, columns = common
         now = self._image[rows.start + y : rows.stop + y, columns.start + x : columns.stop + x]
         before = np.ascontiguousarray(self._before[common])
-        found = cv2.matchTemplate(before, np.ascontiguousarray(now), cv2.TM_CCOEFF_NORMED)
-        return float(found[0, 0])
+        correlation = cv2.matchTemplate(before, np.ascontiguousarray(now), cv2.TM_CCOEFF_NORMED)
+        return float(correlation[0, 0])
 
     def _common(self, shift: Shift, border: int = 0) -> Common | None:
         """Return rows and columns of the image before that both show, without a border."""

@@ -95,8 +95,8 @@ def _grabbed(capture: cv2.VideoCapture, clip: Clip) -> Iterator[Callable[[], Ima
 
     def decode() -> Image | None:
         with contextlib.suppress(cv2.error):
-            found, color = capture.retrieve()
-            if found:
+            is_decoded, color = capture.retrieve()
+            if is_decoded:
                 return converter.convert(cv2.cvtColor(color, cv2.COLOR_BGR2RGB))
         return None
 
