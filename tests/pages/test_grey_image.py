@@ -51,14 +51,13 @@ def clear_palette():
     """White print of a palette whose other entry is transparent."""
     image = Image.fromarray((INK > 127).astype(np.uint8), "P")
     image.putpalette([0, 0, 0, 255, 255, 255])
-    image.info["transparency"] = 0
     return image
 
 
 def turned(values, orientation):
     exif = Image.Exif()
     exif[0x0112] = orientation
-    return lambda path: Image.fromarray(values).save(path, exif=exif, lossless=True)
+    return lambda path: Image.fromarray(values).save(path, exif=exif, lossless=True, quality=95)
 
 
 def white_is_zero(path):
@@ -103,7 +102,13 @@ KINDS = {
     "float-hole.tif": pillow(
         lambda: Image.fromarray(np.where(PRINT < 1, np.nan, PRINT).astype(np.float32))
     ),
+    **{f"{mode}.tif": pillow(lambda mode=mode: Image.fromarray(PRINT).convert(mode))
+       for mode in ("L", "RGB", "CMYK", "I", "F")},
+    "two-levels.png": pillow(lambda: Image.fromarray(PRINT > 127)),
+    "grey-alpha.png": pillow(lambda: Image.fromarray(PRINT).convert("LA")),
+    "on-its-side.jpg": turned(np.rot90(PRINT), 6),
     "palette.png": pillow(lambda: Image.fromarray(PRINT).convert("P")),
+    "palette-clear.png": pillow(clear_palette, transparency=0),
     "black-on-clear.png": pillow(on_transparent((0, 0, 0))),
     "white-on-clear.png": pillow(on_transparent((255, 255, 255))),
     "pale-on-clear.webp": pillow(on_transparent((240, 240, 250)), lossless=True, exact=True),
@@ -129,7 +134,8 @@ def test_a_page_and_a_frame_of_any_kind(profile, tmp_path, name):
     np.testing.assert_array_equal(page, frame)
     assert page.shape == PRINT.shape
     # Palettes and lossy kinds have fewer levels.
-    most = 128 if name.startswith(("palette", "animation")) else 2
+    coarse = ("palette", "two-levels", "animation", "on-its-side.jpg")
+    most = 128 if name.startswith(coarse) else 2
     assert np.abs(page.astype(int) - PRINT).max() <= most
 
 
