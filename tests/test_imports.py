@@ -59,13 +59,6 @@ except st.SourceError as error:
     assert "no Unix sockets" in str(error), error
 else:
     raise AssertionError("a socket")
-from smarttouch.views.live_finger import LiveFinger
-try:
-    st.run("text:a", "simulated:", seconds=0.1, listeners=[LiveFinger(st.Finger(profile))])
-except st.SmartTouchError as error:
-    assert "finger" in str(error), error
-else:
-    raise AssertionError("a finger")
 sys.argv = ["smarttouch", "design", "27", "--mode", "RA", "--json", "kernels.json"]
 main()
 sys.argv = ["smarttouch", "recordings", "info", "run.mcap"]

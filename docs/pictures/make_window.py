@@ -19,10 +19,10 @@ ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "-
 
 @contextmanager
 def running(url):
-    """A run with a window on an emulator; yields its address."""
+    """Start a run with a window on a simulated board; yield its address."""
     profile, stop = st.load_profile("electric-mouse"), StopRequest()
     window = Window(stop, show=lambda _: None, waits_s=600)
-    display = st.open_display("emulator:", profile)
+    display = st.open_display("simulated:", profile)
     runner = Runner(
         st.open_source(url, profile), display, st.RunConfig(intensity=0.8), stop=stop,
         listeners=[window],
@@ -57,7 +57,7 @@ def main():
         with running("text:touch what it sees?speed_mm_s=1") as address:
             for width, name in ((1440, "window.png"), (360, "window-phone.png")):
                 page = opened(address, width)
-                page.wait_for_selector("#felt[data-spikes]")
+                page.wait_for_selector("#electrodes[data-number]")
                 page.wait_for_timeout(3000)
                 take(page, name, whole=width < 1000)
                 page.close()

@@ -93,11 +93,6 @@ def check_recording(
     recording cannot be read, holds no sequence, or does not say how it was made.
     """
     recording = Recording(Path(path))
-    if begun_ns := recording.settings.get("begun_ns"):
-        raise RecordingError(
-            f"{path} begins {int(begun_ns) / 1e9:.1f} s after its run did, which decides how its "
-            "sequences begin: record from the start to compare them"
-        )
     profile = recording.profile if profile is None else profile
     pipeline, regulator = rebuild_pipeline(
         recording, profile, load_bank(profile) if bank is None else bank

@@ -255,17 +255,14 @@ class Recorder(Listener):
     ----------
     path : Path or str
         The file; an existing one is not overwritten.
-    begun_ns : int, ns
-        Time of the run at which `start` is called.
 
     Examples
     --------
     See `smarttouch.replay`.
     """
 
-    def __init__(self, path: Path | str, *, begun_ns: int = 0) -> None:
+    def __init__(self, path: Path | str) -> None:
         super().__init__()
-        self._begun_ns = begun_ns
         self.path: Path = Path(path)
         self._writer: RecordingWriter | None = None
 
@@ -276,9 +273,8 @@ class Recorder(Listener):
 
     def start(self, run: RunContext) -> None:
         """Start the file, with the description of the open board."""
-        started_unix_ns = time.time_ns() - self._begun_ns
-        settings = run.settings | ({"begun_ns": self._begun_ns} if self._begun_ns else {})
-        about = about_run(run.profile, settings, started_unix_ns)
+        started_unix_ns = time.time_ns()
+        about = about_run(run.profile, run.settings, started_unix_ns)
         electrodes = run.profile.electrodes
         self._writer = RecordingWriter(self.path, about, started_unix_ns, electrodes)
 

@@ -107,7 +107,7 @@ def run_in_terminal(
         if outputs.window is not None:
             blind = issubclass(screen, BlindScreen)
             window = _window(
-                outputs.window, stop, outputs, config.seconds, blind=blind, keys=keys,
+                outputs.window, stop, config.seconds, blind=blind, keys=keys,
                 keys_help=keys_help, alone=not typed,
             )  # fmt: skip
             closing.callback(window.shut)
@@ -155,9 +155,7 @@ def _operation(
     )
 
 
-def _window(
-    port: int, stop: StopRequest, outputs: Outputs, seconds: float | None, **given: Any
-) -> "Window":
+def _window(port: int, stop: StopRequest, seconds: float | None, **given: Any) -> "Window":
     from smarttouch.views.window import Window
     from smarttouch.views.window_server import has_browser
 
@@ -165,7 +163,6 @@ def _window(
     return Window(
         stop,
         port,
-        finger=(outputs.finger, outputs.anatomy),
         waits_s=waits_s if seconds is None else min(_TIMED_S, seconds),
         stays=True,
         **given,

@@ -8,10 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.afferent import CLASS_COLORS, Afferent
 from smarttouch.base.array_picture import disc_radius_mm
-from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import Feeling
 from smarttouch.profile import Profile
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Pose, Sheet
@@ -31,7 +28,6 @@ def array_message(profile: Profile) -> Message:
         "place_mm": electrodes.position_mm.round(_DIGITS).tolist(),
         "extent_mm": [round(each, _DIGITS) for each in electrodes.extent_mm],
         "field_mm": [float(profile.optics.field_width_mm), float(profile.optics.field_height_mm)],
-        "magnification": float(profile.optics.magnification),
         "radius_mm": round(disc_radius_mm(electrodes), _DIGITS),
         "full_ma": float(profile.full_ma.max()),
         "full_n": float(profile.force.full_n),
@@ -41,31 +37,6 @@ def array_message(profile: Profile) -> Message:
             "session_s": float(limits.session_s),
             "session_mc": float(limits.session_mc),
         },
-        "colors": {each.name: CLASS_COLORS[each] for each in Afferent},
-    }
-
-
-def finger_message(finger: Finger) -> Message:
-    """Return where the receptors of a finger are, and their classes."""
-    return {
-        "reach_mm": finger.reach_mm.round(_DIGITS).tolist(),
-        "receptor_mm": _base64(np.rint(100 * finger.receptor_mm).astype("<i2")),
-        "classes": _base64(finger.classes.astype(np.uint8)),
-    }
-
-
-def response_message(feeling: Feeling, pose: Pose) -> Message:
-    """Return the spikes of each afferent at a pose of the finger, and the quality of the
-    response."""
-    quality = feeling.quality
-    return {
-        "pose": _pose(pose),
-        "counts": _base64(np.minimum(feeling.counts, 255).astype(np.uint8)),
-        "spikes": quality.spikes,
-        "afferents": {each.name: count for each, count in quality.afferents.items()},
-        "silent_points": _number(quality.silent_points),
-        "wrong_class": _number(quality.wrong_class),
-        "misplaced": _number(quality.misplaced),
     }
 
 

@@ -108,7 +108,6 @@ class Steering:
         return True
 
 
-ASKED = ("record", "note")  # requests beside those of keys
 MOST_PAGES = 16
 MOST_HZ = 60
 MOST_MESSAGES_PER_S = 400  # limit for one page; one that sends more loses its connection
@@ -126,7 +125,6 @@ class ConnectedPage:
     ended: str = ""  # how this run ended, as it was sent
     shown: StepResult | None = None
     events: int = 0
-    felt: str = ""
     sheet: int | None = None  # number of the page or line that it shows
     refused: str = ""  # why what it asked for is not done
     received: int = 0  # messages of this second
@@ -150,9 +148,6 @@ class PageState(Protocol):
 
     def sheet_png(self) -> bytes:
         """Return the picture of what lies under the finger; empty if there is none."""
-
-    def ask(self, page: int, verb: str, text: str) -> None:
-        """Do what a page asks for beside `Steering`; SmartTouchError says why it is refused."""
 
     def has_seen(self, page: ConnectedPage) -> bool:
         """Return whether there is nothing new for a page."""
@@ -258,9 +253,9 @@ class Pages:
             steering.steer(page.number)
         elif text == "leave":
             steering.leave(page.number)
-        elif verb in ("do", *ASKED):
+        elif verb == "do":
             try:
-                await self._act(page, verb, rest)
+                await self._act(page, rest)
             except SmartTouchError as error:
                 page.refused = str(error)
             except ValueError:
@@ -280,18 +275,14 @@ class Pages:
             return False
         return pointer is not None
 
-    async def _act(self, page: ConnectedPage, verb: str, rest: str) -> None:
+    async def _act(self, page: ConnectedPage, what: str) -> None:
         steering = self._state.steering
-        if verb == "do" and rest.startswith("key:"):
+        if what.startswith("key:"):
             # It may wait for the source's line, which must not block a stop.
-            await asyncio.to_thread(steering.act, page.number, rest)
-        elif verb == "do":
-            if not steering.act(page.number, rest) and rest in _AT_ZERO:
-                # It may not have seen yet that another page steers: from here the run only stops.
-                await self._stop()
-        else:
-            # It may open a file.
-            await asyncio.to_thread(self._state.ask, page.number, verb, rest)
+            await asyncio.to_thread(steering.act, page.number, what)
+        elif not steering.act(page.number, what) and what in _AT_ZERO:
+            # It may not have seen yet that another page steers: from here the run only stops.
+            await self._stop()
 
     async def _feed(self, socket: "WebSocket", page: ConnectedPage) -> None:
         """Send a page the newest state whenever it has drawn the last one."""

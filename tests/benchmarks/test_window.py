@@ -20,7 +20,7 @@ def test_part_of_the_loop(profile, quick, row):
     """Time of `Window.step` in the loop's thread, of a scan's."""
     from smarttouch.views.window import Window
 
-    window = Window(StopRequest(), finger=None, show=lambda _: None)
+    window = Window(StopRequest(), show=lambda _: None)
     spent = []
 
     class Timed(st.Listener):
@@ -47,7 +47,7 @@ def test_stop(profile, quick, row):
     took_ms = []
     for _ in range(2 if quick else 20):
         stop, halted = StopRequest(), threading.Event()
-        window = Window(stop, finger=None, show=lambda _: None)
+        window = Window(stop, show=lambda _: None)
         display = st.open_display("emulator:", profile)
         halt = display.board._halt
 

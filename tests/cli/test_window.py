@@ -62,30 +62,26 @@ def receive(page, kind):
 @pytest.mark.realtime
 def test_a_window_waits_for_its_page_and_shows_the_end_until_that_is_closed(start_program):
     run = start_program(
-        "live", "text:a?passes=1", "--window", "--quiet",
-        "--profile", "smarttouch-4x4", "--finger", "paper",
-    )  # fmt: skip
+        "live", "text:a?passes=1", "--window", "--quiet", "--profile", "smarttouch-4x4"
+    )
     address = FIRST.match(run.stderr.readline())[1]
     # Nothing is shown to nobody, although a page of one letter would be over by now.
     time.sleep(0.6)
     assert run.poll() is None
     with page_of(address) as page:
-        hello = receive(page, "hello")
-        assert hello["finger"]["classes"]
+        receive(page, "hello")
         last = {}
         while (message := json.loads(page.recv(timeout=60)))["type"] == "update":
             last |= message
             page.send("seen")
         assert not message["failed"]
         assert last["state"]["sequences"] > 10
-        # It had no frame before its finger was ready.
-        assert "felt" in last
         assert run.poll() is None
     assert run.wait(60) == 0
 
 
 def test_a_window_nobody_opens_is_given_up(start_program):
-    run = start_program("live", "--window", "--finger", "paper")
+    run = start_program("live", "--window")
     assert FIRST.match(run.stderr.readline())
     run.send_signal(signal.SIGINT)
     assert run.wait(60) == 128 + signal.SIGINT
@@ -93,9 +89,8 @@ def test_a_window_nobody_opens_is_given_up(start_program):
 
 def test_with_a_limit_of_time_a_page_is_not_waited_for_longer(start_program):
     run = start_program(
-        "live", "--window", "--seconds", "0.2", "--quiet",
-        "--profile", "smarttouch-4x4", "--finger", "paper",
-    )  # fmt: skip
+        "live", "--window", "--seconds", "0.2", "--quiet", "--profile", "smarttouch-4x4"
+    )
     assert run.wait(60) == 0
 
 
@@ -121,7 +116,7 @@ def test_on_a_finger_a_page_turns_it_up_from_nothing(start_program, start_emulat
     _, port, _ = start_emulator()
     run = start_program(
         "live", "--board", f"link:{port}", "--force", "fixed:1", "--window", "--quiet",
-        "text:touch touch?speed_mm_s=2", "--finger", "paper", "--record", "run.mcap",
+        "text:touch touch?speed_mm_s=2", "--record", "run.mcap",
     )  # fmt: skip
     address = FIRST.match(run.stderr.readline())[1]
     with page_of(address) as page:

@@ -49,7 +49,7 @@ class Run:
     def __init__(self, profile, source, board, rate_hz=None, **options):
         self.stop, self.results = StopRequest(), {}
         self.display, self.source = st.open_display(board, profile), source
-        options = {"finger": None, "keys": source.keys, "show": lambda _: None} | options
+        options = {"keys": source.keys, "show": lambda _: None} | options
         self.window = Window(self.stop, **options)
         self.board = self.display.board
         self.runner = Runner(

@@ -7,16 +7,13 @@ from contextlib import ExitStack, suppress
 from socket import SHUT_RDWR
 from urllib.parse import urlsplit
 
-import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
 import smarttouch as st
-from smarttouch.base.errors import RecordingError, SmartTouchError
+from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.events import Note, RunFailed, TrialEvent
-from smarttouch.running.check_recording import check_recording
-from smarttouch.running.recording_reader import Recording
 from smarttouch.views.window import Window
 from smarttouch.views.window_pages import LOST_S, MOST_PAGES
 from smarttouch.views.window_server import MOST_MESSAGE_BYTES
@@ -298,40 +295,10 @@ def test_what_asks_for_no_current_stops_where_another_page_steers(running, asked
         assert run.ended() == "the window"
 
 
-def test_a_page_records_and_marks(running, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with running() as run, connect(run) as socket, connect(run) as other:
-        for number in (1, 2):
-            name = f"recording-{number}.mcap"
-            with monkeypatch.context() as early:
-                if number == 1:
-                    # In the first instant of the run, when a sequence was missed already.
-                    early.setattr(Window, "_time_ns", 0)
-                socket.send("record")
-                update_where(socket, lambda each, name=name: each["state"]["recording"] == name)
-            begun = len(run.results)
-            socket.send("note the first letter")
-            socket.send("note ")
-            until(lambda begun=begun: len(run.results) > begun + 20)
-            other.send("record")
-            assert "another page" in update_where(other, lambda each: "refused" in each)["refused"]
-            socket.send("record")
-            update_where(socket, lambda each: not each["state"]["recording"])
-            recording = Recording(tmp_path / name)
-            steps = [*recording.steps()]
-            assert len(steps) > 15
-            kept = run.results[steps[5].sent.number]
-            assert np.array_equal(steps[5].step.sequence.current_ua, kept.sequence.current_ua)
-            words = [words for _, words in recording.events()]
-            assert words[:3] == ["intensity 1.00", "mode RA", "mark: the first letter"]
-            assert f"mark: mark {2 * number}" in words
-            assert recording.whole
-            # Its first sequences depend on what was before.
-            with raises(RecordingError):
-                check_recording(tmp_path / name)
-        for wrong in ("note " + "x" * 201, "note two\nlines", "do level:1.5"):
-            socket.send(wrong)
-            assert update_where(socket, lambda each: "refused" in each)
+def test_a_level_beyond_the_limit_is_refused_in_words(running):
+    with running() as run, connect(run) as socket:
+        socket.send("do level:1.5")
+        assert "1.5" in update_where(socket, lambda each: "refused" in each)["refused"]
         assert run.state().level == 1
         socket.send("do level:0.25")
         until(lambda: run.state().level == 0.25)

@@ -97,9 +97,7 @@ def test_a_keyboard_is_enough(on_page):
         for _ in range(3):
             page.keyboard.press("ArrowRight")
         until(lambda: run.state().level == 0.03)
-        page.fill("#note", "here")
-        page.click("#mark")
-        page.wait_for_selector("#events :text('mark: here')")
+        page.wait_for_selector("#events :text('intensity 0.03')")
         reached = set()
         for _ in range(40):
             page.keyboard.press("Tab")
@@ -163,12 +161,11 @@ def test_it_fits_a_phone_and_respects_reduced_motion(on_page):
 
 def test_nothing_that_matters_is_below_the_fold(on_page, profile):
     source = st.open_source("text:on?passes=0&speed_mm_s=20", profile)
-    with on_page(1440, 900, source=source, finger=(1, "paper")) as (_, page):
-        page.wait_for_selector("#felt[data-spikes]")
+    with on_page(1440, 900, source=source) as (_, page):
         page.wait_for_selector("#page[data-x]")
         ends = page.evaluate(
-            "['stop', 'slider', 'pause', 'modes', 'page', 'words-read', 'sum', 'electrodes',"
-            " 'slot', 'felt', 'series', 'numbers', 'record', 'mark', 'sensor'].map(each => {"
+            "['stop', 'slider', 'pause', 'modes', 'page', 'words-read', 'electrodes',"
+            " 'slot', 'series', 'numbers', 'events', 'sensor'].map(each => {"
             "const box = document.getElementById(each).getBoundingClientRect();"
             "return [each, box.bottom, box.height]; })"
         )

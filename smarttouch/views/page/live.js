@@ -1,10 +1,9 @@
 // The page of a run: takes the newest, steers, and stops.
 
-import { ElectrodesView, FeltView, PageView, SensorView, SeriesView, SumView, bytes, calm, latencyOf } from "./views.js";
+import { ElectrodesView, PageView, SensorView, SeriesView, bytes, calm, latencyOf } from "./views.js";
 import { SlotPlayer } from "./slots.js";
 
 const find = (id) => document.getElementById(id);
-const FELT_AS = { RA: "flutter", SAI: "pressure", PC: "vibration" };
 const CALM_MS = 500;
 const WORDS_MS = 1000;
 const MOST_EVENTS = 200;
@@ -72,27 +71,18 @@ function greet(hello) {
   find("full").textContent = `+${array.full_ma.toFixed(1)} mA`;
   find("full-anodic").textContent = `−${array.full_ma.toFixed(1)} mA`;
   for (const id of ["electrodes-card", "page-card", "series-card", "table-card"]) find(id).hidden = hello.blind;
-  for (const id of ["felt-card", "sum-card"]) find(id).hidden = !hello.finger;
   views = {
     electrodes: new ElectrodesView(find("electrodes"), array),
     sensor: new SensorView(find("sensor")),
     page: new PageView(find("page"), array),
     series: new SeriesView(find("series"), array),
-    felt: hello.finger && new FeltView(find("felt"), hello.finger, array),
   };
   views.moves = hello.moves;
   find("page").style.touchAction = hello.moves ? "none" : "";
-  if (views.felt) views.sum = new SumView(find("sum"), views.page, views.felt);
   player ??= new SlotPlayer(find);
   player.view = views.electrodes;
   views.blind = hello.blind;
   views.board = hello.board;
-  find("classes").replaceChildren(...Object.entries(array.colors).flatMap(([name, color]) => {
-    const swatch = document.createElement("span");
-    swatch.className = "swatch";
-    swatch.style.background = color;
-    return [swatch, `${name} ${FELT_AS[name] ?? ""}`];
-  }));
   find("modes").replaceChildren(...hello.modes.map((mode) => {
     const button = document.createElement("button");
     button.type = "button";
@@ -106,7 +96,7 @@ function greet(hello) {
 }
 
 function disable(off) {
-  for (const id of ["less", "more", "slider", "none", "pause", "steer", "record", "mark"]) find(id).disabled = off;
+  for (const id of ["less", "more", "slider", "none", "pause", "steer"]) find(id).disabled = off;
   for (const each of find("modes").children) each.disabled = off;
 }
 
@@ -117,10 +107,6 @@ function update(message) {
   if (message.picture) newest = message.picture;
   if (message.sheet !== undefined) views.page.lay(message.sheet, `sheet.png?n=${message.sheet?.number}-${Date.now()}`);
   if (message.picture && !views.blind) views.series.take(message.picture);
-  if (message.felt) {
-    views.newFelt = message.felt;
-    views.sum?.add(message.felt.pose, bytes(message.felt.counts));
-  }
   if (message.refused) alertUser(message.refused);
   if (!asked) {
     asked = true;
@@ -141,10 +127,6 @@ function draw(now) {
     find("sensor-card").hidden = !newest.image;
     if (newest.image) views.sensor.take(newest.image);
   }
-  if (views.newFelt && views.felt) {
-    views.felt.take(views.newFelt);
-    views.newFelt = null;
-  }
   if (now - saidAt > WORDS_MS) {
     saidAt = now;
     describe();
@@ -157,11 +139,6 @@ function describe() {
   find("electrodes").setAttribute("aria-label", views.electrodes.words());
   find("page").setAttribute("aria-label", views.page.words());
   find("series").setAttribute("aria-label", `Strongest current ${newest.peak_ma.toFixed(2)} mA, charge ${newest.charge_uc.toFixed(3)} µC, force ${(newest.force_n ?? 0).toFixed(2)} N`);
-  if (views.felt?.said) {
-    find("felt").setAttribute("aria-label", views.felt.said);
-    find("felt-words").textContent = views.felt.said;
-  }
-  if (views.sum) find("sum").setAttribute("aria-label", `${views.sum.spikes} spikes so far`);
   if (newest.image) {
     const grey = bytes(newest.image.grey);
     const dark = Math.round((100 * grey.filter((each) => each < 128).length) / grey.length);
@@ -187,8 +164,6 @@ function showState() {
   find("slider").max = 100 * state.most;
   if (performance.now() - slidAt > CALM_MS) find("slider").value = 100 * state.level;
   find("words-read").textContent = state.words;
-  find("record").textContent = state.recording ? `End ${state.recording}` : "Record";
-  find("record").setAttribute("aria-pressed", String(Boolean(state.recording)));
   find("pause").textContent = state.paused ? "Go on" : "Pause";
   find("pause").setAttribute("aria-pressed", String(state.paused));
   const mine = state.steers === "you";
@@ -281,19 +256,12 @@ find("slider").addEventListener("input", () => {
   slidAt = performance.now();
   say(`do level:${Number(find("slider").value) / 100}`);
 });
-find("record").addEventListener("click", () => say("record"));
-find("mark").addEventListener("click", () => {
-  say(`note ${find("note").value}`);
-  find("note").value = "";
-});
-find("sum-clear").addEventListener("click", () => views.sum?.clear());
 find("steer").addEventListener("click", () => say(state?.steers === "you" ? "leave" : "steer"));
 
 const ARROWS = { ArrowLeft: "left", ArrowRight: "right", Enter: "\n" };
 
 document.addEventListener("keydown", (event) => {
-  const typing = event.target.matches?.("input[type=text]");
-  if (event.key === "Escape" || (event.key === " " && !typing)) {
+  if (event.key === "Escape" || event.key === " ") {
     event.preventDefault();
     event.stopPropagation();
     // A page that another one steers can only stop the run.
@@ -301,7 +269,7 @@ document.addEventListener("keydown", (event) => {
     else if (!event.repeat) find("pause").click();
     return;
   }
-  if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, #slider")) return;
+  if (event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, #slider")) return;
   if (event.key === "Enter" && event.target !== document.body) return;
   const key = ARROWS[event.key] ?? event.key;
   const own = { "+": "do more", "=": "do more", "-": "do less", "_": "do less", 0: "do none" };
@@ -312,7 +280,7 @@ document.addEventListener("keydown", (event) => {
 }, true);
 // A button would act on the release of the space that has just acted.
 document.addEventListener("keyup", (event) => {
-  if (event.key === " " && !event.target.matches?.("input[type=text]")) event.preventDefault();
+  if (event.key === " ") event.preventDefault();
 }, true);
 
 connect();

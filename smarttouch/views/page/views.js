@@ -1,11 +1,10 @@
-// Pictures on canvases: page and finger, electrodes with currents, afferents that fire, their sum.
+// Pictures on canvases: page and finger, electrodes with currents, time series.
 
 export const CATHODIC = [179, 88, 6];
 export const ANODIC = [84, 39, 136];
 const BASE = [236, 238, 241];
 const EDGE = "#8b98a4";
 const INK = "#16202a";
-const FIELD_MM = 1; // of a receptive field in the skin
 const MARGIN_MM = 1.2; // around the electrodes, for the scale bar
 const LASTS_S = 20; // of the time series of a run
 // Part of the strongest current from which a sign on it is white.
@@ -202,41 +201,6 @@ export class SensorView {
   }
 }
 
-export class FeltView {
-  constructor(canvas, finger, array) {
-    this.array = array;
-    const half = array.extent_mm.map((each) => each / 2 + MARGIN_MM);
-    this.field = new Field(canvas, half[0], half[1]);
-    const places = numbers(finger.receptor_mm);
-    this.places = Array.from({ length: places.length / 2 }, (_, at) => [places[2 * at] / 100, places[2 * at + 1] / 100]);
-    this.classes = bytes(finger.classes);
-    this.colors = Object.values(array.colors);
-    this.draw(null);
-  }
-
-  draw(counts) {
-    const { field } = this;
-    field.clear();
-    this.array.place_mm.forEach((place) => field.disc(place, this.array.radius_mm, null, "#c3cbd2"));
-    this.places.forEach((place, at) => {
-      const spikes = counts ? counts[at] : 0;
-      const radius = spikes ? 0.09 + 0.05 * Math.min(4, spikes) : 0.05;
-      field.disc(place, radius, spikes ? this.colors[this.classes[at]] ?? "#444" : "#9aa5af");
-    });
-    field.bar();
-  }
-
-  take(felt) {
-    this.counts = bytes(felt.counts);
-    this.draw(this.counts);
-    this.field.canvas.dataset.spikes = felt.spikes;
-    const fired = Object.entries(felt.afferents).filter(([, count]) => count).map(([name, count]) => `${count} ${name}`);
-    this.said = felt.spikes ? `${felt.spikes} spikes of ${fired.join(", ") || "no"} afferents` : "Nothing fires";
-    if (felt.spikes && felt.misplaced !== null) this.said += `, ${Math.round(100 * felt.misplaced)} % beyond a pitch`;
-    return this.said;
-  }
-}
-
 // A page in millimeters, on which the finger moves; without one, what the sensor has seen so far.
 export class PageView {
   constructor(canvas, array) {
@@ -332,43 +296,6 @@ export class PageView {
 
   words() {
     return this.pose ? `The finger is ${this.pose[0].toFixed(0)} mm from the left and ${this.pose[1].toFixed(0)} mm from the top` : "No finger yet";
-  }
-}
-
-// Sum of all spikes, where the receptors were on the page.
-export class SumView {
-  constructor(canvas, map, felt) {
-    Object.assign(this, { canvas, map, felt });
-    this.clear();
-  }
-
-  clear() {
-    const { canvas } = this.map;
-    this.canvas.width = canvas.width;
-    this.canvas.height = canvas.height;
-    this.spikes = 0;
-  }
-
-  // Adds a response at a pose of the finger.
-  add([x, y, angle], counts) {
-    const { felt, map } = this;
-    if (this.canvas.width !== map.canvas.width || this.canvas.height !== map.canvas.height) this.clear();
-    const paint = this.canvas.getContext("2d");
-    const [cos, sin, larger] = [Math.cos(angle), Math.sin(angle), map.array.magnification];
-    paint.globalAlpha = 0.1;
-    counts.forEach((spikes, at) => {
-      if (!spikes) return;
-      const [a, b] = felt.places[at].map((each) => each / larger);
-      const [left, top] = map.at([x + a * cos - b * sin, y + a * sin + b * cos]);
-      paint.fillStyle = felt.colors[felt.classes[at]];
-      paint.beginPath();
-      paint.arc(left, top, (FIELD_MM / larger) * map.scale, 0, 2 * Math.PI);
-      paint.fill();
-      this.spikes += spikes;
-    });
-    paint.globalAlpha = 1;
-    this.canvas.dataset.spikes = this.spikes;
-    Field.prototype.bar.call({ paint, canvas: this.canvas, scale: map.scale });
   }
 }
 
