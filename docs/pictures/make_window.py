@@ -24,7 +24,7 @@ def running(url):
     window = Window(stop, show=lambda _: None, waits_s=600)
     display = st.open_display("simulated:", profile)
     runner = Runner(
-        st.open_source(url, profile), display, st.RunConfig(intensity=0.8), stop=stop,
+        st.open_source(url, profile), display, st.RunConfig(intensity=0.8, paced=True), stop=stop,
         listeners=[window],
     )  # fmt: skip
     thread = threading.Thread(target=runner.run)

@@ -420,9 +420,6 @@ class Board(TimedBoard, ABC):
             If it is closed, stopped or gone.
         """
 
-    def make_ready(self) -> None:
-        """Begin what takes long before `open`, and drives nothing, while the program does more."""
-
     def drain(self, timeout_s: float = 1.0) -> None:
         """Wait until all sequences have been delivered, or the time is over.
 

@@ -244,7 +244,7 @@ def run_listed(
     ] = None,
     board: Annotated[
         str | None,
-        option("Drive this board; simulated: is usual for a simulated participant.", "URL"),
+        option("Drive this board; smarttouch live --help names them.", "URL"),
     ] = None,
 ) -> None:
     """Run an experiment by name or from a file; the same command continues it later.
@@ -283,12 +283,8 @@ def run_listed(
         return
     if simulate is not None:
         simulate = choice_of("simulate", simulate, ("model", "random", "first", "silent"))
-    run = replace(run, board=board or (None if simulate is None else "simulated:"))
+    run = replace(run, board=board)
     require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
-    if simulate is None and run.board_url == "simulated:":
-        raise ExperimentError(
-            "simulated: runs too fast for a person to answer: choose emulator:, or add --simulate"
-        )
     afferent = parse_afferent(mode)
     if name == "frequency" and afferent is Afferent.RA and run.takes_usual_profile:
         # The electrode of the paper's own experiment (III-C).
@@ -308,7 +304,10 @@ def run_listed(
     # A file of a person's answers is not continued by a simulated participant, nor the reverse.
     participant = "-".join(filter(None, (subject, simulate and f"simulated-{simulate}")))
     about = About(named, made.method, participant, session, order)
-    config = run.config(afferent.name, scan="points", seed=order, subject=subject, note=session)
+    config = run.config(
+        afferent.name, scan="points", seed=order, subject=subject, note=session,
+        paced=simulate is None,
+    )  # fmt: skip
     with open_experiment(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))

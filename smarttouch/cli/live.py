@@ -67,8 +67,6 @@ def _show(
 ) -> None:
     chosen = run.load_profile()
     ready = run.display(chosen)
-    # It begins what takes long while the rest is imported.
-    ready.board.make_ready()
     from smarttouch.base.errors import SourceError
     from smarttouch.cli.options import parse_mode
     from smarttouch.sources import open_source, options_taken

@@ -40,11 +40,11 @@ def replay(
     ] = None,
     board: Annotated[
         str, option("Drive this board; it cannot be given with --check.", "URL")
-    ] = "emulator:",
+    ] = "simulated:",
     force: Annotated[
         str | None,
         option(
-            "Measure or state today's force. The recorded force counts on emulated boards only.",
+            "Measure or state today's force. The recorded one counts on simulated boards only.",
             "URL",
         ),
     ] = None,
@@ -69,7 +69,8 @@ def replay(
     recording = Recording(file)
     recorded = profile is None and not run.on_a_finger
     chosen = recording.profile if recorded else run.load_profile()
-    config = recording_config(recording, **run.settings("scan", "softness"))
+    settings = {"paced": run.is_watched} | run.settings("scan", "softness")
+    config = recording_config(recording, **settings)
     with RecordingSource(recording) as source:
         source.url = f"recording:{file}"
         run.start(source, chosen, config, controls=partial(RecordedControls, recording))

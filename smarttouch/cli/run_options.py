@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from smarttouch.sources.source_contract import Source
 
 
-_SETTINGS = {"scan": 0, "hold": 0, "softness": 0, "measure": 0, "balance": 0}.keys()
+_SETTINGS = dict.fromkeys(("scan", "hold", "softness", "measure", "balance", "paced")).keys()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class RunOptionGroup(OptionGroup):
     board: Annotated[
         str | None,
         option(
-            "Drive this board: emulator: (usual), simulated:, kajimoto61:PORT, "
+            "Drive this board: simulated: (usual), emulator:, kajimoto61:PORT, "
             "etactilekit:PORT, link:PORT.",
             "URL",
         ),
@@ -51,7 +51,7 @@ class RunOptionGroup(OptionGroup):
         list[str] | None,
         option(
             "Change a setting of the run: scan=points (or auto), hold=charge (or "
-            "energy), softness=0..1, measure, balance.",
+            "energy), softness=0..1, measure, balance, paced=no (simulated: as fast as it can).",
             "NAME=VALUE",
             "--set",
             panel=BOARD,
@@ -101,8 +101,8 @@ class RunOptionGroup(OptionGroup):
 
     @property
     def board_url(self) -> str:
-        """URL of the board: that given, that of the profile given, or the emulator."""
-        return self.board or (self._chosen and self._chosen.defaults.board) or "emulator:"
+        """URL of the board: that given, that of the profile given, or the simulated one."""
+        return self.board or (self._chosen and self._chosen.defaults.board) or "simulated:"
 
     @property
     def takes_usual_profile(self) -> bool:
@@ -146,12 +146,13 @@ class RunOptionGroup(OptionGroup):
         return Display(self.board_url, profile)
 
     def config(self, mode: str, **more: Any) -> "RunConfig":
-        """Return the configuration of the run; what a command has as usual comes before --set."""
+        """Return the configuration of a run that somebody watches; --set replaces what a command
+        has as usual."""
         from smarttouch.running.config import RunConfig
 
         own = self.settings()
         asked = {name: own[name] for name in own if name in _SETTINGS}
-        return RunConfig(**(own | {"mode": mode} | more | asked))
+        return RunConfig(**(own | {"mode": mode, "paced": True} | more | asked))
 
     def settings(self, *but: str) -> dict[str, Any]:
         """Return the settings of `RunConfig` that were given, but for some."""

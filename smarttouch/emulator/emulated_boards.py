@@ -5,7 +5,6 @@ import select
 import subprocess
 import sys
 import time
-import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -193,16 +192,7 @@ class SimulatedBoard(LinkHost):
 
 _STARTS_WITHIN_S = 30.0  # time limit of the start, long enough for a busy computer
 _ENDS_WITHIN_S = 3.0
-_READY_FOR_S = 5.0  # time for which a process that has been started waits surely for its host
 _SPEAKS_WITHIN_S = 5.0  # longest silence: it may wait for a processor
-
-
-def _ended(process: "subprocess.Popen[bytes]") -> None:
-    """End a process that no host will connect to."""
-    process.kill()
-    process.wait()
-    if process.stdout is not None:
-        process.stdout.close()
 
 
 class EmulatorBoard(LinkBoard):
@@ -230,7 +220,6 @@ class EmulatorBoard(LinkBoard):
         self._command = [sys.executable, "-m", "smarttouch.emulator", "board", "link"]
         self._command += options.split()
         self._command += [f"--event={event}" for event in events]
-        self._ready: tuple[float, subprocess.Popen[bytes], weakref.finalize[Any, Any]] | None = None
         if books is not None:
             self.keep_books(books)
 
@@ -247,31 +236,11 @@ class EmulatorBoard(LinkBoard):
             raise lost
         super()._recover(lost)
 
-    def make_ready(self) -> None:
-        """Start its process."""
-        if self._ready is None:
-            process = self._started()
-            # Ended also where the board is never opened.
-            self._ready = time.monotonic(), process, weakref.finalize(self, _ended, process)
-
-    def _started(self) -> "subprocess.Popen[bytes]":
-        # A session of its own: the terminal's Ctrl-C must not reach the board.
-        command = [*self._command]
-        return subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
-
-    def _ready_process(self) -> "subprocess.Popen[bytes] | None":
-        """Return the process that was started before, if it still waits for its host."""
-        if self._ready is None:
-            return None
-        (since_s, process, end), self._ready = self._ready, None
-        if time.monotonic() - since_s < _READY_FOR_S and process.args == self._command:
-            end.detach()
-            return process
-        end()
-        return None
-
     def _open(self) -> None:
-        self._process = self._ready_process() or self._started()
+        # A session of its own: the terminal's Ctrl-C must not reach the board.
+        self._process = subprocess.Popen(
+            self._command, stdout=subprocess.PIPE, start_new_session=True
+        )
         try:
             self._line.name = self._port_of_process()
             super()._open()

@@ -27,6 +27,7 @@ class RunOptions(TypedDict, total=False):
     measure: bool
     hold: str | None
     balance: bool
+    paced: bool
     seed: int
     subject: str
     note: str
@@ -62,6 +63,9 @@ class RunConfig:
         Held against drifting impedance, if the board can.
     balance : bool
         Keep net charge at zero.
+    paced : bool
+        On a board of simulated time, wait for the wall clock at each sequence, so that a person
+        can watch, steer and answer. Boards with time of their own always wait.
     seed : int
         Of whatever is random in the source; kept in recordings.
     subject, note : str
@@ -90,6 +94,7 @@ class RunConfig:
     measure: bool = False
     hold: str | None = None
     balance: bool = False
+    paced: bool = False
     seed: int = 0
     subject: str = ""
     note: str = ""
@@ -133,7 +138,7 @@ class RunConfig:
     def settings(self, profile: Profile) -> dict[str, Any]:
         """Return what a recording keeps of it."""
         sharing, kept = self.sharing(profile), asdict(self)
-        for name in ("scan", "seconds", "intensity", "measure"):
+        for name in ("scan", "seconds", "intensity", "measure", "paced"):
             del kept[name]
         primaries = [each.name for each in sharing.afferents]
         return kept | {

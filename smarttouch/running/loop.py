@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 
-from smarttouch.base.clock import LATE_NS, Clock, Pace, paced
+from smarttouch.base.clock import LATE_NS, Clock, Pace, SimulatedClock, paced
 from smarttouch.base.errors import (
     BoardError,
     BoardRestartedError,
@@ -143,8 +143,8 @@ class _Loop:
         statistics, clock, stop = self.inputs.statistics, self.clock, self.stop
         board = self.inputs.board
         source = self.inputs.source
-        news = None if board.simulated_time else source.news
-        own_time = not board.simulated_time and clock is not board.clock
+        news = None if self._is_simulated else source.news
+        own_time = not self._is_simulated and clock is not board.clock
         self._start_ns = start_ns = clock.now_ns()
         while not stop.event.is_set():
             deadline_ns = start_ns + self.elapsed_ns + self._shift_ns
@@ -171,6 +171,11 @@ class _Loop:
         board.drain()
         self.phase.follow(self._shift_ns)
         statistics.seconds = (clock.now_ns() - start_ns) / 1e9
+
+    @property
+    def _is_simulated(self) -> bool:
+        """Whether time passes only by waiting, as fast as this computer can."""
+        return isinstance(self.clock, SimulatedClock)
 
     def _patience_ns(self) -> int:
         """Return how long the source's news may be waited for, ns, a second at most."""
@@ -213,7 +218,7 @@ class _Loop:
         step = pipeline.process(*read)
         if self.regulator is not None:
             step = self.regulator.regulate(step, board)
-        if inputs.source.send_at_ns is not None and not board.simulated_time:
+        if inputs.source.send_at_ns is not None and not self._is_simulated:
             held_ns = self._hold(inputs.source.send_at_ns)
             now_ns, in_hand_ns = now_ns + held_ns, in_hand_ns + held_ns
             board_ns, due_ns = board_ns + held_ns, due_ns + held_ns

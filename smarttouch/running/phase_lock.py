@@ -39,7 +39,7 @@ class PhaseLock:
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:
         self._board, self._statistics = board, statistics
-        self._says_starts = type(board).start_of is not Board.start_of
+        self._says_starts = type(board).start_of is not Board.start_of and not board.simulated_time
         self._pending: deque[Sent] = deque(maxlen=8)
         self._delays_ns: deque[int] = deque(maxlen=64)
         self._lines: deque[tuple[int, int]] = deque(maxlen=8)
@@ -76,7 +76,7 @@ class PhaseLock:
             self._free_ns = begun_ns + each.period_ns
             room_ns = begun_ns - each.deadline_ns - (shift_ns - each.shift_ns)
             more_ns = max(0, room_ns - line_ns - self._usual_ns() - GUARD_NS)
-        return 0 if self._board.simulated_time else more_ns
+        return more_ns
 
     def forget(self) -> None:
         """Discard what was sent: the board was lost."""

@@ -233,7 +233,12 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
     """Return how a run went in lines of text, from the figures of `figures_of`."""
     pulse = figures["motion_to_pulse_us"]
     latency = pulse or figures["motion_to_bytes_us"]
-    until = "first pulse" if pulse else "last byte (the board does not report when pulses begin)"
+    until = "first pulse" if pulse else "last byte"
+    # In simulated time nothing takes time.
+    took = (
+        f"; image to {until} {latency['p50'] / 1000:.1f} ms median, "
+        f"{latency['p99'] / 1000:.1f} ms p99"
+    )
     net_uc = figures["max_net_charge_uc"] or 0
     net = (
         f"all pulses add up to {net_uc:.2g} µC on one electrode"
@@ -247,8 +252,8 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
         f"{figures['acknowledged']} sequences {'acknowledged' if acknowledges else 'sent'}",
         f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"
         + _slowed(figures)
-        + f"; image to {until} {latency['p50'] / 1000:.1f} ms median, "
-        f"{latency['p99'] / 1000:.1f} ms p99; own work {figures['work_share']:.1%} of it",
+        + took * (latency["max"] > 0)
+        + f"; own work {figures['work_share']:.1%} of it",
         f"strongest pulse {figures['max_current_ma']:.2f} mA, "
         f"{figures['max_charge_uc']:.3f} µC; {net}",
         f"session: {figures['dose_s']:.1f} s of current, at most {figures['dose_mc']:.2f} mC "

@@ -56,7 +56,8 @@ class Runner:
 
     ``force`` is a source of finger force or its URL: if not given, where a finger may be on the
     board that of the profile's ``force.source``, else what source or board measure.
-    ``load_kernels`` returns the kernels of a profile. Time is the board's.
+    ``load_kernels`` returns the kernels of a profile. Time is the board's, and the machine's where
+    a run is paced.
     """
 
     def __init__(
@@ -168,7 +169,8 @@ class Runner:
     def _run_on_board(self, context: RunContext, pipeline: Pipeline) -> BoardReport:
         """Open the board, run, and return its account; it is closed, at zero, after that."""
         board, profile = context.board, context.profile
-        with steady_environment(pipeline, board.simulated_time), self._opened(self._stop):
+        clock = SimulatedClock() if board.simulated_time and not self.config.paced else None
+        with steady_environment(pipeline, clock is not None), self._opened(self._stop):
             if pipeline.table is not None:
                 board.keep_kernels(pipeline.table)
             self._require_force()
@@ -191,7 +193,7 @@ class Runner:
                 controls=context.controls,
                 force=self._force,
                 regulator=regulator,
-                clock=SimulatedClock() if board.simulated_time else None,
+                clock=clock,
             )
             board.stop()
             report = board.report()

@@ -151,7 +151,7 @@ class SessionFeed(Source, Listener):
     def start(self, run: RunContext) -> None:
         """Begin: the board is open."""
         self._context, self.controls = run, run.controls
-        self._simulated |= self.stands_still and run.board.simulated_time
+        self._simulated |= self.stands_still and run.board.simulated_time and not run.config.paced
         self._mapper = TactileMapper(run.profile, run.config.light_on_dark, run.config.tone)
         self.began.set()
 

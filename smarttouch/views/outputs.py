@@ -53,7 +53,7 @@ class DeliveredPicture(Listener):
         else:
             raise SmartTouchError(
                 "this picture needs a board that reports every pulse, and this one "
-                "does not: use the board emulator:"
+                "does not: use the board simulated:"
             )
         own = getattr(run.source, "drawing", None)
         if own is not None:

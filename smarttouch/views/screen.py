@@ -245,9 +245,9 @@ class Screen(Listener):
 def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
     """Return the latency to the first pulse, or as far as it is known, in words."""
     if pulse is not None:
-        return f"{pulse.latency_us / 1e3:.1f} ms, image to pulse"
+        return f"{pulse.latency_us / 1e3:.1f} ms, to first pulse"
     known_ms = sent.step.input.age_ns / 1e6 + sent.latency_us / 1e3
-    return f"{known_ms:.1f} ms, pulse unknown"
+    return f"{known_ms:.1f} ms, to last byte"
 
 
 def _beside(shared: tuple[float, float] | None) -> str:

@@ -1,6 +1,5 @@
 """Whatever breaks, the electrodes end at zero and the user gets one sentence."""
 
-import gc
 import os
 import signal
 import subprocess
@@ -80,32 +79,6 @@ def test_a_killed_board_is_reported_at_the_next_send(make_limits, make_sequence)
             send_on(board, make_sequence)
         assert board.acknowledged == 1
         assert f"{board.capabilities.time_to_zero_ms:g} ms" in str(error.value)
-
-
-def test_a_process_that_was_made_ready_is_the_board_and_ends_without_one(make_limits):
-    board = EmulatorBoard("", make_limits())
-    board.make_ready()
-    ready = board._ready[1].pid
-    with board:
-        assert board.process_id == ready
-    assert not alive(ready)
-    with board:
-        assert board.process_id != ready
-    board.make_ready()
-    never_opened = board._ready[1].pid
-    del board
-    gc.collect()
-    until(lambda: not alive(never_opened))
-
-
-def test_a_process_that_has_waited_too_long_is_no_board(monkeypatch, make_limits):
-    monkeypatch.setattr("smarttouch.emulator.emulated_boards._READY_FOR_S", 0)
-    board = EmulatorBoard("", make_limits())
-    board.make_ready()
-    ready = board._ready[1].pid
-    with board:
-        assert board.process_id != ready
-        assert not alive(ready)
 
 
 def test_a_killed_board_can_be_closed(make_limits):

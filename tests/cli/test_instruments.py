@@ -15,7 +15,7 @@ from smarttouch.running.recording_reader import Recording
 from ..instruments.touched import object_file
 from .conftest import refused, says
 
-FAST = "live texture:grating:4mm?motion=sweep:?speed_mm_s=120 --board simulated: --quiet"
+FAST = "live texture:grating:4mm?motion=sweep:?speed_mm_s=120 --set paced=no --quiet"
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def played(program_here):
     """Return a runner of a source that gives its figures, and all that was ``printed``."""
 
     def run(spec, more=""):
-        done = program_here(f"live '{spec}' --board simulated: --json f.json {more}").flawless()
+        done = program_here(f"live '{spec}' --set paced=no --json f.json {more}").flawless()
         return done.figures | {"printed": done.stdout}
 
     return run
@@ -84,7 +84,7 @@ def test_an_image_under_a_recorded_hand(played, tmp_path):
 
 
 def test_a_vibrator_plays_what_was_recorded(program_here, tmp_path, changed):
-    mixed = "live vibration:tone:30Hz,8um+tone:250Hz,2um?seconds=1 --board simulated: --quiet"
+    mixed = "live vibration:tone:30Hz,8um+tone:250Hz,2um?seconds=1 --set paced=no --quiet"
     program_here(f"{mixed} --vibrators v.wav --record a.mcap").flawless()
     rate_hz, wave = wavfile.read(tmp_path / "v.wav")
     spectrum = np.abs(np.fft.rfft(wave.astype(np.float64)))

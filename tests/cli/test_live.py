@@ -81,7 +81,7 @@ def test_the_sample_page(program, tmp_path):
 def test_a_photographed_page(program_here, tmp_path):
     Image.fromarray(data.page()).save(tmp_path / "page.png")
     page = "page:page.png?page_width_mm=110&speed_mm_s=300"
-    live = f"live --board simulated: {page} --seconds 3 --quiet --json run.json"
+    live = f"live --set paced=no {page} --seconds 3 --quiet --json run.json"
     done = program_here(live).flawless()
     assert done.stdout == ""
     assert_safe(done.figures)
@@ -93,7 +93,7 @@ def test_every_profile_runs(figures_of, tmp_path, name):
     # Axons that branch take seconds beneath a large array.
     anatomy = "branched" if len(load_profile(name).electrodes) <= 32 else "paper"
     # The first letters open the level, with their pulses.
-    live = "live --board=simulated: 'text:the the the the?speed_mm_s=30'"
+    live = "live --set paced=no 'text:the the the the?speed_mm_s=30'"
     assert_safe(figures_of(f"{live} --profile={name} --felt=felt.png --finger={anatomy}"))
     # Arrays that show no shapes.
     if name.startswith(("line", "concentric")):
@@ -107,12 +107,12 @@ def test_every_profile_runs(figures_of, tmp_path, name):
 
 def test_sai_and_light_on_dark(figures_of):
     page = data_folder("sample_images") / "light_on_dark.png"
-    options = "--board=simulated: --mode=sai --light-on-dark --seconds=2"
+    options = "--set paced=no --mode=sai --light-on-dark --seconds=2"
     assert_safe(figures_of(f"live page:{page}?speed_mm_s=500 {options}"))
 
 
 def recorded(program_here, tmp_path, name, seed):
-    same = "live --board simulated: text:same?speed_mm_s=200 --quiet"
+    same = "live --set paced=no text:same?speed_mm_s=200 --quiet"
     program_here(f"{same} --seed={seed} --record={name}").fine()
     sequences = messages(tmp_path / name, "/sequence")
     return [
@@ -130,7 +130,7 @@ def test_same_seed_same_sequences(program_here, tmp_path):
 def along(folder, rows):
     """Return a command over the sample page along a recorded path."""
     (folder / "p.csv").write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + rows)
-    return f"live --board simulated: {SAMPLE}?path=p.csv"
+    return f"live --set paced=no {SAMPLE}?path=p.csv"
 
 
 def test_recorded_path(figures_of, tmp_path):
@@ -142,7 +142,7 @@ def test_recorded_path(figures_of, tmp_path):
 
 
 def test_many_points_in_a_slot(program_here, tmp_path):
-    page = "live text:on?speed_mm_s=100 --board simulated: --json f.json"
+    page = "live text:on?speed_mm_s=100 --set paced=no --json f.json"
     done = program_here(f"{page} --set scan=points --record points.mcap").fine()
     points, done = done.figures, program_here(f"{page} --record auto.mcap").fine()
     frames = done.figures

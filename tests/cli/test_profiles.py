@@ -58,12 +58,13 @@ def with_defaults(path, **keys):
 
 
 def test_board_form_and_plain_lines_come_from_the_profile(program_here, tmp_path):
-    with_defaults(tmp_path / "mine.toml", board="simulated:", plain=True, read_as="braille")
+    with_defaults(tmp_path / "mine.toml", board="memory:", plain=True, read_as="braille")
     read = ("read", "text:a", "--profile", "mine.toml")
-    kept, given = program_here(*read), program_here(*read, "--board", "memory:", "--as", "shapes")
+    other = ("--board", "simulated:", "--set", "paced=no", "--as", "shapes")
+    kept, given = program_here(*read), program_here(*read, *other)
     assert (kept.returncode, given.returncode) == (0, 0), given.stderr
-    assert kept.stdout.splitlines()[0].endswith(", simulated:")
-    assert given.stdout.splitlines()[0].endswith(", memory:")
+    assert kept.stdout.splitlines()[0].endswith(", memory:")
+    assert given.stdout.splitlines()[0].endswith(", simulated:")
     for done in (kept, given):
         assert "line 1 of 1: a\n" in done.stdout
         assert "1 line read: a\n" in done.stdout

@@ -62,7 +62,7 @@ def test_letters_begin_at_the_level_of_a_finger_of_unknown_level(program_here, m
 def test_an_image_without_a_board(program_here, tmp_path):
     Image.fromarray(print_text("a\nbeam").grey).save(tmp_path / "small.png")
     kept = "--felt felt.png --finger paper --json f.json"
-    done = program_here(f"read small.png --board simulated: {kept}").fine()
+    done = program_here(f"read small.png --set paced=no {kept}").fine()
     assert done.stderr.strip() == ""
     assert done.figures["ended"] == "end of the text"
     # Above what passed under the finger, then what was delivered, then what was felt: the same.
@@ -72,7 +72,7 @@ def test_an_image_without_a_board(program_here, tmp_path):
 
 
 def test_what_was_read_replays_to_the_bit_and_is_felt_once_more(program_here, figures_of):
-    read = figures_of("read text:ab --as braille?cells=cell --board simulated: --record run.mcap")
+    read = figures_of("read text:ab --as braille?cells=cell --set paced=no --record run.mcap")
     program_here("replay run.mcap --check").fine()
     assert figures_of("replay run.mcap --board simulated:")["slots"] == read["slots"] > 0
 
@@ -217,7 +217,7 @@ def test_what_waits_for_nothing_is_felt_at_once_also_from_a_terminal(start_at_a_
 
 
 def test_plain_prints_the_words_of_each_line_and_what_was_read(program_here):
-    done = program_here("read 'text:one\ntwo' --plain --board simulated:").flawless()
+    done = program_here("read 'text:one\ntwo' --plain --set paced=no").flawless()
     said = [line.partition(" s: ")[2] for line in done.stdout.splitlines()]
     assert [each for each in said if ", line " in each] == [
         "a text, line 1 of 2: one", "a text, line 2 of 2: two",
