@@ -8,7 +8,6 @@ from smarttouch.base.electrodes import ElectrodeArray
 CATHODIC, ANODIC = (179, 88, 6), (84, 39, 136)
 """Orange is cathodic (positive), purple anodic: the ends of Matplotlib's PuOr, in which no class of
 afferents is drawn."""
-NEUTRAL = (236, 238, 241)
 EDGE = (139, 152, 164)
 _CELL_PX = 8
 _MOST_CELLS = 20_000
@@ -20,14 +19,6 @@ Colors = NDArray[np.uint8]
 def hex_color(color: tuple[int, int, int]) -> str:
     """Return a color as ``#rrggbb``."""
     return "#{:02x}{:02x}{:02x}".format(*color)
-
-
-def current_colors(current_ua: NDArray[np.int16], full_ma: float) -> Colors:
-    """Return the color of each electrode, (E, 3), from its current, (E,) µA, positive cathodic."""
-    part = np.clip(current_ua / (1000 * full_ma), -1, 1)[:, None]
-    target = np.where(part < 0, ANODIC, CATHODIC)
-    mixed = np.array(NEUTRAL) + (target - np.array(NEUTRAL)) * np.abs(part)
-    return np.asarray(np.floor(mixed + 0.5), np.uint8)
 
 
 def disc_radius_mm(electrodes: ElectrodeArray) -> float:

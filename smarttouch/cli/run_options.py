@@ -66,9 +66,8 @@ class RunOptionGroup(OptionGroup):
     felt: Annotated[
         Path | None,
         option(
-            "Draw what the sensor saw, what was delivered and how a simulated finger responds; a "
-            ".gif moves.",
-            "PNG|GIF",
+            "Draw what the sensor saw, what was delivered and how a simulated finger responds.",
+            "PNG",
             panel=KEPT,
         ),
     ] = None

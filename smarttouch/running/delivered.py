@@ -270,15 +270,12 @@ class SpikeMap:
         row, column, _ = self._pixels(self._skin, pose)
         self._passes[row, column] += 1
 
-    def darkest(self) -> float:
-        """Return the number of spikes at a place that is drawn in full color."""
-        total = self._spread().sum(axis=0)
-        return float(np.quantile(total[total > 0], _DARK_QUANTILE)) if total.any() else 1.0
-
-    def image(self, dark: float | None = None) -> NDArray[np.uint8]:
+    def image(self) -> NDArray[np.uint8]:
         """Return the map in color, (H, W, 3)."""
-        dark = self.darkest() if dark is None else dark
-        return np.asarray(np.rint(255 * in_color(self._spread(), dark)), np.uint8)
+        spikes = self._spread()
+        total = spikes.sum(axis=0)
+        dark = float(np.quantile(total[total > 0], _DARK_QUANTILE)) if total.any() else 1.0
+        return np.asarray(np.rint(255 * in_color(spikes, dark)), np.uint8)
 
     def _spread(self) -> NDArray[np.float32]:
         """Return spikes of each class, (3, H, W), blurred by receptive fields."""

@@ -154,8 +154,6 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         self._cell_mm = tuple(side / magnification for side in profile.electrodes.cell_mm)
         self._names = " and ".join(each.name for each in afferents)
         self._finger: Finger | None = None
-        self.slots = np.zeros(0, np.uint32), np.zeros((0, len(profile.electrodes)), np.int16)
-        """Number of the sequence of each delivered slot, (N,), and its currents, (N, E) µA."""
         self.spikes: Counts = {}  # spikes of each afferent, (A,), by number of the sequence
 
     @abstractmethod
@@ -171,7 +169,6 @@ class DeliveredDrawing(DeliveredResponses, ABC):
     ) -> None:
         """Take delivered slots, see `answers`; with a finger its spikes are drawn, too."""
         super().deliver(numbers, width_us, current_ua)
-        self.slots = numbers, current_ua
         self._finger = finger
         if finger is not None:
             self.spikes = delivered_spikes(
@@ -258,18 +255,18 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         if finger is not None:
             _draw_classes(draw, font, (_MARGIN + size[0], _MARGIN + (len(rows) - 1) * step))
         per_mm = size[0] / width_mm
-        scale_bar(draw, font, (_MARGIN + size[0], _MARGIN), per_mm, ink, size[0])
+        _draw_scale(draw, font, (_MARGIN + size[0], _MARGIN), per_mm, ink, size[0])
         content = BytesIO()
         sheet.save(content, format="PNG", dpi=(per_mm * INCH_MM, per_mm * INCH_MM))
         write_bytes(path, content.getvalue())
 
 
-def scale_bar(
+def _draw_scale(
     draw: ImageDraw.ImageDraw,
     font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
     end: tuple[int, int],
     per_mm: float,
-    ink: Ink | str,
+    ink: Ink,
     most: int,
 ) -> None:
     """Draw a bar of whole millimeters with its length, within a part of ``most`` pixels left of an

@@ -1,4 +1,4 @@
-"""Outputs of a run as listeners: recordings, pictures of what was delivered, streams."""
+"""The picture of a run: what was delivered, and what a simulated finger makes of it."""
 
 import contextlib
 from collections.abc import Callable
@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 class DeliveredPicture(Listener):
     """Draws what was delivered, and the response of a finger, below what the finger passed over.
 
-    A ``.gif`` moves: page, electrodes, afferents and their sum, in the run's own time. The board
-    must report every pulse: ``emulator:`` or ``simulated:``. Where no finger can be made of a
-    profile, a note says so, and what was delivered is drawn alone.
+    The board must report every pulse: ``emulator:`` or ``simulated:``. Where no finger can be made
+    of a profile, a note says so, and what was delivered is drawn alone.
     """
 
     def __init__(self, path: Path, finger: int = 1, anatomy: str | Path = "branched") -> None:
@@ -39,8 +38,9 @@ class DeliveredPicture(Listener):
         """Begin the picture, and make the board log its pulses."""
         from smarttouch.physiology.anatomy import load_anatomy
 
+        if self.path.suffix.lower() != ".png":
+            raise SmartTouchError(f"{self.path} cannot be drawn: name a .png")
         load_anatomy(self._anatomy)
-        moves = self.path.suffix.lower() == ".gif"
         board = run.board
         if isinstance(board, EmulatorBoard):
             from smarttouch.emulator.firmware import read_delivered
@@ -57,17 +57,13 @@ class DeliveredPicture(Listener):
             )
         own = getattr(run.source, "drawing", None)
         if own is not None:
-            if moves:
-                raise SmartTouchError(f"{run.source.title} has no moving picture: name a .png")
             self._drawing = own(run.profile, run.bank)
         else:
             from smarttouch.views.delivered_drawing import PageDrawing
-            from smarttouch.views.moving_picture import MovingPicture
 
             afferents = run.controls.state(0).mode.afferents
             page = getattr(run.source, "page", None)
-            drawing = MovingPicture if moves else PageDrawing
-            self._drawing = drawing(run.profile, run.bank, afferents, page)
+            self._drawing = PageDrawing(run.profile, run.bank, afferents, page)
 
     def step(self, result: StepResult) -> None:
         """Store the place of the finger."""

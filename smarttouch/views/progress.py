@@ -4,8 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgressColumn, TextColumn
-from rich.text import Text
+from rich.progress import Progress
 
 from smarttouch.base import terminal
 
@@ -25,27 +24,13 @@ def lines_progress(quiet: bool, title: str = "Reading lines") -> Iterator[Advanc
         yield advance or (lambda _done, _total: None)
 
 
-class _TimeLeft(ProgressColumn):
-    """Time that is left if the rest takes as long as what is done; it counts down in between."""
-
-    def render(self, task: Task) -> Text:
-        now_s = task.elapsed or 0.0
-        if not task.completed or not task.total:
-            return Text("…")
-        done_s = float(task.fields["done_s"])
-        left_s = round(done_s * task.total / task.completed - now_s)
-        return Text(f"about {left_s // 60}:{left_s % 60:02d} left" if left_s > 0 else "soon done")
-
-
 @contextmanager
 def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
     if quiet:
         yield None
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), _TimeLeft())
-    bar = Progress(*columns, console=terminal.console(stderr=True), transient=True)
-    task = bar.add_task(title, done_s=0.0)
-
+    bar = Progress(console=terminal.console(stderr=True), transient=True)
+    task = bar.add_task(title)
     begun_s = printed_s = time.monotonic()
 
     def advance(done: int, total: int) -> None:
@@ -54,7 +39,7 @@ def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
         if terminal.draws(bar.console):
             # Most runs find a finished bank, and show nothing.
             bar.start()
-            bar.update(task, completed=done, total=total, done_s=bar.tasks[task].elapsed or 0.0)
+            bar.update(task, completed=done, total=total)
         elif done and now_s > printed_s + _LINE_S:
             printed_s = now_s
             left_s = (now_s - begun_s) * (total - done) / done

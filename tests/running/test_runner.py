@@ -237,13 +237,15 @@ def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_pa
     assert shapes == [3, 1]
 
 
-def test_a_picture_of_no_anatomy_is_refused_before_the_board(profile, source, tmp_path):
+@pytest.mark.parametrize(("name", "anatomy", "wrong"), [
+    ("a.png", "none", raises(ProfileError, key="anatomy", value="none")),
+    ("a.gif", "paper", raises(SmartTouchError, value="a.gif")),
+])  # fmt: skip
+def test_an_impossible_picture_is_refused_before_the_board(
+    profile, source, tmp_path, name, anatomy, wrong
+):
     display = open_display("simulated:", profile)
-    with raises(ProfileError, key="anatomy", value="none"):
-        Runner(
-            source,
-            display,
-            RunConfig(),
-            listeners=[DeliveredPicture(tmp_path / "a.png", 1, "none")],
-        ).run()
-    assert not (tmp_path / "a.png").exists()
+    picture = DeliveredPicture(tmp_path / name, 1, anatomy)
+    with wrong:
+        Runner(source, display, RunConfig(), listeners=[picture]).run()
+    assert not picture.path.exists()
