@@ -17,7 +17,7 @@ from smarttouch.base.version import __version__
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.design import design, profiles
 from smarttouch.cli.devices import devices
-from smarttouch.cli.experiment import experiment, fit
+from smarttouch.cli.experiment import experiment
 from smarttouch.cli.live import live, stop
 from smarttouch.cli.options import Commands
 from smarttouch.cli.read import braille, braille_display, read
@@ -45,7 +45,6 @@ for _panel, _commands in _COMMANDS.items():
             app.add_typer(_command, name=_name, rich_help_panel=_panel)
         else:
             app.command(_name, rich_help_panel=_panel)(_command)
-experiment.command()(fit)
 
 
 def _print_version(wanted: bool) -> None:

@@ -3,7 +3,7 @@
 import math
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +17,7 @@ from smarttouch.cli.options import (
     ClassOption,
     Commands,
     JsonOption,
-    QuietOption,
+    OptionGroup,
     takes_options,
 )
 from smarttouch.cli.run_options import RunOptionGroup
@@ -31,148 +31,13 @@ if TYPE_CHECKING:
     from smarttouch.running.config import RunConfig
 
 _ANATOMY = "paper"
-
-
-def fit(
-    files: Annotated[
-        list[Path], argument("CSV files of answers, one of each condition.", "FILE...")
-    ],
-    x: Annotated[
-        str, option("Name the column of the stimulus that was compared.", "COLUMN", panel=MORE)
-    ] = "comparison",
-    y: Annotated[str, option("Name the column of answers: 1, 0 or empty.", "COLUMN")] = "success",
-    standard: Annotated[
-        str, option("Name the column of the standard, if there is one.", "COLUMN")
-    ] = "standard",
-    function: Annotated[
-        str,
-        option(
-            "Choose the shape of the curve: normal, logistic or weibull.", "normal|logistic|weibull"
-        ),
-    ] = "normal",
-    linear: Annotated[
-        bool | None,
-        option(
-            "Choose a linear or a logarithmic axis; the comparisons determine it otherwise.",
-            None,
-            "--linear/--log",
-            panel=MORE,
-        ),
-    ] = None,
-    guess: Annotated[
-        str | None,
-        option(
-            "Set the share of successes by guessing: a number, equal (to lapses) or free.",
-            "0..1|equal|free",
-        ),
-    ] = None,
-    lapse: Annotated[float, option("Allow this share of lapses.", "0..1", panel=MORE)] = 0.1,
-    at: Annotated[
-        float | None,
-        option(
-            "Set the share of successes at the threshold; it is halfway from guessing otherwise.",
-            "0..1",
-        ),
-    ] = None,
-    plot: Annotated[Path | None, option("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
-    json_file: JsonOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Fit thresholds with intervals to answers, or report why there are none.
-
-    Several files, for example of RA and PC mode, share one table and one picture, where each has
-    its name.
-    """
-    from dataclasses import replace
-
-    from smarttouch.base.errors import choice_of
-    from smarttouch.base.files import require_folder, write_json
-    from smarttouch.experiments.fitting.answer_figures import discrimination_figure
-    from smarttouch.experiments.fitting.answers import read_table, usual_model
-    from smarttouch.experiments.fitting.findings import as_figures, judge_answers
-    from smarttouch.experiments.fitting.psychometric import Shape
-    from smarttouch.views import figure_style
-
-    require_folder(json_file)
-    require_folder(plot)
-    if plot is not None:
-        figure_style.require_drawable(plot)
-    shape, guessed = choice_of("function", function, Shape), _parse_guess(guess)
-    found: list[tuple[AnswerTable, list[Finding]]] = []
-    for path in files:
-        table = read_table(path, x, y, standard)
-        if sum(each.stem == path.stem for each in files) > 1:
-            table = replace(table, name=str(path))
-        axis = None if linear is None else not linear
-        model = usual_model(table.answers, shape, guessed, axis, at, lapse)
-        found.append((table, [judge_answers(each, model) for each in table.answers]))
-    if not quiet:
-        _print(found)
-    if json_file is not None:
-        write_json(json_file, {table.name: as_figures(findings) for table, findings in found})
-    if plot is not None:
-        figure_style.save(discrimination_figure(found), plot)
-
-
-def _parse_guess(text: str | None) -> "Guess | None":
-    from smarttouch.base.errors import ExperimentError
-
-    if text is None:
-        return None
-    if text == "equal":
-        return "equal"
-    if text == "free":
-        return "free"
-    try:
-        return float(text)
-    except ValueError:
-        message = f"guess {text!r} is not offered: give a share such as 0.5, equal or free"
-        raise ExperimentError(message) from None
-
-
-def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
-    from smarttouch.base.terminal import print_table
-    from smarttouch.experiments.fitting.findings import threshold_rows
-
-    console = terminal.console(highlight=False)
-    for table, findings in found:
-        console.print(f"{table.name}{', ' * bool(table.unit)}{table.unit}", style="bold")
-        compares = any(each.answers.standard for each in findings)
-        heading, *rows = threshold_rows([each for each in findings if not each.verdict], compares)
-        if rows:
-            print_table(rows, heading, left=0)
-        for each in findings:
-            about = f"{each.answers.standard:g}: " if compares else ""
-            if each.verdict is not None:
-                console.print(f"{about}no threshold: {each.verdict}", soft_wrap=True)
-            for note in each.notes:
-                console.print(f"{about}{note}", style="dim", soft_wrap=True)
+_PATIENCE_S = 10.0  # for the current of a trial, where nobody is there who could press harder
+_FREE_HZ = 50.0  # rate to begin with
 
 
 experiment: Commands = Commands(
     help="Run psychophysical experiments, and fit the answers.", no_args_is_help=True
 )
-
-_Overwrite = Annotated[bool, option("Replace the CSV file.", None, "--overwrite", panel=MORE)]
-_Session = Annotated[str, option("Name the session.", "NAME", panel=MORE)]
-_Output = Annotated[
-    Path | None,
-    option(
-        "Write the answers to this file; it is named after the participant otherwise.",
-        "CSV",
-        "--output",
-    ),
-]
-
-
-def _list_all() -> None:
-    from smarttouch.base.registry import plug_in_names
-    from smarttouch.experiments.psychophysics.catalog import CATALOG, GROUP, find_experiment
-
-    for name in (*CATALOG, *plug_in_names(GROUP)):
-        entry = find_experiment(name)
-        typer.echo(f"{name:13} {entry.about} [{', '.join(entry.methods)}]")
-    typer.echo(f"{'free':13} turn amplitude, rate and mode by hand")
 
 
 @dataclass(frozen=True)
@@ -207,11 +72,35 @@ class _Parts:
         return name, cls(**given)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Participant(OptionGroup):
+    """Who answers, and the file of the answers."""
+
+    subject: Annotated[str, option("Name the participant.", "NAME", panel=MORE)] = ""
+    session: Annotated[str, option("Name the session.", "NAME", panel=MORE)] = ""
+    output: Annotated[
+        Path | None,
+        option("Write the answers to this file, not one named after the participant.", "CSV"),
+    ] = None
+    simulate: Annotated[
+        str | None,
+        option("Let a simulated participant answer: model, random, first or silent.", "WHO"),
+    ] = None
+
+    @property
+    def name(self) -> str:
+        """Name in the file, where a simulated participant does not go on for a person."""
+        return "-".join(
+            filter(None, (self.subject, self.simulate and f"simulated-{self.simulate}"))
+        )
+
+
 @experiment.command("run")
 @drives_a_board
 @takes_options()
 def run_listed(
     run: RunOptionGroup,
+    who: _Participant,
     text: Annotated[
         str | None,
         argument(
@@ -226,26 +115,6 @@ def run_listed(
         float | None,
         option("Set the rate of pulses where the experiment does not.", "HZ", "--rate", panel=MORE),
     ] = None,
-    subject: Annotated[str, option("Name the participant.", "NAME", panel=MORE)] = "",
-    session: _Session = "",
-    seed: Annotated[
-        int | None,
-        option(
-            "Set the seed of the order of trials; the participant's name sets it otherwise.",
-            "N",
-            panel=MORE,
-        ),
-    ] = None,
-    output: _Output = None,
-    overwrite: _Overwrite = False,
-    simulate: Annotated[
-        str | None,
-        option("Let a simulated participant answer: model, random, first or silent.", "WHO"),
-    ] = None,
-    board: Annotated[
-        str | None,
-        option("Drive this board; smarttouch live --help names them.", "URL"),
-    ] = None,
 ) -> None:
     """Run an experiment by name or from a file; the same command continues it later.
 
@@ -253,10 +122,37 @@ def run_listed(
     another time. With free: ↑ ↓ for the amplitude, ← → for the rate, [ ] for the site, 1 to 9 to
     mark what is perceived; every change is an event of the recording.
     """
-    from dataclasses import replace
+    if text is None:
+        _list_all()
+        return
+    name, parts = _Parts.read(text)
+    if name == "free":
+        _run_free(run, who, mode, parts, rate_hz)
+    else:
+        _run_trials(run, who, name, parts, mode, rate_hz)
 
+
+def _list_all() -> None:
+    from smarttouch.base.registry import plug_in_names
+    from smarttouch.experiments.psychophysics.catalog import CATALOG, GROUP, find_experiment
+
+    for name in (*CATALOG, *plug_in_names(GROUP)):
+        entry = find_experiment(name)
+        typer.echo(f"{name:13} {entry.about} [{', '.join(entry.methods)}]")
+    typer.echo(f"{'free':13} turn amplitude, rate and mode by hand")
+
+
+def _run_trials(
+    run: RunOptionGroup,
+    who: _Participant,
+    name: str,
+    parts: _Parts,
+    mode: str,
+    rate_hz: float | None,
+) -> None:
+    """Run an experiment of trials from the first without an answer."""
     from smarttouch.base.afferent import Afferent
-    from smarttouch.base.errors import ExperimentError, choice_of
+    from smarttouch.base.errors import choice_of
     from smarttouch.cli.options import parse_afferent, require_answers
     from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
     from smarttouch.experiments.psychophysics.experiment_session import (
@@ -268,50 +164,34 @@ def run_listed(
     from smarttouch.experiments.psychophysics.trial_rows import About
     from smarttouch.experiments.psychophysics.trials import TrialTiming
 
-    if text is None:
-        _list_all()
-        return
-    name, parts = _Parts.read(text)
-    if name == "free":
-        if simulate is not None:
-            message = "nobody is simulated in free stimulation: leave this out"
-            raise ExperimentError(message)
-        if output is not None:
-            message = "free stimulation has no answers: leave out --output, and use --record"
-            raise ExperimentError(message)
-        _run_free(replace(run, board=board), mode, parts, rate_hz)
-        return
-    if simulate is not None:
-        simulate = choice_of("simulate", simulate, ("model", "random", "first", "silent"))
-    run = replace(run, board=board)
-    require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
+    simulated = who.simulate is not None
+    if who.simulate is not None:
+        choice_of("simulate", who.simulate, ("model", "random", "first", "silent"))
+    require_answers(simulated, run.board_url, ("simulated:",), ExperimentError)
     afferent = parse_afferent(mode)
     if name == "frequency" and afferent is Afferent.RA and run.takes_usual_profile:
         # The electrode of the paper's own experiment (III-C).
         run = replace(run, profile="concentric")
     chosen = run.load_profile()
     named = f"{Path(name).stem}-{afferent.name}"
-    stem, order = session_name(named, subject, session, seed)
+    stem, order = session_name(named, who.subject, who.session)
     options = ExperimentOptions(
         afferent, parts.procedure, parse_standards(parts.standards), parts.repetitions,
         parts.trials, parts.site, parts.train_s, rate_hz, parts.letters, parts.two_intervals, order,
     )  # fmt: skip
     made = new_experiment(name, chosen, options)
-    # Nobody is there who could press harder, or turn the intensity up.
-    patience_s = None if simulate is None else 10.0
+    patience_s = _PATIENCE_S if simulated else None
     timing = TrialTiming(parts.gap_s, parts.answer_s or None, made.again, patience_s)
-    path = output or Path(f"{stem}.csv")
-    # A file of a person's answers is not continued by a simulated participant, nor the reverse.
-    participant = "-".join(filter(None, (subject, simulate and f"simulated-{simulate}")))
-    about = About(named, made.method, participant, session, order)
+    about = About(named, made.method, who.name, who.session, order)
+    path = who.output or Path(f"{stem}.csv")
     config = run.config(
-        afferent.name, scan="points", seed=order, subject=subject, note=session,
-        paced=simulate is None,
+        afferent.name, scan="points", seed=order, subject=who.subject, note=who.session,
+        paced=not simulated,
     )  # fmt: skip
-    with open_experiment(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
+    with open_experiment(made, chosen, timing, about, path, overwrite=False) as sitting:
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
-        _present(sitting, run, config, simulate)
+        _present(sitting, run, config, who.simulate)
 
 
 def _present(
@@ -325,29 +205,24 @@ def _present(
             typer.echo(line)
 
     say(sitting.before(simulate == "model"))
-    if sitting.session.over:
-        say(sitting.after())
-        return
-    source, listeners = sitting.source(), []
-    if simulate is not None:
-        anatomy, finger = run.one_finger(_ANATOMY)
-        listeners = [sitting.subject(source, simulate, config.seed, finger, anatomy)]
     try:
-        run.start(
-            source, sitting.profile, config, screen=BlindScreen, keys=source.keys,
-            listeners=listeners,
-        )  # fmt: skip
+        if not sitting.session.over:
+            source, listeners = sitting.source(), []
+            if simulate is not None:
+                anatomy, finger = run.one_finger(_ANATOMY)
+                listeners = [sitting.subject(source, simulate, config.seed, finger, anatomy)]
+            run.start(
+                source, sitting.profile, config, screen=BlindScreen, keys=source.keys,
+                listeners=listeners,
+            )  # fmt: skip
     finally:
         say(sitting.after())
 
 
-_FREE_HZ = 50.0  # rate to begin with
-
-
-def _run_free(run: RunOptionGroup, mode: str, parts: _Parts, rate_hz: float | None) -> None:
+def _run_free(
+    run: RunOptionGroup, who: _Participant, mode: str, parts: _Parts, rate_hz: float | None
+) -> None:
     """Let a user turn the current by hand, up to the device's own limit (paper, III-A)."""
-    from dataclasses import replace
-
     from smarttouch.base.afferent import Mode
     from smarttouch.base.errors import choice_of
     from smarttouch.experiments.psychophysics.experiment_session import numbered
@@ -360,6 +235,11 @@ def _run_free(run: RunOptionGroup, mode: str, parts: _Parts, rate_hz: float | No
     from smarttouch.kernels.bank import load_bank
     from smarttouch.views.progress import bank_progress
 
+    if who.simulate is not None:
+        raise ExperimentError("nobody is simulated in free stimulation: leave this out")
+    if who.output is not None:
+        message = "free stimulation has no answers: leave out --output, and use --record"
+        raise ExperimentError(message)
     if not sys.stdin.isatty() and run.seconds is None:
         message = "there is no keyboard, by which this would end: use a terminal, or give --seconds"
         raise ExperimentError(message)
@@ -381,3 +261,91 @@ def _run_free(run: RunOptionGroup, mode: str, parts: _Parts, rate_hz: float | No
     run.start(source, profile, config, keys=source.keys, keys_help=source.keys_help)
     if not run.quiet:
         typer.echo(f"every change is an event of {run.record}")
+
+
+@experiment.command()
+def fit(
+    files: Annotated[
+        list[Path], argument("CSV files of answers, one of each condition.", "FILE...")
+    ],
+    x: Annotated[
+        str, option("Name the column of the stimulus that was compared.", "COLUMN")
+    ] = "comparison",
+    y: Annotated[str, option("Name the column of answers: 1, 0 or empty.", "COLUMN")] = "success",
+    function: Annotated[
+        str, option("Choose the curve: normal, logistic or weibull.", "NAME")
+    ] = "normal",
+    guess: Annotated[
+        str | None,
+        option("Set the share of successes by guessing: a number, equal (to lapses) or free.", "G"),
+    ] = None,
+    at: Annotated[
+        float | None,
+        option("Set the share of successes at the threshold, not halfway from guessing.", "0..1"),
+    ] = None,
+    plot: Annotated[Path | None, option("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Fit thresholds with intervals to answers, or report why there are none.
+
+    Several files, for example of RA and PC mode, share one table and one picture, where each has
+    its name.
+    """
+    from smarttouch.base.errors import choice_of
+    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.experiments.fitting.answer_figures import discrimination_figure
+    from smarttouch.experiments.fitting.answers import read_table, usual_model
+    from smarttouch.experiments.fitting.findings import as_figures, judge_answers
+    from smarttouch.experiments.fitting.psychometric import Shape
+    from smarttouch.views import figure_style
+
+    require_folder(json_file)
+    require_folder(plot)
+    if plot is not None:
+        figure_style.require_drawable(plot)
+    shape, guessed = choice_of("function", function, Shape), _parse_guess(guess)
+    found: list[tuple[AnswerTable, list[Finding]]] = []
+    for path in files:
+        table = read_table(path, x, y)
+        if sum(each.stem == path.stem for each in files) > 1:
+            table = replace(table, name=str(path))
+        model = usual_model(table.answers, shape, guessed, at=at)
+        found.append((table, [judge_answers(each, model) for each in table.answers]))
+    _print(found)
+    if json_file is not None:
+        write_json(json_file, {table.name: as_figures(findings) for table, findings in found})
+    if plot is not None:
+        figure_style.save(discrimination_figure(found), plot)
+
+
+def _parse_guess(text: str | None) -> "Guess | None":
+    if text is None:
+        return None
+    if text == "equal":
+        return "equal"
+    if text == "free":
+        return "free"
+    try:
+        return float(text)
+    except ValueError:
+        message = f"guess {text!r} is not offered: give a share such as 0.5, equal or free"
+        raise ExperimentError(message) from None
+
+
+def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
+    from smarttouch.base.terminal import print_table
+    from smarttouch.experiments.fitting.findings import threshold_rows
+
+    console = terminal.console(highlight=False)
+    for table, findings in found:
+        console.print(f"{table.name}{', ' * bool(table.unit)}{table.unit}", style="bold")
+        compares = any(each.answers.standard for each in findings)
+        heading, *rows = threshold_rows([each for each in findings if not each.verdict], compares)
+        if rows:
+            print_table(rows, heading, left=0)
+        for each in findings:
+            about = f"{each.answers.standard:g}: " if compares else ""
+            if each.verdict is not None:
+                console.print(f"{about}no threshold: {each.verdict}", soft_wrap=True)
+            for note in each.notes:
+                console.print(f"{about}{note}", style="dim", soft_wrap=True)

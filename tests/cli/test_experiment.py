@@ -170,7 +170,6 @@ def test_free_stimulation_for_some_seconds(program_here, tmp_path):
     ("experiment run sight --simulate model", wrong("'sight'", "frequency", "letters")),
     (f"{SIMULATED} --subject a/b", says(value="a/b")),
     (SIMULATED.replace("=30", "=30,x"), says(value="30,x")),
-    (f"{SIMULATED} --seed -1", says(value=-1, allowed=0)),
     (f"{SIMULATED} --output a.txt", wrong("a.txt", ".csv")),
     ("experiment run free --simulate first", wrong()),
     ("experiment run free --output a.csv", wrong("--output", "--record")),
@@ -205,10 +204,8 @@ def test_a_participant_s_screen_does_not_show_the_answer(profile, make_frame):
     assert "2.0 s: the finger is lifted" in console.file.getvalue()
 
 
-def test_no_other_participant_and_no_other_seed_goes_on_with_a_file(program_here):
+def test_no_other_participant_goes_on_with_a_file(program_here):
     """Made answers and a person's do not end up in one file."""
     program_here(f"{ONCE} --output a.csv")
     other = program_here(f"{ONCE.replace('--simulate model', '--simulate random')} --output a.csv")
     says(ExperimentError)(refused(other))
-    other = program_here(f"{ONCE} --seed 1 --output a.csv")
-    says(ExperimentError, "a.csv", "seed 5204", " 1:")(refused(other))

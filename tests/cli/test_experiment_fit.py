@@ -97,8 +97,8 @@ def test_others_answers(program, tmp_path):
     assert found["threshold"]["value"] == pytest.approx(0.8, rel=0.2)
     for options, at in (
         ("--guess 0.1 --function weibull", 0.55),
-        ("--guess equal --function logistic --linear --at 0.6", 0.6),
-        ("--guess free --lapse 0.02", 0.5),
+        ("--guess equal --function logistic --at 0.6", 0.6),
+        ("--guess free", 0.5),
     ):
         found = fitted(options)
         assert found["at"] == pytest.approx(at)
@@ -118,7 +118,7 @@ def test_others_answers(program, tmp_path):
 def test_what_a_user_can_do_wrong(program, tmp_path, options, wrong):
     (tmp_path / "a.csv").write_text("comparison,success\n1,0\n2,1\n")
     with pytest.raises(SmartTouchError) as caught:
-        program(*options.split(), "--quiet")
+        program(*options.split())
     wrong(caught.value)
 
 

@@ -44,8 +44,7 @@ BASES = {
     "profiles new": "profiles new mine.toml --grid 2x2 --overwrite",
     "simulate letters": "simulate letters T --profile smarttouch-4x4 --anatomy paper",
     "experiment run": (
-        "experiment run detection?trials=1&procedure=questplus --simulate first "
-        "--subject x --output answers.csv --overwrite --board simulated:"
+        "experiment run detection?trials=1&procedure=questplus --simulate first --subject x"
     ),
     "experiment fit": "experiment fit {answers}",
     "devices test": "devices test emulator: --profile line-7 --seconds 0.05",

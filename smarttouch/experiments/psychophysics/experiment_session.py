@@ -46,7 +46,7 @@ class TrialSession:
             if procedure.done or not _same(procedure.next(), row):
                 raise ExperimentError(
                     f"{file.path}, trial {number + 1}, is not of this experiment: go on with the "
-                    "options it was begun with, add --overwrite, or give another --output"
+                    "options it was begun with, remove the file, or give another --output"
                 )
             procedure.answer(row.success)
         self.resumed: int = len(file.rows)
@@ -253,20 +253,15 @@ def parse_standards(text: str | None) -> tuple[float, ...] | None:
     return tuple(dict.fromkeys(standards))
 
 
-def session_name(
-    experiment: str, participant: str, session: str, seed: int | None
-) -> tuple[str, int]:
+def session_name(experiment: str, participant: str, session: str) -> tuple[str, int]:
     """Return what an experiment's file is called without ending, and the seed of its orders."""
     for parameter, name in (("participant", participant), ("session", session)):
         if any(not (each.isalnum() or each in "-_.") for each in name):
             raise SmartTouchError(
                 f"{parameter} {name!r} becomes part of a file's name: use letters, digits, - and _"
             )
-    if seed is not None and seed < 0:
-        raise SmartTouchError(f"the seed {seed} must be 0 or more")
     named = "-".join(each for each in (participant, session, experiment) if each)
-    usual = zlib.crc32(f"{participant}/{session}".encode()) % 10_000
-    return named, usual if seed is None else seed
+    return named, zlib.crc32(f"{participant}/{session}".encode()) % 10_000
 
 
 def numbered(path: Path) -> Path:

@@ -183,7 +183,7 @@ class RowFile(Closing):
                 if has != wanted:
                     raise ExperimentError(
                         f"{self.path} has {name} {has!r}, not {wanted!r}: give another file, or "
-                        "overwrite it"
+                        "remove it"
                     )
 
 
