@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,7 +21,6 @@ from smarttouch.views.keys_and_signals import command_stop, drives_a_board, open
 
 if TYPE_CHECKING:
     from smarttouch.experiments.calibration.profile_file import ProfileFile
-    from smarttouch.running.step import StepResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,18 +60,12 @@ class CalibrationOptions(OptionGroup):
         )
 
 
-def ask(what: str, yes: bool) -> None:
-    """Wait until the user has put something in place."""
-    if not yes:
-        _answer(f"{what} Then press Enter")
-
-
-def weights_laid(listed: Sequence[float] | None, yes: bool) -> Iterator[float]:
+def weights_laid(listed: Sequence[float] | None) -> Iterator[float]:
     """Yield the grams that a user lays on a load cell: those listed, or those typed in."""
     from smarttouch.experiments.calibration.force_curve import parse_grams
 
     for grams in listed or ():
-        ask(f"{grams:g} g on the cell, at rest.", yes)
+        _answer(f"{grams:g} g on the cell, at rest. Then press Enter")
         yield grams
     while listed is None:
         answer = _answer("Grams on the cell, at rest (Enter: no more)")
@@ -86,7 +78,7 @@ def _answer(question: str) -> str:
     try:
         return str(typer.prompt(question, default="", show_default=False))
     except typer.Abort:
-        message = "nobody answered, nothing was written: use a terminal, or give it as an option"
+        message = "nobody answered, nothing was written: use a terminal"
         raise CalibrationError(message) from None
 
 
@@ -110,7 +102,6 @@ calibrate: Commands = Commands(
 )
 
 _SIMULATED = ("emulator:", "simulated:", "memory:")
-_Yes = Annotated[bool, option("Ask no questions: everything is in place.", None, "--yes")]
 _Simulate = Annotated[
     bool, option("Run the whole calibration without hardware.", None, "--simulate")
 ]
@@ -133,7 +124,6 @@ def optics(
     white: Annotated[
         str | None, option("Take frames of white paper from this source.", "URL")
     ] = None,
-    yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
     """Measure dark level and gain of every pixel, covered and on blank white paper."""
@@ -153,9 +143,9 @@ def optics(
         seen = []
         for url, question in zip(sources, asked, strict=True):
             assert url is not None
-            ask(question, yes or url != source)
-            images = sensor_optics.images_of(url, file.profile, _FRAMES, corrected=False)
-            seen.append(images)
+            if url == source:
+                _answer(f"{question} Then press Enter")
+            seen.append(sensor_optics.images_of(url, file.profile, _FRAMES, corrected=False))
     found = sensor_optics.measure_optics(*seen)
     show_optics(found)
     field_file = file.beside("flat-field.npz")
@@ -173,7 +163,6 @@ def registration(
         float | None,
         option("Set the side of the target; it suits the sensor's field otherwise.", "MM"),
     ] = None,
-    yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
     """Find each electrode's position in the sensor's image with a printed target."""
@@ -202,7 +191,10 @@ def registration(
     elif source is None:
         raise CalibrationError("give --source or --simulate")
     else:
-        ask("Lay the target under the sensor, its text on top, its middle under the array's.", yes)
+        _answer(
+            "Lay the target under the sensor, its text on top, its middle under the array's. Then "
+            "press Enter"
+        )
         mean = mean_image(images_of(source, file.profile, _FRAMES, corrected=True))
         image = mean.round().astype("uint8")
     found = register(image, file.profile, made)
@@ -225,7 +217,6 @@ def force(
         option("List the weights in grams, in order; you are asked otherwise.", "G,G,..."),
     ] = None,
     seconds: Annotated[float, option("Read each weight for this time.", "S")] = 2.0,
-    yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
     """Measure the load cell's curve with known weights; one given twice shows hysteresis."""
@@ -241,7 +232,7 @@ def force(
     elif cell is None:
         raise CalibrationError("give --cell hx711:PORT or --cell loadcell:PORT, or --simulate")
     else:
-        weighings = weigh_on(cell, weights_laid(listed, yes), seconds)
+        weighings = weigh_on(cell, weights_laid(listed), seconds)
     found = fit_curve(weighings, file.profile.force)
     show_force(found)
     file.set("force.curve", found.curve)
@@ -330,70 +321,29 @@ def contact(
 
 
 @calibrate.command()
-@drives_a_board
 def scale(
     url: Annotated[str, argument("kajimoto61:PORT, link:PORT, ...", "URL")],
+    volts: Annotated[float, option("State the measured peak voltage.", "V")],
     ohm: Annotated[
         float, option("State the resistance between the electrode and all others.", "OHM")
     ] = 1000.0,
-    electrode: Annotated[
-        int, option("Name the electrode that the resistor is connected to.", "N")
-    ] = 0,
-    current_ma: Annotated[float, option("Set the nominal current.", "MA")] = 1.0,
-    volts: Annotated[
-        float | None,
-        option("State the measured peak voltage; you are asked during the pulses otherwise.", "V"),
-    ] = None,
+    current_ma: Annotated[float, option("State the nominal current.", "MA")] = 1.0,
     profile: ProfileOption = None,
 ) -> None:
-    """Check the scale of a board's current with a resistor in place of the finger."""
+    """Calculate the scale of a board's current from the voltage across a resistor.
+
+    With the resistor in place of the finger, devices test --electrode N --current-ma 1 makes the
+    pulses.
+    """
     from smarttouch.boards.kits.current_scale import check_reading, measured_scale
-    from smarttouch.cli.options import require_site
     from smarttouch.running.display import open_display
-    from smarttouch.running.listener import OnStep
-    from smarttouch.running.walk import Walk, run_walk
 
-    # Before anything pulses; the voltage is not known yet.
-    check_reading(current_ma * ohm / 1000 if volts is None else volts, ohm, current_ma)
-    display = open_display(url, profile)
-    require_site(display.profile, electrode)
-    if volts is None:
-        walk, answer = Walk(display.profile, current_ma, sites=[electrode]), ""
-
-        def take_answer(_result: "StepResult") -> None:
-            nonlocal answer
-            if (line := _line_entered()) is not None:
-                answer = line
-                walk.go_on()
-
-        typer.echo(
-            f"Pulses of nominally {current_ma:g} mA go through electrode {electrode}. No finger "
-            f"on the array: {ohm:g} ohm between it and all others."
-        )
-        typer.echo("Peak voltage across it, V: ", nl=False)
-        # No finger is there: a resistor takes the current, whatever the force.
-        force = f"fixed:{display.profile.force.full_n:g}"
-        opening = partial(opened, display.board)
-        run_walk(walk, display, [OnStep(take_answer)], command_stop(), opening, force)
-        try:
-            volts = float(answer)
-        except ValueError:
-            message = f"{answer!r} is no voltage: give a number of volts"
-            raise CalibrationError(message) from None
     ratio = check_reading(volts, ohm, current_ma)
-    scale_ua = measured_scale(url.partition(":")[0], display.board.ua_per_count, ratio)
+    board = open_display(url, profile).board
+    scale_ua = measured_scale(url.partition(":")[0], board.ua_per_count, ratio)
     typer.echo(
         f"{volts:g} V across {ohm:g} ohm are {1000 * volts / ohm:.3f} mA: {ratio:.3f} of nominal."
     )
     if scale_ua is not None:
         typer.echo("In the profile of this board:\n")
         typer.echo(f"[output]\nua_per_count = {scale_ua:.4g}")
-
-
-def _line_entered() -> str | None:
-    """Return a line if one was entered; never waits."""
-    import select
-    import sys
-
-    ready = select.select([sys.stdin], [], [], 0)[0]
-    return sys.stdin.readline().strip() if ready else None

@@ -173,6 +173,7 @@ def try_out(
         float | None,
         option("Stay at each electrode for this time; a key continues otherwise.", "S"),
     ] = None,
+    electrode: Annotated[int | None, option("Drive this electrode alone.", "N")] = None,
     force: ForceOption = None,
     profile: ProfileOption = None,
 ) -> None:
@@ -180,12 +181,15 @@ def try_out(
     import sys
 
     from smarttouch.boards.open import may_touch_a_finger
+    from smarttouch.cli.options import require_site
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnEvent
     from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
     from smarttouch.views.keys_and_signals import keyboard_listener
 
     display = open_display(url, profile)
+    sites = range(len(display.profile.electrodes)) if electrode is None else [electrode]
+    require_site(display.profile, sites[-1])
     if current_ma is None:
         if may_touch_a_finger(url) and not sys.stdin.isatty():
             raise SmartTouchError(
@@ -196,7 +200,7 @@ def try_out(
     if seconds is None and not sys.stdin.isatty():
         message = "there is no keyboard to wait for: give --seconds"
         raise SmartTouchError(message)
-    walk, stop = Walk(display.profile, current_ma, seconds), command_stop()
+    walk, stop = Walk(display.profile, current_ma, seconds, sites), command_stop()
 
     def say(event: "Event") -> None:
         if isinstance(event, ElectrodeReached):
@@ -210,8 +214,7 @@ def try_out(
 
     with keyboard_listener(on_key):
         run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board), force)
-    count = len(display.profile.electrodes)
-    typer.echo(f"{len(walk.pulsed)} of {count} electrodes got pulses; all are at zero.")
+    typer.echo(f"{len(walk.pulsed)} of {len(sites)} electrodes got pulses; all are at zero.")
     if walk.missed:
         typer.echo(f"No pulse came through: {', '.join(map(str, walk.missed))}.")
 

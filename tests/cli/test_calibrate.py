@@ -112,8 +112,8 @@ def test_optics_needs_dark_and_white(run, tmp_path):
 def test_registration_of_a_camera(run, tmp_path, profile):
     view = View(tilt_deg=18, toward_deg=50, turn_deg=-12, zoom=0.85)
     save(tmp_path / "seen", [view.render(target_for(profile), profile.optics, (480, 640))])
-    seen = "registration --source frames:seen --yes --target target.png"
-    shown = done(run(f"{seen} --output mine.toml"))
+    seen = "registration --source frames:seen --target target.png"
+    shown = done(run(f"{seen} --output mine.toml", typed="\n"))
     assert re.findall(r"(?m)^ *(\d+) +\d", shown)[:64] == [str(each) for each in range(64)]
     assert "correlation" in shown
     optics = load_profile(tmp_path / "mine.toml").optics
@@ -242,8 +242,8 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
 @pytest.mark.parametrize(("arguments", "check"), [
     ("optics", wrong()),
     ("optics --dark frames:none", wrong("white")),
-    ("optics --source nothing: --yes", says(SourceError, value="nothing:")),
-    ("optics --source frames:none --yes", says(SourceError, " none:")),
+    ("optics --source nothing:", says(SourceError, value="nothing:")),
+    ("optics --source frames:none", says(SourceError, " none:")),
     ("registration", wrong()),
     ("force", wrong("hx711:PORT")),
     ("force --simulate --weights 0,a", wrong(value="0,a")),
@@ -254,7 +254,7 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
     ("contact --profile nobody", says(ProfileError, "'nobody'")),
 ])  # fmt: skip
 def test_what_cannot_be_is_one_sentence(run, tmp_path, arguments, check):
-    check(run(arguments, "--output", "mine.toml").exception)
+    check(run(arguments, "--output", "mine.toml", typed="\n").exception)
     assert not list(tmp_path.glob("*mine*"))
 
 
