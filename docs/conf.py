@@ -72,5 +72,5 @@ sphinx_gallery_conf = {
     "show_memory": False,
     "show_signature": False,
     "remove_config_comments": True,
-    "default_thumb_file": str(HERE / "pictures" / "finger.png"),
+    "default_thumb_file": str(HERE / "pictures" / "kernel.png"),
 }

@@ -10,6 +10,7 @@ COMMANDS = {
     "recordings export": "st.load_recording(FILE).arrays has the arrays; numpy.savez writes them",
     "recordings repair": "every command reads a damaged recording up to its last whole chunk",
     "recordings view": "open the recording in Foxglove",
+    "simulate letters": "run smarttouch simulate study with a plan of letters",
     "report": "send smarttouch --version, pip list and the command that went wrong",
 }
 OPTIONS = {

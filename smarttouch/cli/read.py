@@ -1,6 +1,8 @@
 """``smarttouch read``, ``braille`` and ``braille-display``: text under a finger."""
 
 import math
+from contextlib import closing, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,9 +46,6 @@ def read(
     follow: Annotated[
         str | None, option("Take the position of the finger from this source.", "URL", panel=MORE)
     ] = None,
-    board: Annotated[
-        str | None, option("Drive this board; smarttouch live --help names them.", "URL")
-    ] = None,
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
 ) -> None:
@@ -54,23 +53,14 @@ def read(
 
     Keys: arrows choose a line, r repeats it, and those of live.
     """
-    import contextlib
-    from dataclasses import replace
-
     from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
     from smarttouch.reading.line_feed import LineFeed
-    from smarttouch.reading.line_source import (
-        Cursor,
-        FollowingCursor,
-        ReadingSource,
-        SweepingCursor,
-    )
+    from smarttouch.reading.line_source import FollowingCursor, ReadingSource, SweepingCursor
     from smarttouch.reading.material import ReadingMaterial
     from smarttouch.sources import open_source
     from smarttouch.views.progress import first_line_awaited
 
-    run = replace(run, board=board)
     own = run.load_profile()
     chosen = profile_for_reading(own)
     usual = own.defaults.plain or not (run.quiet or terminal.draws())
@@ -79,25 +69,22 @@ def read(
         own.defaults.read_as, document.languages, named=plain
     )
     motion = presentation.motion(chosen, speed_mm_s, rate_hz)
-    wait = pause_s == math.inf
     notes: list[str] = []
     text = ReadingMaterial(
         *document.recognition(source, scale_matters=follow is not None), notes.append
     )
     config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=presentation.tone)
     config = _at_level(config, presentation, run.on_a_finger)
-    with contextlib.ExitStack() as stack:
-        feed = LineFeed(presentation.lines(text, chosen))
-        stack.callback(feed.close)
+    followed = nullcontext() if follow is None else open_source(follow, own)
+    with closing(LineFeed(presentation.lines(text, chosen))) as feed, followed as finger:
         feed.start()
         first_line_awaited(lambda: feed.wait_for(0), run.quiet)
-        cursor: Cursor
-        if follow is None:
-            cursor = SweepingCursor(
-                feed, motion, reading_force_n(chosen), 0.0 if wait else pause_s, wait
-            )
-        else:
-            cursor = FollowingCursor(feed, stack.enter_context(open_source(follow, own)))
+        rest_s, waits = (0.0, True) if pause_s == math.inf else (pause_s, False)
+        cursor = (
+            SweepingCursor(feed, motion, reading_force_n(chosen), rest_s, waits)
+            if finger is None
+            else FollowingCursor(feed, finger)
+        )
         reading = ReadingSource(text.title, chosen, feed, cursor)
         reading.url, reading.notes = source, notes
         keys_help = "← → line    r again    "
@@ -106,8 +93,6 @@ def read(
 
 def _at_level(config: "RunConfig", shown: object, on_a_finger: bool) -> "RunConfig":
     """Return the configuration at the level that suits most simulated fingers, if none is given."""
-    from dataclasses import replace
-
     from smarttouch.base.afferent import Mode
     from smarttouch.reading.letter_shapes import UNKNOWN_LEVEL, Shapes
 

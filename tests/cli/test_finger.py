@@ -1,4 +1,4 @@
-"""`smarttouch simulate letters` and `study`: figures, tables, pictures, and what they refuse."""
+"""`smarttouch simulate study`: tables, pictures, and what it refuses."""
 
 import joblib
 import pytest
@@ -9,22 +9,6 @@ from smarttouch.cli.simulate import study
 
 from ..raising import assert_says
 from .conftest import refused
-
-
-def test_a_letter_on_one_finger(figures_of, tmp_path):
-    one = "simulate letters IT --profile=smarttouch-4x4 --anatomy=paper --fingers=2 --plot=felt.png"
-    table = figures_of(one)
-    assert (table["letters"], table["fingers"], table["anatomy"]) == ("IT", 2, "paper")
-    for name in ("wrong_class", "misplaced", "silent_points", "at_board"):
-        assert 0 <= table[name] <= 1
-    assert set(table["fired"]) == {"RA", "SAI", "PC"}
-    assert table["fired"]["RA"] > 0
-    assert table["nociceptive"] > 0
-    assert 0 <= table["at_nerve"]["median"] <= table["at_nerve"]["worst_tenth"] <= 1
-    with Image.open(tmp_path / "felt.png") as picture:
-        assert min(picture.size) > 400
-        assert len(picture.getcolors(1 << 22)) > 50
-
 
 PLAN = (
     'title = "x"\nprofiles = ["smarttouch-4x4"]\nanatomies = ["paper"]\nfingers = 1\nletters = "L"'

@@ -42,7 +42,6 @@ BASES = {
     "replay": f"replay {{golden}} {PAGE}",
     "design": "design --profile line-7",
     "profiles new": "profiles new mine.toml --grid 2x2 --overwrite",
-    "simulate letters": "simulate letters T --profile smarttouch-4x4 --anatomy paper",
     "experiment run": (
         "experiment run detection?trials=1&procedure=questplus --simulate first --subject x"
     ),
