@@ -8,7 +8,7 @@ import typer
 
 from smarttouch.base.command_options import argument, option
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import ArrayOption, ClusterOption, Commands, JsonOption
+from smarttouch.cli.options import ArrayOption, Commands, JsonOption
 
 if TYPE_CHECKING:
     from smarttouch.base.afferent import Afferent
@@ -35,12 +35,10 @@ def design(
     bank_file: Annotated[
         Path | None, option("Design all kernels now and write the bank.", "NPZ", "--bank")
     ] = None,
-    cluster: ClusterOption = None,
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
     from smarttouch.base.errors import DesignError, SmartTouchError
     from smarttouch.base.files import require_folder, write_json
-    from smarttouch.base.lazy_names import on_cluster
     from smarttouch.cli.options import parse_afferent, require_site
     from smarttouch.kernels import kernel_tables
     from smarttouch.kernels.switched_design import possible_modes
@@ -64,7 +62,7 @@ def design(
                 f"{', '.join(offered) or 'none'}"
             )
         modes = [afferent]
-    with on_cluster(cluster), bank_progress(quiet=False) as progress:
+    with bank_progress(quiet=False) as progress:
         shown = _kernels(chosen, modes, site, any_node, bank_file, progress)
     if site is None:
         _print(kernel_tables.site_table(chosen, shown))

@@ -79,7 +79,7 @@ def _show(
     taken = options_taken(url)
     given = {name: value for name, value in offered.items() if name in taken}
     with open_source(url, chosen, light_on_dark=light_on_dark, seed=seed, **given) as opened:
-        if opened.pointer is not None and run.window is None:
+        if opened.pointer is not None and not run.window:
             raise SourceError("motion=page follows the pointer over the run's page: add --window")
         suits = {"mode": asked or "RA"} | dict(opened.settings)
         if asked is not None and suits["mode"] != asked:

@@ -3,7 +3,7 @@
 import functools
 import inspect
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
@@ -80,19 +80,6 @@ def _expanded(command: Callable[..., _T], defaults: dict[str, Any]) -> Callable[
     return expanded
 
 
-def with_ports(words: Sequence[str]) -> list[str]:
-    """Return the words of a command line with a 0 behind each ``--window`` that has no port."""
-    found: list[str] = []
-    for at, word in enumerate(words):
-        found.append(word)
-        if word == "--":
-            return [*found, *words[at + 1 :]]
-        following = "".join(words[at + 1 : at + 2])
-        if word == "--window" and not following.lstrip("-").isdecimal():
-            found.append("0")
-    return found
-
-
 def parse_mode(mode: str) -> Mode:
     """Return a mode by its name; only modes that images can drive."""
     return choice_of("mode", mode, [each for each in Mode if each is not Mode.COLOR])
@@ -164,13 +151,7 @@ AnatomyOption = Annotated[
         panel=MORE,
     ),
 ]
-ClusterOption = Annotated[
-    str | None, option("Compute on the Dask scheduler at tcp://HOST:8786.", "ADDRESS", panel=MORE)
-]
 QuietOption = Annotated[bool, option("Print errors only.", None, "--quiet", panel=MORE)]
-ScanOption = Annotated[
-    str | None, option("Choose how points share slots: points or auto.", "HOW", panel=BOARD)
-]
 
 
 _ALL = "--help-all"
@@ -179,7 +160,7 @@ _IS_ALL = "smarttouch.all"
 
 
 class PlainCommand(TyperCommand):
-    """A command whose help is plain, and that reads ``--window`` without a number as 0."""
+    """A command whose help is plain."""
 
     # A context is of click's class or of typer's own, by the version of typer: hence `Any`.
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -189,7 +170,7 @@ class PlainCommand(TyperCommand):
             if name not in options and (sentence := instead_of(OPTIONS, name)):
                 ctx.fail(sentence)
         ctx.meta[_IS_ALL] = _ALL in args
-        return super().parse_args(ctx, with_ports(args))
+        return super().parse_args(ctx, args)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options: those of every day, or all of them in their panels."""

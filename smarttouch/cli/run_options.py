@@ -84,8 +84,8 @@ class RunOptionGroup(OptionGroup):
     record: Annotated[Path | None, option("Record the whole run.", "MCAP")] = None
     json_file: JsonOption = None
     window: Annotated[
-        int | None, option("Open a page in the browser that shows and steers the run.", "[PORT]")
-    ] = None
+        bool, option("Open a page in the browser that shows and steers the run.", None, "--window")
+    ] = False
     quiet: QuietOption = False
     plain: Annotated[
         bool | None,
@@ -123,7 +123,7 @@ class RunOptionGroup(OptionGroup):
         """True if the run is only watched, on a screen or in a window, and kept in no file."""
         kept = (self.felt, self.record, self.json_file)
         on_screen = draws() and not (self.quiet or self.plain)
-        return (on_screen or self.window is not None) and kept == (None,) * len(kept)
+        return (on_screen or self.window) and kept == (None,) * len(kept)
 
     @cached_property
     def _chosen(self) -> "Profile | None":

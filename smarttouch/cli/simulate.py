@@ -9,12 +9,9 @@ from smarttouch.base.command_options import argument, option
 from smarttouch.cli.options import (
     AnatomyOption,
     ArrayOption,
-    ClusterOption,
     Commands,
     JsonOption,
     ModeOption,
-    QuietOption,
-    ScanOption,
     takes_options,
 )
 from smarttouch.cli.source_options import DocumentOptions, FormOptions, or_standard_input
@@ -51,14 +48,9 @@ def simulate_page(
     ] = 0,
     anatomy: AnatomyOption = "branched",
     json_file: JsonOption = None,
-    scan: ScanOption = None,
-    cluster: ClusterOption = None,
-    quiet: QuietOption = False,
 ) -> None:
     """Run a page on a simulated board and read the result with Tesseract."""
-    from smarttouch.base.errors import choice_of
     from smarttouch.base.files import require_folder, write_json
-    from smarttouch.base.lazy_names import on_cluster
     from smarttouch.base.terminal import print_table
     from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading
@@ -67,7 +59,7 @@ def simulate_page(
     from smarttouch.reading.delivered_lines import LineDelivery
     from smarttouch.reading.legibility import measure_legibility
     from smarttouch.reading.material import ReadingMaterial
-    from smarttouch.running.config import SCANS, RunConfig
+    from smarttouch.running.config import RunConfig
     from smarttouch.views.progress import bank_progress, lines_progress
 
     require_folder(json_file)
@@ -76,20 +68,19 @@ def simulate_page(
     text = ReadingMaterial(*document.recognition(source), notes.append)
     presentation, speed_mm_s = feel.presentation(chosen.defaults.read_as)
     motion = presentation.motion(chosen, speed_mm_s)
-    with bank_progress(quiet) as progress:
+    with bank_progress(quiet=False) as progress:
         bank = load_bank(chosen, progress)
-    sharing = RunConfig(scan=choice_of("scan", scan or "auto", SCANS)).sharing(chosen)
+    sharing = RunConfig().sharing(chosen)
     reading = LineDelivery(chosen, bank, presentation.tone, motion, parse_mode(mode), sharing)
-    with on_cluster(cluster), lines_progress(quiet) as advance:
+    with lines_progress(quiet=False) as advance:
         found = measure_legibility(text, reading, presentation, truth, advance, fingers, anatomy)
     figures = {"source": source, "profile": chosen.name, "notes": notes, **found.figures}
     if json_file is not None:
         write_json(json_file, figures)
-    if not quiet:
-        print_table(found.rows, left=2)
-        typer.echo(f"\nWhat was read from the delivered pulses:\n{found.text}")
-        for note in notes:
-            typer.echo(note, err=True)
+    print_table(found.rows, left=2)
+    typer.echo(f"\nWhat was read from the delivered pulses:\n{found.text}")
+    for note in notes:
+        typer.echo(note, err=True)
 
 
 @simulate.command()
@@ -100,8 +91,9 @@ def study(
     output: Annotated[
         Path, option("Write to this folder; a study that is there continues.", "DIR")
     ],
-    cluster: ClusterOption = None,
-    quiet: QuietOption = False,
+    cluster: Annotated[
+        str | None, option("Compute on the Dask scheduler at tcp://HOST:8786.", "ADDRESS")
+    ] = None,
 ) -> None:
     """Run a grid of fingers, profiles, modes, scans, letters and pages, or continue one."""
     from importlib.util import find_spec
@@ -124,15 +116,14 @@ def study(
     asked = load_study(plan)
     with (
         on_cluster(cluster),
-        bank_progress(quiet) as designing,
-        lines_progress(quiet, "Fingers") as progress,
+        bank_progress(quiet=False) as designing,
+        lines_progress(quiet=False, title="Fingers") as progress,
     ):
         rows = run_study(asked, plan.parent, output, designing, progress)
     sums, made = study_sums(rows), [output / ROWS_FILE]
     if find_spec("matplotlib"):
         made.append(output / "study.png")
         figure_style.save(study_figure(sums, STUDY_NAMES, asked.title), made[-1])
-    if not quiet:
-        heading, lines = study_table(sums)
-        print_table(lines, heading, title=asked.title, note=TABLE_NOTE, ruled=True, left=2)
-        print(*made, sep="\n")
+    heading, lines = study_table(sums)
+    print_table(lines, heading, title=asked.title, note=TABLE_NOTE, ruled=True, left=2)
+    print(*made, sep="\n")

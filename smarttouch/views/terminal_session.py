@@ -53,7 +53,7 @@ class Outputs:
     record: Path | None = None
     vibrators: str | None = None
     json_file: Path | None = None
-    window: int | None = None
+    window: bool = False
     quiet: bool = False
     plain: bool = False
 
@@ -104,10 +104,10 @@ def run_in_terminal(
     followers = list(outputs.listeners())
     with contextlib.ExitStack() as closing:
         window = None
-        if outputs.window is not None:
+        if outputs.window:
             blind = issubclass(screen, BlindScreen)
             window = _window(
-                outputs.window, stop, config.seconds, blind=blind, keys=keys,
+                stop, config.seconds, blind=blind, keys=keys,
                 keys_help=keys_help, alone=not typed,
             )  # fmt: skip
             closing.callback(window.shut)
@@ -155,14 +155,13 @@ def _operation(
     )
 
 
-def _window(port: int, stop: StopRequest, seconds: float | None, **given: Any) -> "Window":
+def _window(stop: StopRequest, seconds: float | None, **given: Any) -> "Window":
     from smarttouch.views.window import Window
     from smarttouch.views.window_server import has_browser
 
     waits_s = math.inf if has_browser() else OPENED_WITHIN_S
     return Window(
         stop,
-        port,
         waits_s=waits_s if seconds is None else min(_TIMED_S, seconds),
         stays=True,
         **given,

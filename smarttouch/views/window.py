@@ -33,7 +33,7 @@ _GONE_S = 2.0  # time without a page after which the window is closed: a page ma
 class Window(Listener):
     """Shows runs in a browser, from a thread of its own, and lets one page control them.
 
-    The loop's thread only stores the newest step. Port 0 of 127.0.0.1 is a free one. With
+    The loop's thread only stores the newest step. With
     ``alone``, a run is paused once no page controls it; with ``blind``, pages do not show what is
     delivered. ``show`` is called with the address once it is served. A run begins once a page is
     open, or after ``waits_s``. A window that ``stays`` shows the end of a run until `shut`.
@@ -42,7 +42,6 @@ class Window(Listener):
     def __init__(
         self,
         stop: StopRequest,
-        port: int = 0,
         *,
         blind: bool = False,
         show: Callable[[str], object] | None = None,
@@ -56,7 +55,7 @@ class Window(Listener):
         self._blind, self._show = blind, show or _announce
         self._waits_s, self._stays = waits_s, stays
         self._pages = Pages(self)
-        self.server: PageServer = PageServer(port, self._pages.routes())
+        self.server: PageServer = PageServer(self._pages.routes())
         self.steering: Steering
         self.hello: str = ""
         self.ended: str = ""  # how the run ended, as a message to pages; empty while it is on

@@ -52,16 +52,16 @@ _HEADERS = {
 
 class PageServer:
     """Serves the files of a page and some routes until it is closed. Requests for another host,
-    from another origin or without the secret are refused. Routes are relative to the secret; port 0
-    of 127.0.0.1 is a free one."""
+    from another origin or without the secret are refused. Routes are relative to the secret."""
 
-    def __init__(self, port: int, routes: "Sequence[BaseRoute]") -> None:
+    def __init__(self, routes: "Sequence[BaseRoute]") -> None:
         server = import_server()
         from starlette.applications import Starlette
         from starlette.routing import Mount
         from starlette.staticfiles import StaticFiles
 
-        self._socket = _bound(port)
+        # From now on connections wait, and are not refused.
+        self._socket = socket.create_server((HOST, 0), backlog=128)
         self.port: int = int(self._socket.getsockname()[1])
         self._prefix = f"/{secrets.token_urlsafe(24)}/"
         self.address: str = f"http://{HOST}:{self.port}{self._prefix}live.html"
@@ -165,19 +165,3 @@ def open_browser(address: str) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
     threading.Thread(target=show, name="browser", daemon=True).start()
-
-
-def _bound(port: int) -> socket.socket:
-    found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    try:
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        found.bind((HOST, port))
-        # From now on connections wait, and are not refused.
-        found.listen(128)
-    except (OSError, OverflowError) as error:
-        found.close()
-        raise SmartTouchError(
-            f"the window cannot have port {port}: {getattr(error, 'strerror', None) or error}; "
-            "give another one, or none for one that is free"
-        ) from None
-    return found

@@ -31,7 +31,7 @@ TEXT = "text:" + "The quick brown fox jumps over the lazy dog. " * 20
 WAYS = {
     "quiet": ["--quiet"],
     "screen": [],
-    "window": ["--quiet", "--window", "0"],
+    "window": ["--quiet", "--window"],
     "recording": ["--quiet", "--record"],
 }
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -71,7 +71,17 @@ def at_a_terminal():
 def ran(folder, seconds, *options, rate_hz=50):
     """Run the program; return its figures, its share of a core and kB a second on the terminal."""
     out = folder / f"{time.monotonic_ns()}.json"
-    command = [PROGRAM, "live", TEXT, "--rate", f"{rate_hz}", "--json", str(out)]
+    command = [
+        PROGRAM,
+        "live",
+        TEXT,
+        "--board",
+        "emulator:",
+        "--rate",
+        f"{rate_hz}",
+        "--json",
+        str(out),
+    ]
     command += ["--seconds", f"{seconds:g}", *options]
     if options[-1:] == ("--record",):
         command += [str(folder / f"{time.monotonic_ns()}.mcap")]
@@ -161,7 +171,7 @@ def test_the_wait_for_the_first_pulse_after_a_hiccup(row, quick, hiccup_ms):
 @pytest.mark.timeout(0)
 def test_start_to_the_first_sequence(row, quick):
     """The first line of `--plain` comes when the board is open, just before the first sequence."""
-    command = [PROGRAM, "live", "text:a", "--plain", "--seconds", "0.1"]
+    command = [PROGRAM, "live", "text:a", "--board", "emulator:", "--plain", "--seconds", "0.1"]
     took_s = []
     for _ in range(1 if quick else 10):
         began_s = time.monotonic()

@@ -79,7 +79,7 @@ def test_what_was_read_replays_to_the_bit_and_is_felt_once_more(program_here, fi
 
 @needs_tesseract
 def test_an_image_becomes_braille(figures_of, page_file):
-    figures = figures_of(f"simulate page {page_file} --as braille --quiet")
+    figures = figures_of(f"simulate page {page_file} --as braille")
     assert (figures["cell_error_rate"], figures["text"]) == (0, "a thin\nlight beam")
 
 

@@ -1,4 +1,4 @@
-"""``--window``: with and without a port, and a run that a page stops."""
+"""``--window``: what is missing for it, and a run that a page stops."""
 
 import json
 import re
@@ -11,31 +11,11 @@ import pytest
 from websockets.sync.client import connect
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.cli.options import with_ports
 from smarttouch.running.recording_reader import Recording
 
 from .conftest import refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
-
-
-@pytest.mark.parametrize(("words", "expected"), [
-    ("", ""),
-    ("live --window", "live --window 0"),
-    ("--window 8080 --quiet", "--window 8080 --quiet"),
-    ("--window --quiet", "--window 0 --quiet"),
-    ("--window page.png", "--window 0 page.png"),
-    ("--window -1", "--window -1"),
-    ("--quiet -- --window", "--quiet -- --window"),
-])  # fmt: skip
-def test_the_port_may_be_left_out(words, expected):
-    assert with_ports(words.split()) == expected.split()
-
-
-@pytest.mark.parametrize("port", ["-1", "65536"])
-def test_an_impossible_port_is_refused(program_here, port):
-    done = program_here("live --window", port, "--board", "simulated:")
-    says(SmartTouchError, value=int(port))(refused(done))
 
 
 @pytest.mark.parametrize("library", ["uvicorn", "starlette"])

@@ -12,13 +12,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
 import smarttouch as st
-from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.events import Note, RunFailed, TrialEvent
-from smarttouch.views.window import Window
 from smarttouch.views.window_pages import LOST_S, MOST_PAGES
 from smarttouch.views.window_server import MOST_MESSAGE_BYTES
 
-from ..raising import raises
 from ..waiting import until
 
 
@@ -302,8 +299,3 @@ def test_a_level_beyond_the_limit_is_refused_in_words(running):
         assert run.state().level == 1
         socket.send("do level:0.25")
         until(lambda: run.state().level == 0.25)
-
-
-def test_a_port_that_is_taken_is_refused(running):
-    with running() as run, raises(SmartTouchError, names="window", value=run.window.server.port):
-        Window(run.stop, run.window.server.port)
