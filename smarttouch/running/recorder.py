@@ -25,7 +25,7 @@ from smarttouch.base.files import owner_only, sync_folder, unwritable
 from smarttouch.base.version import __version__
 from smarttouch.profile import Profile
 from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.recording_format import FORMAT, METADATA, SCHEMAS, schema
+from smarttouch.running.recording_format import FORMAT, METADATA, TOPICS, schema
 from smarttouch.running.step import StepResult
 from smarttouch.running.step_encoder import Message, StepEncoder
 
@@ -81,7 +81,7 @@ class RecordingWriter:
     def _begin(self, about: dict[str, str]) -> None:
         self._writer.start(profile=METADATA, library=f"smarttouch {__version__}")
         self._writer.add_metadata(METADATA, {"format": FORMAT, **about})
-        self._channels = {topic: self._register(topic) for topic in SCHEMAS}
+        self._channels = {topic: self._register(topic) for topic in TOPICS}
         self._sync()
         sync_folder(self._path.absolute().parent)
 
@@ -117,7 +117,7 @@ class RecordingWriter:
             raise self._complaint()
 
     def _register(self, topic: str) -> int:
-        name, content = SCHEMAS[topic][0], json.dumps(schema(topic)).encode()
+        name, content = TOPICS[topic][0], json.dumps(schema(topic)).encode()
         schema_id = self._writer.register_schema(name, "jsonschema", content)
         return int(self._writer.register_channel(topic, "json", schema_id))
 

@@ -1,4 +1,4 @@
-"""Format of recordings: JSON schemas of topics, and the settings that sequences depend on.
+"""Format of recordings: their topics, and the settings that sequences depend on.
 
 Foxglove has no schema for a number by itself: its plots take any number of any
 message, so `/finger`, `/sequence` and `/board` are ours. `/tactile_image` shows `/tactile` to those
@@ -24,136 +24,42 @@ LAST = "/board"  # topic of a step's last message: with it a step is complete
 
 INFO = 2
 
-_NUMBER = {"type": "number"}
-_PERHAPS = {"type": ["number", "null"]}
-_INTEGER = {"type": "integer"}
-_COUNTS = {"type": "array", "items": _INTEGER}
-_ROW = {"type": "array", "items": _NUMBER, "description": "of each electrode; [] is all zero"}
-_PROOF: dict[str, Any] = {"type": ["array", "null"], "items": _PERHAPS}
-_NANOSECONDS = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
-_SECONDS = {"sec": {"type": "integer", "minimum": 0}, "nsec": _NANOSECONDS}
+_SECONDS = {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}
 _TIME = {"type": "object", "title": "time", "properties": _SECONDS}
+_TEXT = {"type": "string"}
+_PNG = {"type": "string", "contentEncoding": "base64", "description": "PNG"}
+_IMAGE = {"timestamp": _TIME, "frame_id": _TEXT, "data": _PNG, "format": _TEXT}
 _LEVELS = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
-
-
-def _base64(description: str) -> dict[str, Any]:
-    return {"type": "string", "contentEncoding": "base64", "description": description}
-
-
-_IMAGE = {
+_LOG = {
     "timestamp": _TIME,
-    "frame_id": {"type": "string"},
-    "data": _base64("PNG"),
-    "format": {"type": "string"},
+    "level": {
+        "title": "foxglove.LogLevel",
+        "oneOf": [{"title": name, "const": at} for at, name in enumerate(_LEVELS)],
+    },
+    "message": _TEXT,
+    "name": _TEXT,
+    "file": _TEXT,
+    "line": {"type": "integer"},
 }
 
-SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
+TOPICS: dict[str, tuple[str, dict[str, Any]]] = {
     "/frame": ("foxglove.CompressedImage", _IMAGE),
-    "/finger": (
-        "smarttouch.Finger",
-        {
-            "time_ns": {**_INTEGER, "description": "since the start of the run"},
-            "x_mm": _PERHAPS,
-            "y_mm": _PERHAPS,
-            "angle_rad": _PERHAPS,
-            "force_n": {**_PERHAPS, "description": "that counted; null is unknown"},
-            "number": {**_INTEGER, "description": "of the image at its source"},
-            "age_ms": _NUMBER,
-            "stale": {"type": "boolean"},
-        },
-    ),
-    "/tactile": ("smarttouch.TactileImage", {"RA": _ROW, "SAI": _ROW, "PC": _ROW}),
+    "/finger": ("smarttouch.Finger", {}),
+    "/tactile": ("smarttouch.TactileImage", {}),
     "/tactile_image": ("foxglove.CompressedImage", _IMAGE),
-    "/request": (
-        "smarttouch.PulseRequest",
-        {
-            "period_us": {
-                "type": ["integer", "null"],
-                "description": "until the source is asked again; null: by the profile's rates",
-            },
-            "level": {**_NUMBER, "description": "of the strongest, in [0, 1]"},
-            "image": {"type": "boolean", "description": "whether there was one to see"},
-            "imaged": {"type": "boolean", "description": "whether the tactile image is of it"},
-        },
-    ),
-    "/sequence": (
-        "smarttouch.ScanSequence",
-        {
-            "time_ns": _INTEGER,
-            "frame": {**_INTEGER, "description": "number of the image"},
-            "number": {"type": ["integer", "null"], "description": "the board's; null if lost"},
-            "mode": {"type": "string"},
-            "level": {**_NUMBER, "description": "what the user asked for, in [0, 1]"},
-            "restarted": {"type": "boolean", "description": "intensity began at zero here"},
-            "asked_us": {**_INTEGER, "description": "period that was wanted"},
-            "period_us": _INTEGER,
-            "intensity": _NUMBER,
-            "strongest_ma": {**_NUMBER, "description": "of all electrodes and slots, magnitude"},
-            "slots": _INTEGER,
-            "electrodes": _INTEGER,
-            "site": _COUNTS,
-            "width_us": _COUNTS,
-            "discharge_us": _COUNTS,
-            "current_ua": _base64("int16 little endian (slots, electrodes), positive cathodic"),
-            "vibration": {"type": ["array", "null"], "items": _NUMBER},
-            "points": {**_PROOF, "description": "that share each slot; null if none do"},
-            "worst_other": {**_PROOF, "description": "of each slot, of its weakest target"},
-            "worst_spill": {**_PROOF, "description": "the same, of the own class elsewhere"},
-            "recharge_us": {**_INTEGER, "description": "length of the recharge phase; 0 is none"},
-            "recharge_ua": {
-                **_base64("int16 little endian (electrodes,), positive cathodic; null is none"),
-                "type": ["string", "null"],
-            },
-        },
-    ),
-    "/volts": (
-        "smarttouch.Volts",
-        {
-            "time_ns": {**_INTEGER, "description": "of the sequence that was measured"},
-            "number": {"type": ["integer", "null"], "description": "of that sequence"},
-            "highest_v": _PERHAPS,
-            "volts": _base64("float32 little endian (slots,)"),
-        },
-    ),
-    "/board": (
-        "smarttouch.Acknowledgment",
-        {
-            "sent": {"type": ["integer", "null"]},
-            "acknowledged": _INTEGER,
-            "refused": _INTEGER,
-            "latency_us": _NUMBER,
-            "work_us": _NUMBER,
-            "clock_ns": {**_INTEGER, "description": "real time since the start; -1 if unknown"},
-            "begun": {
-                "type": ["integer", "null"],
-                "description": "newest sequence that is known to have begun since the last step",
-            },
-            "first_pulse_us": {**_PERHAPS, "description": "from its image to its first pulse"},
-            "waited_us": {**_PERHAPS, "description": "from its last byte to its first pulse"},
-        },
-    ),
-    "/event": (
-        "foxglove.Log",
-        {
-            "timestamp": _TIME,
-            "level": {
-                "title": "foxglove.LogLevel",
-                "oneOf": [{"title": name, "const": at} for at, name in enumerate(_LEVELS)],
-            },
-            "message": {"type": "string"},
-            "name": {"type": "string"},
-            "file": {"type": "string"},
-            "line": {"type": "integer", "minimum": 0},
-        },
-    ),
+    "/request": ("smarttouch.PulseRequest", {}),
+    "/sequence": ("smarttouch.ScanSequence", {}),
+    "/volts": ("smarttouch.Volts", {}),
+    "/board": ("smarttouch.Acknowledgment", {}),
+    "/event": ("foxglove.Log", _LOG),
 }
-"""Name of each topic's schema, and the properties of its messages, all required."""
+"""Name of each topic's schema, and for those that Foxglove knows the properties of its messages."""
 
 
 def schema(topic: str) -> dict[str, Any]:
     """Return the JSON schema of a topic's messages."""
-    name, properties = SCHEMAS[topic]
-    return {"title": name, "type": "object", "properties": properties, "required": list(properties)}
+    name, properties = TOPICS[topic]
+    return {"title": name, "type": "object", "properties": properties, "required": [*properties]}
 
 
 _Share = Annotated[float, Field(ge=0, le=1)]

@@ -16,7 +16,7 @@ from mcap.writer import Writer
 from smarttouch.base.errors import RecordingError
 from smarttouch.running import recorder as module
 from smarttouch.running.recorder import RecordingWriter, about_run, new_writer
-from smarttouch.running.recording_format import SCHEMAS
+from smarttouch.running.recording_format import TOPICS
 from smarttouch.running.recording_reader import Recording
 
 from ..raising import raises
@@ -38,12 +38,12 @@ def full(*_, **__):
 
 
 def test_the_plain_reader_reads_it(recording, steps):
-    found = {topic: [] for topic in SCHEMAS}
+    found = {topic: [] for topic in TOPICS}
     with recording.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         for schema, channel, message in reader.iter_messages():
             found[channel.topic].append((message, json.loads(message.data)))
-            assert (schema.name, schema.encoding) == (SCHEMAS[channel.topic][0], "jsonschema")
+            assert (schema.name, schema.encoding) == (TOPICS[channel.topic][0], "jsonschema")
         (entry,) = reader.iter_metadata()
         summary = reader.get_summary()
     assert entry.name == "smarttouch"
