@@ -12,7 +12,7 @@ FOLDER = "reference/command-line"
 HEAD = """\
 # The command line
 
-Made from the program: `smarttouch COMMAND --help-all` says the same. Whatever a user can cause
+Made from the program: `smarttouch COMMAND --help` says the same. Whatever a user can cause
 ends in one sentence and exit status 2; a signal ends with all electrodes at zero and 128 plus its
 number.
 
@@ -25,17 +25,14 @@ def command_line() -> dict[str, str]:
 
     program = get_command(app)
     above = Context(program, info_name="smarttouch")
-    parts: dict[str, list[str]] = {}
-    pages = {}
+    listed, pages = "", {}
     for name in program.list_commands(above):
         command = program.get_command(above, name)
         first = _plain((command.help or "").split("\n\n")[0])
-        part = command.rich_help_panel or "Other"
-        parts.setdefault(str(part), []).append(f"- [`smarttouch {name}`]({name}.md): {first}\n")
+        listed += f"- [`smarttouch {name}`]({name}.md): {first}\n"
         pages[name] = "".join(_described(command, name, above)).lstrip()
-    listed = "".join(f"## {part}\n\n{''.join(lines)}\n" for part, lines in parts.items())
     tree = "\n".join(pages)
-    pages["index"] = f"{HEAD}{listed}```{{toctree}}\n:hidden:\n\n{tree}\n```\n"
+    pages["index"] = f"{HEAD}{listed}\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n"
     return pages
 
 

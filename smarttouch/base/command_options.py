@@ -5,11 +5,9 @@ from typing import Any
 import typer
 
 
-def option(
-    says: str, metavar: str | None = None, *names: str, panel: str | None = None, **more: Any
-) -> Any:
+def option(says: str, metavar: str | None = None, *names: str, **more: Any) -> Any:
     """Return an option of a command; in the list of a parameter's ``Annotated``."""
-    return typer.Option(*names, help=says, metavar=metavar, rich_help_panel=panel, **more)
+    return typer.Option(*names, help=says, metavar=metavar, **more)
 
 
 def argument(says: str, metavar: str | None = None, **more: Any) -> Any:

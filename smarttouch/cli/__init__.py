@@ -26,25 +26,20 @@ from smarttouch.cli.simulate import simulate
 
 _FEWEST_FILES = 64
 
-_COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
-    "Run": {"live": live, "stop": stop},
-    "Read, Braille": {"read": read, "braille": braille, "braille-display": braille_display},
-    "Calibrate": {"calibrate": calibrate},
-    "Experiment": {"experiment": experiment},
-    "Devices": {"devices": devices},
-    "Recordings": {"replay": replay, "recordings": recordings},
-    "Design": {"profiles": profiles, "design": design, "simulate": simulate},
-}
-"""Commands by the panel of the help that lists them."""
+_COMMANDS: dict[str, Callable[..., object] | typer.Typer] = {
+    "live": live, "stop": stop, "read": read, "braille": braille,
+    "braille-display": braille_display, "calibrate": calibrate, "experiment": experiment,
+    "devices": devices, "replay": replay, "recordings": recordings, "profiles": profiles,
+    "design": design, "simulate": simulate,
+}  # fmt: skip
 
 
 app: Commands = Commands(name="smarttouch", no_args_is_help=True)
-for _panel, _commands in _COMMANDS.items():
-    for _name, _command in _commands.items():
-        if isinstance(_command, typer.Typer):
-            app.add_typer(_command, name=_name, rich_help_panel=_panel)
-        else:
-            app.command(_name, rich_help_panel=_panel)(_command)
+for _name, _command in _COMMANDS.items():
+    if isinstance(_command, typer.Typer):
+        app.add_typer(_command, name=_name)
+    else:
+        app.command(_name)(_command)
 
 
 def _print_version(wanted: bool) -> None:

@@ -10,7 +10,6 @@ import typer
 from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import BoardStoppedError, CalibrationError, require_within
 from smarttouch.cli.options import (
-    MORE,
     Commands,
     ForceOption,
     OptionGroup,
@@ -98,7 +97,7 @@ def finish(
 
 
 calibrate: Commands = Commands(
-    help="Measure one device on one finger, and write a profile of it.", no_args_is_help=True
+    help="Measure a device on a finger, and write a profile.", no_args_is_help=True
 )
 
 _SIMULATED = ("emulator:", "simulated:", "memory:")
@@ -252,7 +251,7 @@ def thresholds(
         int, option("Repeat the rising current this many times.", "N", min=1, max=10)
     ] = 3,
     seed: Annotated[
-        int, option("Set the seed of pauses, starts and the simulation.", "N", min=0, panel=MORE)
+        int, option("Set the seed of pauses, starts and the simulation.", "N", min=0)
     ] = 0,
     force: ForceOption = None,
     simulate: _Simulate = False,

@@ -36,7 +36,10 @@ def design(
         Path | None, option("Design all kernels now and write the bank.", "NPZ", "--bank")
     ] = None,
 ) -> None:
-    """Show the kernels of a profile: current patterns that reach one class of afferents."""
+    """Show kernels: currents that reach one class.
+
+    All of a new profile are designed once and kept for its runs.
+    """
     from smarttouch.base.errors import DesignError, SmartTouchError
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.cli.options import parse_afferent, require_site

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 devices: Commands = Commands(
-    help="List boards, sensors and cameras; show, measure, test or emulate one.",
+    help="List devices; show, measure, test or emulate one.",
     invoke_without_command=True,
 )
 

@@ -13,7 +13,6 @@ from smarttouch.base import terminal
 from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import ExperimentError
 from smarttouch.cli.options import (
-    MORE,
     ClassOption,
     Commands,
     JsonOption,
@@ -76,8 +75,8 @@ class _Parts:
 class _Participant(OptionGroup):
     """Who answers, and the file of the answers."""
 
-    subject: Annotated[str, option("Name the participant.", "NAME", panel=MORE)] = ""
-    session: Annotated[str, option("Name the session.", "NAME", panel=MORE)] = ""
+    subject: Annotated[str, option("Name the participant.", "NAME")] = ""
+    session: Annotated[str, option("Name the session.", "NAME")] = ""
     output: Annotated[
         Path | None,
         option("Write the answers to this file, not one named after the participant.", "CSV"),
@@ -113,10 +112,10 @@ def run_listed(
     mode: ClassOption = "RA",
     rate_hz: Annotated[
         float | None,
-        option("Set the rate of pulses where the experiment does not.", "HZ", "--rate", panel=MORE),
+        option("Set the rate of pulses where the experiment does not.", "HZ", "--rate"),
     ] = None,
 ) -> None:
-    """Run an experiment by name or from a file; the same command continues it later.
+    """Run an experiment; the same command continues it later.
 
     Keys: the answers that the screen names, r to repeat the trial, and those of live; q to continue
     another time. With free: ↑ ↓ for the amplitude, ← → for the rate, [ ] for the site, 1 to 9 to
@@ -286,7 +285,7 @@ def fit(
     plot: Annotated[Path | None, option("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Fit thresholds with intervals to answers, or report why there are none.
+    """Fit thresholds with intervals to answers.
 
     Several files, for example of RA and PC mode, share one table and one picture, where each has
     its name.

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from smarttouch.base.command_options import argument, option
-from smarttouch.cli.options import MORE, RateOption, takes_options
+from smarttouch.cli.options import RateOption, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.cli.source_options import or_standard_input
 from smarttouch.views.keys_and_signals import drives_a_board
@@ -31,9 +31,7 @@ def live(
         option("Choose the class that is stimulated: RA (usual), SAI, PC or natural.", "CLASS"),
     ] = None,
     rate_hz: RateOption = None,
-    seed: Annotated[
-        int | None, option("Set the seed of all simulated noise.", "N", min=0, panel=MORE)
-    ] = None,
+    seed: Annotated[int | None, option("Set the seed of all simulated noise.", "N", min=0)] = None,
     light_on_dark: Annotated[
         bool,
         option(
@@ -41,14 +39,14 @@ def live(
             None,
             "--light-on-dark",
             show_default=False,
-            panel=MORE,
         ),
     ] = False,
 ) -> None:
-    """Show on the finger what a source sees, until it ends or you press q or Ctrl-C.
+    """Show on the finger what a source sees.
 
-    A page is read again and again, at some 30 words a minute, on a screen or in a window if nothing
-    is written to files; 'text:Hello?passes=1' is read once.
+    It ends with its source, or when you press q or Ctrl-C. A page is read again and again, at some
+    30 words a minute, on a screen or in a window if nothing is written to files;
+    'text:Hello?passes=1' is read once.
     """
     from smarttouch.base.files import data_folder
 

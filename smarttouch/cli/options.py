@@ -116,10 +116,6 @@ def require_answers(
         raise error(message)
 
 
-BOARD = "The board"
-KEPT = "What is kept"
-MORE = "More"
-
 ProfileOption = Annotated[
     str | None, option("Use this device and finger; the board's usual one otherwise.", "NAME|FILE")
 ]
@@ -131,11 +127,9 @@ ModeOption = Annotated[
     str, option("Choose the class that is stimulated: RA, SAI, PC or natural.", "CLASS")
 ]
 RateOption = Annotated[
-    float | None, option("Set the number of scan sequences per second.", "HZ", "--rate", panel=MORE)
+    float | None, option("Set the number of scan sequences per second.", "HZ", "--rate")
 ]
-JsonOption = Annotated[
-    Path | None, option("Write the results as JSON.", "FILE", "--json", panel=KEPT)
-]
+JsonOption = Annotated[Path | None, option("Write the results as JSON.", "FILE", "--json")]
 
 
 ForceOption = Annotated[
@@ -148,19 +142,13 @@ AnatomyOption = Annotated[
         "Choose the fingers: branched, paper, or a file.",
         "NAME|FILE",
         show_default=False,
-        panel=MORE,
     ),
 ]
-QuietOption = Annotated[bool, option("Print errors only.", None, "--quiet", panel=MORE)]
-
-
-_ALL = "--help-all"
-HELP_OPTIONS = ["-h", "--help", _ALL]
-_IS_ALL = "smarttouch.all"
+QuietOption = Annotated[bool, option("Print errors only.", None, "--quiet")]
 
 
 class PlainCommand(TyperCommand):
-    """A command whose help is plain."""
+    """A command that names what replaced an option of an earlier version."""
 
     # A context is of click's class or of typer's own, by the version of typer: hence `Any`.
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -169,36 +157,11 @@ class PlainCommand(TyperCommand):
         for name in (word.partition("=")[0] for word in args):
             if name not in options and (sentence := instead_of(OPTIONS, name)):
                 ctx.fail(sentence)
-        ctx.meta[_IS_ALL] = _ALL in args
         return super().parse_args(ctx, args)
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write arguments and options: those of every day, or all of them in their panels."""
-        panels: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-        left_out = 0
-        for each in self.get_params(ctx):
-            record = each.get_help_record(ctx)
-            if record is None:
-                continue
-            panel = getattr(each, "rich_help_panel", None)
-            if each.param_type_name == "argument":
-                # Without its type, which is always a text.
-                panels["Arguments"].append((record[0].partition(" <")[0], record[1]))
-            elif panel is None or ctx.meta.get(_IS_ALL):
-                panels.setdefault(panel or "Options", []).append(record)
-            else:
-                left_out += 1
-        for name, rows in panels.items():
-            if rows:
-                with formatter.section(name):
-                    formatter.write_dl(rows)
-        if left_out:
-            formatter.write_paragraph()
-            formatter.write_text(f"{left_out} more options: {ctx.command_path} {_ALL}")
 
 
 class PlainGroup(TyperGroup):
-    """Commands under one name, listed in their order with one sentence each."""
+    """Commands under one name, which names what replaced one of an earlier version."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the command that the words name, or fail with what replaced it."""
@@ -207,27 +170,22 @@ class PlainGroup(TyperGroup):
             ctx.fail(sentence)
         return super().resolve_command(ctx, args)
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """Return their names."""
-        return list(self.commands)
-
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write them by their panels."""
-        panels: dict[str, list[tuple[str, str]]] = {}
-        for name, each in self.commands.items():
-            panel = str(getattr(each, "rich_help_panel", None) or "Commands")
-            first = " ".join((each.help or "").split("\n\n")[0].split())
-            panels.setdefault(panel, []).append((name, first))
-        for panel, rows in panels.items():
-            with formatter.section(panel):
-                formatter.write_dl(rows)
+        """Write each with its first sentence."""
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [
+                    (name, " ".join((each.help or "").split("\n\n")[0].split()))
+                    for name, each in self.commands.items()
+                ]
+            )
 
 
 class Commands(typer.Typer):
     """Commands whose help is plain, without boxes or colors."""
 
     def __init__(self, **settings: Any) -> None:
-        context = {"help_option_names": HELP_OPTIONS}
+        context = {"help_option_names": ["-h", "--help"]}
         settings |= {"cls": PlainGroup, "pretty_exceptions_enable": False}
         super().__init__(rich_markup_mode=None, context_settings=context, **settings)
 

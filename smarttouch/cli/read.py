@@ -10,7 +10,7 @@ import typer
 
 from smarttouch.base import terminal
 from smarttouch.base.command_options import argument, option
-from smarttouch.cli.options import MORE, ModeOption, RateOption, takes_options
+from smarttouch.cli.options import ModeOption, RateOption, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.cli.source_options import (
     DocumentOptions,
@@ -44,7 +44,7 @@ def read(
         float, option("Rest this long after each line; inf waits for a key.", "S", "--pause")
     ] = 1.0,
     follow: Annotated[
-        str | None, option("Take the position of the finger from this source.", "URL", panel=MORE)
+        str | None, option("Take the position of the finger from this source.", "URL")
     ] = None,
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
@@ -208,7 +208,7 @@ def braille_display(
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
 ) -> None:
-    """Be the Braille display of a running screen reader, through BRLTTY.
+    """Be the Braille display of a screen reader, by BRLTTY.
 
     Two commands, in two terminals:
 

@@ -53,7 +53,10 @@ def replay(
         option("Scale the recorded intensity, 0 to 1. Real boards start at 0.", "0..1"),
     ] = None,
 ) -> None:
-    """Play a recording on a board, or check that its sequences are still the same."""
+    """Play a recording, or check that it gives the same.
+
+    --check compares today's sequences with the recorded ones.
+    """
     from smarttouch.running.recording_reader import Recording
 
     if check:

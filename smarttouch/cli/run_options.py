@@ -11,8 +11,6 @@ from smarttouch.base.errors import SmartTouchError, not_offered
 from smarttouch.base.files import require_folder
 from smarttouch.base.terminal import draws
 from smarttouch.cli.options import (
-    BOARD,
-    KEPT,
     ForceOption,
     JsonOption,
     OptionGroup,
@@ -45,7 +43,7 @@ class RunOptionGroup(OptionGroup):
     ] = None
     vibrators: Annotated[
         str | None,
-        option("Drive PC by a vibrator: a new WAV file or sound:.", "WAV|sound:", panel=BOARD),
+        option("Drive PC by a vibrator: a new WAV file or sound:.", "WAV|sound:"),
     ] = None
     set_: Annotated[
         list[str] | None,
@@ -54,7 +52,6 @@ class RunOptionGroup(OptionGroup):
             "energy), softness=0..1, measure, balance, paced=no (simulated: as fast as it can).",
             "NAME=VALUE",
             "--set",
-            panel=BOARD,
         ),
     ] = None
     profile: ProfileOption = None
@@ -68,7 +65,6 @@ class RunOptionGroup(OptionGroup):
         option(
             "Draw what the sensor saw, what was delivered and how a simulated finger responds.",
             "PNG",
-            panel=KEPT,
         ),
     ] = None
     finger: Annotated[
@@ -78,7 +74,6 @@ class RunOptionGroup(OptionGroup):
             "branched, paper or a file.",
             "[ANATOMY:]SEED",
             show_default=False,
-            panel=KEPT,
         ),
     ] = None
     record: Annotated[Path | None, option("Record the whole run.", "MCAP")] = None

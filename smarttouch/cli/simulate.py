@@ -17,7 +17,7 @@ from smarttouch.cli.options import (
 from smarttouch.cli.source_options import DocumentOptions, FormOptions, or_standard_input
 
 simulate: Commands = Commands(
-    help="Put pages, or a study of letters and pages, on simulated fingers.",
+    help="Put pages or a study on simulated fingers.",
     no_args_is_help=True,
 )
 

@@ -13,7 +13,7 @@ import typer
 from smarttouch.base.command_options import option
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import named_file
-from smarttouch.cli.options import MORE, OptionGroup
+from smarttouch.cli.options import OptionGroup
 
 if TYPE_CHECKING:
     from smarttouch.reading.braille_lines import Braille
@@ -69,12 +69,10 @@ _TAGS = {code: tag for tag, code in _TESSERACT.items()}
 class DocumentOptions(OptionGroup):
     """Options of a document."""
 
-    password: Annotated[
-        str | None, option("Give the password of an encrypted PDF.", "TEXT", panel=MORE)
-    ] = None
+    password: Annotated[str | None, option("Give the password of an encrypted PDF.", "TEXT")] = None
     languages: Annotated[
         str | None,
-        option("Name the language of the text, such as en or fr.", "TAG", "--language", panel=MORE),
+        option("Name the language of the text, such as en or fr.", "TAG", "--language"),
     ] = None
 
     def recognition(self, source: str, **more: Any) -> "tuple[str, RecognitionOptions]":
@@ -106,7 +104,6 @@ TableOption = Annotated[
     option(
         "Choose the Braille table; --tables lists them. The language chooses one otherwise.",
         "NAME",
-        panel=_FORM,
     ),
 ]
 
