@@ -14,7 +14,7 @@ import numpy as np
 import smarttouch as st
 
 # %%
-# 5 x 5 discs of 1.0 mm at 2.0 mm. ``smarttouch profiles copy electric-mouse mine.toml`` writes a
+# 5 x 5 discs of 1.0 mm at 2.0 mm. ``smarttouch profiles new mine.toml`` writes a
 # profile with comments to begin from; the reference explains every key.
 PROFILE = """
 title = "An array of my own: 5 x 5 discs of 1.0 mm at 2.0 mm"

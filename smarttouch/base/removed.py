@@ -7,26 +7,35 @@ from typing import Any
 
 COMMANDS = {
     "calibrate level": "set the level with the keys + and - during a run",
+    "profiles copy": "run smarttouch profiles new FILE.toml --like NAME",
     "recordings export": "st.load_recording(FILE).arrays has the arrays; numpy.savez writes them",
     "recordings repair": "every command reads a damaged recording up to its last whole chunk",
     "recordings view": "open the recording in Foxglove",
-    "simulate letters": "run smarttouch simulate study with a plan of letters",
     "report": "send smarttouch --version, pip list and the command that went wrong",
+    "simulate letters": "run smarttouch simulate study with a plan of letters",
 }
 OPTIONS = {
     "--adaptive": "run smarttouch experiment run 'detection?procedure=questplus&site=N'",
+    "--bank": "leave it out; kernels are kept where runs find them",
     "--compare": "design one kind after the other; the profile's output.kind decides",
     "--dot-pitch-mm": "give --size-mm, the side of the target",
     "--frames": "leave it out; 16 frames are averaged",
+    "--help-all": "--help prints all options",
+    "--lapse": "leave it out; a tenth of the answers may be lapses",
     "--leave-out": "leave it out; characters without cells are always left out and named",
+    "--linear": "leave it out; the comparisons determine the axis",
+    "--log": "leave it out; the comparisons determine the axis",
     "--note": "name the recording; experiment run has --session",
     "--overwrite": "remove the file, or give another name",
     "--robust": "leave it out; kernels are designed for the nominal finger",
     "--save": "record with smarttouch live SOURCE --record FILE.mcap",
     "--schema": "st.Profile.model_json_schema() in Python has it",
+    "--seed": "leave it out; the names of participant and session set the order of trials",
+    "--standard": "name the column standard in the file",
     "--stream": "run examples/bridges/lsl_bridge.py",
     "--subject": "name the recording; experiment run has --subject",
     "--three-state": "leave it out; the profile's output.kind decides",
+    "--yes": "press Enter when everything is in place",
 }
 URLS = {
     "draw": "send patterns to socket:PATH, or by Session.put in Python",

@@ -32,15 +32,12 @@ def design(
     plot_file: Annotated[
         Path | None, option("Draw the kernels of the site, or of the middle one.", "PNG", "--plot")
     ] = None,
-    bank_file: Annotated[
-        Path | None, option("Design all kernels now and write the bank.", "NPZ", "--bank")
-    ] = None,
 ) -> None:
     """Show kernels: currents that reach one class.
 
     All of a new profile are designed once and kept for its runs.
     """
-    from smarttouch.base.errors import DesignError, SmartTouchError
+    from smarttouch.base.errors import DesignError
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.cli.options import parse_afferent, require_site
     from smarttouch.kernels import kernel_tables
@@ -50,10 +47,8 @@ def design(
 
     afferent = None if mode is None else parse_afferent(mode)
     chosen = load_profile(profile)
-    for output in (json_file, plot_file, bank_file):
+    for output in (json_file, plot_file):
         require_folder(output)
-    if any_node and bank_file is not None:
-        raise SmartTouchError("--any-node and --bank do not go together: give one of them")
     if site is not None:
         require_site(chosen, site)
     modes = possible_modes(chosen)
@@ -66,7 +61,7 @@ def design(
             )
         modes = [afferent]
     with bank_progress(quiet=False) as progress:
-        shown = _kernels(chosen, modes, site, any_node, bank_file, progress)
+        shown = _kernels(chosen, modes, site, any_node, progress)
     if site is None:
         _print(kernel_tables.site_table(chosen, shown))
     else:
@@ -87,17 +82,13 @@ def _kernels(
     modes: "Sequence[Afferent]",
     site: int | None,
     any_node: bool,
-    bank_file: Path | None,
     progress: "Advance | None",
 ) -> "list[SiteKernel]":
     """Return the kernels of modes at one site or at all, from a bank or designed now."""
     from smarttouch.kernels import kernel_tables
-    from smarttouch.kernels.bank import find_bank, load_bank, make_bank
+    from smarttouch.kernels.bank import find_bank, load_bank
 
     sites = profile.driven.tolist() if site is None else [site]
-    if bank_file is not None:
-        made = make_bank(bank_file, profile, progress)
-        return kernel_tables.kernels_of_bank(profile, made, modes, sites)
     if not any_node:
         # One site of a large array is not worth its whole bank.
         bank = load_bank(profile, progress) if site is None else find_bank(profile)
@@ -139,7 +130,7 @@ def list_profiles(context: typer.Context) -> None:
     print_table(
         rows,
         ("name", "what it is", "board"),
-        note="Make your own with 'smarttouch profiles copy NAME FILE', and give its file to "
+        note="Make your own with 'smarttouch profiles new FILE --like NAME', and give its file to "
         "--profile.",
         left=3,
     )
@@ -155,25 +146,12 @@ def show(name: _Name = "") -> None:
 
 
 @profiles.command()
-def copy(
-    name: _Name,
-    file: _File,
-    overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
-) -> None:
-    """Write a copy of a profile for editing, with its comments."""
-    from smarttouch.experiments.calibration.profile_file import ProfileFile
-
-    copied = ProfileFile(name, file, overwrite)
-    copied.write()
-    typer.echo(f"written: {copied.output}")
-
-
-@profiles.command()
 def new(
     files: Annotated[
         list[Path],
         argument(
-            "A table with columns x_mm, y_mm and perhaps diameter_mm; then the profile to write.",
+            "A table with columns x_mm, y_mm and perhaps diameter_mm, if the array is another one; "
+            "then the profile to write.",
             "[TABLE.csv] FILE.toml",
         ),
     ],
@@ -182,24 +160,27 @@ def new(
     diameter_mm: Annotated[
         float, option("Set the diameter of its discs.", "MM", "--diameter")
     ] = 1.0,
-    like: Annotated[
-        str, option("Take everything else from this profile.", "NAME|FILE")
-    ] = "electric-mouse",
+    like: Annotated[str, option("Start from this profile.", "NAME|FILE")] = "electric-mouse",
     overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
 ) -> None:
-    """Write a profile for editing, with a grid of electrodes or positions from a table."""
+    """Write a profile for editing: a copy with its comments, or one with another array."""
     from smarttouch.base.errors import ProfileError
     from smarttouch.base.files import require_replaceable, write_bytes
+    from smarttouch.experiments.calibration.profile_file import ProfileFile
     from smarttouch.profile import load_profile
     from smarttouch.profile.electrode_table import grid_of
     from smarttouch.profile.toml_writer import as_toml
 
     *tables, file = files
-    if len(tables) != (not grid):
+    if len(tables) + bool(grid) > 1:
         raise ProfileError(
-            "give a table and the profile to write, or --grid 5x5 and the profile alone",
-            key="table",
+            "a table and --grid are given: leave one out, or both for a copy", key="table"
         )
+    if not tables and not grid:
+        copied = ProfileFile(like, file, overwrite)
+        copied.write()
+        typer.echo(f"written: {copied.output}")
+        return
     require_replaceable(file, ProfileError)
     if file.exists() and not overwrite:
         raise ProfileError(

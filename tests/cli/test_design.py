@@ -61,12 +61,6 @@ def test_any_node(designed):
     assert first["weights"] == pytest.approx(last["weights"][::-1])
 
 
-def test_a_bank_is_made_again(program_here, tmp_path):
-    program_here("design --profile=line-7 --bank=bank.npz").fine()
-    with np.load(tmp_path / "bank.npz") as bank:
-        assert bank["weights_RA"].shape == (7, 7)
-
-
 @pytest.mark.parametrize("asked", sample(["smarttouch-4x4 --mode=RA", "kajimoto-61", "line-7"]))
 def test_a_site_is_drawn(program_here, tmp_path, asked):
     program_here(f"design --profile={asked} 5 --plot=k.png").fine()
@@ -106,7 +100,6 @@ def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
     ("--mode=PA", says(value="PA", allowed=("RA", "SAI", "PC"))),
     ("--profile=kajimoto-61 --mode=SAI",
      says(DesignError, value="SAI", allowed=("RA",))),
-    ("--any-node --bank=k.npz", says(value=("--any-node", "--bank"))),
     ("--plot=k.jpg --profile=line-7", says(SmartTouchError, "k.jpg", "*.png")),
     ("--plot=no/k.png", says(value=Path("no/k.png"))),
 ])  # fmt: skip

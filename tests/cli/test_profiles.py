@@ -25,13 +25,13 @@ def test_all_are_listed(program_here):
 
 
 def test_a_copy_is_the_file_with_its_comments(program_here, tmp_path):
-    assert program_here("profiles copy line-7 mine.toml").returncode == 0
+    assert program_here("profiles new mine.toml --like line-7").returncode == 0
     assert (tmp_path / "mine.toml").read_bytes() == profile_path("line-7").read_bytes()
-    refused = one_sentence(program_here("profiles copy line-8 mine.toml"))
+    refused = one_sentence(program_here("profiles new mine.toml --like line-8"))
     assert "mine.toml" in refused
     assert "--overwrite" in refused
     assert (tmp_path / "mine.toml").read_bytes() == profile_path("line-7").read_bytes()
-    assert program_here("profiles copy line-8 mine.toml --overwrite").returncode == 0
+    assert program_here("profiles new mine.toml --like line-8 --overwrite").returncode == 0
     assert (tmp_path / "mine.toml").read_bytes() == profile_path("line-8").read_bytes()
 
 
@@ -104,8 +104,8 @@ def test_all_that_is_wrong_stands_in_a_line_of_its_own(program_here, tmp_path):
 
 
 @pytest.mark.parametrize("arguments", [
-    ("show", "nobody"), ("copy", "nobody", "mine.toml"), ("copy", "line-7", "mine.txt"),
-    ("copy", "line-7", "none/mine.toml"),
+    ("show", "nobody"), ("new", "mine.toml", "--like", "nobody"), ("new", "mine.txt"),
+    ("new", "none/mine.toml"), ("new", "table.csv", "mine.toml", "--grid", "2x2"),
 ])  # fmt: skip
 def test_what_cannot_be_is_one_sentence(program_here, tmp_path, arguments):
     one_sentence(program_here("profiles", *arguments))
