@@ -113,7 +113,7 @@ _BoardUrl = Annotated[
 
 
 @calibrate.command()
-@takes_options()
+@takes_options
 def optics(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
@@ -153,7 +153,7 @@ def optics(
 
 
 @calibrate.command()
-@takes_options()
+@takes_options
 def registration(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
@@ -205,7 +205,7 @@ def registration(
 
 
 @calibrate.command()
-@takes_options()
+@takes_options
 def force(
     calibration: CalibrationOptions,
     cell: Annotated[
@@ -240,7 +240,7 @@ def force(
 
 @calibrate.command()
 @drives_a_board
-@takes_options()
+@takes_options
 def thresholds(
     calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",
@@ -285,7 +285,7 @@ def thresholds(
 
 @calibrate.command()
 @drives_a_board
-@takes_options()
+@takes_options
 def contact(
     calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",

@@ -111,7 +111,6 @@ profiles: Commands = Commands(
 )
 
 _Name = Annotated[str, argument("A shipped profile, or a file.", "NAME|FILE")]
-_File = Annotated[Path, argument("The profile.", "FILE.toml")]
 
 
 @profiles.callback()

@@ -96,7 +96,7 @@ class _Participant(OptionGroup):
 
 @experiment.command("run")
 @drives_a_board
-@takes_options()
+@takes_options
 def run_listed(
     run: RunOptionGroup,
     who: _Participant,

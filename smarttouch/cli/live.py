@@ -13,7 +13,7 @@ from smarttouch.cli.source_options import or_standard_input
 from smarttouch.views.keys_and_signals import drives_a_board
 
 
-@takes_options()
+@takes_options
 def live(
     run: RunOptionGroup,
     source: Annotated[

@@ -1,10 +1,9 @@
 """What all commands share: options and their groups, choices, and help in plain lines."""
 
-import functools
 import inspect
 import sys
-from collections.abc import Callable, Iterator
-from dataclasses import Field, fields
+from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
@@ -26,57 +25,37 @@ class OptionGroup:
     """Base of frozen dataclasses whose fields are options, annotated as typer wants them."""
 
 
-def takes_options(**defaults: Any) -> Callable[[Callable[..., _T]], Callable[..., _T]]:
-    """Let a command take the options of the groups among its parameters' types.
-
-    It gets each group as one object. Its own option replaces one of the same name in a group;
-    `defaults` replace those of the groups.
-    """
-    return functools.partial(_expanded, defaults=defaults)
-
-
-def _expanded(command: Callable[..., _T], defaults: dict[str, Any]) -> Callable[..., _T]:
+def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
+    """Let a command take the options of the groups among its parameters' types, each group as one
+    object."""
     hints = get_type_hints(command, include_extras=True)
-    parameters = inspect.signature(command).parameters
-    groups = {
-        name: hints[name]
-        for name in parameters
-        if inspect.isclass(hints[name]) and issubclass(hints[name], OptionGroup)
+    groups: dict[str, Any] = {
+        name: kind
+        for name, kind in hints.items()
+        if inspect.isclass(kind) and issubclass(kind, OptionGroup)
     }
 
-    def shared(group: Any) -> Iterator[Field[Any]]:
-        return (each for each in fields(group) if each.name not in parameters)
-
-    @functools.wraps(command)
     def expanded(**given: Any) -> _T:
-        made = {
-            name: group(**{each.name: given.pop(each.name) for each in shared(group)})
-            for name, group in groups.items()
-        }
-        return command(**made, **given)
+        for name, group in groups.items():
+            given[name] = group(**{each.name: given.pop(each.name) for each in fields(group)})
+        return command(**given)
 
-    del expanded.__wrapped__
     keyword = inspect.Parameter.KEYWORD_ONLY
     taken = [
         each.replace(annotation=hints[each.name], kind=keyword)
-        for each in parameters.values()
+        for each in inspect.signature(command).parameters.values()
         if each.name not in groups
     ]
     for group in groups.values():
         kinds = get_type_hints(group, include_extras=True)
         taken += [
-            inspect.Parameter(
-                each.name,
-                keyword,
-                default=defaults.get(each.name, each.default),
-                annotation=kinds[each.name],
-            )
-            for each in shared(group)
+            inspect.Parameter(each.name, keyword, default=each.default, annotation=kinds[each.name])
+            for each in fields(group)
         ]
-    signature = inspect.Signature(taken, return_annotation=hints.get("return"))
-    # Typer reads it; the type of a function has no such attribute.
-    vars(expanded)["__signature__"] = signature
+    expanded.__name__, expanded.__doc__ = command.__name__, command.__doc__
     expanded.__annotations__ = {each.name: each.annotation for each in taken}
+    # Typer reads it; the type of a function has no such attribute.
+    vars(expanded)["__signature__"] = inspect.Signature(taken)
     return expanded
 
 

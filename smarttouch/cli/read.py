@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @drives_a_board
-@takes_options()
+@takes_options
 def read(
     feel: FormOptions,
     document: DocumentOptions,
@@ -102,7 +102,7 @@ def _at_level(config: "RunConfig", shown: object, on_a_finger: bool) -> "RunConf
     return replace(config, intensity=UNKNOWN_LEVEL)
 
 
-@takes_options()
+@takes_options
 def braille(
     document: DocumentOptions,
     source: Annotated[
@@ -194,7 +194,7 @@ def _print_tables() -> None:
 
 
 @drives_a_board
-@takes_options()
+@takes_options
 def braille_display(
     run: RunOptionGroup,
     address: Annotated[

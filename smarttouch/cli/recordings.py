@@ -23,54 +23,31 @@ def info(file: Annotated[Path, argument("A recording, whole or cut off.", "FILE"
 
 
 @drives_a_board
-@takes_options()
+@takes_options
 def replay(
     run: RunOptionGroup,
     file: Annotated[Path, argument("A recording, whole or cut off.", "FILE")],
     check: Annotated[
         bool, option("Compare today's sequences with the recorded ones, exactly.", None, "--check")
     ] = False,
-    profile: Annotated[
-        str | None,
-        option(
-            "Use another device and finger than the recorded one. A recording never raises "
-            "the limits of a real board.",
-            "NAME|FILE",
-        ),
-    ] = None,
-    board: Annotated[
-        str, option("Drive this board; it cannot be given with --check.", "URL")
-    ] = "simulated:",
-    force: Annotated[
-        str | None,
-        option(
-            "Measure or state today's force. The recorded one counts on simulated boards only.",
-            "URL",
-        ),
-    ] = None,
-    intensity: Annotated[
-        float | None,
-        option("Scale the recorded intensity, 0 to 1. Real boards start at 0.", "0..1"),
-    ] = None,
 ) -> None:
     """Play a recording, or check that it gives the same.
 
-    --check compares today's sequences with the recorded ones.
+    Without --profile it is played with the recorded one, which never raises the limits of a real
+    board. The recorded force counts on simulated boards only; --intensity scales what was recorded.
     """
     from smarttouch.running.recording_reader import Recording
 
     if check:
-        _check(file, profile)
+        _check(file, run.profile)
         return
-    from dataclasses import replace
     from functools import partial
 
     from smarttouch.running.functions import recording_config
     from smarttouch.running.recorded_source import RecordedControls, RecordingSource
 
-    run = replace(run, board=board, force=force, intensity=intensity, profile=profile)
     recording = Recording(file)
-    recorded = profile is None and not run.on_a_finger
+    recorded = run.profile is None and not run.on_a_finger
     chosen = recording.profile if recorded else run.load_profile()
     settings = {"paced": run.is_watched} | run.settings("scan", "softness")
     config = recording_config(recording, **settings)

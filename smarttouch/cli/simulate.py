@@ -23,7 +23,7 @@ simulate: Commands = Commands(
 
 
 @simulate.command("page")
-@takes_options()
+@takes_options
 def simulate_page(
     feel: FormOptions,
     document: DocumentOptions,

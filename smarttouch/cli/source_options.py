@@ -54,7 +54,6 @@ def _file_of_standard_input() -> Iterator[Path]:
         yield path
 
 
-_FORM = "Form of the text"
 _TESSERACT = {
     "ar": "ara", "cs": "ces", "da": "dan", "de": "deu", "el": "ell", "en": "eng", "es": "spa",
     "fi": "fin", "fr": "fra", "he": "heb", "hi": "hin", "hu": "hun", "it": "ita", "ja": "jpn",

@@ -149,16 +149,14 @@ class DeliveredResponses(Perception):
         super().__init__(profile, bank, afferents)
         self.poses: dict[int, Pose] = {}
         self.period_us: dict[int, int] = {}
-        self.time_s: dict[int, float] = {}
         self.answer: dict[int, Floats] = {}
         self._silent = np.zeros(len(profile.electrodes), np.float32)
 
     def watch(self, sent: StepResult) -> None:
-        """Record the pose of a step, its time and its duration."""
+        """Record the pose of a step, and its duration."""
         if sent.number is not None and sent.sequence.intensity > 0:
             self.poses[sent.number] = sent.input.pose
             self.period_us[sent.number] = sent.sequence.period_us
-            self.time_s[sent.number] = sent.input.time_ns / 1e9
 
     def deliver(
         self, numbers: NDArray[np.uint32], width_us: Floats, current_ua: NDArray[np.int16]

@@ -38,7 +38,7 @@ class DeliveredPicture(Listener):
         """Begin the picture, and make the board log its pulses."""
         from smarttouch.physiology.anatomy import load_anatomy
 
-        if self.path.suffix.lower() != ".png":
+        if self.path.suffix.lower() not in ("", ".png"):
             raise SmartTouchError(f"{self.path} cannot be drawn: name a .png")
         load_anatomy(self._anatomy)
         board = run.board
