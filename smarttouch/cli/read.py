@@ -1,6 +1,5 @@
 """``smarttouch read``, ``braille`` and ``braille-display``: text under a finger."""
 
-import math
 from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -63,10 +62,9 @@ def read(
 
     own = run.load_profile()
     chosen = profile_for_reading(own)
-    usual = own.defaults.plain or not (run.quiet or terminal.draws())
-    plain = usual if run.plain is None else run.plain
+    plain = own.defaults.plain or not (run.quiet or terminal.draws())
     presentation, speed_mm_s = feel.presentation(
-        own.defaults.read_as, document.languages, named=plain
+        own.defaults.read_as, document.languages, plain if run.plain is None else run.plain
     )
     motion = presentation.motion(chosen, speed_mm_s, rate_hz)
     notes: list[str] = []
@@ -74,21 +72,21 @@ def read(
         *document.recognition(source, scale_matters=follow is not None), notes.append
     )
     config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=presentation.tone)
-    config = _at_level(config, presentation, run.on_a_finger)
     followed = nullcontext() if follow is None else open_source(follow, own)
     with closing(LineFeed(presentation.lines(text, chosen))) as feed, followed as finger:
         feed.start()
         first_line_awaited(lambda: feed.wait_for(0), run.quiet)
-        rest_s, waits = (0.0, True) if pause_s == math.inf else (pause_s, False)
         cursor = (
-            SweepingCursor(feed, motion, reading_force_n(chosen), rest_s, waits)
+            SweepingCursor(feed, motion, reading_force_n(chosen), pause_s)
             if finger is None
             else FollowingCursor(feed, finger)
         )
         reading = ReadingSource(text.title, chosen, feed, cursor)
         reading.url, reading.notes = source, notes
-        keys_help = "← → line    r again    "
-        run.start(reading, chosen, config, keys=reading.keys, keys_help=keys_help)
+        run.start(
+            reading, chosen, _at_level(config, presentation, run.on_a_finger), keys=reading.keys,
+            keys_help="← → line    r again    ",
+        )  # fmt: skip
 
 
 def _at_level(config: "RunConfig", shown: object, on_a_finger: bool) -> "RunConfig":
@@ -131,7 +129,7 @@ def braille(
     from functools import partial
 
     from smarttouch.base.errors import BrailleError
-    from smarttouch.base.files import require_folder, write_bytes
+    from smarttouch.base.files import write_bytes
     from smarttouch.braille.cells import format_brf
     from smarttouch.braille.code_tables import open_table
     from smarttouch.reading.document_cells import document_cells, forget_pages
@@ -143,12 +141,7 @@ def braille(
     if source is None:
         raise BrailleError("nothing to read is given: give a text or a file, or --tables")
     if output is not None:
-        require_folder(output)
-        if back or output.suffix.lower() != ".brf":
-            message = "only cells are written, to a .brf file: redirect what is printed instead"
-            raise BrailleError(f"cannot write {output}: {message}")
-        if output.exists():
-            raise BrailleError(f"{output} is there already: give another name, or remove it")
+        _require_new_brf(output, back)
     say = partial(typer.echo, err=True)
     code = open_table(table_of(table, document.languages))
     material = ReadingMaterial(*document.recognition(source), say)
@@ -168,6 +161,18 @@ def braille(
         write_bytes(output, format_brf(pages), BrailleError)
         print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
         forget_pages(output)
+
+
+def _require_new_brf(output: Path, back: bool) -> None:
+    from smarttouch.base.errors import BrailleError
+    from smarttouch.base.files import require_folder
+
+    require_folder(output)
+    if back or output.suffix.lower() != ".brf":
+        message = "only cells are written, to a .brf file: redirect what is printed instead"
+        raise BrailleError(f"cannot write {output}: {message}")
+    if output.exists():
+        raise BrailleError(f"{output} is there already: give another name, or remove it")
 
 
 def _print_tables() -> None:

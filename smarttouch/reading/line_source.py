@@ -71,7 +71,7 @@ class Cursor(Protocol):
 class SweepingCursor:
     """Cursor that sweeps line after line, pressing with ``press_n``, with a pause after each.
 
-    If it ``waits``, the next line comes only when a key asks for it.
+    After an infinite pause the next line comes only when a key asks for it.
     """
 
     knows_force = True
@@ -83,11 +83,11 @@ class SweepingCursor:
         motion: LineMotion,
         press_n: float,
         pause_s: float = 0.0,
-        waits: bool = False,
     ) -> None:
-        require_within(ReadingError, "pause_s", pause_s, 0, LONGEST_PAUSE_S)
+        if pause_s != math.inf:
+            require_within(ReadingError, "pause_s", pause_s, 0, LONGEST_PAUSE_S)
         self._feed, self._motion = feed, motion
-        self._press_n, self._pause_s, self._waits = press_n, pause_s, waits
+        self._press_n, self._pause_s = press_n, pause_s
         self._index, self._line_s = 0, 0.0  # index of the line, and the time spent on it
         self._before_ns: int | None = None
         self._paused = False
@@ -125,9 +125,10 @@ class SweepingCursor:
         length_mm = line.end_mm - line.start_mm
         if way_mm <= length_mm:
             return self._on_line(line, max(0.0, way_mm))
-        if self._line_s > SETTLE_S + length_mm / self._motion.speed_mm_s + self._pause_s and (
-            not self._waits or self._feed.ended(self._index + 1)
-        ):
+        pause_s = self._pause_s
+        if pause_s == math.inf and self._feed.ended(self._index + 1):
+            pause_s = 0.0
+        if self._line_s > SETTLE_S + length_mm / self._motion.speed_mm_s + pause_s:
             self._go_to(self._index + 1)
         return Spot(self._index, None)
 

@@ -118,7 +118,7 @@ def test_a_pause_stands_still(feed_of, make_line):
 
 def test_a_key_can_be_waited_for(feed_of, make_line):
     feed = feed_of(make_line(10.0), make_line(10.0))
-    cursor = SweepingCursor(feed, LineMotion(50.0), 1.0, waits=True)
+    cursor = SweepingCursor(feed, LineMotion(50.0), 1.0, math.inf)
     assert [cursor.at(step * 100 * MS).index for step in range(100)] == [0] * 100
     cursor.keys["right"]()
     assert cursor.at(10_000 * MS).index == 1
