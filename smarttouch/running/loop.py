@@ -203,7 +203,8 @@ class _Loop:
         """Deliver one input; return False at the end of the source."""
         # The skin waits since the sequence before was over, whatever the plan says.
         waits_ns = max(0, late_ns, now_ns - self._over_ns if self._over_ns else 0)
-        stalled = waits_ns > LATE_NS
+        # By simulated time no skin has waited.
+        stalled = waits_ns > LATE_NS and not self.inputs.board.simulated_time
         # After a stall the plan is a new one.
         due_ns = board_ns if stalled else board_ns - waits_ns
         inputs, clock = self.inputs, self.clock

@@ -177,7 +177,7 @@ def test_a_picture_of_braille_is_refused_and_shown_by_live(program_here, figures
     Image.fromarray(draw_dots(cells)).save(tmp_path / "dots.png", dpi=(150, 150))
     for command in ("read", "read --as braille", "braille", "simulate page --as braille"):
         says(PageError, "page 1", "Braille", ".brf")(refused(program_here(command, "dots.png")))
-    assert figures_of("live page:dots.png --board simulated: --seconds 1")["slots"] > 0
+    assert figures_of("live page:dots.png --set paced=no --seconds 1")["slots"] > 0
 
 
 def lines_of(path):

@@ -47,9 +47,13 @@ def test_a_computer_that_stalls_makes_nothing_late_on_the_board():
         if result.number == 10:
             time.sleep(0.25)
 
-    _, statistics, _ = run(True, seconds=0.6, listeners=[stall])
+    sequences, statistics, _ = run(True, seconds=0.6, listeners=[stall])
     assert statistics.late >= 1
     assert statistics.restarts == statistics.figures["dropped_late"] == 0
+    # Nor does intensity begin at zero again.
+    levels = [each.intensity for each in sequences]
+    assert levels == sorted(levels)
+    assert levels[10] > levels[5] > 0
 
 
 @pytest.mark.parametrize("at_once", [True, False])
