@@ -24,13 +24,13 @@ def send(port: int, count: int = 60) -> None:
 
 
 # %%
-# On a real board: ``link:PORT`` in place of ``emulator:``, and ``force="fixed:0.9"`` where a finger
-# presses that nothing measures.
+# On a real board: ``link:PORT`` in place of ``simulated:``, and ``force="fixed:0.9"`` where a
+# finger presses that nothing measures.
 line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 line.bind(("127.0.0.1", 0))
 line.settimeout(1.0)
-display = st.open_display("emulator:", "electric-mouse")
-with line, display.session(mode="RA", intensity=0.6) as touch:
+display = st.open_display("simulated:", "electric-mouse")
+with line, display.session(mode="RA", intensity=0.6, paced=True) as touch:
     touch.rise()
     sender = threading.Thread(target=send, args=line.getsockname()[1:])
     sender.start()

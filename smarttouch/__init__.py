@@ -8,7 +8,7 @@ proved safe before an electro-tactile display board gets it::
 
     profile = st.load_profile("electric-mouse")
     with st.open_source("text:touch", profile) as source, \\
-            st.open_display("emulator:", profile) as display:
+            st.open_display("simulated:", profile) as display:
         statistics = st.run(source, display, mode="RA")
 
 Nothing heavy is imported before it is used.

@@ -82,3 +82,18 @@ def test_a_recording_of_a_paced_run_is_as_exact(tmp_path):
     run(True, seconds=0.2, listeners=[st.Recorder(path)])
     assert "paced" not in st.load_recording(path).settings
     assert check_recording(path).exact
+
+
+def test_a_paced_session_keeps_real_time():
+    dot = np.eye(64, dtype=np.float32)[27]
+    with st.open_display("simulated:").session(mode="RA", intensity=0.6, paced=True) as touch:
+        touch.rise()
+        begun_s = time.monotonic()
+        shown = touch.show(dot, 0.3)
+        touch.wait(0.2)
+        assert time.monotonic() - begun_s > 0.45
+        assert (shown.sequences, shown.intensity) == (15, 0.6)
+        touch.put(dot, stale_s=0.2)
+        time.sleep(0.5)
+    assert touch.statistics.seconds > 0.5
+    assert touch.statistics.figures["emulator_violations"] == 0
