@@ -15,7 +15,9 @@ from smarttouch.base.files import require_folder, write_bytes
 from smarttouch.base.wire.device_lines import PtyLine, TcpLine
 
 if TYPE_CHECKING:
-    from smarttouch.emulator.firmware import Firmware
+    from smarttouch.boards.link.protocol import Output
+    from smarttouch.emulator.finger_events import EmulatedFinger
+    from smarttouch.emulator.firmware import DeliveryLog, Firmware
     from smarttouch.emulator.sensors import Look
     from smarttouch.emulator.server import LineStatistics
     from smarttouch.profile import Profile
@@ -63,23 +65,17 @@ def emulate_board(
     port_only: _PortOnly = False,
 ) -> None:
     """Emulate a board on skin, behind a port whose name is printed, until Ctrl-C."""
-    from smarttouch.base.afferent import Afferent
     from smarttouch.boards.link.protocol import OUTPUTS
-    from smarttouch.emulator.etactilekit_firmware import FIRMWARES
     from smarttouch.emulator.finger_events import EmulatedFinger
     from smarttouch.emulator.firmware import DeliveryLog
-    from smarttouch.emulator.rules_over_time import MOST_KERNELS, Room
     from smarttouch.emulator.skin import COMPLIANCE_V
 
     if name not in BOARDS:
         raise not_offered("emulator", name, BOARDS)
     electrodes = BOARDS[name] if electrodes is None else electrodes
     volts = COMPLIANCE_V if compliance is None else compliance
-    # Kernels of all classes, however many electrodes there are.
-    room = Room(kernels=max(MOST_KERNELS, len(Afferent) * electrodes))
-    least = 61 if name == "kajimoto61" else 1
     _require(
-        ("electrodes", electrodes, least, _MOST_ELECTRODES[name]),
+        ("electrodes", electrodes, 61 if name == "kajimoto61" else 1, _MOST_ELECTRODES[name]),
         ("compliance", volts, *_COMPLIANCES_V),
         ("ramp_ms", ramp_ms, 0, 10_000),
         ("discovery_port", 1 if discovery_port is None else discovery_port, 1, 65_535),
@@ -87,31 +83,13 @@ def emulate_board(
     kind = next((each for each in OUTPUTS if each == output), None)
     if kind is None:
         raise not_offered("output", output, OUTPUTS)
-    if firmware is not None and name != "etactilekit":
-        message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
-        raise SmartTouchError(message)
-    if firmware is not None and firmware not in FIRMWARES:
-        raise not_offered("firmware", firmware, FIRMWARES)
+    _require_firmware(name, firmware)
     if discovery_port is not None and not tcp:
-        message = "discovery_port is for a board on the network: serve TCP"
-        raise SmartTouchError(message)
+        raise SmartTouchError("discovery_port is for a board on the network: serve TCP")
     if books is not None and not books.is_dir():
         raise SmartTouchError(f"{books} is no folder: make it first")
     kept, finger = DeliveryLog(electrodes, books), EmulatedFinger(electrodes, event or ())
-    if name == "link":
-        from smarttouch.emulator.link_firmware import LinkFirmware
-
-        device: Firmware = LinkFirmware(
-            electrodes, kind, kept, finger, volts, ramp_ms=ramp_ms, room=room
-        )
-    elif name == "kajimoto61":
-        from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
-
-        device = Kajimoto61Firmware(kept, finger, volts)
-    else:
-        from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
-
-        device = ETactileKitFirmware(kept, finger, volts, firmware or "71adee2")
+    device = _board(name, kind, firmware or "71adee2", ramp_ms, kept, finger, volts)
     _serve(
         device,
         lambda: TcpLine(discovery_port) if tcp else PtyLine(),
@@ -119,6 +97,42 @@ def emulate_board(
         linger,
         parent,
     )
+
+
+def _require_firmware(name: str, firmware: str | None) -> None:
+    """Raise unless a board has a firmware by that name, if one is named."""
+    from smarttouch.emulator.etactilekit_firmware import FIRMWARES
+
+    if firmware is not None and name != "etactilekit":
+        message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
+        raise SmartTouchError(message)
+    if firmware is not None and firmware not in FIRMWARES:
+        raise not_offered("firmware", firmware, FIRMWARES)
+
+
+def _board(
+    name: str,
+    kind: "Output",
+    firmware: str,
+    ramp_ms: int,
+    kept: "DeliveryLog",
+    finger: "EmulatedFinger",
+    volts: float,
+) -> "Firmware":
+    """Return the firmware of a board."""
+    from smarttouch.base.afferent import Afferent
+    from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+    from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
+    from smarttouch.emulator.link_firmware import LinkFirmware
+    from smarttouch.emulator.rules_over_time import MOST_KERNELS, Room
+
+    if name == "kajimoto61":
+        return Kajimoto61Firmware(kept, finger, volts)
+    if name == "etactilekit":
+        return ETactileKitFirmware(kept, finger, volts, firmware)
+    # Kernels of all classes, however many electrodes there are.
+    room = Room(kernels=max(MOST_KERNELS, len(Afferent) * kept.electrodes))
+    return LinkFirmware(kept.electrodes, kind, kept, finger, volts, ramp_ms=ramp_ms, room=room)
 
 
 def _require(*ranges: tuple[str, float, float, float]) -> None:
