@@ -27,14 +27,9 @@ def disc_radius_mm(electrodes: ElectrodeArray) -> float:
 
 
 class ElectrodePicture:
-    """Draws electrodes as discs on white, in a color of each, (E, 3).
+    """Draws electrodes as discs on white, in a color of each, (E, 3)."""
 
-    ``plain`` leaves out edges: each pixel is white or has the color of an electrode.
-    """
-
-    def __init__(
-        self, electrodes: ElectrodeArray, px_per_mm: float, *, plain: bool = False
-    ) -> None:
+    def __init__(self, electrodes: ElectrodeArray, px_per_mm: float) -> None:
         # It takes a third of a second to import, and cells need none of it.
         from scipy.spatial import cKDTree
 
@@ -44,16 +39,13 @@ class ElectrodePicture:
         self._nearest = np.asarray(nearest)
         beyond_mm = np.asarray(away, np.float32)[..., None] - disc_radius_mm(electrodes)
         beyond_px = (beyond_mm * px_per_mm).astype(np.float32)
-        self._disc = (
-            (beyond_px <= 0).astype(np.float32) if plain else np.clip(0.5 - beyond_px, 0, 1)
-        )
-        self._edge = None if plain else np.clip(1 - np.abs(beyond_px), 0, 1)
+        self._disc = np.clip(0.5 - beyond_px, 0, 1)
+        self._edge = np.clip(1 - np.abs(beyond_px), 0, 1)
 
     def raster(self, colors: Colors) -> NDArray[np.uint8]:
         """Return the picture as pixels, (H, W, 3) in RGB."""
         image = 255 - (255 - colors.astype(np.float32))[self._nearest] * self._disc
-        if self._edge is not None:
-            image += (np.array(EDGE, np.float32) - image) * self._edge
+        image += (np.array(EDGE, np.float32) - image) * self._edge
         return np.asarray(np.rint(image), np.uint8)
 
 

@@ -3,8 +3,6 @@
 The same tables are on the page "Install", section "From 1.0rc1".
 """
 
-from typing import Any
-
 COMMANDS = {
     "calibrate level": "set the level with the keys + and - during a run",
     "profiles copy": "run smarttouch profiles new FILE.toml --like NAME",
@@ -59,15 +57,3 @@ def instead_of(table: dict[str, str], name: str) -> str | None:
     """Return the sentence that tells what to use instead of a name; None if it was not removed."""
     instead = table.get(name)
     return instead and f"{name} was removed after 1.0.0rc1: {instead}"
-
-
-def without_removed(profile: dict[str, Any]) -> dict[str, Any]:
-    """Return the table of a profile in a recording without removed keys that changed no kernel."""
-    for key in PROFILE_KEYS:
-        *parents, last = key.split(".")
-        table = profile
-        for parent in parents:
-            table = table.get(parent, {})
-        if table.get(last) != "finger" and not (last == "layers" and table.get(last)):
-            table.pop(last, None)
-    return profile

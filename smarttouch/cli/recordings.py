@@ -36,7 +36,7 @@ def replay(
     Without --profile it is played with the recorded one, which never raises the limits of a real
     board. The recorded force counts on simulated boards only; --intensity scales what was recorded.
     """
-    from smarttouch.running.recording_reader import Recording
+    from smarttouch.running.recording import Recording
 
     if check:
         _check(file, run.profile)
@@ -61,7 +61,7 @@ def _check(file: Path, profile: str | None) -> None:
     from smarttouch.kernels.bank import load_bank
     from smarttouch.profile import load_profile
     from smarttouch.running.check_recording import check_recording
-    from smarttouch.running.recording_reader import Recording
+    from smarttouch.running.recording import Recording
     from smarttouch.views.progress import bank_progress
 
     chosen = Recording(file).profile if profile is None else load_profile(profile)

@@ -7,51 +7,28 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.base.errors import RecordingError
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 from smarttouch.running.regulation import Regulator
-from smarttouch.running.step_decoder import RecordedStep
+from smarttouch.running.step_messages import RecordedStep
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 KEPT = 20  # differences listed in a report; all are counted
 
-_SCALARS = (
-    ("slots", ""), ("period_us", "µs"), ("intensity", ""), ("time_ns", "ns"), ("recharge_us", "µs"),
-)  # fmt: skip
-_ROWS = (("vibration", "vibration", ""), ("recharge current", "recharge_ua", "µA"))
-_COLUMNS = (("site", ""), ("width_us", "µs"), ("discharge_us", "µs"))
-
-
-@dataclass(frozen=True)
-class Difference:
-    """A quantity of a sequence that differs from the recorded one, in which slot and electrode.
-
-    ``frame`` is the number of the input at its source, ``step`` that of the recording, from 0.
-    """
-
-    frame: int
-    step: int
-    time_ns: int
-    what: str
-    unit: str
-    recorded: float
-    new: float
-    slot: int | None = None
-    electrode: int | None = None
-
-    def describe(self) -> str:
-        """Return the difference as a line of text."""
-        where = f"frame {self.frame} at {self.time_ns / 1e9:.3f} s"
-        where += "" if self.slot is None else f", slot {self.slot}"
-        where += "" if self.electrode is None else f", electrode {self.electrode}"
-        unit = self.unit and f" {self.unit}"
-        return f"{where}: {self.what} {self.recorded!r}{unit} recorded, {self.new!r}{unit} now"
+_UNITS = {
+    "slots": "", "period_us": " µs", "intensity": "", "time_ns": " ns", "recharge_us": " µs",
+    "vibration": "", "recharge_ua": " µA", "site": "", "width_us": " µs", "discharge_us": " µs",
+    "current_ua": " µA",
+}  # fmt: skip
+"""Compared quantities of a sequence, with their units."""
+_SIDE = {"vibration": "electrode", "recharge_ua": "electrode"}  # of rows (E,)
 
 
 @dataclass
@@ -64,7 +41,7 @@ class CheckReport:
     frames: int = 0
     sequences: int = 0
     slots: int = 0
-    differences: list[Difference] = field(default_factory=list)
+    differences: list[str] = field(default_factory=list)
     different: int = 0
     left_out: str = ""
 
@@ -78,7 +55,7 @@ class CheckReport:
         head = f"{self.sequences:,} sequences, {self.slots:,} slots: "
         head += "identical" if self.exact else f"{self.different:,} differences"
         lines = [head + (f" ({self.left_out})" if self.left_out else "")]
-        lines += [each.describe() for each in self.differences]
+        lines += self.differences
         if self.different > len(self.differences):
             lines.append(f"and {self.different - len(self.differences):,} more")
         return "\n".join(lines)
@@ -173,32 +150,23 @@ def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> 
     return made
 
 
-def _differences(
-    recorded: RecordedStep, was: ScanSequence, now: ScanSequence
-) -> Iterator[Difference]:
-    frame, step = recorded.step.input, recorded.index
+def _differences(recorded: RecordedStep, was: ScanSequence, now: ScanSequence) -> Iterator[str]:
+    """Yield a sentence for each number that differs."""
+    given = recorded.step.input
+    head = f"frame {given.number} at {given.time_ns / 1e9:.3f} s"
+    for name, unit in _UNITS.items():
+        old, new = (_values(each, name) for each in (was, now))
+        if old.shape != new.shape:
+            # Slots that moved would differ in everything.
+            return
+        for place in np.argwhere(old != new).tolist():
+            # Of arrays (S, E), (S,) and (E,).
+            names = ("slot", "electrode") if old.ndim == 2 else (_SIDE.get(name, "slot"),)
+            where = "".join(f", {side} {at}" for side, at in zip(names, place, strict=False))
+            one, other = (values[tuple(place)].item() for values in (old, new))
+            yield f"{head}{where}: {name} {one!r}{unit} recorded, {other!r}{unit} now"
 
-    def difference(what: str, unit: str, *values: Any, **where: int) -> Difference:
-        old, new = (float(v) if isinstance(v, float) else int(v) for v in values)
-        return Difference(frame.number, step, frame.time_ns, what, unit, old, new, **where)
 
-    for name, unit in _SCALARS:
-        old, new = getattr(was, name), getattr(now, name)
-        if old != new:
-            yield difference(name, unit, old, new)
-    for what, name, unit in _ROWS:
-        rows = [getattr(each, name) for each in (was, now)]
-        old_row, new_row = (np.zeros(was.electrodes) if row is None else row for row in rows)
-        for electrode in np.flatnonzero(old_row != new_row).tolist():
-            old, new = old_row[electrode].item(), new_row[electrode].item()
-            yield difference(what, unit, old, new, electrode=electrode)
-    if was.current_ua.shape != now.current_ua.shape:
-        # Slots that moved would differ in everything.
-        return
-    for name, unit in _COLUMNS:
-        old, new = getattr(was, name), getattr(now, name)
-        for slot in np.flatnonzero(old != new).tolist():
-            yield difference(name, unit, old[slot], new[slot], slot=slot)
-    for slot, electrode in np.argwhere(was.current_ua != now.current_ua).tolist():
-        old, new = was.current_ua[slot, electrode], now.current_ua[slot, electrode]
-        yield difference("current", "µA", old, new, slot=slot, electrode=electrode)
+def _values(sequence: ScanSequence, name: str) -> NDArray[Any]:
+    value = getattr(sequence, name)
+    return np.zeros(sequence.electrodes) if value is None else np.asarray(value)

@@ -143,5 +143,5 @@ class RunConfig:
         primaries = [each.name for each in sharing.afferents]
         return kept | {
             "mode": str(self.mode),
-            "sharing": {"primaries": primaries, "planned": False},
+            "sharing": {"primaries": primaries},
         }

@@ -18,7 +18,7 @@ from smarttouch.running.display import Display, open_display
 from smarttouch.running.listener import Listener, as_listeners
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import RecordedControls, RecordingSource
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.runner import Operation, Runner
 from smarttouch.running.step import Step, StepResult

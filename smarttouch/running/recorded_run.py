@@ -10,51 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.profile import Profile
-from smarttouch.running.recording_reader import Recording
-from smarttouch.running.step_decoder import RecordedStep
+from smarttouch.running.recording import Recording
+from smarttouch.running.step_messages import RecordedStep
 
 
 @dataclass(frozen=True, eq=False)
 class RunArrays:
-    """All numbers of a run: N steps, S slots one after another, E electrodes.
-
-    Attributes
-    ----------
-    step, time_ns, clock_ns : ndarray, (N,) int64
-        Number from 0, the sum of all periods before it, and the real time since the start.
-    number : ndarray, (N,) int64
-        Of the image or stimulus at its source: the same is the same again.
-    mode : ndarray, (N,) str
-    level, intensity : ndarray, (N,) float64, in [0, 1]
-        What the user asked for, and what was reached.
-    restarted : ndarray, (N,) bool
-        Whether intensity began at zero with the step.
-    asked_us, period_us : ndarray, (N,) int64
-        To the next sequence: as rates ask, and as it was.
-    force_n, x_mm, y_mm, angle_rad : ndarray, (N,) float64
-        Force that counted, place on the page, and turn, clockwise.
-    age_ns, stale : ndarray, (N,) int64 and bool
-        Age of the input, and whether its source was silent.
-    latency_us, work_us : ndarray, (N,) float64
-        From the input in hand to the last byte written, and processor time of the loop.
-    sent : ndarray, (N,) int64
-        The board's number of the sequence; -1 where the board was lost with it.
-    acknowledged, refused : ndarray, (N,) int64
-        Sequences that the board had begun, or declined, until then.
-    first_pulse_us : ndarray, (N,) float64
-        From the taking of the image to its first pulse; NaN if the board did not say.
-    activation : ndarray, (N, 3, E) float32
-        Of RA, SAI and PC.
-    first_slot : ndarray, (N + 1,) int64
-        The slots of step n are ``first_slot[n]`` to ``first_slot[n + 1]``.
-    current_ua : ndarray, (S, E) int16
-        Positive cathodic.
-    width_us, discharge_us, site : ndarray, (S,) uint16
-    recharge_us, recharge_ua : ndarray, (N,) int64 and (N, E) int16
-        Recharge phases; zero where there is none.
-    volts, volts_step : ndarray, (V,) float32, and (M,) int64
-        Measured voltage of each slot of M steps, one after another, and these steps; -1 if unknown.
-    """
+    """All numbers of a run; the page *Recorded data* lists shapes, units and meanings."""
 
     step: NDArray[np.int64]
     time_ns: NDArray[np.int64]
@@ -93,64 +55,69 @@ class RunArrays:
 _SLOTS = ("current_ua", "width_us", "discharge_us", "site")
 
 
-class ArrayCollector:
-    """Collects the arrays of a run step by step."""
-
-    def __init__(self, electrodes: int) -> None:
-        self._electrodes = electrodes
-        self._columns: dict[str, list[Any]] = {each.name: [] for each in fields(RunArrays)}
-        self._columns["first_slot"] = [0]
-        self._step_at: dict[int, int] = {}
-        self._step_of: dict[int, int] = {}
-
-    def add(self, recorded: RecordedStep) -> None:
-        """Add a step."""
-        step, columns = recorded.step, self._columns
-        sequence, given, sent = step.sequence, step.input, recorded.sent
-        none = np.zeros(self._electrodes, np.int16)
-        pose = given.pose
-        row = {
-            "step": recorded.index, "time_ns": given.time_ns,
-            "clock_ns": sent.clock_ns, "number": given.number,
-            "mode": step.mode.value, "level": step.level, "intensity": sequence.intensity,
-            "restarted": step.restarted, "asked_us": step.asked_us,
-            "period_us": sequence.period_us, "force_n": given.force_n, "x_mm": pose.x_mm,
-            "y_mm": pose.y_mm, "angle_rad": pose.angle_rad, "age_ns": given.age_ns,
-            "stale": given.stale, "latency_us": sent.latency_us, "work_us": sent.work_us,
-            "sent": -1 if sent.number is None else sent.number,
-            "acknowledged": recorded.acknowledged, "refused": recorded.refused,
-            "first_pulse_us": np.nan, "activation": step.tactile.activation,
-            "first_slot": columns["first_slot"][-1] + sequence.slots,
-            "recharge_us": sequence.recharge_us,
-            "recharge_ua": none if sequence.recharge_ua is None else sequence.recharge_ua,
-        }  # fmt: skip
-        for name, value in row.items():
+def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
+    columns: dict[str, list[Any]] = {each.name: [] for each in fields(RunArrays)}
+    row_of: dict[int | None, int] = {}  # by the board's number
+    index_of: dict[int, int] = {}  # by the time of the sequence
+    columns["first_slot"].append(0)
+    for row, recorded in enumerate(steps):
+        step, sent = recorded.step, recorded.sent
+        for name, value in _values(recorded, electrodes).items():
             columns[name].append(value)
         for name in _SLOTS:
-            columns[name].append(getattr(sequence, name))
-        if sent.number is not None:
-            self._step_of[sent.number] = len(columns["step"]) - 1
-        pulse = sent.first_pulse
-        if pulse is not None and pulse.number in self._step_of:
-            columns["first_pulse_us"][self._step_of[pulse.number]] = pulse.latency_us
-        self._step_at[sequence.time_ns] = recorded.index
+            columns[name].append(getattr(step.sequence, name).ravel())
+        columns["first_slot"].append(columns["first_slot"][-1] + step.sequence.slots)
+        row_of[sent.number] = row
+        if sent.first_pulse is not None and sent.first_pulse.number in row_of:
+            pulsed = row_of[sent.first_pulse.number]
+            columns["first_pulse_us"][pulsed] = sent.first_pulse.latency_us
+        index_of[step.sequence.time_ns] = recorded.index
         for measured, volts in step.observed:
             columns["volts"].append(volts)
-            columns["volts_step"].append(self._step_at.get(measured.time_ns, -1))
+            columns["volts_step"].append(index_of.get(measured.time_ns, -1))
+    sides = {
+        "current_ua": (electrodes,),
+        "activation": (3, electrodes),
+        "recharge_ua": (electrodes,),
+    }
+    arrays = {}
+    for each in fields(RunArrays):
+        # A dtype before NumPy 2.5, and its scalar from then on.
+        kind: Any = get_args(each.type)[-1]
+        kind = (get_args(kind) or (kind,))[0]
+        values: Any = columns[each.name]
+        if each.name in (*_SLOTS, "volts"):
+            values = np.concatenate([np.empty(0, kind), *values])
+        arrays[each.name] = np.array(values, kind).reshape(-1, *sides.get(each.name, ()))
+    return RunArrays(**arrays)
 
-    def arrays(self) -> RunArrays:
-        """Return what was collected."""
-        count, made = self._electrodes, dict[str, Any]()
-        sides = {"current_ua": (count,), "activation": (3, count), "recharge_ua": (count,)}
-        for each in fields(RunArrays):
-            values: Any = self._columns[each.name]
-            # A dtype before NumPy 2.5, and its scalar from then on.
-            kind: Any = get_args(each.type)[-1]
-            kind = (get_args(kind) or (kind,))[0]
-            if each.name in (*_SLOTS, "volts"):
-                values = np.concatenate([np.empty(0, kind), *map(np.ravel, values)])
-            made[each.name] = np.array(values, kind).reshape(-1, *sides.get(each.name, ()))
-        return RunArrays(**made)
+
+def _values(recorded: RecordedStep, electrodes: int) -> dict[str, Any]:
+    """Return the numbers of one step."""
+    step, sent, sequence, given = (
+        recorded.step, recorded.sent, recorded.step.sequence, recorded.step.input,
+    )  # fmt: skip
+    recharge_ua = sequence.recharge_ua
+    return {
+        "step": recorded.index,
+        "mode": step.mode.value,
+        "sent": -1 if sent.number is None else sent.number,
+        "first_pulse_us": np.nan,
+        "activation": step.tactile.activation,
+        "recharge_us": sequence.recharge_us,
+        "recharge_ua": np.zeros(electrodes, np.int16) if recharge_ua is None else recharge_ua,
+        **{name: getattr(step, name) for name in ("level", "restarted", "asked_us")},
+        **{name: getattr(sequence, name) for name in ("intensity", "period_us")},
+        **{
+            name: getattr(given, name)
+            for name in ("time_ns", "number", "force_n", "age_ns", "stale")
+        },
+        **{name: getattr(given.pose, name) for name in ("x_mm", "y_mm", "angle_rad")},
+        **{
+            name: getattr(sent, name)
+            for name in ("clock_ns", "latency_us", "work_us", "acknowledged", "refused")
+        },
+    }
 
 
 class RecordedRun:
@@ -193,10 +160,7 @@ class RecordedRun:
     @cached_property
     def arrays(self) -> RunArrays:
         """All numbers of the run."""
-        collector = ArrayCollector(len(self.profile.electrodes))
-        for each in self._recording.steps():
-            collector.add(each)
-        return collector.arrays()
+        return _arrays(self._recording.steps(), len(self.profile.electrodes))
 
     @cached_property
     def events(self) -> list[tuple[int, str]]:

@@ -1,7 +1,6 @@
 """A recording as a source, with the user's modes and levels."""
 
 import bisect
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +10,8 @@ from smarttouch.base.errors import RecordingError, SourceError
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import stricter
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.recording_reader import Recording
-from smarttouch.running.step_decoder import RecordedStep
+from smarttouch.running.recording import Recording
+from smarttouch.running.step_messages import RecordedStep
 from smarttouch.sources.source_contract import Input, Source, Stimulus
 
 
@@ -114,14 +113,10 @@ class RecordedControls(Controls):
         super().__init__(state, modes)
         self._times_ns: list[int] = []
         self._recorded: list[ControlState] = []
-        for topic, message in recording.messages():
-            if topic != "/sequence":
-                continue
+        for time_ns, step in recording.contents("/step"):
             try:
-                step = json.loads(message.data)
                 recorded = ControlState(Mode(step["mode"]), float(step["level"]))
-                time_ns = int(step["time_ns"])
-            except (ValueError, KeyError, TypeError, OverflowError):
+            except (ValueError, KeyError, TypeError):
                 continue
             if not self._recorded or recorded != self._recorded[-1]:
                 self._times_ns.append(time_ns)

@@ -1,43 +1,27 @@
 """Recorder of a run: steps and events into one MCAP file, on a thread of its own."""
 
 import json
-import math
 import os
-import platform
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, BinaryIO
 
-import cv2
 import numpy as np
-from mcap.data_stream import RecordBuilder
-from mcap.records import ChunkIndex
 from mcap.writer import Writer
+from numpy.typing import NDArray
 
-from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import RecordingError
 from smarttouch.base.events import Event
 from smarttouch.base.files import owner_only, sync_folder, unwritable
 from smarttouch.base.version import __version__
-from smarttouch.profile import Profile
 from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.recording_format import FORMAT, METADATA, TOPICS, schema
+from smarttouch.running.recording_format import METADATA, SCHEMAS, about_run
 from smarttouch.running.step import StepResult
-from smarttouch.running.step_encoder import Message, StepEncoder
+from smarttouch.running.step_messages import Message, event_message, image_message, step_message
 
-FLUSH_S = 0.04
-"""Longest time before data is passed to the system: the loss when a program is killed."""
-SYNC_S = 1.0  # longest time before data is on the disk: the loss at a power failure
-MOST_WAITING = 1000
-
-
-class _GoneError(OSError):
-    """The file no longer has the name that it was created with."""
-
+CHUNK_S = 1.0  # longest time before a chunk is on the disk: the loss if the program is killed
+MOST_WAITING = 1000  # steps that may wait for the disk
 
 _Item = StepResult | tuple[int, str]
 
@@ -45,51 +29,52 @@ _Item = StepResult | tuple[int, str]
 class RecordingWriter:
     """Writer of steps and events to a new MCAP file, on a thread of its own.
 
-    A step is with the system at most `FLUSH_S` and the time to write it later, and is then safe
-    from any end of this program; at most `SYNC_S` and the disk's own time later it is safe from a
-    power cut. Times in the file are times of day; ``about`` (see `about_run`) is kept as metadata.
+    Each chunk is on the disk at most `CHUNK_S` and the disk's own time after its first step. Times
+    in the file are times of day; ``about`` (see `about_run`) is kept as metadata.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        about: dict[str, str],
-        started_unix_ns: int,
-        electrodes: ElectrodeArray | None = None,
-    ) -> None:
+    def __init__(self, path: Path, about: dict[str, str], started_unix_ns: int) -> None:
+        self._path = path
+        self._started_unix_ns = started_unix_ns
+        self._failure: Exception | None = None
+        self._reported = self._closed = False
+        self._steps = 0
+        self._image: tuple[NDArray[np.uint8], int] | None = None
+        self._queue: queue.SimpleQueue[_Item | None] = queue.SimpleQueue()
         try:
-            self._file: BinaryIO = open(path, "xb", opener=owner_only)  # noqa: SIM115, until closing
+            self._file = open(path, "xb", opener=owner_only)  # noqa: SIM115, until closing
         except FileExistsError:
             raise name_taken(path) from None
         except OSError as error:
             raise unwritable(RecordingError, path, error) from None
-        self._path = path
-        self._started_unix_ns = started_unix_ns
-        self._failure: Exception | None = None
-        self._reported = False
-        self._closed = False
-        self._index = 0
-        self._queue: queue.SimpleQueue[_Item | None] = queue.SimpleQueue()
-        self._encoder = StepEncoder(started_unix_ns, electrodes)
-        self._writer = new_writer(self._file)
+        self._writer = Writer(self._file)
+        try:
+            self._begin(about)
+        except OSError as error:
+            self._file.close()
+            raise unwritable(RecordingError, path, error) from None
         self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
-        self._guarded(self._begin, about)
-        if self._failure is not None:
-            self.close()
         self._thread.start()
 
     def _begin(self, about: dict[str, str]) -> None:
         self._writer.start(profile=METADATA, library=f"smarttouch {__version__}")
-        self._writer.add_metadata(METADATA, {"format": FORMAT, **about})
-        self._channels = {topic: self._register(topic) for topic in TOPICS}
-        self._sync()
+        self._writer.add_metadata(METADATA, about)
+        self._channels = {}
+        for topic, (name, properties) in SCHEMAS.items():
+            schema = {"title": name, "type": "object", "properties": properties}
+            schema_id = self._writer.register_schema(
+                name, "jsonschema", json.dumps(schema).encode()
+            )
+            self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
+        self._end_chunk()
         sync_folder(self._path.absolute().parent)
 
     def record(self, result: StepResult) -> None:
         """Queue one step for writing; RecordingError if the disk is full, broken or too slow."""
         if self._queue.qsize() > MOST_WAITING:
-            said = f"{MOST_WAITING} frames wait for the disk, it is too slow"
-            self._fail(TimeoutError(0, said))
+            self._failure = self._failure or TimeoutError(
+                0, f"{MOST_WAITING} frames wait for the disk, it is too slow"
+            )
         if self._failure is not None:
             raise self._complaint()
         self._queue.put(result)
@@ -106,141 +91,93 @@ class RecordingWriter:
         if self._closed:
             return
         self._closed = True
-        if self._thread.is_alive():
-            self._queue.put(None)
-            self._thread.join()
-        self._guarded(self._writer.finish)
-        self._guarded(self._to_disk)
-        self._guarded(self._require_there)
-        self._guarded(self._file.close)
+        self._queue.put(None)
+        self._thread.join()
         if self._failure is not None and not self._reported:
             raise self._complaint()
 
-    def _register(self, topic: str) -> int:
-        name, content = TOPICS[topic][0], json.dumps(schema(topic)).encode()
-        schema_id = self._writer.register_schema(name, "jsonschema", content)
-        return int(self._writer.register_channel(topic, "json", schema_id))
-
     def _complaint(self) -> RecordingError:
         self._reported = True
-        if isinstance(self._failure, _GoneError):
-            return RecordingError(
-                f"{self._path} was removed, moved or replaced while it was written, so it is not "
-                "this run's recording: leave the file alone until the run has ended"
-            )
-        said = getattr(self._failure, "strerror", None) or repr(self._failure)
-        return RecordingError(f"{self._path} is cut short: {said}; what was written is kept")
-
-    def _fail(self, error: Exception) -> None:
-        self._failure = self._failure or error
-
-    def _guarded(self, act: Callable[..., object], *arguments: object) -> None:
-        """Run an operation on the file; after the first failure, only close it.
-
-        What has only lost its name is finished first: it may have been moved.
-        """
-        failed = self._failure is not None and not isinstance(self._failure, _GoneError)
-        if failed and act != self._file.close:
-            return
-        try:
-            act(*arguments)
-        except Exception as error:
-            # Any exception must reach the loop: a run is not to go on unrecorded.
-            self._fail(error)
+        reason = getattr(self._failure, "strerror", None) or repr(self._failure)
+        return RecordingError(f"{self._path} is cut short: {reason}; what was written is kept")
 
     def _write_all(self) -> None:
-        """Write queued data; flush and sync before it has waited too long."""
-        flush_at = sync_at = math.inf
-        while True:
-            due = min(flush_at, sync_at)
-            wait_s = None if math.isinf(due) else max(0.0, due - time.monotonic())
-            try:
-                item = self._queue.get(timeout=wait_s)
-                if item is None:
-                    return
-                now = time.monotonic()
-                flush_at, sync_at = min(flush_at, now + FLUSH_S), min(sync_at, now + SYNC_S)
-                self._guarded(self._write, item)
-            except queue.Empty:
-                pass
-            now = time.monotonic()
-            if now >= sync_at:
-                self._guarded(self._sync)
-                flush_at = sync_at = math.inf
-            elif now >= flush_at:
-                self._guarded(self._flush)
-                flush_at = math.inf
-
-    def _flush(self) -> None:
-        self._writer.flush()
-        self._file.flush()
-
-    def _sync(self) -> None:
-        self._flush()
-        self._to_disk()
-        self._require_there()
-
-    def _require_there(self) -> None:
-        """Raise unless whoever opens the path gets the file that is written."""
+        """Write what is queued until the end; after a failure only close the file."""
         try:
-            there = os.path.samestat(self._path.stat(), os.fstat(self._file.fileno()))
-        except OSError:
-            there = False
-        if not there:
-            raise _GoneError
+            while self._write_chunk():
+                self._end_chunk()
+            self._writer.finish()
+            self._to_disk()
+        # Any exception must reach the loop: a run must not go on unrecorded.
+        except Exception as error:
+            self._failure = self._failure or error
+        try:
+            self._file.close()
+        except OSError as error:
+            self._failure = self._failure or error
+
+    def _write_chunk(self) -> bool:
+        """Write items until `CHUNK_S` after the first; return False at the end of the recording."""
+        item = self._queue.get()
+        end_s = time.monotonic() + CHUNK_S
+        while item is not None:
+            if self._failure is not None:
+                raise self._failure
+            self._write(item)
+            try:
+                item = self._queue.get(timeout=max(0.0, end_s - time.monotonic()))
+            except queue.Empty:
+                return True
+            if time.monotonic() >= end_s and item is not None:
+                self._write(item)
+                return True
+        return False
+
+    def _end_chunk(self) -> None:
+        self._writer.flush()
+        self._to_disk()
 
     def _to_disk(self) -> None:
-        """Sync the file to the disk."""
+        """Sync the file to the disk; raise if its name is gone, which nobody could open later."""
         self._file.flush()
         os.fsync(self._file.fileno())
+        try:
+            is_there = os.path.samestat(self._path.stat(), os.fstat(self._file.fileno()))
+        except OSError:
+            is_there = False
+        if not is_there:
+            raise OSError(0, "the file was removed, moved or replaced while it was written")
 
     def _write(self, item: _Item) -> None:
         if not isinstance(item, StepResult):
             time_ns, words = item
-            self._add("/event", self._encoder.event(time_ns, words), time_ns, 0)
+            at_ns = self._started_unix_ns + time_ns
+            self._add("/event", event_message(words, at_ns), at_ns)
             return
-        time_ns = item.step.input.time_ns
-        for topic, message in self._encoder.messages(item):
-            self._add(topic, message, time_ns, self._index)
-        self._index += 1
+        given = item.step.input
+        at_ns = self._started_unix_ns + given.time_ns
+        if given.image is not None and self._is_new(given.image, given.number):
+            self._add("/frame", image_message(given.image, at_ns), at_ns)
+        self._add("/step", step_message(item), at_ns)
+        self._steps += 1
 
-    def _add(self, topic: str, message: Message, time_ns: int, index: int) -> None:
-        at_ns = self._started_unix_ns + time_ns
+    def _is_new(self, image: NDArray[np.uint8], number: int) -> bool:
+        """Return whether an image differs from the one before, whatever its source says."""
+        before, self._image = self._image, (image, number)
+        return (
+            before is None
+            or number != before[1]
+            or not (image is before[0] or np.array_equal(image, before[0]))
+        )
+
+    def _add(self, topic: str, message: Message, at_ns: int) -> None:
         self._writer.add_message(
             self._channels[topic],
             log_time=at_ns,
             publish_time=at_ns,
-            sequence=index,
+            sequence=self._steps,
             data=json.dumps(message, separators=(",", ":"), allow_nan=False).encode(),
         )
-
-
-def new_writer(file: BinaryIO) -> Writer:
-    """Return a writer whose memory does not grow with the run."""
-    writer = Writer(file)
-    # It keeps an index of every chunk until the end: as objects, 1 kB each, 25 a second.
-    if hasattr(writer, _INDEXES):
-        setattr(writer, _INDEXES, _PackedIndexes())
-    return writer
-
-
-_INDEXES = "_Writer__chunk_indices"
-
-
-class _PackedIndexes:
-    """Chunk indexes stored as the bytes at the end of the file."""
-
-    def __init__(self) -> None:
-        self._builder = RecordBuilder()
-
-    def append(self, index: ChunkIndex) -> None:
-        index.write(self._builder)
-
-    def __iter__(self) -> Iterator["_PackedIndexes"]:
-        yield self
-
-    def write(self, builder: RecordBuilder) -> None:
-        builder.write(self._builder.end())
 
 
 def name_taken(path: Path) -> RecordingError:
@@ -275,8 +212,7 @@ class Recorder(Listener):
         """Start the file, with the description of the open board."""
         started_unix_ns = time.time_ns()
         about = about_run(run.profile, run.settings, started_unix_ns)
-        electrodes = run.profile.electrodes
-        self._writer = RecordingWriter(self.path, about, started_unix_ns, electrodes)
+        self._writer = RecordingWriter(self.path, about, started_unix_ns)
 
     def step(self, result: StepResult) -> None:
         """Queue a step for writing."""
@@ -292,25 +228,3 @@ class Recorder(Listener):
         """Write everything queued, and finish the file."""
         if self._writer is not None:
             self._writer.close()
-
-
-def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) -> dict[str, str]:
-    """Return the description of a run in its recording, with the software versions.
-
-    Of the settings, `RunSettings` are what sequences depend on; all else is for readers.
-    """
-    versions = {
-        "smarttouch": __version__,
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "opencv": cv2.__version__,
-        "scipy": version("scipy"),
-        "mcap": version("mcap"),
-        "platform": platform.platform(),
-    }
-    return {
-        "started_unix_ns": str(started_unix_ns),
-        "profile": profile.model_dump_json(),
-        "settings": json.dumps(settings, default=str),
-        "versions": json.dumps(versions),
-    }

@@ -1,106 +1,60 @@
-"""Format of recordings: their topics, and the settings that sequences depend on.
+"""Format of recordings: topics with their JSON schemas, the description of a run, its settings."""
 
-Foxglove has no schema for a number by itself: its plots take any number of any
-message, so `/finger`, `/sequence` and `/board` are ours. `/tactile_image` shows `/tactile` to those
-who look; nothing is read from it.
-"""
-
+import hashlib
+import json
+import platform
 from typing import Annotated, Any, ClassVar, Literal
 
+import cv2
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import RecordingError
+from smarttouch.base.version import __version__
 from smarttouch.imaging.tactile_mapper import Tone
+from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 
-FORMAT = "1"  # version of the format, raised when older readers can no longer read it
+FORMAT = "2"  # version of the format, raised when older readers can no longer read it
+METADATA = "smarttouch"  # name of the metadata record that describes the run
 
-METADATA = "smarttouch"
-
-LAST = "/board"  # topic of a step's last message: with it a step is complete
-
-INFO = 2
-
-_SECONDS = {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}
-_TIME = {"type": "object", "title": "time", "properties": _SECONDS}
+_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _TEXT = {"type": "string"}
-_PNG = {"type": "string", "contentEncoding": "base64", "description": "PNG"}
-_IMAGE = {"timestamp": _TIME, "frame_id": _TEXT, "data": _PNG, "format": _TEXT}
-_LEVELS = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
+_BASE64 = {"type": "string", "contentEncoding": "base64"}
+_IMAGE = {"timestamp": _TIME, "frame_id": _TEXT, "data": _BASE64, "format": _TEXT}
 _LOG = {
-    "timestamp": _TIME,
-    "level": {
-        "title": "foxglove.LogLevel",
-        "oneOf": [{"title": name, "const": at} for at, name in enumerate(_LEVELS)],
-    },
-    "message": _TEXT,
-    "name": _TEXT,
-    "file": _TEXT,
-    "line": {"type": "integer"},
-}
+    "timestamp": _TIME, "level": {"type": "integer"}, "message": _TEXT, "name": _TEXT,
+    "file": _TEXT, "line": {"type": "integer"},
+}  # fmt: skip
+_NUMBERS = (
+    "time_ns", "number", "x_mm", "y_mm", "angle_rad", "force_n", "age_ns", "level", "intensity",
+    "asked_us", "period_us", "strongest_ma", "slots", "recharge_us", "sent",
+    "acknowledged", "refused", "latency_us", "work_us", "clock_ns", "first_pulse_us", "waited_us",
+)  # fmt: skip
 
-TOPICS: dict[str, tuple[str, dict[str, Any]]] = {
+SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
     "/frame": ("foxglove.CompressedImage", _IMAGE),
-    "/finger": ("smarttouch.Finger", {}),
-    "/tactile": ("smarttouch.TactileImage", {}),
-    "/tactile_image": ("foxglove.CompressedImage", _IMAGE),
-    "/request": ("smarttouch.PulseRequest", {}),
-    "/sequence": ("smarttouch.ScanSequence", {}),
-    "/volts": ("smarttouch.Volts", {}),
-    "/board": ("smarttouch.Acknowledgment", {}),
+    "/step": ("smarttouch.Step", {name: {"type": ["number", "null"]} for name in _NUMBERS}),
     "/event": ("foxglove.Log", _LOG),
 }
-"""Name of each topic's schema, and for those that Foxglove knows the properties of its messages."""
-
-
-def schema(topic: str) -> dict[str, Any]:
-    """Return the JSON schema of a topic's messages."""
-    name, properties = TOPICS[topic]
-    return {"title": name, "type": "object", "properties": properties, "required": [*properties]}
-
+"""Name of each topic's schema, and the properties of its messages that Foxglove can show."""
 
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
-_Microseconds = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 _Charge = Annotated[int, Field(ge=-(2**53), le=2**53)]
-_Pulse = Annotated[int, Field(ge=0, le=65_535)]
 
 
-class _Part(BaseModel):
-    model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Timing(_Part):
-    width_us: _Pulse | None = None
-    discharge_us: _Pulse | None = None
-    slot_extra_us: _Microseconds = 0.0
-    scan_us: _Microseconds = 0.0
-    every_electrode: bool = False
-    in_index_order: bool = False
-    own_widths: bool = True
-    whole_hz: bool = False
-    load: Annotated[float, Field(gt=0, le=1)] = 1.0
-
-
-class _Tone(_Part):
-    faintest: _Share
-    fullest: _Share
-    prepared: bool = False
-
-
-class _Sharing(_Part):
+class _Sharing(BaseModel):
     primaries: tuple[Literal["RA", "SAI", "PC"], ...] = ()
-    planned: bool = True
 
 
 class RecordedSettings(BaseModel):
     """Settings of a run that its sequences depend on: those of `Pipeline` and `Regulator`.
 
-    Older recordings lack ``tone``, ``vibrated``, ``sharing`` or ``recharge``. ``carried_pc`` is the
-    net charge of each electrode before a balanced run; empty if none.
+    ``carried_pc`` is the net charge of each electrode before a balanced run; empty if none.
     """
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="ignore", frozen=True)
@@ -114,16 +68,11 @@ class RecordedSettings(BaseModel):
     recharge: bool = False
     carried_pc: tuple[_Charge, ...] = ()
     compliance_v: _Positive | None
-    timed: _Timing = Field(alias="timing")
-    toned: _Tone | None = Field(None, alias="tone")
-    shared: _Sharing = Field(_Sharing(), alias="sharing")
+    timing: ScanTiming
+    tone: Tone | None = None
+    sharing: _Sharing = _Sharing()
     vibrated: bool = False
     in_sums: bool = False
-
-    @property
-    def timing(self) -> ScanTiming:
-        """Scan timing fixed by the board."""
-        return ScanTiming(**self.timed.model_dump())
 
     @property
     def config(self) -> RunConfig:
@@ -133,19 +82,44 @@ class RecordedSettings(BaseModel):
             rate_hz=self.rate_hz,
             light_on_dark=self.light_on_dark,
             softness=self.softness,
-            tone=None if self.toned is None else Tone(**self.toned.model_dump()),
-            scan=SlotPolicy(tuple(Afferent[each] for each in self.shared.primaries)),
+            tone=self.tone,
+            scan=SlotPolicy(tuple(Afferent[name] for name in self.sharing.primaries)),
         )
 
 
 def read_settings(table: dict[str, Any]) -> RecordedSettings:
     """Return the settings in a recording; RecordingError if one is missing or impossible."""
     try:
-        settings = RecordedSettings.model_validate(table)
+        return RecordedSettings.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
         raise RecordingError(f"{key}: {first['msg']}") from None
-    if settings.shared.planned and settings.shared.primaries:
-        raise RecordingError("the recording is of scan=frame, which 1.0.0rc1 had: replay it there")
-    return settings
+
+
+def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) -> dict[str, str]:
+    """Return the description of a run in its recording, with the software versions and a digest.
+
+    Of the settings, `RecordedSettings` are what sequences depend on; all others are for readers.
+    """
+    libraries = {"numpy": np.__version__, "opencv": cv2.__version__}
+    versions = {
+        "smarttouch": __version__,
+        "python": platform.python_version(),
+        **libraries,
+        "platform": platform.platform(),
+    }
+    about = {
+        "format": FORMAT,
+        "started_unix_ns": str(started_unix_ns),
+        "profile": profile.model_dump_json(),
+        "settings": json.dumps(settings, default=str),
+        "versions": json.dumps(versions),
+    }
+    return about | {"digest": digest_of(about)}
+
+
+def digest_of(about: dict[str, str]) -> str:
+    """Return the SHA-256 of a description, without its digest."""
+    rest = {key: value for key, value in about.items() if key != "digest"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()

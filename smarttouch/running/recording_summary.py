@@ -1,17 +1,20 @@
 """Summary of a recording as names and values."""
 
-import json
 from collections import Counter
 from pathlib import Path
 
-from smarttouch.running.recording_format import LAST
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 
 
 def describe(path: Path) -> list[tuple[str, str]]:
     """Return the names and values of a recording's summary, for display."""
     recording = Recording(path)
-    settings, versions = recording.settings, recording.versions
+    settings, steps = recording.settings, [step for _, step in recording.contents("/step")]
+    modes = Counter(step["mode"] for step in steps)
+    last = steps[-1] if steps else {"acknowledged": 0, "refused": 0}
+    slots = sum(step["slots"] for step in steps)
+    lost = sum(step["sent"] is None for step in steps)
+    strongest_ma = max((step["strongest_ma"] for step in steps), default=0.0)
     rows = [
         ("began", f"{recording.started:%Y-%m-%d %H:%M:%S} UTC"),
         ("lasted", f"{recording.duration_s:.1f} s"),
@@ -21,37 +24,19 @@ def describe(path: Path) -> list[tuple[str, str]]:
         ("source", str(settings.get("sensor"))),
         ("force", str(settings.get("force") or "the source's or the board's")),
         ("board", str(settings.get("board"))),
-        *_delivered(recording),
-        ("versions", ", ".join(f"{name} {version}" for name, version in versions.items())),
+        ("mode", ", ".join(f"{mode} {count:,}" for mode, count in modes.items()) or "none"),
+        (
+            "sequences",
+            f"{len(steps):,}, {slots:,} slots; {last['acknowledged']:,} acknowledged, "
+            f"{last['refused']:,} refused, {lost:,} lost with the board",
+        ),
+        ("strongest", f"{strongest_ma:.2f} mA through one electrode"),
+        ("versions", ", ".join(f"{name} {value}" for name, value in recording.versions.items())),
         ("file", f"{path.stat().st_size / 1e6:.2f} MB"),
         *((f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events()),
     ]
     # Damage shows only once everything has been read.
     return [("state", _state(recording)), *rows]
-
-
-def _delivered(recording: Recording) -> list[tuple[str, str]]:
-    modes: Counter[str] = Counter()
-    slots = lost = strongest_ma = 0
-    last = {"acknowledged": 0, "refused": 0}
-    for topic, message in recording.messages():
-        if topic == "/sequence":
-            sequence = json.loads(message.data)
-            modes[sequence["mode"]] += 1
-            slots += sequence["slots"]
-            lost += sequence["number"] is None
-            strongest_ma = max(strongest_ma, sequence["strongest_ma"])
-        elif topic == LAST:
-            last = json.loads(message.data)
-    return [
-        ("mode", ", ".join(f"{mode} {count:,}" for mode, count in modes.items()) or "none"),
-        (
-            "sequences",
-            f"{modes.total():,}, {slots:,} slots; {last['acknowledged']:,} acknowledged, "
-            f"{last['refused']:,} refused, {lost:,} lost with the board",
-        ),
-        ("strongest", f"{strongest_ma:.2f} mA through one electrode"),
-    ]
 
 
 def _state(recording: Recording) -> str:

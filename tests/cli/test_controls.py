@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from smarttouch.base.errors import ScheduleError, SourceError
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 
 from .conftest import refused, says
 

@@ -19,7 +19,7 @@ from smarttouch.base.errors import ExperimentError
 from smarttouch.base.events import FingerLifted, TrialEvent
 from smarttouch.experiments.psychophysics.trial_rows import read_rows
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.views.screen import BlindScreen
 

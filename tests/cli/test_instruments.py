@@ -10,7 +10,7 @@ from scipy.io import wavfile
 
 from smarttouch.base.errors import PageError, ScheduleError, SmartTouchError, SourceError
 from smarttouch.running.check_recording import assert_replays, check_recording
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 
 from ..instruments.touched import object_file
 from .conftest import refused, says
@@ -94,8 +94,8 @@ def test_a_vibrator_plays_what_was_recorded(program_here, tmp_path, changed):
     assert max(each.max() for each in shaken) > 0.8
     assert check_recording(tmp_path / "a.mcap").exact
     slower = changed(recording.profile, {"limits.ramp_s": 0.9})
-    told = {each.what for each in check_recording(tmp_path / "a.mcap", profile=slower).differences}
-    assert "vibration" in told
+    differences = check_recording(tmp_path / "a.mcap", profile=slower).differences
+    assert any(": vibration " in line for line in differences)
 
 
 def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_path):

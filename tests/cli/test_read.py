@@ -22,7 +22,7 @@ from smarttouch.base.errors import (
 )
 from smarttouch.braille.code_tables import open_table
 from smarttouch.pages.prepared_page import print_text
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 
 from ..braille.drawn_dots import draw_dots
 from .conftest import panels, refused, says

@@ -101,10 +101,8 @@ def forge_a_strong_one(path, comfort_ma):
     profile["force"] |= {"contact_n": 1e-6, "full_n": 2e-6, "source": "fixed:1"}
     profile["perception"] |= {"comfort_ma": [comfort_ma] * 64, "threshold_ma": 0.6}
     for topic, content, _, _ in messages:
-        if topic == "/finger":
-            content["force_n"] = 20.0
-        if topic == "/sequence":
-            content["level"] = 1.0
+        if topic == "/step":
+            content |= {"force_n": 20.0, "level": 1.0}
     put_together(path, about | {"profile": json.dumps(profile)}, messages)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from smarttouch.emulator.firmware import read_state
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 
 from ..boards.fresh import starter, until
 from ..whole import WHOLE

@@ -12,7 +12,7 @@ import pytest
 
 from smarttouch.base.files import data_folder
 from smarttouch.running.check_recording import check_recording
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 
 from ..forks import PROGRAM, Forked
 from ..whole import sample
@@ -117,7 +117,8 @@ def test_the_fewest_open_files_that_are_asked_for_suffice(shell):
 
 
 def test_a_run_that_fills_the_disk_keeps_what_it_took(shell, tmp_path):
-    run = "smarttouch live text:touch --board simulated: --record r.mcap --json f.json"
+    long = f"text:{'touch ' * 40}"
+    run = f"smarttouch live '{long}' --board simulated: --record r.mcap --json f.json"
     done = shell(f"ulimit -f 40; {run}")
     assert "r.mcap" in refused(done.returncode, done.stderr)
     assert json.loads((tmp_path / "f.json").read_text())["ended"] == "fault"

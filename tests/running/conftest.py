@@ -12,7 +12,8 @@ from mcap.reader import make_reader
 from smarttouch.running import recorder as writer_module
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.recorder import RecordingWriter, about_run
+from smarttouch.running.recorder import RecordingWriter
+from smarttouch.running.recording_format import about_run, digest_of
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Frame, Pose
 from smarttouch.stimulation.pulse_rates import ScanTiming
@@ -96,7 +97,7 @@ def record(about):
     """Return a writer of recordings from steps and events."""
 
     def write(path, steps, events=(), about=about):
-        recorder = RecordingWriter(path, about, STARTED_NS)
+        recorder = RecordingWriter(path, about | {"digest": digest_of(about)}, STARTED_NS)
         for words in events:
             recorder.event(5_000_000, words)
         for sent in steps:
@@ -113,7 +114,7 @@ def recording(record, steps, tmp_path_factory):
     path = tmp_path_factory.mktemp("recording") / "run.mcap"
     with pytest.MonkeyPatch.context() as patch:
         # One for each step: what waits for no longer is not put together.
-        patch.setattr(writer_module, "FLUSH_S", 0.0)
+        patch.setattr(writer_module, "CHUNK_S", 0.0)
         return record(path, steps, ["paused", "goes on"])
 
 

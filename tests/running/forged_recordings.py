@@ -4,7 +4,8 @@ import json
 
 from mcap.writer import Writer
 
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
+from smarttouch.running.recording_format import digest_of
 
 
 def take_apart(path):
@@ -17,7 +18,8 @@ def take_apart(path):
 
 
 def put_together(path, about, messages):
-    """Write a recording, with checksums that hold."""
+    """Write a recording, with checksums and a digest that hold."""
+    about = about | {"digest": digest_of(about)}
     with path.open("wb") as file:
         writer, channels = Writer(file), {}
         writer.start(profile="smarttouch", library="forged")

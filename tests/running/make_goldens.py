@@ -28,7 +28,8 @@ from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import OnEvent, OnStep
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.recorder import RecordingWriter, about_run
+from smarttouch.running.recorder import RecordingWriter
+from smarttouch.running.recording_format import about_run, digest_of
 from smarttouch.running.regulation import Regulator
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.sources import open_source
@@ -182,10 +183,10 @@ def make(golden, path):
     if golden.sharing != NO_SHARING:
         settings["sharing"] = {
             "primaries": [each.name for each in golden.sharing.afferents],
-            "planned": False,
         }
     about = about_run(profile, settings, STARTED_UNIX_NS)
     about["versions"] = json.dumps({"smarttouch": __version__})
+    about["digest"] = digest_of(about)
     pipeline = Pipeline(
         profile,
         load_bank(profile),
@@ -220,7 +221,7 @@ def make(golden, path):
 
 def main(names):
     # One chunk compresses better, and depends on no clock.
-    writer_module.FLUSH_S = 3600.0
+    writer_module.CHUNK_S = 3600.0
     FOLDER.mkdir(exist_ok=True)
     for golden in GOLDENS:
         if names and golden.name not in names:

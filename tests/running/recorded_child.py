@@ -2,7 +2,7 @@
 [BYTES]``.
 
 After every step that it handed over it tells the time of the step in ns and 0, and after every
-flush 0 and how many steps the system has been given.
+chunk 0 and how many steps the system has been given.
 """
 
 import os
@@ -19,7 +19,8 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.recorder import RecordingWriter, about_run
+from smarttouch.running.recorder import RecordingWriter
+from smarttouch.running.recording_format import about_run
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Frame, Pose
 from smarttouch.stimulation.pulse_rates import ScanTiming
@@ -45,13 +46,13 @@ def main(path, most_bytes=None):
     recorder = RecordingWriter(
         Path(path), about_run(profile, settings, started_unix_ns), started_unix_ns
     )
-    flush = recorder._flush
+    fsync = os.fsync
 
-    def flush_and_tell():
-        flush()
-        os.write(1, f"0 {recorder._index}\n".encode())
+    def sync_and_tell(number):
+        fsync(number)
+        os.write(1, f"0 {recorder._steps}\n".encode())
 
-    recorder._flush = flush_and_tell
+    os.fsync = sync_and_tell
     start_ns = time.perf_counter_ns()
     deadline_ns = start_ns
     for index in range(6000):

@@ -6,7 +6,7 @@ from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import RecordingError
 from smarttouch.running.inputs import ControlState
 from smarttouch.running.recorded_source import RecordedControls
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 
 from ..raising import raises
 from .forged_recordings import put_together, take_apart
@@ -46,7 +46,7 @@ def test_a_board_without_the_recorded_mode_is_refused(golden):
 def test_a_level_above_the_strongest_comfortable_current_is_not_followed(golden, tmp_path):
     about, messages = take_apart(golden("ra"))
     for topic, content, _, _ in messages:
-        if topic == "/sequence":
+        if topic == "/step":
             content["level"] = 1.5
     put_together(tmp_path / "forged.mcap", about, messages)
     controls = RecordedControls(

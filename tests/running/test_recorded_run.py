@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 
 
 @pytest.fixture(scope="module")

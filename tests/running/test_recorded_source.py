@@ -106,7 +106,7 @@ def forge(golden, tmp_path):
 
 
 @pytest.mark.parametrize(("topic", "key", "value"), [
-    ("/sequence", "period_us", 0), ("/sequence", "period_us", 2**63), ("/finger", "time_ns", 2**62),
+    ("/step", "period_us", 0), ("/step", "period_us", 2**63), ("/step", "time_ns", 2**62),
 ])  # fmt: skip
 def test_a_recording_does_not_wait_for_ever(forge, profile, topic, key, value):
     def change(messages):

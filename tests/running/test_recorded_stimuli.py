@@ -16,11 +16,10 @@ from smarttouch.running.display import open_display
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import open_recording
 from smarttouch.running.recorder import Recorder
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
-from smarttouch.running.step_decoder import StepDecoder
-from smarttouch.running.step_encoder import StepEncoder
+from smarttouch.running.step_messages import StepDecoder, image_message, step_message
 from smarttouch.sources.source_contract import Stimulus
 
 
@@ -38,17 +37,15 @@ def run(profile, bank, tmp_path_factory):
     return path, results
 
 
-def messages(step, **changed):
-    """Return the messages of a step, some changed or left out."""
-    made = {**dict(StepEncoder(0).messages(StepResult(step, 1, 0.0))), **changed}
-    return {topic: each for topic, each in made.items() if each is not None}
-
-
-def decoded(found):
+def decoded(step, image=True, **changed):
+    """Return a step from its messages, some values changed, with or without that of its image."""
     decoder = StepDecoder(64)
-    steps = [decoder.take(topic, 0, json.dumps(each).encode()) for topic, each in found.items()]
-    assert decoder.broken == (steps[-1] is None)
-    return steps[-1]
+    if image and step.input.image is not None:
+        decoder.take("/frame", 0, json.dumps(image_message(step.input.image, 0)).encode())
+    message = step_message(StepResult(step, 1, 0.0)) | changed
+    found = decoder.take("/step", 0, json.dumps(message).encode())
+    assert decoder.broken == (found is None)
+    return found
 
 
 def test_stimuli_come_back_to_the_bit_and_without_an_image(run):
@@ -97,16 +94,12 @@ def touched(profile, bank):
 
 
 def test_what_lay_under_the_finger_stays_with_its_stimulus(touched):
-    assert np.array_equal(decoded(messages(touched)).step.input.image, touched.input.image)
-    # As older versions wrote it: all had an image.
-    older = {"period_us": 20_000, "level": 1.0}
-    assert decoded(messages(touched, **{"/request": older})).step.input.image is not None
+    assert np.array_equal(decoded(touched).step.input.image, touched.input.image)
 
 
 def test_an_image_that_was_lost_is_not_passed_over(touched):
-    assert decoded(messages(touched, **{"/frame": None})) is None
-    blind = messages(replace(touched, input=replace(touched.input, image=None)))
+    assert decoded(touched, image=False) is None
+    blind = replace(touched, input=replace(touched.input, image=None))
     assert decoded(blind).step.input.image is None
     # Without a stimulus there is nothing to be felt.
-    blind.pop("/request")
-    assert decoded(blind) is None
+    assert decoded(blind, stimulus=False) is None

@@ -17,7 +17,7 @@ from smarttouch.base.errors import BoardError, SmartTouchError
 from smarttouch.running import touch as module
 from smarttouch.running.check_recording import assert_replays
 from smarttouch.running.listener import OnEvent, OnStep
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
 
 from ..raising import raises
 from ..whole import WHOLE, sample

@@ -1,20 +1,21 @@
 """Whatever happened to a file: what holds is read, and the rest is one clear sentence."""
 
 import contextlib
-import json
+import re
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer
 
 from smarttouch.base.errors import RecordingError
 from smarttouch.running.recorded_run import load_recording
-from smarttouch.running.recording_reader import Recording
+from smarttouch.running.recording import Recording
+from smarttouch.running.recording_format import FORMAT
 
 from ..raising import raises
+from .forged_recordings import put_together
 
 
 @pytest.fixture(scope="session")
@@ -115,31 +116,34 @@ def test_what_is_none_of_ours(broken_path, tmp_path):
             Recording(path)
 
 
-def written(path, metadata):
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        writer.add_metadata("smarttouch", metadata)
-        writer.finish()
+def described(path, about):
+    """Return a recording that has nothing but its description."""
+    put_together(path, about, [])
     return Recording(path)
 
 
-def test_a_recording_of_the_future(broken_path):
-    with raises(RecordingError, names="format", value="9", allowed="1"):
-        written(broken_path, {"format": "9"})
+def test_a_recording_of_the_future(broken_path, about):
+    with raises(RecordingError, names="format", value="9", allowed=FORMAT):
+        described(broken_path, {**about, "format": "9"})
 
 
-@pytest.mark.parametrize("key", ["profile", "settings", "versions", "started_unix_ns"])
-@pytest.mark.parametrize("value", [None, "", "[]", "{}"])
-def test_a_recording_without_its_settings(broken_path, about, key, value):
-    known = {"format": "1", **about}
-    del known[key]
-    found = written(broken_path, known if value is None else {**known, key: value})
-    if value == "{}" and key in ("settings", "versions"):
-        assert getattr(found, key) == json.loads(value)
-        return
+@pytest.mark.parametrize("key", ["profile", "settings", "versions", "started_unix_ns", "digest"])
+def test_a_changed_description_is_refused(broken_path, recording, about, key):
+    """One digit of a threshold is enough."""
+    content, was = recording.read_bytes(), about[key].encode()
+    assert content.count(was) == 1
+    digit = re.search(rb"[0-9]", was)[0]
+    changed = was.replace(digit, b"%d" % ((int(digit) + 1) % 10), 1)
+    broken_path.write_bytes(content.replace(was, changed))
     with raises(RecordingError, value=broken_path):
-        getattr(found, key)
+        Recording(broken_path)
+
+
+@pytest.mark.parametrize(("key", "value"), [("profile", "{}"), ("settings", "{}")])
+def test_a_description_without_its_parts(broken_path, about, key, value):
+    found = described(broken_path, {**about, key: value})
+    with raises(RecordingError, value=broken_path):
+        found.profile if key == "profile" else found.run  # noqa: B018
 
 
 def test_goldens_are_small(goldens):

@@ -1,0 +1,182 @@
+"""Reader of recordings, also of those that were cut or damaged."""
+
+import json
+from collections.abc import Generator, Iterator
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import MCAP0_MAGIC
+from pydantic import ValidationError
+
+from smarttouch.base.errors import ProfileError, RecordingError
+from smarttouch.base.files import open_file, unreadable
+from smarttouch.profile import Profile
+from smarttouch.running.recording_format import (
+    FORMAT,
+    METADATA,
+    RecordedSettings,
+    digest_of,
+    read_settings,
+)
+from smarttouch.running.step_messages import RecordedStep, StepDecoder
+from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
+
+_MOST_BYTES = 2**40  # largest recording: a month
+_MOST_RECORD_BYTES = 128 * 2**20  # largest chunk: ours have some MB, and perhaps a large image
+
+
+class Recording:
+    """A recording of a run, also one that was cut or damaged.
+
+    ``about`` is the result of `about_run`; ``damaged_chunks`` and ``broken_steps`` count what could
+    not be read in the last reading. Raises RecordingError if there is no such file, if it is not
+    from SmartTouch, or if its description of the run was changed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.about: dict[str, str] = {}
+        self.damaged_chunks = 0
+        self.broken_steps = 0
+        self._ended = False
+        self._last_ns = 0
+        for record in self._records():
+            if isinstance(record, Metadata) and record.name == METADATA:
+                self.about = record.metadata
+            elif isinstance(record, Chunk):
+                self._last_ns = max(self._last_ns, record.message_end_time)
+        found = self.about.get("format")
+        if found is None:
+            raise RecordingError(f"{path} is not a recording of SmartTouch")
+        if found != FORMAT:
+            raise RecordingError(
+                f"{path} is a recording of format {found!r}, this version reads {FORMAT}: use the "
+                "version that made it"
+            )
+        if self.about.get("digest") != digest_of(self.about):
+            raise RecordingError(
+                f"the description of the run in {path} was changed or is damaged: its digest does "
+                "not match"
+            )
+
+    @property
+    def whole(self) -> bool:
+        """True if it ended properly, and everything read so far was intact."""
+        return self._ended and not self.damaged_chunks and not self.broken_steps
+
+    @cached_property
+    def started_unix_ns(self) -> int:
+        """Start of the run, ns since 1970."""
+        return int(self.about["started_unix_ns"])
+
+    @property
+    def started(self) -> datetime:
+        """Start of the run, UTC."""
+        return datetime.fromtimestamp(self.started_unix_ns / 1e9, UTC)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the start of the run to the last message, s."""
+        return max(0, self._last_ns - self.started_unix_ns) / 1e9
+
+    @cached_property
+    def profile(self) -> Profile:
+        """Device and finger of the run."""
+        try:
+            return Profile.model_validate_json(self.about["profile"])
+        except (ValueError, ProfileError) as error:
+            first = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
+            message = f"the profile in {self.path} is not one of this version's: {first}"
+            raise RecordingError(message) from None
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """Settings of the run."""
+        return dict(json.loads(self.about["settings"]))
+
+    @cached_property
+    def run(self) -> RecordedSettings:
+        """Settings that sequences depend on."""
+        try:
+            return read_settings(self.settings)
+        except RecordingError as error:
+            message = f"the settings in {self.path} do not say how it was made: {error}"
+            raise RecordingError(message) from None
+
+    @cached_property
+    def versions(self) -> dict[str, Any]:
+        """Versions of the software that made it."""
+        return dict(json.loads(self.about["versions"]))
+
+    def steps(self) -> Generator[RecordedStep, None, None]:
+        """Yield all steps that are complete, in order; RecordingError at a number that no run can
+        have.
+        """
+        decoder = StepDecoder(len(self.profile.electrodes))
+        for topic, message in self.messages():
+            step = decoder.take(topic, message.sequence, message.data)
+            if step is not None:
+                self._require_times(step, message.log_time - self.started_unix_ns)
+                yield step
+        self.broken_steps = decoder.broken
+
+    def _require_times(self, recorded: RecordedStep, at_ns: int) -> None:
+        """Raise if a replay would wait too long for a step, which the file has at a time."""
+        time_ns, period_us = recorded.step.input.time_ns, recorded.step.sequence.period_us
+        if time_ns != at_ns or not 1 <= period_us <= LONGEST_PERIOD_US:
+            raise RecordingError(
+                f"{self.path} has an impossible step {at_ns / 1e9:.3f} s after its start: its time "
+                f"is {time_ns / 1e9:.3f} s and its period {period_us} µs"
+            )
+
+    def contents(self, topic: str) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Yield the time of each message of a topic, ns since the start, and its content."""
+        for name, message in self.messages():
+            if name == topic:
+                yield message.log_time - self.started_unix_ns, json.loads(message.data)
+
+    def events(self) -> Iterator[tuple[int, str]]:
+        """Yield the time of each event, ns since the start of the run, and its text."""
+        for time_ns, content in self.contents("/event"):
+            yield time_ns, content["message"]
+
+    def messages(self) -> Iterator[tuple[str, Message]]:
+        """Yield all messages with their topics, in the order of the file; skip damaged chunks."""
+        topics: dict[int, str] = {}
+        self.damaged_chunks = 0
+        for record in self._records():
+            if not isinstance(record, Chunk):
+                continue
+            try:
+                parts = breakup_chunk(record, validate_crc=True)
+            # Decompressors and parsers of damaged bytes fail in every way there is.
+            except Exception:
+                self.damaged_chunks += 1
+                continue
+            for part in parts:
+                if isinstance(part, Channel):
+                    topics[part.id] = part.topic
+                elif isinstance(part, Message) and part.channel_id in topics:
+                    yield topics[part.channel_id], part
+
+    def _records(self) -> Iterator[McapRecord]:
+        """Yield all records up to the end of the file, or to where it is cut or damaged."""
+        try:
+            with open_file(self.path, RecordingError, _MOST_BYTES) as file:
+                if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                    raise RecordingError(f"{self.path} is not an MCAP file")
+                file.seek(0)
+                reader = StreamReader(file, emit_chunks=True, record_size_limit=_MOST_RECORD_BYTES)
+                yield from reader.records
+                self._ended = True
+        except OSError as error:
+            raise unreadable(RecordingError, self.path, error) from None
+        except RecordingError:
+            raise
+        # The parser fails in every way there is where bytes are missing or damaged.
+        except Exception:
+            return
