@@ -23,7 +23,7 @@ from smarttouch.pages.page_image import (
     require_pixels,
     require_size_mm,
 )
-from smarttouch.pages.text_layer import layered_page
+from smarttouch.pages.pdf_text import with_text
 
 if TYPE_CHECKING:
     import pypdfium2
@@ -159,12 +159,13 @@ class PdfDocument(Document):
 
         name = f"page {index + 1} of {self.path}"
         try:
+            printed = _flatten(self._pdf[index])
             with contextlib.closing(self._pdf[index]) as sheet:
-                return self._render(sheet, name)
+                return self._render(sheet, name, printed)
         except pypdfium2.PdfiumError:
             raise PageError(f"{name} cannot be read: the file is damaged") from None
 
-    def _render(self, sheet: "pypdfium2.PdfPage", name: str) -> Page:
+    def _render(self, sheet: "pypdfium2.PdfPage", name: str, printed: int | None) -> Page:
         width, height = sheet.get_size()
         if not min(width, height) > 0:
             raise PageError(f"{name} has no area: the file is damaged")
@@ -184,7 +185,7 @@ class PdfDocument(Document):
             # A copy, as the bitmap frees its memory.
             grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
         page = Page(grey, mm_per_pixel)
-        return layered_page(sheet, page, mm)
+        return with_text(sheet, page, mm, printed)
 
 
 def _is_pdf(path: Path) -> bool:
@@ -216,6 +217,19 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
         pdf.init_forms()
     return pdf
+
+
+def _flatten(sheet: "pypdfium2.PdfPage") -> int | None:
+    """Make filled-in fields a part of a page and its text; return its characters before that."""
+    import pypdfium2.raw as pdfium
+
+    with contextlib.closing(sheet):
+        if not pdfium.FPDFPage_GetAnnotCount(sheet):
+            return None
+        with contextlib.closing(sheet.get_textpage()) as text:
+            printed: int = text.count_chars()
+        pdfium.FPDFPage_Flatten(sheet, pdfium.FLAT_NORMALDISPLAY)
+        return printed
 
 
 def _absent(number: int, count: int) -> str:

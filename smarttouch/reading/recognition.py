@@ -11,9 +11,9 @@ from smarttouch.base.errors import PageError, ReadingError
 from smarttouch.braille.dot_detection import shows_dots
 from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page
+from smarttouch.pages.pdf_text import PdfPage
 from smarttouch.pages.prepared_page import DOUBTFUL, LEFT_OUT, PreparedPage, prepare_page
 from smarttouch.pages.straighten import QUARTER
-from smarttouch.pages.text_layer import LayeredPage, PicturedPage
 from smarttouch.reading.ocr import likely_turns, recognize_lines
 
 _STRIP_PIXELS = (32, 56)  # range of the height of lines for recognition: ascender to descender
@@ -41,7 +41,10 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
 
     A page that brings its text is so already. A picture of Braille is refused.
     """
-    if isinstance(page, LayeredPage):
+    if isinstance(page, PdfPage):
+        for words in page.notes:
+            note(f"page {number}: {words}")
+    if isinstance(page, PdfPage) and page.lines:
         ink = separate_ink(page.grey, options.light_on_dark)
         return PreparedPage(page, ink.cleaned, page.lines, ink.light_on_dark, (), page.words)
     if shows_dots(page.grey):
@@ -49,8 +52,6 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
             f"page {number} shows Braille dots, and pictures of Braille are not read: give a text "
             "or a .brf file, or leave the page out as in ?pages=1-3"
         )
-    if isinstance(page, PicturedPage):
-        note(f"page {number}: {page.reason}, so its picture is recognized instead")
     prepared, turn_deg = _most_legible(_prepared(page, options), options)
     notes = list(prepared.notes)
     if turn_deg:

@@ -1,0 +1,350 @@
+"""Words of a PDF as lines in reading order: columns one after another, tables row by row."""
+
+import itertools
+import re
+import statistics
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+SPACE, MADE_SPACE = " ", "\t"
+"""What stands before a word: a space of the file, or one that PDFium makes of a gap."""
+_SAME_LINE, _BESIDE = 0.3, 1.05  # distances of baselines of one line, and of lines side by side
+_WIDE, _OPEN, _CERTAIN = 0.65, 0.55, 1.2
+"""Gaps that may part columns, that still do after some rows, and that do so in two rows."""
+_APART = 2.5  # gap within a row that parts its lines
+_WRAPPED = 1.35  # distance of the lines of one cell; these are in sizes of the letters
+_FARTHER, _LARGER = 1.6, 1.15
+"""Distance of blocks, in usual ones of rows, and ratio of sizes of a heading and its text."""
+_EDGE = 0.125  # part of the page's height at its ends that has running heads
+_FLUSH = 0.2  # difference, in sizes, of ends of lines that are equal
+_WORDY = 3.0  # mean words of a line above which a column is prose
+_FIGURE = re.compile(r"[^\w\s]*\d[\d\W]*\w?[^\w\s]*")
+_INDEX_ENTRY = re.compile(r".*[^\W\d].*\d\W*")
+_ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]")  # the mark of a list's item
+
+
+@dataclass(eq=False)
+class Word:
+    """Word of a PDF: its text and place in the file, and its box in points, y down."""
+
+    text: str
+    left: float
+    right: float
+    y: float  # of its baseline
+    size: float
+    place: int  # in the file's order; below 0 in fields of a form
+    before: str  # SPACE, MADE_SPACE or nothing
+    initial: tuple[float, ...] = ()  # box of a letter over several lines that begins it
+
+    @property
+    def middle(self) -> float:
+        """The x of its middle."""
+        return (self.left + self.right) / 2
+
+
+Row = list[Word]
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """Words of a line on the page, its text, and whether it is part of a table."""
+
+    words: Row
+    text: str
+    is_cells: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Gap:
+    """Space between words that successive rows share, how many have words at both sides, and
+    whether another row closes it."""
+
+    left: float
+    right: float
+    rows: int = 1
+    is_closed: bool = False
+
+    @property
+    def middle(self) -> float:
+        return (self.left + self.right) / 2
+
+    def after(self, row: Row) -> "_Gap":
+        """Return what the words of a row leave of it."""
+        left, right = self.left, self.right
+        for word in row:
+            if word.right > left and word.left < right:
+                if word.left - left > right - word.right:
+                    right = word.left
+                else:
+                    left = word.right
+                if right - left < _OPEN * word.size:
+                    return replace(self, is_closed=True)
+        return replace(self, left=left, right=right)
+
+
+def reading_order(words: list[Word], height: float) -> list[Line]:
+    """Return the lines of a page of some height."""
+    lines: list[Line] = []
+    for part in _parts(_rows(words), height):
+        lines += _ordered(part)
+    return lines
+
+
+def text_of(words: Row) -> str:
+    """Return the text of words in a line, with the file's own spaces where it is in its order."""
+    text = words[0].text
+    for before, word in itertools.pairwise(words):
+        is_next = word.place == before.place + 1
+        spaced = word.before if is_next else word.left - before.right > 0.1 * word.size
+        text += f" {word.text}" if spaced else word.text
+    return text
+
+
+def _rows(words: list[Word]) -> list[Row]:
+    """Return the words of each baseline, from the top down, left to right."""
+    rows: list[Row] = []
+    for word in sorted(words, key=lambda word: word.y):
+        if rows and word.y - rows[-1][0].y < _SAME_LINE * min(word.size, rows[-1][0].size):
+            rows[-1].append(word)
+        else:
+            rows.append([word])
+    return [sorted(row, key=lambda word: word.left) for row in rows]
+
+
+def _words(rows: list[Row]) -> Row:
+    return [word for row in rows for word in row]
+
+
+def _parts(rows: list[Row], height: float) -> Iterator[list[Row]]:
+    """Yield the rows of a page, parted at running heads and above headings that follow, in the
+    file, all that is above them."""
+    part = rows[:1]
+    for number, row in enumerate(rows[1:], 1):
+        above, below = rows[number - 1], rows[number + 1 : number + 2]
+        at_edge = above[0].y < _EDGE * height or row[0].y > (1 - _EDGE) * height
+        is_head = at_edge and row[0].y - above[0].y > _APART * row[0].size
+        is_large = bool(below) and row[0].size > _LARGER * below[0][0].size and not _gaps(row)
+        is_later = max(word.place for word in _words(rows[:number])) < row[0].place
+        in_turn = is_later and row[0].place <= min(word.place for word in _words(rows[number:]))
+        if is_head or (is_large and in_turn):
+            yield part
+            part = []
+        part.append(row)
+    yield part
+
+
+def _ordered(rows: list[Row]) -> list[Line]:
+    """Return the lines of rows, each band of them as columns, as a table, or as it is."""
+    lines: list[Line] = []
+    waiting: list[Row] = []
+    bands = [*_bands(rows), ([], [])]
+    for (band, gaps), (following, _) in itertools.pairwise(bands):
+        split = _column_gap(band, gaps)
+        # One of the columns may begin above the other.
+        while split and waiting and not split.after(waiting[-1]).is_closed:
+            band.insert(0, waiting.pop())
+        parts = [_rows(side) for side in _sides(_words(band), split)] if split else _blocks(band)
+        cells = [] if len(parts) > 1 else _cell_gaps(band, gaps)
+        if len(parts) == 1 and (not cells or _is_justified(waiting[-1:], band, following[:1])):
+            waiting += band
+            continue
+        lines += [line for row in waiting for line in _plain(row)]
+        waiting = []
+        if cells:
+            lines += _table(band, [gap.middle for gap in cells])
+        else:
+            lines += [line for part in parts for line in _ordered(part)]
+    return lines + [line for row in waiting for line in _plain(row)]
+
+
+def _blocks(rows: list[Row]) -> list[list[Row]]:
+    """Return rows parted where their distance is larger than usual."""
+    steps = [below[0].y - above[0].y for above, below in itertools.pairwise(rows)]
+    blocks = [rows[:1]]
+    for step, row in zip(steps, rows[1:], strict=True):
+        if step > _FARTHER * statistics.median(steps):
+            blocks.append([])
+        blocks[-1].append(row)
+    return blocks
+
+
+def _is_justified(above: list[Row], band: list[Row], below: list[Row]) -> bool:
+    """Return whether rows go on with a line near them that is flush with them on both sides."""
+    size = band[0][0].size
+    near = [row for row in above if band[0][0].y - row[0].y < _WRAPPED * size]
+    near += [row for row in below if row[0].y - band[-1][0].y < _WRAPPED * size]
+    return any(
+        all(
+            max(abs(row[0].left - line[0].left), abs(row[-1].right - line[-1].right))
+            < _FLUSH * size
+            for row in band
+        )
+        for line in near
+    )
+
+
+def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Gap]]]:
+    """Yield successive rows that share a gap, with all of their gaps."""
+    band: list[Row] = []
+    gaps: list[_Gap] = []
+    for row in rows:
+        near = [word for word in _words(rows) if abs(word.y - row[0].y) < _BESIDE * word.size]
+        own = _gaps(sorted(near, key=lambda word: word.left))
+        after = [gap if gap.is_closed else gap.after(row) for gap in gaps]
+        is_single = len(band) == 1 and not own and _is_in_order(band[0])
+        if is_single or all(gap.is_closed for gap in after):
+            if band:
+                yield band, gaps
+            band, gaps = [row], own
+            continue
+        for new in own:
+            same = [gap for gap in after if gap.left < new.right and new.left < gap.right]
+            after = [replace(gap, rows=gap.rows + (gap in same)) for gap in after]
+            if not same:
+                after.append(new.after(_words(band)))
+        band.append(row)
+        gaps = after
+    if band:
+        yield band, gaps
+
+
+def _is_in_order(row: Row) -> bool:
+    return all(word.place == before.place + 1 for before, word in itertools.pairwise(row))
+
+
+def _gaps(words: Row) -> list[_Gap]:
+    """Return the gaps of a row that may part columns: not a space of the file, nor after the mark
+    of an item."""
+    found = []
+    right = float("-inf")
+    for number, (before, word) in enumerate(itertools.pairwise(words)):
+        right = max(right, before.right)
+        is_item = number == 0 and _ITEM.fullmatch(before.text)
+        if _is_wide(before, word, right) and not is_item:
+            found.append(_Gap(right, word.left))
+    return found
+
+
+def _is_wide(before: Word, word: Word, right: float) -> bool:
+    width = (word.left - right) / max(before.size, word.size)
+    is_space = word.before == SPACE and word.place == before.place + 1 and width < _APART
+    return width > _WIDE and not is_space
+
+
+def _sides(words: Row, gap: _Gap) -> tuple[Row, Row]:
+    left = [word for word in words if word.middle < gap.middle]
+    return left, [word for word in words if word.middle >= gap.middle]
+
+
+def _column(band: list[Row], gaps: list[_Gap], number: int) -> list[Row]:
+    """Return the rows of one column, the first of which is before the first gap."""
+    ends = [float("-inf"), *(gap.middle for gap in gaps), float("inf")]
+    inside = (
+        [word for word in row if ends[number] <= word.middle < ends[number + 1]] for row in band
+    )
+    return [row for row in inside if row]
+
+
+def _are(pattern: re.Pattern[str], column: list[Row]) -> bool:
+    """Return whether most rows of a column match a pattern."""
+    return sum(pattern.fullmatch(text_of(row)) is not None for row in column) > 0.6 * len(column)
+
+
+def _is_prose(column: list[Row]) -> bool:
+    return sum(len(text_of(row).split()) for row in column) > _WORDY * len(column)
+
+
+def _column_gap(band: list[Row], gaps: list[_Gap]) -> _Gap | None:
+    """Return the gap that parts columns of text, to be read one after the other, if there is one:
+    the file does so, or both columns are prose, or entries of an index."""
+    gaps = sorted((gap for gap in gaps if not gap.is_closed), key=lambda gap: gap.left)
+    printed = sorted(
+        (word for word in _words(band) if word.place >= 0), key=lambda word: word.place
+    )
+    for number, gap in enumerate(gaps):
+        left, right = _column(band, gaps, number), _column(band, gaps, number + 1)
+        crossings = sum(
+            (before.middle > gap.middle) != (word.middle > gap.middle)
+            for before, word in itertools.pairwise(printed)
+        )
+        level = sum(
+            any(abs(word.y - row[0].y) < _BESIDE * word.size for word in _sides(printed, gap)[1])
+            for row in _rows(_sides(printed, gap)[0])
+        )
+        in_turn = 0 < 2 * crossings <= level and not _are(_FIGURE, right)
+        alike = (_is_prose(left) and _is_prose(right)) or (
+            _are(_INDEX_ENTRY, left) and _are(_INDEX_ENTRY, right)
+        )
+        if in_turn or (alike and gap.rows > 2):
+            return gap
+    return None
+
+
+def _cell_gaps(band: list[Row], gaps: list[_Gap]) -> list[_Gap]:
+    """Return the gaps between cells if the rows are those of a table."""
+    size = band[0][0].size
+    wide = any(gap.right - gap.left > _CERTAIN * size for gap in gaps)
+    found = [gap for gap in gaps if gap.rows > 2 or (gap.rows == 2 and wide and len(band) < 5)]
+    found.sort(key=lambda gap: gap.left)
+    cells = [_cells(row, [gap.middle for gap in found]) for row in band]
+    used = [column for row in cells for column in row]
+    found = [gap for k, gap in enumerate(found, 1) if used.count(k) > gap.is_closed]
+    prose = sum(_is_prose(_column(band, found, k)) for k in range(len(found) + 1))
+    return found if prose < 2 and sum(len(row) > 1 for row in cells) > 1 else []
+
+
+def _table(band: list[Row], middles: list[float]) -> list[Line]:
+    """Return the rows of a table: the text of a row is that of its first line, its cells parted by
+    semicolons, an empty one as a hyphen; further lines of its cells have no text of their own."""
+    rows: list[list[dict[int, Row]]] = []
+    above: Row = []
+    for row in band:
+        cells = _cells(row, middles)
+        is_near = bool(above) and row[0].y - above[0].y < _WRAPPED * row[0].size
+        # A further line of a cell is alone; the first column has one line.
+        if is_near and [*cells] != [0] and (len(cells) == 1 or len(rows[-1][-1]) == 1) and (
+            0 not in cells or not any(0 in other for other in rows[-1])
+        ):  # fmt: skip
+            rows[-1].append(cells)
+        else:
+            rows.append([cells])
+        above = row
+    lines = []
+    for row_cells in rows:
+        texts: dict[int, str] = {}
+        for column, words in (item for cells in row_cells for item in cells.items()):
+            texts[column] = f"{texts.get(column, '')} {text_of(words)}".strip()
+        covered = {
+            column
+            for cells in row_cells
+            for words in cells.values()
+            for column, middle in enumerate(middles, 1)
+            if words[0].left < middle < words[-1].right
+        }
+        columns = [0] if [*texts] == [0] else range(len(middles) + 1)
+        text = "; ".join(texts.get(k, "-") for k in columns if k in texts or k not in covered)
+        for cells in row_cells:
+            lines.append(Line(_words([*cells.values()]), text, True))
+            text = ""
+    return lines
+
+
+def _cells(row: Row, middles: list[float]) -> dict[int, Row]:
+    """Return the words of each column; words without a gap between them stay in one."""
+    column = sum(row[0].left > middle for middle in middles)
+    cells = {column: row[:1]}
+    for before, word in itertools.pairwise(row):
+        if _is_wide(before, word, before.right):
+            column = max(column, sum(word.left > middle for middle in middles))
+        cells.setdefault(column, []).append(word)
+    return cells
+
+
+def _plain(row: Row) -> list[Line]:
+    """Return the lines of a row that is none of a table, parted at very wide gaps."""
+    pieces = [[row[0]]]
+    for before, word in itertools.pairwise(row):
+        if word.left - before.right > _APART * max(before.size, word.size):
+            pieces.append([])
+        pieces[-1].append(word)
+    return [Line(piece, text_of(piece)) for piece in pieces]

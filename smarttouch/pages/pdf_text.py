@@ -1,0 +1,290 @@
+"""Text that a PDF brings: its words by PDFium, put into lines, and compared with its print."""
+
+import contextlib
+import ctypes
+import itertools
+import math
+import re
+import unicodedata
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.pdf_layout import MADE_SPACE, SPACE, Line, Word, reading_order
+from smarttouch.pages.text_lines import TextLine, find_lines
+
+if TYPE_CHECKING:
+    import pypdfium2
+
+Box = tuple[float, float, float, float]  # left, top, right, bottom in points, y down
+
+_ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # of most fonts; all in sizes of the letters
+_LEVEL = 0.18  # slope above which text is turned
+_GAP, _TOUCHING = 0.7, 0.3  # gaps above which words end, and below which parts of a word touch
+_SPACED, _WIDER = 0.8, 1.5  # gap of spaced letters, and ratio to it of the gap between their words
+_SMALLER, _SHIFTED, _NEAR = 0.85, (0.1, 0.8), 0.55
+"""Size of super- and subscripts, distance from the baseline, and from their word."""
+_INITIAL = 1.8  # size of a letter over several lines
+_ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
+_BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # codes of symbol fonts
+_PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
+_FINE = 1000.0  # parts of a point in which PDFium gives places
+_FIELDS = 10**9  # subtracted from the places of words in fields of a form
+_MOST_UNKNOWN = 0.05  # part of a text's characters that mean nothing
+_VOWELS, _VOWEL_SHARE, _FEWEST = frozenset("aeiouyæœø"), (0.22, 0.62), 40
+"""Part of Latin letters that are vowels in any language; fewest letters that show wrong codes."""
+_COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 8
+"""Pixels, heights, contrast and number of the spots that may be print beside the text."""
+_MOSTLY = 0.5  # print that the text lacks, relative to it, from which the picture is recognized
+
+
+@dataclass(frozen=True, eq=False)
+class PdfPage(Page):
+    """Page of a PDF with its text: lines in reading order, the text of each (empty for a further
+    line of a table's row), and notes. Without lines its picture is to be recognized."""
+
+    lines: tuple[TextLine, ...] = ()
+    words: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Sign:
+    """Visible character: its box, baseline and size in points, and what stands before it."""
+
+    text: str
+    box: Box
+    y: float
+    size: float
+    before: str
+    is_turned: bool
+    in_field: bool
+
+
+def with_text(
+    sheet: "pypdfium2.PdfPage", page: Page, point_mm: float, printed: int | None = None
+) -> Page:
+    """Return a rendered page with its text.
+
+    ``printed`` is the number of its characters before those in fields of a form; None for all.
+    """
+    signs = list(_signs(sheet, math.inf if printed is None else printed))
+    turned = [sign for sign in signs if sign.is_turned]
+    if not signs:
+        return page
+    if 2 * len(turned) > len(signs):
+        return _pictured(page, "its text is turned")
+    words = _words([sign for sign in signs if not sign.is_turned])
+    boxes = [*map(_box, words), *(sign.box for sign in turned)]
+    is_leftward = _is_leftward(words)
+    if is_leftward:
+        _mirror(words)
+    found = reading_order(words, sheet.get_height())
+    if is_leftward:
+        _mirror(words)
+    texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in found]
+    if not _makes_sense("".join(texts).replace(" ", "")):
+        return _pictured(page, "its text makes no sense")
+    lines = [_text_line(line, point_mm) for line in found]
+    others = _print_beside(page, boxes, point_mm)
+    if sum(map(_length, others)) > _MOSTLY * sum(map(_length, lines)):
+        return _pictured(page, "much of its print is not in its text")
+    notes = []
+    if turned:
+        text = "".join((" " if sign.before else "") + sign.text for sign in turned).strip()
+        notes.append(f"turned text is left out: {text}")
+    if others:
+        notes.append(f"print that is not in its text is left out (lines: {len(others)})")
+    return PdfPage(page.grey, page.mm_per_pixel, tuple(lines), tuple(texts), tuple(notes))
+
+
+def _pictured(page: Page, reason: str) -> PdfPage:
+    notes = (f"{reason}, so its picture is recognized instead",)
+    return PdfPage(page.grey, page.mm_per_pixel, notes=notes)
+
+
+def _signs(sheet: "pypdfium2.PdfPage", printed: float) -> Iterator[_Sign]:
+    """Yield the characters on the visible page in the file's order."""
+    import pypdfium2.raw as pdfium
+
+    width, height = sheet.get_size()
+    fine = round(_FINE * width), round(_FINE * height)
+    across, down = ctypes.c_int(), ctypes.c_int()
+
+    def view(x: float, y: float) -> tuple[float, float]:
+        pdfium.FPDF_PageToDevice(sheet, 0, 0, *fine, 0, x, y, across, down)
+        return across.value / _FINE, down.value / _FINE
+
+    x, y, *sides = (ctypes.c_double() for _ in range(6))
+    matrix = pdfium.FS_MATRIX()
+    before = SPACE
+    with contextlib.closing(sheet.get_textpage()) as layer:
+        for k in range(layer.count_chars()):
+            text = chr(pdfium.FPDFText_GetUnicode(layer, k)).translate(_PLAIN)
+            if text.isspace() or unicodedata.category(text) == "Cf":
+                is_made = pdfium.FPDFText_IsGenerated(layer, k)
+                mark = "\n" if text in "\r\n" else MADE_SPACE if is_made else SPACE
+                before = max(before, mark, key=("", "\n", MADE_SPACE, SPACE).index)
+                continue
+            pdfium.FPDFText_GetCharOrigin(layer, k, x, y)
+            pdfium.FPDFText_GetCharBox(layer, k, *sides)
+            pdfium.FPDFText_GetMatrix(layer, k, matrix)
+            left, right, bottom, top = (side.value for side in sides)
+            corners = view(left, top), view(right, bottom)
+            (left, right), (top, bottom) = map(sorted, zip(*corners, strict=True))
+            size = abs(pdfium.FPDFText_GetFontSize(layer, k)) * math.hypot(matrix.c, matrix.d)
+            if size > 0 and 0 < (left + right) / 2 < width and 0 < (top + bottom) / 2 < height:
+                start = view(x.value, y.value)
+                end = view(x.value + size * matrix.a, y.value + size * matrix.b)
+                is_turned = not abs(end[1] - start[1]) <= _LEVEL * (end[0] - start[0])
+                box = left, top, right, bottom
+                yield _Sign(text, box, start[1], size, before, is_turned, k >= printed)
+                before = ""
+
+
+def _words(signs: list[_Sign]) -> list[Word]:
+    """Return the words of level text, with ``^`` and ``_`` before super- and subscripts."""
+    words: list[Word] = []
+    for last, sign in itertools.pairwise([None, *signs]):
+        assert sign is not None
+        left, _, right, _ = sign.box
+        gap = _gap(last.box, sign.box) / max(sign.size, last.size) if last else math.inf
+        if (
+            last is None
+            or sign.before
+            or gap > _GAP
+            or abs(sign.y - last.y) > 0.05 * sign.size
+            or abs(sign.size / last.size - 1) > 0.1
+        ):
+            place = -_FIELDS if sign.in_field else 0
+            parted = sign.before or (MADE_SPACE if gap > _GAP else "")
+            if parted == "\n":
+                parted = MADE_SPACE if gap > _TOUCHING else ""
+            words.append(Word(sign.text, left, right, sign.y, sign.size, place, parted))
+        else:
+            word = words[-1]
+            word.text += sign.text
+            word.left, word.right = min(word.left, left), max(word.right, right)
+    _join_spaced(words)
+    for word, after in itertools.pairwise(words):
+        if _begins(word, after):
+            after.text, after.initial, word.text = word.text + after.text, _box(word), ""
+    words = [word for word in words if word.text]
+    for number, word in enumerate(words):
+        word.place = number - (_FIELDS if word.place < 0 else 0)
+        for base in words[max(0, number - 1) : number] + words[number + 1 : number + 2]:
+            raised = (base.y - word.y) / base.size
+            is_near = abs(_gap(_box(word), _box(base))) < _NEAR * base.size
+            is_small = word.size < _SMALLER * base.size
+            if is_small and is_near and _SHIFTED[0] < abs(raised) < _SHIFTED[1]:
+                word.text = ("^" if raised > 0 else "_") + word.text
+                word.y, word.size = base.y, base.size
+                break
+    return words
+
+
+def _join_spaced(words: list[Word]) -> None:
+    """Put letters of spaced print into the first of their word."""
+    runs: list[list[Word]] = [[]]
+    for word in words:
+        last = runs[-1][-1:]
+        if word.before != MADE_SPACE or any(
+            len(w.text) > 1 or w.y != word.y for w in [word, *last]
+        ):
+            runs.append([])
+        runs[-1].append(word)
+    for run in filter(None, runs):
+        gaps = [after.left - before.right for before, after in itertools.pairwise(run)]
+        usual = float(np.median(gaps)) if len(gaps) > 2 else math.inf
+        if usual < _SPACED * run[0].size and all(word.text.isalpha() for word in run):
+            for before, after in [*itertools.pairwise(run)][::-1]:
+                if after.left - before.right < _WIDER * usual:
+                    before.text, before.right = before.text + after.text, after.right
+                    after.text = ""
+
+
+def _begins(letter: Word, word: Word) -> bool:
+    """Return whether a letter over several lines begins a word."""
+    return (
+        len(letter.text) == 1
+        and letter.size > _INITIAL * word.size
+        and word.y < letter.y - _NEAR * word.size
+        and abs(_gap(_box(letter), _box(word))) < word.size
+    )
+
+
+def _gap(first: Box, second: Box) -> float:
+    return max(second[0] - first[2], first[0] - second[2])
+
+
+def _box(word: Word) -> Box:
+    return (
+        word.left, word.y - _ASCENT * word.size, word.right, word.y + _DESCENT * word.size,
+    )  # fmt: skip
+
+
+def _is_leftward(words: list[Word]) -> bool:
+    letters = [unicodedata.bidirectional(letter) for word in words for letter in word.text]
+    return sum(letter in ("R", "AL") for letter in letters) > letters.count("L")
+
+
+def _mirror(words: list[Word]) -> None:
+    for word in words:
+        word.left, word.right = -word.right, -word.left
+
+
+def _text_line(line: Line, point_mm: float) -> TextLine:
+    words = line.words
+    size = float(np.median([word.size for word in words])) * point_mm
+    return TextLine(
+        left_mm=min(word.left for word in words) * point_mm,
+        right_mm=max(word.right for word in words) * point_mm,
+        baseline=(float(np.median([word.y for word in words])) * point_mm,),
+        x_height_mm=_X_HEIGHT * size,
+        ascent_mm=_ASCENT * size,
+        descent_mm=_DESCENT * size,
+        cell=int(line.is_cells),
+        initial_mm=tuple(side * point_mm for word in words for side in word.initial)[:4],
+    )
+
+
+def _length(line: TextLine) -> float:
+    return line.right_mm - line.left_mm
+
+
+def _makes_sense(text: str) -> bool:
+    """Return whether a text is one: not empty, and not of unknown or wrong codes."""
+    unknown = sum(unicodedata.category(sign)[0] == "C" or sign == "\ufffd" for sign in text)
+    if not text or unknown > _MOST_UNKNOWN * len(text):
+        return False
+    # Accents become marks of their own.
+    plain = unicodedata.normalize("NFD", text.lower())
+    latin = [sign for sign in plain if sign.isalpha() and "LATIN" in unicodedata.name(sign, "")]
+    share = sum(sign in _VOWELS for sign in latin) / max(1, len(latin))
+    return len(latin) < _FEWEST or _VOWEL_SHARE[0] < share < _VOWEL_SHARE[1]
+
+
+def _print_beside(page: Page, boxes: list[Box], point_mm: float) -> list[TextLine]:
+    """Return the lines of print on a page outside of the boxes of its text."""
+    rest = page.grey.copy()
+    scale = point_mm / page.mm_per_pixel
+    for left, top, right, bottom in boxes:
+        edge = 0.2 * (bottom - top)
+        box = rest[
+            max(0, int((top - edge) * scale)) : max(0, math.ceil((bottom + edge) * scale)),
+            max(0, int((left - edge) * scale)) : max(0, math.ceil((right + edge) * scale)),
+        ]
+        if box.size:
+            box[:] = np.median(box)
+    step = page.mm_per_pixel / _COARSE_MM
+    coarse = cv2.resize(rest, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
+    ink = np.abs(coarse - np.median(coarse)) > _CONTRAST
+    heights = cv2.connectedComponentsWithStats(ink.astype(np.uint8))[2][1:, cv2.CC_STAT_HEIGHT]
+    low, high = (height / _COARSE_MM for height in _LETTERS_MM)
+    if np.count_nonzero((heights >= low) & (heights <= high)) < _FEWEST_SPOTS:
+        return []
+    return find_lines(Page(rest, page.mm_per_pixel), None)

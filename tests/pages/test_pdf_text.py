@@ -1,0 +1,241 @@
+"""The text that a PDF brings is read as it is seen: whole words, columns, tables, visible print."""
+
+import string
+
+import pytest
+
+from smarttouch.pages.document import open_document
+from smarttouch.pages.page_image import Page
+from smarttouch.reading.material import ReadingMaterial, recognized_text
+from smarttouch.reading.recognition import RecognitionOptions, upright_page
+
+from .printed import print_page
+from .test_document import one_page, stream
+
+FONT = b"<</Type/Font/Subtype/Type1/BaseFont/%b/Encoding<</Type/Encoding/Differences%b>>>>"
+FONTS = {
+    b"F": FONT % (b"Helvetica", b"[1/uni2010/uni00AD/uniF0B7]"),
+    b"I": FONT % (b"Times-Italic", b"[]"),
+}
+RESOURCES = b"/Resources<</Font<</F %b/I %b>>" % (FONTS[b"F"], FONTS[b"I"]) + b"%b>>"
+PROSE = [
+    *("The left column is read", "before the right one is", "begun, line after line."),
+    *("Here the page goes on, as", "it does in a newspaper or", "in a book of two columns."),
+    *("At last there is a third", "column that some of them", "and it is the end of all."),
+]
+LEFT, RIGHT = PROSE[:3], PROSE[3:6]
+
+
+def put(x, y, text, size=10, font="F", turn=(1, 0, 0, 1), more=""):
+    """Return the operators that show a text at a place in points from the bottom left."""
+    code = text.encode("latin-1").replace(b"(", b"\\(").replace(b")", b"\\)")
+    place = " ".join(map(str, (*turn, x, y)))
+    return f"BT /{font} {size} Tf {place} Tm {more} (".encode() + code + b") Tj ET\n"
+
+
+def marked(x, y, *parts):
+    """Return the operators of a line whose every second part is raised or, after _, lowered."""
+    shown = b"BT %d %d Td " % (x, y)
+    for k, part in enumerate(parts):
+        rise = 4 - 6 * (part[0] == "_") if k % 2 else 0
+        shown += b"/F %d Tf %d Ts (%b) Tj " % (7 if k % 2 else 10, rise, part.strip("_").encode())
+    return shown + b"ET\n"
+
+
+def apart(x, y, text, gap=5):
+    """Return a line whose letters are placed one by one."""
+    wide = dict(zip("THEOLDMI ", (6.1, 7.2, 6.7, 7.8, 5.6, 7.2, 8.3, 2.8, 2.8), strict=True))
+    shown = b""
+    for sign in text:
+        shown += put(x, y, sign) if sign != " " else b""
+        x += wide[sign] + gap
+    return shown
+
+
+def pdf(path, *content, size=(440, 300), page=b"", objects=b"", **more):
+    """Write a PDF of one page; return its path."""
+    shown = b"".join(each if isinstance(each, bytes) else put(*each) for each in content)
+    path.write_bytes(one_page(shown, size, RESOURCES % objects + page, **more))
+    return path
+
+
+def load(path, **options):
+    with open_document(path, **options) as document:
+        return document.page(0)
+
+
+def columns(texts, step=14, x=(40, 165, 290), by_rows=False):
+    """Yield columns of three lines, written column by column or row by row."""
+    places = [(x[k // 3], 250 - step * (k % 3), text) for k, text in enumerate(texts)]
+    yield from sorted(places, key=lambda place: -place[1]) if by_rows else places
+
+
+def table(*rows, x=(40, 120, 200), y=200, step=14):
+    for k, row in enumerate(rows):
+        yield from ((x[n], y - step * k, cell) for n, cell in enumerate(row) if cell)
+
+
+GRID = [("Name", "Paid out", "Paid in"), ("Rent", "500", ""), ("Salary", "", "700"),
+        ("Gas", "55", "")]  # fmt: skip
+ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; 55; -")
+
+
+@pytest.mark.parametrize(("content", "words"), [
+    ([put(40, 250, "the first of four fine fish for us", font="I")],
+     ["the first of four fine fish for us"]),
+    ([put(40, 250, "It was a dark night", more="60 Tz")], ["It was a dark night"]),
+    ([put(40, 250, "THE OLD MILL", more="5 Tc")], ["THE OLD MILL"]),
+    ([apart(40, 250, "THE OLD MILL")], ["THE OLD MILL"]),
+    ([marked(40, 250, "There were 10", "6", " cells, 10", "-3", " of them in H", "_2", "O.")],
+     ["There were 10^6 cells, 10^-3 of them in H_2O."]),
+    ([marked(40, 250, "as was shown", "1", " on the 3", "rd", " of May by"), (40, 236, "others."),
+      marked(40, 200, "", "1", " In a book.")],
+     ["as was shown^1 on the 3rd of May by", "others.", "^1 In a book."]),
+    ([put(40, 200, "T", 40), put(66, 222, "he mill stood"), put(66, 211, "empty for a"),
+      put(66, 200, "year before we"), put(40, 189, "bought it at last.")],
+     ["The mill stood", "empty for a", "year before we", "bought it at last."]),
+    ([(40, 250, "It was the permis\1"), (40, 236, "sion of the North\2"),
+      (40, 222, "South line, an exam-"), (40, 208, "ple of it.")],
+     ["It was the permis-", "sion of the North-", "South line, an exam-", "ple of it."]),
+    ([(40, 250, "Bring with you:"), (50, 236, "\3 a pencil"), (50, 222, "\3 a cup of tea")],
+     ["Bring with you:", "• a pencil", "• a cup of tea"]),
+    (columns(PROSE), PROSE),
+    (columns(PROSE, by_rows=True), PROSE),
+    # Only columns that the file finishes before it goes on have no common lines.
+    ([*columns(LEFT), *((165, y - 6, text) for _, y, text in columns(RIGHT))], [*LEFT, *RIGHT]),
+    ([*columns(PROSE[:6]), (40, 208, "E = mc"), (140, 208, "(1)"), (40, 194, "is the rule.")],
+     [*LEFT, "E = mc", "(1)", "is the rule.", *RIGHT]),
+    ([*columns(["apple, 7", "bread, 12", "door, 3", "mill, 9", "oven, 4", "pear, 31"])],
+     ["apple, 7", "bread, 12", "door, 3", "mill, 9", "oven, 4", "pear, 31"]),
+    ([*columns(["apple, 7", "bread, 12", "door, 3", "mill, 9", "oven, 4", "pear, 31"],
+               by_rows=True)],
+     ["apple, 7", "bread, 12", "door, 3", "mill, 9", "oven, 4", "pear, 31"]),
+    ([(40, 240, "What was paid for the house this year"), *table(*GRID)],
+     ["What was paid for the house this year", *ROWS]),
+    # A table in the left one of two columns.
+    ([*columns(PROSE[:6], x=(40, 220)), *table(*GRID, x=(40, 85, 135)), (220, 208, "So it ends.")],
+     [*LEFT, *ROWS, *RIGHT, "So it ends."]),
+    ([*table(("Date", "Item", "Sum"), ("1 May", "Rent of", "500"), ("", "the mill", ""), step=12),
+      *table(("2 May", "Gas", "7")[:], y=158)],
+     ["Date; Item; Sum", "1 May; Rent of the mill; 500", "", "2 May; Gas; 7"]),
+    ([put(40, 250, "These words are level,"), put(40, 236, "and so are these."),
+      put(30, 100, "arXiv:2611.01234", turn=(0, 1, -1, 0)),
+      put(60, 220, "DRAFT", 30, turn=(0.7, 0.7, -0.7, 0.7))],
+     ["These words are level,", "and so are these."]),
+    ([(40, 250, "These are on the page."), (-90, 236, "beside the page"), (40, -20, "below it")],
+     ["These are on the page."]),
+    ([(50, 236, "a pencil"), (50, 222, "a cup"), (40, 236, "1."), (40, 222, "2.")],
+     ["1. a pencil", "2. a cup"]),
+], ids=["italics", "condensed", "spaced", "letters", "powers", "footnotes", "initial", "hyphens",
+        "bullets", "columns", "columns by rows", "columns offset", "equation", "index",
+        "index by rows", "table", "table in a column", "cells of lines", "turned", "outside",
+        "marks of items"])  # fmt: skip
+def test_text_is_read_as_it_is_seen(tmp_path, content, words):
+    assert load(pdf(tmp_path / "a.pdf", *content)).words == tuple(words)
+
+
+@pytest.mark.parametrize("page", [
+    b"", b"/CropBox[-20 -20 900 900]", b"/CropBox[390 290 30 100]", b"/CropBox[30 210 250 500]",
+    b"/Rotate 90/CropBox[20 40 300 280]",
+])  # fmt: skip
+def test_lines_lie_on_their_print(tmp_path, page):
+    turn = (0, 1, -1, 0) if b"Rotate" in page else (1, 0, 0, 1)
+    step = (14, 0) if b"Rotate" in page else (0, -14)
+    content = [put(60 + step[0] * k, 250 - 10 * abs(step[0]) + step[1] * k, text, turn=turn)
+               for k, text in enumerate(LEFT)]  # fmt: skip
+    found = load(pdf(tmp_path / "a.pdf", *content, page=page))
+    assert found.words == tuple(LEFT)
+    ink = found.grey < 128
+    for line in found.lines:
+        top, bottom, left, right = (
+            round(side / found.mm_per_pixel)
+            for side in (line.top_mm, line.bottom_mm, line.left_mm, line.right_mm)
+        )
+        assert ink[top:bottom, left:right].any()
+        ink[top : bottom + 1, left - 1 : right + 2] = False
+    assert not ink.any()
+
+
+def test_the_text_is_that_of_the_layer(tmp_path):
+    path = pdf(tmp_path / "a.pdf", *columns(PROSE))
+    source = ReadingMaterial(str(path), RecognitionOptions(keep_headers=True))
+    (prepared,) = source.prepared()
+    assert recognized_text(prepared, source.options, source.note) == " ".join(PROSE)
+    assert prepared.cleaned.min() < 60
+
+
+def test_what_is_filled_into_a_form_is_read_beside_its_label(tmp_path):
+    values = ["Ada Lovelace", "10 December"]
+    objects = []
+    for k, value in enumerate(values):
+        objects += [
+            b"<</Type/Annot/Subtype/Widget/FT/Tx/T(f%d)/V(%b)/F 4/P 3 0 R/Rect[140 %d 300 %d]"
+            b"/AP<</N %d 0 R>>>>" % (k, value.encode(), 246 - 20 * k, 262 - 20 * k, 6 + 2 * k),
+            stream(put(2, 4, value), b"/Type/XObject/Subtype/Form/BBox[0 0 160 16]"
+                   + RESOURCES % b""),
+        ]  # fmt: skip
+    path = pdf(
+        tmp_path / "a.pdf", (40, 250, "Name:"), (40, 230, "Date of birth:"),
+        page=b"/Annots[5 0 R 7 0 R]", catalog=b"/AcroForm<</Fields[5 0 R 7 0 R]>>", more=objects,
+    )  # fmt: skip
+    assert load(path).words == ("Name:; Ada Lovelace", "Date of birth:; 10 December")
+
+
+def picture(lines):
+    """Return a picture of printed lines as an object of a PDF, and how it is shown in strips."""
+    grey = print_page(lines, size_pt=10, dpi=150).page.grey
+    height, width = grey.shape
+    half = height // 2
+    objects = [
+        stream(part.tobytes(), b"/Type/XObject/Subtype/Image/Width %d/Height %d"
+               b"/ColorSpace/DeviceGray/BitsPerComponent 8" % part.shape[::-1])
+        for part in (grey[:half], grey[half:])
+    ]  # fmt: skip
+    shown = b"q %d 0 0 %d 0 %d cm /P Do Q q %d 0 0 %d 0 0 cm /Q Do Q\n" % (
+        width, half, height - half, width, height - half,
+    )  # fmt: skip
+    return (width, height), shown, objects
+
+
+@pytest.mark.parametrize("stamp", ["", "Downloaded from https://library.example by a reader of it"])
+def test_a_scan_in_strips_is_recognized(tmp_path, stamp):
+    size, shown, objects = picture(PROSE)
+    content = [shown, *([(40, 8, stamp)] if stamp else [])]
+    path = pdf(tmp_path / "a.pdf", *content, size=size, more=objects,
+               objects=b"/XObject<</P 5 0 R/Q 6 0 R>>")  # fmt: skip
+    assert not getattr(load(path), "lines", ())
+
+
+def test_a_hidden_text_of_a_scan_is_read(tmp_path):
+    size, shown, objects = picture(PROSE[:1])
+    hidden = put(85, size[1] - 115, PROSE[0], 20, more="3 Tr")
+    path = pdf(tmp_path / "a.pdf", shown, hidden, size=size, more=objects,
+               objects=b"/XObject<</P 5 0 R/Q 6 0 R>>")  # fmt: skip
+    assert load(path).words == (PROSE[0],)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_print_that_is_not_read_is_named(tmp_path, turned):
+    prose = [(40, 780 - 14 * k, PROSE[k % 9] + " " + PROSE[(k + 1) % 9]) for k in range(30)]
+    if turned:
+        content, objects = [put(20, 100, "a stamp", turn=(0, 1, -1, 0))], {}
+    else:
+        _, shown, streams = picture(["these words are in a", "picture of the page"])
+        place = b"q 0.5 0 0 0.5 40 20 cm "
+        content, objects = [place + shown + b" Q "], {"more": streams}
+    page = load(pdf(tmp_path / "a.pdf", *prose, *content, size=(500, 820), **objects,
+                    objects=b"/XObject<</P 5 0 R/Q 6 0 R>>"))  # fmt: skip
+    assert len(page.words) == 30
+    notes = []
+    upright_page(7, page, RecognitionOptions(), notes.append)
+    assert sum(note.startswith("page 7: ") and page.notes[0] in note for note in notes) == 1
+
+
+def test_wrong_codes_are_not_believed(tmp_path):
+    letters = string.ascii_lowercase
+    shifted = str.maketrans(letters, letters[3:] + letters[:3])
+    content = [(x, y, text.translate(shifted)) for x, y, text in columns(PROSE)]
+    page = load(pdf(tmp_path / "a.pdf", *content))
+    assert page.lines == ()
+    assert len(page.notes) == 1
+    assert type(load(pdf(tmp_path / "b.pdf"))) is Page
