@@ -4,7 +4,7 @@ import itertools
 import re
 import statistics
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 SPACE, MADE_SPACE = " ", "\t"
 """What stands before a word: a space of the file, or one that PDFium makes of a gap."""
@@ -15,6 +15,7 @@ _APART = 2.5  # gap within a row that parts its lines
 _WRAPPED = 1.35  # distance of the lines of one cell; these are in sizes of the letters
 _FARTHER, _LARGER = 1.6, 1.15
 """Distance of blocks, in usual ones of rows, and ratio of sizes of a heading and its text."""
+_AROUND = 8  # rows around one in which others are beside it, at most
 _EDGE = 0.125  # part of the page's height at its ends that has running heads
 _FLUSH = 0.2  # difference, in sizes, of ends of lines that are equal
 _WORDY = 3.0  # mean words of a line above which a column is prose
@@ -34,7 +35,6 @@ class Word:
     size: float
     place: int  # in the file's order; below 0 in fields of a form
     before: str  # SPACE, MADE_SPACE or nothing
-    initial: tuple[float, ...] = ()  # box of a letter over several lines that begins it
 
     @property
     def middle(self) -> float:
@@ -54,7 +54,7 @@ class Line:
     is_cells: bool = False
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Gap:
     """Space between words that successive rows share, how many have words at both sides, and
     whether another row closes it."""
@@ -78,8 +78,8 @@ class _Gap:
                 else:
                     left = word.right
                 if right - left < _OPEN * word.size:
-                    return replace(self, is_closed=True)
-        return replace(self, left=left, right=right)
+                    return _Gap(self.left, self.right, self.rows, True)
+        return _Gap(left, right, self.rows)
 
 
 def reading_order(words: list[Word], height: float) -> list[Line]:
@@ -123,14 +123,19 @@ def _parts(rows: list[Row], height: float) -> Iterator[list[Row]]:
         above, below = rows[number - 1], rows[number + 1 : number + 2]
         at_edge = above[0].y < _EDGE * height or row[0].y > (1 - _EDGE) * height
         is_head = at_edge and row[0].y - above[0].y > _APART * row[0].size
-        is_large = bool(below) and row[0].size > _LARGER * below[0][0].size and not _gaps(row)
-        is_later = max(word.place for word in _words(rows[:number])) < row[0].place
-        in_turn = is_later and row[0].place <= min(word.place for word in _words(rows[number:]))
-        if is_head or (is_large and in_turn):
+        is_heading = bool(below) and row[0].size > _LARGER * below[0][0].size and not _gaps(row)
+        if is_head or (is_heading and _begins_anew(rows, number)):
             yield part
             part = []
         part.append(row)
     yield part
+
+
+def _begins_anew(rows: list[Row], number: int) -> bool:
+    """Return whether the file has a row after all above it, and before all below."""
+    first = rows[number][0].place
+    above = max(word.place for word in _words(rows[:number]))
+    return above < first <= min(word.place for word in _words(rows[number:]) if word.place >= 0)
 
 
 def _ordered(rows: list[Row]) -> list[Line]:
@@ -187,8 +192,9 @@ def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Gap]]]:
     """Yield successive rows that share a gap, with all of their gaps."""
     band: list[Row] = []
     gaps: list[_Gap] = []
-    for row in rows:
-        near = [word for word in _words(rows) if abs(word.y - row[0].y) < _BESIDE * word.size]
+    for number, row in enumerate(rows):
+        around = _words(rows[max(0, number - _AROUND) : number + _AROUND])
+        near = [word for word in around if abs(word.y - row[0].y) < _BESIDE * word.size]
         own = _gaps(sorted(near, key=lambda word: word.left))
         after = [gap if gap.is_closed else gap.after(row) for gap in gaps]
         is_single = len(band) == 1 and not own and _is_in_order(band[0])
@@ -199,7 +205,8 @@ def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Gap]]]:
             continue
         for new in own:
             same = [gap for gap in after if gap.left < new.right and new.left < gap.right]
-            after = [replace(gap, rows=gap.rows + (gap in same)) for gap in after]
+            for gap in same:
+                gap.rows += 1
             if not same:
                 after.append(new.after(_words(band)))
         band.append(row)
@@ -267,9 +274,10 @@ def _column_gap(band: list[Row], gaps: list[_Gap]) -> _Gap | None:
             (before.middle > gap.middle) != (word.middle > gap.middle)
             for before, word in itertools.pairwise(printed)
         )
+        beside = _sides(printed, gap)
         level = sum(
-            any(abs(word.y - row[0].y) < _BESIDE * word.size for word in _sides(printed, gap)[1])
-            for row in _rows(_sides(printed, gap)[0])
+            any(abs(word.y - row[0].y) < _BESIDE * word.size for word in beside[1])
+            for row in _rows(beside[0])
         )
         in_turn = 0 < 2 * crossings <= level and not _are(_FIGURE, right)
         alike = (_is_prose(left) and _is_prose(right)) or (

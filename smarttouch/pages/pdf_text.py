@@ -37,7 +37,7 @@ _FIELDS = 10**9  # subtracted from the places of words in fields of a form
 _MOST_UNKNOWN = 0.05  # part of a text's characters that mean nothing
 _VOWELS, _VOWEL_SHARE, _FEWEST = frozenset("aeiouyæœø"), (0.22, 0.62), 40
 """Part of Latin letters that are vowels in any language; fewest letters that show wrong codes."""
-_COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 8
+_COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 4
 """Pixels, heights, contrast and number of the spots that may be print beside the text."""
 _MOSTLY = 0.5  # print that the text lacks, relative to it, from which the picture is recognized
 
@@ -172,7 +172,7 @@ def _words(signs: list[_Sign]) -> list[Word]:
     _join_spaced(words)
     for word, after in itertools.pairwise(words):
         if _begins(word, after):
-            after.text, after.initial, word.text = word.text + after.text, _box(word), ""
+            after.text, word.text = word.text + after.text, ""
     words = [word for word in words if word.text]
     for number, word in enumerate(words):
         word.place = number - (_FIELDS if word.place < 0 else 0)
@@ -248,7 +248,6 @@ def _text_line(line: Line, point_mm: float) -> TextLine:
         ascent_mm=_ASCENT * size,
         descent_mm=_DESCENT * size,
         cell=int(line.is_cells),
-        initial_mm=tuple(side * point_mm for word in words for side in word.initial)[:4],
     )
 
 
