@@ -21,6 +21,7 @@ _FLUSH = 0.2  # difference, in sizes, of ends of lines that are equal
 _WORDY = 3.0  # mean words of a line above which a column is prose
 _FIGURE = re.compile(r"[^\w\s]*\d[\d\W]*\w?[^\w\s]*")
 _INDEX_ENTRY = re.compile(r".*[^\W\d].*\d\W*")
+_LABEL = re.compile(r".*:")
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]")  # the mark of a list's item
 
 
@@ -135,7 +136,8 @@ def _begins_anew(rows: list[Row], number: int) -> bool:
     """Return whether the file has a row after all above it, and before all below."""
     first = rows[number][0].place
     above = max(word.place for word in _words(rows[:number]))
-    return above < first <= min(word.place for word in _words(rows[number:]) if word.place >= 0)
+    below = (word.place for word in _words(rows[number:]) if word.place >= 0)
+    return above < first <= min(below, default=-1)
 
 
 def _ordered(rows: list[Row]) -> list[Line]:
@@ -279,7 +281,8 @@ def _column_gap(band: list[Row], gaps: list[_Gap]) -> _Gap | None:
             any(abs(word.y - row[0].y) < _BESIDE * word.size for word in beside[1])
             for row in _rows(beside[0])
         )
-        in_turn = 0 < 2 * crossings <= level and not _are(_FIGURE, right)
+        is_pair = _are(_FIGURE, right) or _are(_LABEL, left)
+        in_turn = 0 < 2 * crossings <= level and not is_pair
         alike = (_is_prose(left) and _is_prose(right)) or (
             _are(_INDEX_ENTRY, left) and _are(_INDEX_ENTRY, right)
         )

@@ -3,9 +3,12 @@
 import string
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from smarttouch.pages.document import open_document
 from smarttouch.pages.page_image import Page
+from smarttouch.pages.pdf_layout import SPACE, Word, reading_order
 from smarttouch.reading.material import ReadingMaterial, recognized_text
 from smarttouch.reading.recognition import RecognitionOptions, upright_page
 
@@ -118,6 +121,8 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; 55; -
     ([*table(("Date", "Item", "Sum"), ("1 May", "Rent of", "500"), ("", "the mill", ""), step=12),
       *table(("2 May", "Gas", "7")[:], y=158)],
      ["Date; Item; Sum", "1 May; Rent of the mill; 500", "", "2 May; Gas; 7"]),
+    ([(40, 250, "Name:"), (40, 236, "Town:"), (120, 250, "Ada"), (120, 236, "London")],
+     ["Name:; Ada", "Town:; London"]),
     ([put(40, 250, "These words are level,"), put(40, 236, "and so are these."),
       put(30, 100, "arXiv:2611.01234", turn=(0, 1, -1, 0)),
       put(60, 220, "DRAFT", 30, turn=(0.7, 0.7, -0.7, 0.7))],
@@ -128,10 +133,25 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; 55; -
      ["1. a pencil", "2. a cup"]),
 ], ids=["italics", "condensed", "spaced", "letters", "powers", "footnotes", "initial", "hyphens",
         "bullets", "columns", "columns by rows", "columns offset", "equation", "index",
-        "index by rows", "table", "table in a column", "cells of lines", "turned", "outside",
-        "marks of items"])  # fmt: skip
+        "index by rows", "table", "table in a column", "cells of lines", "labels", "turned",
+        "outside", "marks of items"])  # fmt: skip
 def test_text_is_read_as_it_is_seen(tmp_path, content, words):
     assert load(pdf(tmp_path / "a.pdf", *content)).words == tuple(words)
+
+
+@given(st.lists(st.tuples(
+    st.integers(0, 40), st.integers(0, 20), st.sampled_from([6, 10, 18]),
+    st.sampled_from(["a", "12", "•", "a long word", "Label:"]), st.booleans(),
+), min_size=1, max_size=60))  # fmt: skip
+def test_no_word_is_lost_or_read_twice(placed):
+    words = [
+        Word(text, 10 * x, 10 * x + 4 * len(text), 12 * y, size, k - 10**9 * in_field, SPACE)
+        for k, (x, y, size, text, in_field) in enumerate(placed)
+    ]
+    lines = reading_order(words, 240)
+    assert sorted(map(id, words)) == sorted(id(word) for line in lines for word in line.words)
+    signs = "".join(line.text for line in lines).translate(dict.fromkeys(map(ord, "-; ")))
+    assert sorted(signs) == sorted("".join(word.text for word in words).replace(" ", ""))
 
 
 @pytest.mark.parametrize("page", [
