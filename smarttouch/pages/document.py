@@ -23,7 +23,7 @@ from smarttouch.pages.page_image import (
     require_pixels,
     require_size_mm,
 )
-from smarttouch.pages.pdf_text import with_text
+from smarttouch.pages.pdf_text import PdfPage, turn_of_text, with_text
 
 if TYPE_CHECKING:
     import pypdfium2
@@ -161,7 +161,15 @@ class PdfDocument(Document):
         try:
             printed = _flatten(self._pdf[index])
             with contextlib.closing(self._pdf[index]) as sheet:
-                return self._render(sheet, name, printed)
+                rotation = sheet.get_rotation()
+                turn_deg = turn_of_text(sheet)
+                sheet.set_rotation((rotation + turn_deg) % 360)
+                page = self._render(sheet, name, printed)
+                if turn_deg and isinstance(page, PdfPage) and not page.lines:
+                    # The turned text is a stamp on a picture.
+                    sheet.set_rotation(rotation)
+                    page = self._render(sheet, name, printed)
+                return page
         except pypdfium2.PdfiumError:
             raise PageError(f"{name} cannot be read: the file is damaged") from None
 

@@ -6,6 +6,7 @@ import itertools
 import math
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 Box = tuple[float, float, float, float]  # left, top, right, bottom in points, y down
 
 _ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # of most fonts; all in sizes of the letters
-_LEVEL = 0.18  # slope above which text is turned
+_LEVEL = 10.0  # angle in degrees from which text is aslant
 _GAP, _TOUCHING = 0.7, 0.3  # gaps above which words end, and below which parts of a word touch
 _SPACED, _WIDER = 0.8, 1.5  # gap of spaced letters, and ratio to it of the gap between their words
 _SMALLER, _SHIFTED, _NEAR = 0.85, (0.1, 0.8), 0.55
@@ -61,8 +62,14 @@ class _Sign:
     y: float
     size: float
     before: str
-    is_turned: bool
+    turn_deg: int | None  # by which its page is to be turned, clockwise; None if it is aslant
     in_field: bool
+
+
+def turn_of_text(sheet: "pypdfium2.PdfPage") -> int:
+    """Return by how many degrees, clockwise, a page must be turned for its text to be level."""
+    counts = Counter(sign.turn_deg for sign in _signs(sheet, math.inf))
+    return max(counts, key=lambda turn_deg: counts[turn_deg], default=0) or 0
 
 
 def with_text(
@@ -73,12 +80,12 @@ def with_text(
     ``printed`` is the number of its characters before those in fields of a form; None for all.
     """
     signs = list(_signs(sheet, math.inf if printed is None else printed))
-    turned = [sign for sign in signs if sign.is_turned]
+    turned = [sign for sign in signs if sign.turn_deg != 0]
     if not signs:
         return page
     if 2 * len(turned) > len(signs):
-        return _pictured(page, "its text is turned")
-    words = _words([sign for sign in signs if not sign.is_turned])
+        return _pictured(page, "most of its text is turned")
+    words = _words([sign for sign in signs if sign.turn_deg == 0])
     boxes = [*map(_box, words), *(sign.box for sign in turned)]
     is_leftward = _is_leftward(words)
     if is_leftward:
@@ -140,9 +147,10 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: float) -> Iterator[_Sign]:
             if size > 0 and 0 < (left + right) / 2 < width and 0 < (top + bottom) / 2 < height:
                 start = view(x.value, y.value)
                 end = view(x.value + size * matrix.a, y.value + size * matrix.b)
-                is_turned = not abs(end[1] - start[1]) <= _LEVEL * (end[0] - start[0])
+                angle = math.degrees(math.atan2(start[1] - end[1], end[0] - start[0]))
+                turn = round(angle / 90) % 4 * 90 if abs((angle + 45) % 90 - 45) < _LEVEL else None
                 box = left, top, right, bottom
-                yield _Sign(text, box, start[1], size, before, is_turned, k >= printed)
+                yield _Sign(text, box, start[1], size, before, turn, k >= printed)
                 before = ""
 
 
@@ -286,4 +294,7 @@ def _print_beside(page: Page, boxes: list[Box], point_mm: float) -> list[TextLin
     low, high = (height / _COARSE_MM for height in _LETTERS_MM)
     if np.count_nonzero((heights >= low) & (heights <= high)) < _FEWEST_SPOTS:
         return []
-    return find_lines(Page(rest, page.mm_per_pixel), None)
+    # A scan may lie on its side.
+    turned = np.ascontiguousarray(np.rot90(rest))
+    pages = (Page(grey, page.mm_per_pixel) for grey in (rest, turned))
+    return next(filter(None, (find_lines(page, None) for page in pages)), [])

@@ -156,11 +156,12 @@ def test_no_word_is_lost_or_read_twice(placed):
 
 @pytest.mark.parametrize("page", [
     b"", b"/CropBox[-20 -20 900 900]", b"/CropBox[390 290 30 100]", b"/CropBox[30 210 250 500]",
-    b"/Rotate 90/CropBox[20 40 300 280]",
+    b"/Rotate 90/CropBox[20 40 300 280]", b"/Rotate 90",
 ])  # fmt: skip
 def test_lines_lie_on_their_print(tmp_path, page):
-    turn = (0, 1, -1, 0) if b"Rotate" in page else (1, 0, 0, 1)
-    step = (14, 0) if b"Rotate" in page else (0, -14)
+    is_turned = b"Rotate 90/" in page
+    turn = (0, 1, -1, 0) if is_turned else (1, 0, 0, 1)
+    step = (14, 0) if is_turned else (0, -14)
     content = [put(60 + step[0] * k, 250 - 10 * abs(step[0]) + step[1] * k, text, turn=turn)
                for k, text in enumerate(LEFT)]  # fmt: skip
     found = load(pdf(tmp_path / "a.pdf", *content, page=page))
@@ -217,13 +218,18 @@ def picture(lines):
     return (width, height), shown, objects
 
 
-@pytest.mark.parametrize("stamp", ["", "Downloaded from https://library.example by a reader of it"])
+STAMP = "Downloaded from https://library.example by a reader of it"
+
+
+@pytest.mark.parametrize("stamp", [b"", put(40, 8, STAMP), put(20, 9, STAMP, turn=(0, 1, -1, 0))],
+                         ids=["none", "level", "turned"])  # fmt: skip
 def test_a_scan_in_strips_is_recognized(tmp_path, stamp):
     size, shown, objects = picture(PROSE)
-    content = [shown, *([(40, 8, stamp)] if stamp else [])]
-    path = pdf(tmp_path / "a.pdf", *content, size=size, more=objects,
+    path = pdf(tmp_path / "a.pdf", shown, stamp, size=size, more=objects,
                objects=b"/XObject<</P 5 0 R/Q 6 0 R>>")  # fmt: skip
-    assert not getattr(load(path), "lines", ())
+    page = load(path, dpi=72)
+    assert not getattr(page, "lines", ())
+    assert page.grey.shape == size[::-1]
 
 
 def test_a_hidden_text_of_a_scan_is_read(tmp_path):
