@@ -3,8 +3,9 @@
 import itertools
 import re
 import statistics
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 SPACE, MADE_SPACE = " ", "\t"
 """What stands before a word: a space of the file, or one that PDFium makes of a gap."""
@@ -44,6 +45,7 @@ class Word:
 
 
 Row = list[Word]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,15 +166,21 @@ def _ordered(rows: list[Row]) -> list[Line]:
     return lines + [line for row in waiting for line in _plain(row)]
 
 
+def split(items: list[T], begins: Callable[[T, T], bool]) -> list[list[T]]:
+    """Return items in pieces, a new one where ``begins`` holds of an item before and its next."""
+    pieces = [items[:1]]
+    for before, item in itertools.pairwise(items):
+        if begins(before, item):
+            pieces.append([])
+        pieces[-1].append(item)
+    return pieces
+
+
 def _blocks(rows: list[Row]) -> list[list[Row]]:
     """Return rows parted where their distance is larger than usual."""
     steps = [below[0].y - above[0].y for above, below in itertools.pairwise(rows)]
-    blocks = [rows[:1]]
-    for step, row in zip(steps, rows[1:], strict=True):
-        if step > _FARTHER * statistics.median(steps):
-            blocks.append([])
-        blocks[-1].append(row)
-    return blocks
+    far = _FARTHER * statistics.median(steps or [0.0])
+    return split(rows, lambda above, row: row[0].y - above[0].y > far)
 
 
 def _is_justified(above: list[Row], band: list[Row], below: list[Row]) -> bool:
@@ -323,15 +331,11 @@ def _table(band: list[Row], middles: list[float]) -> list[Line]:
     lines = []
     for row_cells in rows:
         texts: dict[int, str] = {}
+        covered: set[int] = set()
         for column, words in (item for cells in row_cells for item in cells.items()):
             texts[column] = f"{texts.get(column, '')} {text_of(words)}".strip()
-        covered = {
-            column
-            for cells in row_cells
-            for words in cells.values()
-            for column, middle in enumerate(middles, 1)
-            if words[0].left < middle < words[-1].right
-        }
+            left, right = words[0].left, words[-1].right
+            covered |= {k for k, middle in enumerate(middles, 1) if left < middle < right}
         columns = [0] if [*texts] == [0] else range(len(middles) + 1)
         text = "; ".join(texts.get(k, "-") for k in columns if k in texts or k not in covered)
         for cells in row_cells:
@@ -353,9 +357,7 @@ def _cells(row: Row, middles: list[float]) -> dict[int, Row]:
 
 def _plain(row: Row) -> list[Line]:
     """Return the lines of a row that is none of a table, parted at very wide gaps."""
-    pieces = [[row[0]]]
-    for before, word in itertools.pairwise(row):
-        if word.left - before.right > _APART * max(before.size, word.size):
-            pieces.append([])
-        pieces[-1].append(word)
+    pieces = split(
+        row, lambda before, word: word.left - before.right > _APART * max(before.size, word.size)
+    )
     return [Line(piece, text_of(piece)) for piece in pieces]

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.pdf_layout import MADE_SPACE, SPACE, Line, Word, reading_order
+from smarttouch.pages.pdf_layout import MADE_SPACE, SPACE, Line, Word, reading_order, split
 from smarttouch.pages.text_lines import TextLine, find_lines
 
 if TYPE_CHECKING:
@@ -179,7 +179,9 @@ def _words(signs: list[_Sign]) -> list[Word]:
             word.left, word.right = min(word.left, left), max(word.right, right)
     _join_spaced(words)
     for word, after in itertools.pairwise(words):
-        if _begins(word, after):
+        is_large = len(word.text) == 1 and word.size > _INITIAL * after.size
+        is_lower = word.y - after.y > _NEAR * after.size
+        if is_large and is_lower and abs(_gap(_box(word), _box(after))) < after.size:
             after.text, word.text = word.text + after.text, ""
     words = [word for word in words if word.text]
     for number, word in enumerate(words):
@@ -197,32 +199,22 @@ def _words(signs: list[_Sign]) -> list[Word]:
 
 def _join_spaced(words: list[Word]) -> None:
     """Put letters of spaced print into the first of their word."""
-    runs: list[list[Word]] = [[]]
-    for word in words:
-        last = runs[-1][-1:]
-        if word.before != MADE_SPACE or any(
-            len(w.text) > 1 or w.y != word.y for w in [word, *last]
-        ):
-            runs.append([])
-        runs[-1].append(word)
-    for run in filter(None, runs):
+    for run in split(
+        words,
+        lambda before, word: (
+            word.before != MADE_SPACE
+            or before.y != word.y
+            or len(before.text + word.text) > 2
+            or not (before.text + word.text).isalpha()
+        ),
+    ):
         gaps = [after.left - before.right for before, after in itertools.pairwise(run)]
         usual = float(np.median(gaps)) if len(gaps) > 2 else math.inf
-        if usual < _SPACED * run[0].size and all(word.text.isalpha() for word in run):
+        if usual < _SPACED * run[0].size:
             for before, after in [*itertools.pairwise(run)][::-1]:
                 if after.left - before.right < _WIDER * usual:
                     before.text, before.right = before.text + after.text, after.right
                     after.text = ""
-
-
-def _begins(letter: Word, word: Word) -> bool:
-    """Return whether a letter over several lines begins a word."""
-    return (
-        len(letter.text) == 1
-        and letter.size > _INITIAL * word.size
-        and word.y < letter.y - _NEAR * word.size
-        and abs(_gap(_box(letter), _box(word))) < word.size
-    )
 
 
 def _gap(first: Box, second: Box) -> float:
