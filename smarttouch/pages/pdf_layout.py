@@ -23,7 +23,8 @@ _WORDY = 3.0  # mean words of a line above which a column is prose
 _FIGURE = re.compile(r"[^\w\s]*\d[\d\W]*\w?[^\w\s]*")
 _INDEX_ENTRY = re.compile(r".*[^\W\d].*\d\W*")
 _LABEL = re.compile(r".*:")
-_ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]")  # the mark of a list's item
+_ITEM = re.compile(r"(?:[^\w\s]|\(?\w{1,3}[.)]) |\d+(?:\.\d+)+ \D")
+"""The mark of a list's item, or the number of a section, and what follows it."""
 
 
 @dataclass(eq=False)
@@ -236,7 +237,7 @@ def _gaps(words: Row) -> list[_Gap]:
     right = float("-inf")
     for number, (before, word) in enumerate(itertools.pairwise(words)):
         right = max(right, before.right)
-        is_item = number == 0 and _ITEM.fullmatch(before.text)
+        is_item = number == 0 and _ITEM.match(f"{before.text} {word.text}")
         if _is_wide(before, word, right) and not is_item:
             found.append(_Gap(right, word.left))
     return found
