@@ -38,11 +38,16 @@ class Word:
     size: float
     place: int  # in the file's order; below 0 in fields of a form
     before: str  # SPACE, MADE_SPACE or nothing
+    turn_deg: int | None = 0  # by which the page must be turned for it; None if it is aslant
 
     @property
     def middle(self) -> float:
         """The x of its middle."""
         return (self.left + self.right) / 2
+
+    def gap(self, other: "Word") -> float:
+        """Return the distance of the nearer ends of two words, below 0 where they overlap."""
+        return max(other.left - self.right, self.left - other.right)
 
 
 Row = list[Word]

@@ -8,7 +8,7 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import cv2
@@ -20,8 +20,6 @@ from smarttouch.pages.text_lines import TextLine, find_lines
 
 if TYPE_CHECKING:
     import pypdfium2
-
-Box = tuple[float, float, float, float]  # left, top, right, bottom in points, y down
 
 _ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # of most fonts; all in sizes of the letters
 _LEVEL = 10.0  # angle in degrees from which text is aslant
@@ -53,19 +51,6 @@ class PdfPage(Page):
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class _Sign:
-    """Visible character: its box, baseline and size in points, and what stands before it."""
-
-    text: str
-    box: Box
-    y: float
-    size: float
-    before: str
-    turn_deg: int | None  # by which its page is to be turned, clockwise; None if it is aslant
-    in_field: bool
-
-
 def turn_of_text(sheet: "pypdfium2.PdfPage") -> int:
     """Return by how many degrees, clockwise, a page must be turned for its text to be level."""
     counts = Counter(sign.turn_deg for sign in _signs(sheet, math.inf))
@@ -86,7 +71,6 @@ def with_text(
     if 2 * len(turned) > len(signs):
         return _pictured(page, "most of its text is turned")
     words = _words([sign for sign in signs if sign.turn_deg == 0])
-    boxes = [*map(_box, words), *(sign.box for sign in turned)]
     is_leftward = _is_leftward(words)
     if is_leftward:
         _mirror(words)
@@ -97,7 +81,7 @@ def with_text(
     if not _makes_sense("".join(texts).replace(" ", "")):
         return _pictured(page, "its text makes no sense")
     lines = [_text_line(line, point_mm) for line in found]
-    others = _print_beside(page, boxes, point_mm)
+    others = _print_beside(page, words + turned, point_mm)
     if sum(map(_length, others)) > _MOSTLY * sum(map(_length, lines)):
         return _pictured(page, "much of its print is not in its text")
     notes = []
@@ -114,7 +98,7 @@ def _pictured(page: Page, reason: str) -> PdfPage:
     return PdfPage(page.grey, page.mm_per_pixel, notes=notes)
 
 
-def _signs(sheet: "pypdfium2.PdfPage", printed: float) -> Iterator[_Sign]:
+def _signs(sheet: "pypdfium2.PdfPage", printed: float) -> Iterator[Word]:
     """Yield the characters on the visible page in the file's order."""
     import pypdfium2.raw as pdfium
 
@@ -149,18 +133,17 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: float) -> Iterator[_Sign]:
                 end = view(x.value + size * matrix.a, y.value + size * matrix.b)
                 angle = math.degrees(math.atan2(start[1] - end[1], end[0] - start[0]))
                 turn = round(angle / 90) % 4 * 90 if abs((angle + 45) % 90 - 45) < _LEVEL else None
-                box = left, top, right, bottom
-                yield _Sign(text, box, start[1], size, before, turn, k >= printed)
+                place = k - (_FIELDS if k >= printed else 0)
+                yield Word(text, left, right, start[1], size, place, before, turn)
                 before = ""
 
 
-def _words(signs: list[_Sign]) -> list[Word]:
+def _words(signs: list[Word]) -> list[Word]:
     """Return the words of level text, with ``^`` and ``_`` before super- and subscripts."""
     words: list[Word] = []
     for last, sign in itertools.pairwise([None, *signs]):
         assert sign is not None
-        left, _, right, _ = sign.box
-        gap = _gap(last.box, sign.box) / max(sign.size, last.size) if last else math.inf
+        gap = sign.gap(last) / max(sign.size, last.size) if last else math.inf
         if (
             last is None
             or sign.before
@@ -168,27 +151,25 @@ def _words(signs: list[_Sign]) -> list[Word]:
             or abs(sign.y - last.y) > 0.05 * sign.size
             or abs(sign.size / last.size - 1) > 0.1
         ):
-            place = -_FIELDS if sign.in_field else 0
-            parted = sign.before or (MADE_SPACE if gap > _GAP else "")
-            if parted == "\n":
-                parted = MADE_SPACE if gap > _TOUCHING else ""
-            words.append(Word(sign.text, left, right, sign.y, sign.size, place, parted))
+            is_touching = sign.before in ("", "\n") and gap < (_TOUCHING if sign.before else _GAP)
+            before = "" if is_touching else SPACE if sign.before == SPACE else MADE_SPACE
+            words.append(replace(sign, before=before))
         else:
             word = words[-1]
             word.text += sign.text
-            word.left, word.right = min(word.left, left), max(word.right, right)
+            word.left, word.right = min(word.left, sign.left), max(word.right, sign.right)
     _join_spaced(words)
     for word, after in itertools.pairwise(words):
         is_large = len(word.text) == 1 and word.size > _INITIAL * after.size
         is_lower = word.y - after.y > _NEAR * after.size
-        if is_large and is_lower and abs(_gap(_box(word), _box(after))) < after.size:
+        if is_large and is_lower and abs(word.gap(after)) < after.size:
             after.text, word.text = word.text + after.text, ""
     words = [word for word in words if word.text]
     for number, word in enumerate(words):
         word.place = number - (_FIELDS if word.place < 0 else 0)
         for base in words[max(0, number - 1) : number] + words[number + 1 : number + 2]:
             raised = (base.y - word.y) / base.size
-            is_near = abs(_gap(_box(word), _box(base))) < _NEAR * base.size
+            is_near = abs(word.gap(base)) < _NEAR * base.size
             is_small = word.size < _SMALLER * base.size
             if is_small and is_near and _SHIFTED[0] < abs(raised) < _SHIFTED[1]:
                 word.text = ("^" if raised > 0 else "_") + word.text
@@ -215,16 +196,6 @@ def _join_spaced(words: list[Word]) -> None:
                 if after.left - before.right < _WIDER * usual:
                     before.text, before.right = before.text + after.text, after.right
                     after.text = ""
-
-
-def _gap(first: Box, second: Box) -> float:
-    return max(second[0] - first[2], first[0] - second[2])
-
-
-def _box(word: Word) -> Box:
-    return (
-        word.left, word.y - _ASCENT * word.size, word.right, word.y + _DESCENT * word.size,
-    )  # fmt: skip
 
 
 def _is_leftward(words: list[Word]) -> bool:
@@ -267,16 +238,15 @@ def _makes_sense(text: str) -> bool:
     return len(latin) < _FEWEST or _VOWEL_SHARE[0] < share < _VOWEL_SHARE[1]
 
 
-def _print_beside(page: Page, boxes: list[Box], point_mm: float) -> list[TextLine]:
-    """Return the lines of print on a page outside of the boxes of its text."""
+def _print_beside(page: Page, words: list[Word], point_mm: float) -> list[TextLine]:
+    """Return the lines of print on a page beside its words."""
     rest = page.grey.copy()
     scale = point_mm / page.mm_per_pixel
-    for left, top, right, bottom in boxes:
-        edge = 0.2 * (bottom - top)
-        box = rest[
-            max(0, int((top - edge) * scale)) : max(0, math.ceil((bottom + edge) * scale)),
-            max(0, int((left - edge) * scale)) : max(0, math.ceil((right + edge) * scale)),
-        ]
+    for word in words:
+        left, right = word.left - 0.2 * word.size, word.right + 0.2 * word.size
+        top, bottom = word.y - 0.95 * word.size, word.y + 0.4 * word.size
+        columns = slice(max(0, int(left * scale)), max(0, math.ceil(right * scale)))
+        box = rest[max(0, int(top * scale)) : max(0, math.ceil(bottom * scale)), columns]
         if box.size:
             box[:] = np.median(box)
     step = page.mm_per_pixel / _COARSE_MM
