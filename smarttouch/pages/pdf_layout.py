@@ -158,7 +158,7 @@ def _ordered(rows: list[Row]) -> list[Line]:
         # One of the columns may begin above the other.
         while split and waiting and not split.after(waiting[-1]).is_closed:
             band.insert(0, waiting.pop())
-        parts = [_rows(side) for side in _sides(_words(band), split)] if split else _blocks(band)
+        parts = [_column(band, [split], k) for k in (0, 1)] if split else _blocks(band)
         cells = [] if len(parts) > 1 else _cell_gaps(band, gaps)
         if len(parts) == 1 and (not cells or _is_justified(waiting[-1:], band, following[:1])):
             waiting += band
@@ -254,11 +254,6 @@ def _is_wide(before: Word, word: Word, right: float) -> bool:
     return width > _WIDE and not is_space
 
 
-def _sides(words: Row, gap: _Gap) -> tuple[Row, Row]:
-    left = [word for word in words if word.middle < gap.middle]
-    return left, [word for word in words if word.middle >= gap.middle]
-
-
 def _column(band: list[Row], gaps: list[_Gap], number: int) -> list[Row]:
     """Return the rows of one column, the first of which is before the first gap."""
     ends = [float("-inf"), *(gap.middle for gap in gaps), float("inf")]
@@ -281,19 +276,18 @@ def _column_gap(band: list[Row], gaps: list[_Gap]) -> _Gap | None:
     """Return the gap that parts columns of text, to be read one after the other, if there is one:
     the file does so, or both columns are prose, or entries of an index."""
     gaps = sorted((gap for gap in gaps if not gap.is_closed), key=lambda gap: gap.left)
-    printed = sorted(
-        (word for word in _words(band) if word.place >= 0), key=lambda word: word.place
-    )
+    printed = [[word for word in row if word.place >= 0] for row in band]
+    in_order = sorted(_words(printed), key=lambda word: word.place)
     for number, gap in enumerate(gaps):
         left, right = _column(band, gaps, number), _column(band, gaps, number + 1)
         crossings = sum(
             (before.middle > gap.middle) != (word.middle > gap.middle)
-            for before, word in itertools.pairwise(printed)
+            for before, word in itertools.pairwise(in_order)
         )
-        beside = _sides(printed, gap)
+        beside = _words(_column(printed, [gap], 1))
         level = sum(
-            any(abs(word.y - row[0].y) < _BESIDE * word.size for word in beside[1])
-            for row in _rows(beside[0])
+            any(abs(word.y - row[0].y) < _BESIDE * word.size for word in beside)
+            for row in _column(printed, [gap], 0)
         )
         is_pair = _are(_FIGURE, right) or _are(_LABEL, left)
         in_turn = 0 < 2 * crossings <= level and not is_pair
