@@ -1,6 +1,7 @@
 """Words of a PDF as lines in reading order: columns one after another, tables row by row."""
 
 import itertools
+import math
 import re
 import statistics
 from collections.abc import Callable, Iterator
@@ -10,15 +11,15 @@ from typing import TypeVar
 SPACE, MADE_SPACE = " ", "\t"
 """What stands before a word: a space of the file, or one that PDFium makes of a gap."""
 _SAME_LINE, _BESIDE = 0.3, 1.05  # distances of baselines of one line, and of lines side by side
-_WIDE, _OPEN, _CERTAIN = 0.65, 0.55, 1.2
-"""Gaps that may part columns, that still do after some rows, and that do so in two rows."""
+_WIDE, _FIGURES, _OPEN, _CERTAIN = 0.65, 0.4, 0.55, 1.2
+"""Gaps that may part columns, and numbers; that still do after some rows; and that do in two."""
 _APART = 2.5  # gap within a row that parts its lines
 _WRAPPED = 1.35  # distance of the lines of one cell; these are in sizes of the letters
 _FARTHER, _LARGER = 1.6, 1.15
 """Distance of blocks, in usual ones of rows, and ratio of sizes of a heading and its text."""
 _AROUND = 8  # rows around one in which others are beside it, at most
 _EDGE = 0.125  # part of the page's height at its ends that has running heads
-_FLUSH = 0.2  # difference, in sizes, of ends of lines that are equal
+_EVEN = 0.25  # difference, in sizes, of gaps that are equal
 _WORDY = 3.0  # mean words of a line above which a column is prose
 _FIGURE = re.compile(r"[^\w\s]*\d[\d\W]*\w?[^\w\s]*")
 _INDEX_ENTRY = re.compile(r".*[^\W\d].*\d\W*")
@@ -86,8 +87,10 @@ class _Gap:
                     right = word.left
                 else:
                     left = word.right
-                if right - left < _OPEN * word.size:
-                    return _Gap(self.left, self.right, self.rows, True)
+                least = min(_OPEN * word.size, 0.75 * (self.right - self.left))
+                if right - left < max(least, _FIGURES * word.size):
+                    ends = (left, right) if left < right else (self.left, self.right)
+                    return _Gap(*ends, self.rows, True)
         return _Gap(left, right, self.rows)
 
 
@@ -152,15 +155,14 @@ def _ordered(rows: list[Row]) -> list[Line]:
     """Return the lines of rows, each band of them as columns, as a table, or as it is."""
     lines: list[Line] = []
     waiting: list[Row] = []
-    bands = [*_bands(rows), ([], [])]
-    for (band, gaps), (following, _) in itertools.pairwise(bands):
+    for band, gaps in _bands(rows):
         split = _column_gap(band, gaps)
         # One of the columns may begin above the other.
         while split and waiting and not split.after(waiting[-1]).is_closed:
             band.insert(0, waiting.pop())
         parts = [_column(band, [split], k) for k in (0, 1)] if split else _blocks(band)
         cells = [] if len(parts) > 1 else _cell_gaps(band, gaps)
-        if len(parts) == 1 and (not cells or _is_justified(waiting[-1:], band, following[:1])):
+        if len(parts) == 1 and not cells:
             waiting += band
             continue
         lines += [line for row in waiting for line in _plain(row)]
@@ -187,21 +189,6 @@ def _blocks(rows: list[Row]) -> list[list[Row]]:
     steps = [below[0].y - above[0].y for above, below in itertools.pairwise(rows)]
     far = _FARTHER * statistics.median(steps or [0.0])
     return split(rows, lambda above, row: row[0].y - above[0].y > far)
-
-
-def _is_justified(above: list[Row], band: list[Row], below: list[Row]) -> bool:
-    """Return whether rows go on with a line near them that is flush with them on both sides."""
-    size = band[0][0].size
-    near = [row for row in above if band[0][0].y - row[0].y < _WRAPPED * size]
-    near += [row for row in below if row[0].y - band[-1][0].y < _WRAPPED * size]
-    return any(
-        all(
-            max(abs(row[0].left - line[0].left), abs(row[-1].right - line[-1].right))
-            < _FLUSH * size
-            for row in band
-        )
-        for line in near
-    )
 
 
 def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Gap]]]:
@@ -237,9 +224,14 @@ def _is_in_order(row: Row) -> bool:
 
 def _gaps(words: Row) -> list[_Gap]:
     """Return the gaps of a row that may part columns: not a space of the file, nor after the mark
-    of an item."""
+    of an item, nor the even ones of justified prose."""
     found = []
-    right = float("-inf")
+    wide = [after.left - word.right for word, after in itertools.pairwise(words)]
+    if len(wide) > 2 and sum(word.text.isalpha() for word in words) > 2:
+        size = words[0].size
+        if max(wide) < _CERTAIN * size and max(wide) - min(wide) < _EVEN * size:
+            return []
+    right = -math.inf
     for number, (before, word) in enumerate(itertools.pairwise(words)):
         right = max(right, before.right)
         is_item = number == 0 and _ITEM.match(f"{before.text} {word.text}")
@@ -251,12 +243,13 @@ def _gaps(words: Row) -> list[_Gap]:
 def _is_wide(before: Word, word: Word, right: float) -> bool:
     width = (word.left - right) / max(before.size, word.size)
     is_space = word.before == SPACE and word.place == before.place + 1 and width < _APART
-    return width > _WIDE and not is_space
+    are_figures = _FIGURE.fullmatch(before.text) and _FIGURE.fullmatch(word.text)
+    return width > (_FIGURES if are_figures else _WIDE) and not is_space
 
 
 def _column(band: list[Row], gaps: list[_Gap], number: int) -> list[Row]:
     """Return the rows of one column, the first of which is before the first gap."""
-    ends = [float("-inf"), *(gap.middle for gap in gaps), float("inf")]
+    ends = [-math.inf, *(gap.middle for gap in gaps), math.inf]
     inside = (
         [word for word in row if ends[number] <= word.middle < ends[number + 1]] for row in band
     )
@@ -302,8 +295,8 @@ def _column_gap(band: list[Row], gaps: list[_Gap]) -> _Gap | None:
 def _cell_gaps(band: list[Row], gaps: list[_Gap]) -> list[_Gap]:
     """Return the gaps between cells if the rows are those of a table."""
     size = band[0][0].size
-    wide = any(gap.right - gap.left > _CERTAIN * size for gap in gaps)
-    found = [gap for gap in gaps if gap.rows > 2 or (gap.rows == 2 and wide and len(band) < 5)]
+    least = {1: math.inf, 2: _CERTAIN * size}
+    found = [gap for gap in gaps if gap.right - gap.left > least.get(gap.rows, 0)]
     found.sort(key=lambda gap: gap.left)
     cells = [_cells(row, [gap.middle for gap in found]) for row in band]
     used = [column for row in cells for column in row]

@@ -121,6 +121,8 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; 55; -
     ([*table(("Date", "Item", "Sum"), ("1 May", "Rent of", "500"), ("", "the mill", ""), step=12),
       *table(("2 May", "Gas", "7")[:], y=158)],
      ["Date; Item; Sum", "1 May; Rent of the mill; 500", "", "2 May; Gas; 7"]),
+    (table(("Town", "1990", "2000"), ("Mill", "12", "15"), ("Bridge", "", "7"), x=(40, 72, 99)),
+     ["Town; 1990; 2000", "Mill; 12; 15", "Bridge; -; 7"]),
     ([(40, 250, "Name:"), (40, 236, "Town:"), (120, 250, "Ada"), (120, 236, "London")],
      ["Name:; Ada", "Town:; London"]),
     ([put(40, 250, "These words are level,"), put(40, 236, "and so are these."),
@@ -133,8 +135,8 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; 55; -
      ["1. a pencil", "2. a cup"]),
 ], ids=["italics", "condensed", "spaced", "letters", "powers", "footnotes", "initial", "hyphens",
         "bullets", "columns", "columns by rows", "columns offset", "equation", "index",
-        "index by rows", "table", "table in a column", "cells of lines", "labels", "turned",
-        "outside", "marks of items"])  # fmt: skip
+        "index by rows", "table", "table in a column", "cells of lines", "narrow table",
+        "labels", "turned", "outside", "marks of items"])  # fmt: skip
 def test_text_is_read_as_it_is_seen(tmp_path, content, words):
     assert load(pdf(tmp_path / "a.pdf", *content)).words == tuple(words)
 
