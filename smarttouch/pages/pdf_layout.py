@@ -244,7 +244,8 @@ def _is_wide(before: Word, word: Word, right: float) -> bool:
     width = (word.left - right) / max(before.size, word.size)
     is_space = word.before == SPACE and word.place == before.place + 1 and width < _APART
     are_figures = _FIGURE.fullmatch(before.text) and _FIGURE.fullmatch(word.text)
-    return width > (_FIGURES if are_figures else _WIDE) and not is_space
+    is_leader = not before.text.strip(".")
+    return width > (_FIGURES if are_figures else _WIDE) and not (is_space or is_leader)
 
 
 def _column(band: list[Row], gaps: list[_Gap], number: int) -> list[Row]:
