@@ -1,13 +1,11 @@
-"""Cells of Braille, their dots, and files of them: BRF."""
+"""Cells of Braille and their dots."""
 
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BrailleError
-from smarttouch.base.files import read_bytes
 
 Pages: TypeAlias = list[list[str]]  # pages of lines of cells
 
@@ -53,62 +51,3 @@ def dots_to_cells(dots: NDArray[Any]) -> str:
         raise BrailleError(f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)")
     patterns = np.packbits(dots.astype(bool), axis=1, bitorder="little")
     return "".join(chr(ord(BLANK) + int(each)) for each in patterns.ravel())
-
-
-MOST_BYTES = 50_000_000  # largest file; a book has a few million cells
-
-# North American Braille ASCII, as printers take it; in the order of the patterns 0 to 63.
-_CODE = " A1B'K2L@CIF/MSP\"E3H9O6R^DJG>NTQ,*5<-U8V.%[$+X!&;:4\\0Z7(_?W]#Y)="
-_CELL_OF = {ord(each): chr(ord(BLANK) + k) for k, each in enumerate(_CODE)}
-_CELL_OF |= {code + 32: cell for code, cell in _CELL_OF.items() if 64 <= code < 95}
-"""Extension to the lower case of each code."""
-
-
-def read_brf(path: Path) -> Pages:
-    """Read a BRF file."""
-    return parse_brf(read_bytes(path, BrailleError, MOST_BYTES), str(path))
-
-
-def format_brf(pages: Pages) -> bytes:
-    """Return pages in BRF; raise if a cell has dots 7 or 8, which it cannot hold."""
-    sheets = []
-    for number, page in enumerate(pages, 1):
-        lines = [_codes(line, f"page {number}, line {k}") for k, line in enumerate(page, 1)]
-        sheets.append("".join(f"{line}\r\n" for line in lines))
-    return "\f".join(sheets).encode("ascii")
-
-
-def parse_brf(data: bytes, name: str = "BRF") -> Pages:
-    """Return the pages of a BRF file; ``name`` is for error messages."""
-    # A DOS file may end in ^Z, and a page in a form feed.
-    text = data.removesuffix(b"\x1a").decode("latin-1").replace("\r\n", "\n")
-    pages, count = [], 0
-    for page in text.removesuffix("\f").split("\f") if text else []:
-        lines = page.split("\n")
-        if lines[-1] == "":
-            lines.pop()
-        pages.append([_cells(line, name, count + k) for k, line in enumerate(lines, 1)])
-        count += len(lines)
-    return pages
-
-
-def _codes(line: str, where: str) -> str:
-    require_cells(line)
-    for column, cell in enumerate(line, 1):
-        if pattern(cell) >= SIX_DOT_PATTERNS:
-            raise BrailleError(
-                f"{cell} ({where}, cell {column}) has dots 7 or 8, which BRF files cannot hold: "
-                "choose a table of 6 dots"
-            )
-    return "".join(_CODE[pattern(cell)] for cell in line)
-
-
-def _cells(line: str, name: str, count: int) -> str:
-    cells = line.translate(_CELL_OF)
-    for column, (cell, code) in enumerate(zip(cells, line, strict=True), 1):
-        if ord(cell) < ord(BLANK):
-            raise BrailleError(
-                f"{name}, line {count}, column {column}: {code!r} is not ASCII Braille: is this a "
-                "BRF file?"
-            )
-    return cells

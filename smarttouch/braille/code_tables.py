@@ -13,6 +13,7 @@ from smarttouch.braille.cells import BLANK, is_cell, require_cells
 from smarttouch.braille.grade1 import Grade1
 from smarttouch.braille.kana import Kana
 from smarttouch.braille.louis import LouisCode
+from smarttouch.braille.plain_forms import QUIET, plain_forms
 
 DEFAULT_TABLE = "en-1"
 _MARKED = re.compile(
@@ -20,14 +21,9 @@ _MARKED = re.compile(
     r"[\u0300-\u036f\u064b-\u065f\u0670\u093c\u09bc\u0a3c\u0b3c\u0cbc\u3099\u309a]+"
 )
 """A letter and its combining marks."""
-_PLAINER = {
-    **dict.fromkeys("“”„‟«»", '"'), **dict.fromkeys("‘’‚‛‹›", "'"), **dict.fromkeys("‐‑–—", "-"),
-    "…": "...",
-}  # fmt: skip
-"""Signs for those of print that a table does not have."""
 _TYPEFORM = re.compile("[⠨⠘⠸][⠂⠆⠶⠄]")
 """Indicators of emphasis in Unified English Braille (Rules 9.1): no table translates them back."""
-_MOST_NAMED = 12  # characters listed in a note on left-out ones
+_MOST_NAMED = 12  # signs listed in a note
 _UNIFIED = ("en-1", "en-2")
 _TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")  # tag of a language, with its country or without
 MISSING_NOTE = (
@@ -48,39 +44,68 @@ class BrailleTable:
     note: str | None = None  # warning for the user
 
     def missing(self, text: str) -> str:
-        """Return the characters of a text that the table has no cells for, each once."""
-        return self.code.missing(_tidy(text, self.code).replace("\n", ""))
+        """Return the signs of a text that have neither cells nor a plain form, each once."""
+        forms = self._plain(text)[1]
+        return "".join(sign for sign in dict.fromkeys(text) if forms.get(sign) == "")
 
     def to_cells(self, text: str, leave_out: bool = False) -> str:
-        """Return a text as cells, line by line; ``leave_out`` drops characters without cells."""
-        tidy = _tidy(text, self.code)
-        missing = self.code.missing(tidy.replace("\n", ""))
-        if missing and not leave_out:
-            others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        """Return a text as cells, line by line; signs without cells get a plain form.
+
+        ``leave_out`` drops those without one; otherwise they are an error. See `losses`.
+        """
+        plain, forms = self._plain(text)
+        if not leave_out and "" in forms.values():
+            sign, *others = (sign for sign, form in forms.items() if not form)
+            more = f" and {len(others)} more" if others else ""
             raise BrailleError(
-                f"table {self.name} has no cells for {missing[0]!r} (U+{ord(missing[0]):04X})"
-                f"{others}: leave them out, or choose another table"
+                f"table {self.name} has no cells for {sign!r} (U+{ord(sign):04X}){more}: leave "
+                "them out, or choose another table"
             )
-        tidy = tidy.translate(dict.fromkeys(map(ord, missing)))
-        return "\n".join(self.code.encode(line) for line in tidy.split("\n"))
+        return "\n".join(self.code.encode(line) for line in plain.split("\n"))
+
+    def losses(self, text: str) -> str:
+        """Return a sentence on the signs of a text that get a plain form or are left out, or ""."""
+        forms = {sign: form for sign, form in self._plain(text)[1].items() if sign not in QUIET}
+        plain = [f"{sign} as {form.strip()}" for sign, form in forms.items() if form]
+        lost = [
+            sign if sign.isprintable() else f"U+{ord(sign):04X}"
+            for sign, form in forms.items() if not form
+        ]  # fmt: skip
+        kinds = [
+            f"{how} {', '.join(signs[:_MOST_NAMED])}{', …' * (len(signs) > _MOST_NAMED)}"
+            for how, signs in (("written plainly:", plain), ("left out:", lost)) if signs
+        ]  # fmt: skip
+        words = f"table {self.name} has no cells for some signs; {'; '.join(kinds)}"
+        return words.replace("\xad", "-") if kinds else ""
 
     def paragraphs(self, text: str, note: Callable[[str], None]) -> list[str]:
         """Return each line of a text as cells; a text of cells stays as it is.
 
-        Characters without cells are left out, and named by ``note``.
+        ``note`` gets `losses`.
         """
-        if any(map(is_cell, text)) and all(is_cell(each) or each in " \t\n" for each in text):
+        if any(map(is_cell, text)) and all(is_cell(sign) or sign in " \t\n" for sign in text):
             cells = re.sub("[ \t]", BLANK, text)
         else:
-            if missing := self.missing(text):
-                note(self.left_out(missing))
+            if losses := self.losses(text):
+                note(losses)
             cells = self.to_cells(text, leave_out=True)
         return cells.strip("\n").split("\n")
 
-    def left_out(self, missing: str) -> str:
-        """Return a sentence that names characters without cells."""
-        named = " ".join(missing[:_MOST_NAMED]) + " …" * (len(missing) > _MOST_NAMED)
-        return f"left out, as table {self.name} has no cells for them: {named}"
+    def _plain(self, text: str) -> tuple[str, dict[str, str]]:
+        plain, forms = plain_forms(_tidy(text, self.code), self._lacks)
+        return plain, {sign: forms[sign] for sign in dict.fromkeys(text) if sign in forms}
+
+    def _lacks(self, sign: str) -> bool:
+        """Return whether a sign has no cells, or those of a plain figure that ends a number."""
+        if sign == "\n":
+            return False
+        if self.code.missing(sign):
+            return True
+        figure = unicodedata.normalize("NFKC", sign)
+        return (
+            figure != sign and figure.isdigit() and unicodedata.decomposition(sign)[:5] != "<wide"
+            and self.code.encode(f"1{sign}") == self.code.encode(f"1{figure}")
+        )  # fmt: skip
 
     def to_text(self, cells: str) -> str:
         """Return cells as text, line by line; a cell without meaning stays as it is."""
@@ -92,9 +117,9 @@ class BrailleTable:
         lines = cells.split("\n")
         for line in lines:
             require_cells(line)
-        return "\n".join(self.code.decode(self._plain(line)) for line in lines)
+        return "\n".join(self.code.decode(self._without_typeforms(line)) for line in lines)
 
-    def _plain(self, cells: str) -> str:
+    def _without_typeforms(self, cells: str) -> str:
         """Return cells without indicators of emphasis."""
         return _TYPEFORM.sub("", cells) if self.name in _UNIFIED else cells
 
@@ -103,7 +128,7 @@ class BrailleTable:
         others; None if there are none."""
         given, again = (
             re.split(f"[{BLANK}\n]+", each)
-            for each in (self._plain(cells), self.to_cells(text, leave_out=True))
+            for each in (self._without_typeforms(cells), self.to_cells(text, leave_out=True))
         )
         wrong = [k for k, pair in enumerate(zip(given, again, strict=False)) if len(set(pair)) > 1]
         if not wrong:
@@ -211,11 +236,7 @@ def _tidy(text: str, code: BrailleCode) -> str:
         return letter if code.missing(one) else one
 
     tidy = _MARKED.sub(joined, visible)
-    lacking = {each: "" for each in louis.JOINERS if each in tidy and code.missing(each)}
-    for each in set(tidy) & _PLAINER.keys():
-        if code.missing(each) and not code.missing(_PLAINER[each]):
-            lacking[each] = _PLAINER[each]
-    return tidy.translate({ord(each): plain for each, plain in lacking.items()})
+    return tidy.translate({ord(each): "" for each in louis.JOINERS if code.missing(each)})
 
 
 @cache

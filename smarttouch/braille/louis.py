@@ -76,16 +76,14 @@ class LouisCode:
         return known
 
     def _defines(self, character: str) -> bool:
-        if unicodedata.category(character).startswith("C") and character not in JOINERS:
+        if unicodedata.category(character).startswith("C") and character not in (*JOINERS, "\xad"):
             return False
-        if character.isascii():
-            # Some tables translate undefined characters as a question mark or a blank.
-            return True
         if _encoding() == "utf-16-le" and ord(character) > 0xFFFF:
             return False
         mode = _DOTS_IO | _UNICODE_CELLS | _NO_UNDEFINED
         alone, undefined = (_translate(self._table, each, mode) for each in (character, _UNDEFINED))
-        return alone != undefined
+        # Some tables translate undefined characters as a question mark or a blank.
+        return alone != undefined or (character.isascii() and bool(undefined))
 
 
 def version() -> str | None:

@@ -130,7 +130,7 @@ def braille(
 
     from smarttouch.base.errors import BrailleError
     from smarttouch.base.files import write_bytes
-    from smarttouch.braille.cells import format_brf
+    from smarttouch.braille.brf import format_brf
     from smarttouch.braille.code_tables import open_table
     from smarttouch.reading.document_cells import document_cells, forget_pages
     from smarttouch.reading.material import ReadingMaterial

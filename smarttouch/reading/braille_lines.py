@@ -254,14 +254,14 @@ class Braille:
     ) -> Iterator[Cells]:
         """Yield the cells of a page of print."""
         prepared = upright_page(number, page, source.options, source.note)
-        missing = ""
+        signs: dict[str, None] = {}
         for index, text in recognized_lines(prepared, source.options, source.note):
-            missing += "".join(each for each in table.missing(text) if each not in missing)
+            signs |= dict.fromkeys(text)
             cells = table.to_cells(text, leave_out=True)
             if cells.strip(BLANK):
                 yield cells, text, _place_on_page(prepared.lines[index], cells)
-        if missing:
-            source.note(f"page {number}: {table.left_out(missing)}")
+        if losses := table.losses("".join(signs)):
+            source.note(f"page {number}: {losses}")
 
 
 def _place_on_page(line: TextLine, cells: str) -> Place:

@@ -13,7 +13,8 @@ from pathlib import Path
 from smarttouch.base.errors import BrailleError, ReadingError
 from smarttouch.base.files import make_folder, unwritable, write_bytes
 from smarttouch.base.version import __version__
-from smarttouch.braille.cells import BLANK, Pages, read_brf
+from smarttouch.braille.brf import read_brf
+from smarttouch.braille.cells import BLANK, Pages
 from smarttouch.braille.code_tables import BrailleTable, open_table
 from smarttouch.braille.page_layout import COLUMNS, INDENT, ROWS, join, lay_out
 from smarttouch.reading.material import ReadingMaterial, recognized_text, report_empty_pages

@@ -113,8 +113,29 @@ def test_what_has_no_cells():
         open_table("ja").to_cells("漢字")
     assert all(each in str(caught.value) for each in ("ja", "U+6F22", "1 more"))
     table = open_table()
-    assert table.missing("a中b\n😀中") == "中😀"
-    assert table.to_cells("a中b\n😀c", leave_out=True) == "⠁⠃\n⠉"
+    assert table.missing("a中b\n\x02中") == "中\x02"
+    assert table.to_cells("a中b\n中c", leave_out=True) == "⠁⠃\n⠉"
+    assert "U+0002" in table.losses("a\x02")
+
+
+@needs_liblouis
+@pytest.mark.parametrize(("name", "text", "plain", "noted"), [
+    ("en-1", "Erdős, Łódź", "Erdos, Łódź", "ő as o"), ("it", "−5", "-5", "− as -"),
+    ("es", "−5", "-5", "− as -"), ("en-1", "H₂O 10⁶ 10⁻²", "H_2O 10^6 10^−2", "₂ as _2"),
+    ("de-1", "10⁶ 10⁻²", "10^6 10^−2", "⁶ as ^6"), ("es", "10^6", "10**6", "^ as **"),
+    ("ja", "10⁶", "10(6)", "⁶ as (6)"),
+    ("en-us-2", "ﬁnal oﬃce ﬂow", "final office flow", "ﬃ as ffi"),
+    ("hu", "1½ ½", "1 1/2 1/2", "½ as 1/2"), ("en-1", "3① 10⁶5", "3(1) 10^(6)5", "① as (1)"),
+    ("en-1", "☐ a ☒ b \uf0b7", "[ ] a [x] b *", "☒ as [x]"), ("pt", "2π", "2[pi]", "π as [pi]"),
+    ("en-1", "😀 ㎡ 𝑥 ٣", "[grinning face] m² x 3", "😀 as [grinning face]"),
+    ("fi", "“a” – b…", '"a" - b...', ""), ("it", "self-made", "self-made", ""),
+])  # fmt: skip
+def test_signs_without_cells_get_a_plain_form_and_a_note(name, text, plain, noted):
+    table = open_table(name)
+    hyphen = "\u00ad" if name == "it" else "-"
+    assert table.to_cells(text) == table.code.encode(plain.replace("-", hyphen))
+    assert noted in table.losses(text)
+    assert bool(table.losses(text)) == bool(noted)
 
 
 @needs_liblouis

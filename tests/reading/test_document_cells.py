@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from smarttouch.base.errors import ReadingError
-from smarttouch.braille.cells import format_brf
+from smarttouch.braille.brf import format_brf
 from smarttouch.braille.code_tables import open_table
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.reading.document_cells import document_cells, forget_pages

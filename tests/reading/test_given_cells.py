@@ -3,7 +3,7 @@
 import pytest
 
 from smarttouch.base.errors import BrailleError
-from smarttouch.braille.cells import format_brf
+from smarttouch.braille.brf import format_brf
 from smarttouch.braille.code_tables import open_table
 from smarttouch.reading.document_cells import document_cells
 from smarttouch.reading.material import ReadingMaterial

@@ -1,0 +1,137 @@
+"""Files of ASCII Braille (BRF), as this and other programs write them."""
+
+import codecs
+import re
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from smarttouch.base.errors import BrailleError
+from smarttouch.base.files import read_bytes
+from smarttouch.braille.cells import BLANK, SIX_DOT_PATTERNS, Pages, is_cell, pattern, require_cells
+
+MOST_BYTES = 50_000_000  # largest file; a book has a few million cells
+
+# North American Braille ASCII, as printers take it; in the order of the patterns 0 to 63.
+_CODE = " A1B'K2L@CIF/MSP\"E3H9O6R^DJG>NTQ,*5<-U8V.%[$+X!&;:4\\0Z7(_?W]#Y)="
+_CELL_OF = {ord(code): chr(ord(BLANK) + k) for k, code in enumerate(_CODE)}
+_CELL_OF |= {code + 32: cell for code, cell in _CELL_OF.items() if 64 <= code < 95}
+"""Extension to the lower case of each code."""
+_MARKS = {
+    codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be",
+}  # fmt: skip
+_NAMES = {
+    "\x00": "a NUL", "\x08": "a backspace", "\t": "a tab", "\x0b": "a vertical tab",
+    "\x1a": "^Z, the end of a DOS file", "\x1b": "an escape sequence for an embosser",
+}  # fmt: skip
+_NUMBER = "⠼(?P<number>[⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚]{1,4})"
+_CORNERS = {
+    "right": re.compile(f"(?P<rest>.*?)(?:^|{BLANK}{{2,}}){_NUMBER}"),
+    "left": re.compile(f"{_NUMBER}{BLANK}{{2,}}(?P<rest>.*)"),
+}
+_DIGITS = str.maketrans("⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚", "1234567890")
+
+
+def read_brf(path: Path, note: Callable[[str], None] = lambda _: None) -> Pages:
+    """Read a BRF file without the numbers of its pages; ``note`` is told of these."""
+    return without_page_numbers(parse_brf(read_bytes(path, BrailleError, MOST_BYTES), path), note)
+
+
+def ascii_braille(line: str) -> str:
+    """Return a line of cells as ASCII Braille; raise if a cell has dots 7 or 8."""
+    require_cells(line)
+    for column, cell in enumerate(line, 1):
+        if pattern(cell) >= SIX_DOT_PATTERNS:
+            raise BrailleError(
+                f"{cell} (cell {column} of a line) has dots 7 or 8, which ASCII Braille cannot "
+                "hold: choose a table of 6 dots"
+            )
+    return "".join(_CODE[pattern(cell)] for cell in line)
+
+
+def format_brf(pages: Pages) -> bytes:
+    """Return pages in BRF; raise if a cell has dots 7 or 8, which it cannot hold."""
+    # A form feed and an empty line would look like a form feed on a line of its own.
+    sheets = ("".join(f"{ascii_braille(line)}\r\n" for line in page) for page in pages)
+    return "\f".join(re.sub(r"^\r", " \r", sheet) for sheet in sheets).encode("ascii")
+
+
+def parse_brf(data: bytes, name: Path | str = "BRF") -> Pages:
+    """Return the pages of a BRF file; ``name`` is for error messages.
+
+    Lines end in CR, LF or both, and pages in a form feed, which may have a line of its own. Blanks,
+    NUL and ^Z that fill lines and records are dropped. Cells may be Unicode.
+    """
+    text = re.sub("\r\n?", "\n", _decoded(data))
+    text = re.sub(r"[\x00\x1a]+(?=\s*(?:\f|\Z))", "", text).rstrip(" \n\f").removeprefix("\f")
+    pages, line_number = [], 0
+    for page in re.split("(\n?\f\n?)", text) if text else []:
+        if page.strip("\n") == "\f":
+            line_number += page.count("\n") - 1
+            continue
+        lines = page.split("\n")
+        cells = [_cells(line, name, line_number + k) for k, line in enumerate(lines, 1)]
+        line_number += len(lines)
+        if page:
+            pages.append(cells)
+    return _without_padding(pages)
+
+
+def _decoded(data: bytes) -> str:
+    for mark, encoding in _MARKS.items():
+        if data.startswith(mark):
+            return data.removeprefix(mark).decode(encoding, "replace")
+    text = data.decode("utf-8", "replace")
+    return text if any(map(is_cell, text)) else data.decode("latin-1")
+
+
+def _cells(line: str, name: Path | str, line_number: int) -> str:
+    cells = line.translate(_CELL_OF).rstrip(BLANK)
+    for column, (cell, code) in enumerate(zip(cells, line, strict=False), 1):
+        if not is_cell(cell):
+            number = f"byte 0x{ord(code):02X}" if ord(code) < 256 else f"U+{ord(code):04X}"
+            kind = _NAMES.get(code) or (repr(code) if code.isprintable() else "a control code")
+            raise BrailleError(
+                f"{name}, line {line_number}, column {column}: {number} is {kind}, not ASCII "
+                "Braille: export the file again as BRF, or give print another ending than "
+                f"{Path(name).suffix or '.brf'}"
+            )
+    return cells
+
+
+def _without_padding(pages: Pages) -> Pages:
+    """Return pages without the blank lines that fill them, where indents begin paragraphs."""
+    indents = any(line.startswith(BLANK) for page in pages for line in page)
+    if indents and any(page[-2:] == ["", ""] for page in pages[:-1]):
+        for page in pages[:-1]:
+            while page[1:] and not page[-1]:
+                page.pop()
+    return pages
+
+
+def without_page_numbers(pages: Pages, note: Callable[[str], None]) -> Pages:
+    """Return pages without numbers that count the pages in one corner, on two or more of them.
+
+    What stands beside such a number goes where it repeats, too. ``note`` is told of both.
+    """
+    for side, corner in _CORNERS.items():
+        for place, edge in ((0, "top"), (-1, "bottom")):
+            found = {
+                k: match
+                for k, page in enumerate(pages)
+                if page and (match := corner.fullmatch(page[place]))
+            }
+            counted = {k: int(match["number"].translate(_DIGITS)) - k for k, match in found.items()}
+            ((first, times),) = Counter(counted.values()).most_common(1) or [(0, 0)]
+            if times < 2:
+                continue
+            numbered = [k for k in found if counted[k] == first]
+            heads = Counter(found[k]["rest"].strip(BLANK) for k in numbered)
+            for k in numbered:
+                rest = found[k]["rest"].strip(BLANK)
+                pages[k][place : place + 1 or None] = [rest] if heads[rest] < 2 and rest else []
+            note(
+                f"page numbers {first + numbered[0]} to {first + numbered[-1]}, {edge} {side}, are "
+                "left out" + "".join(f", and {head}" for head in heads if head and heads[head] > 1)
+            )
+    return pages
