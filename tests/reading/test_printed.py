@@ -9,10 +9,9 @@ from PIL import Image
 
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import prepare_text, print_text
-from smarttouch.pages.text_lines import TextLine
 from smarttouch.reading import recognition
 from smarttouch.reading.legibility import character_error_rate
-from smarttouch.reading.material import document_pages, paragraphs, recognized_text
+from smarttouch.reading.material import document_pages, recognized_text
 from smarttouch.reading.ocr import RecognizedLine
 from smarttouch.reading.recognition import RecognitionOptions, recognized_lines, upright_page
 
@@ -64,15 +63,6 @@ def test_paragraphs_are_put_together_and_divided_words_joined(tesseract, notes):
     text = recognized_text(printed(TEXT), RecognitionOptions(), notes.append)
     assert text == "Some words that are divided by a line, and more of them\nanother paragraph"
     assert notes == []
-
-
-@pytest.mark.parametrize(("lines", "text"), [
-    ("North-\nSouth", "North-South"), ("divi-\nded", "divided"), ("so -\nor not", "so - or not"),
-    ("one\ntwo", "one two"),
-])  # fmt: skip
-def test_hyphens_at_the_end_of_a_line(tesseract, notes, lines, text):
-    tesseract(lines)
-    assert recognized_text(printed(lines), RecognitionOptions(), notes.append) == text
 
 
 def test_lines_that_are_known_are_not_recognized_again(tesseract, notes):
@@ -135,54 +125,3 @@ def test_without_tesseract_a_page_stays_as_it_is(monkeypatch, notes, tmp_path):
     )
     assert len(prepared.lines) == 2
     assert notes == []
-
-
-def at(left_mm, y_mm, x_height_mm=2.0, length_mm=80.0):
-    """Return a line at a place."""
-    return TextLine(
-        left_mm, left_mm + length_mm, (y_mm,), x_height_mm, 1.5 * x_height_mm, 0.5 * x_height_mm
-    )
-
-
-@pytest.mark.parametrize(("lines", "texts", "found"), [
-    # Headings, indents and gaps begin paragraphs.
-    (
-        [at(10, 20, 3.0), at(10, 28), at(10, 32), at(13, 36), at(10, 40), at(10, 50)],
-        ["Of pages", "one", "two", "three", "four", "five"],
-        ["Of pages", "one two", "three four", "five"],
-    ),
-    # A column goes on at the top of the next.
-    (
-        [at(10, 20), at(10, 24), at(100, 20), at(100, 24)],
-        ["one", "two", "three", "four"],
-        ["one two three four"],
-    ),
-    # A hyphen stays where the page has the word with it.
-    (
-        [at(10, 20), at(10, 24), at(10, 28)],
-        ["add one-half cup and one-", "half more as it is writ-", "ten"],
-        ["add one-half cup and one-half more as it is written"],
-    ),
-])  # fmt: skip
-def test_where_paragraphs_begin(lines, texts, found):
-    assert paragraphs(lines, texts) == found
-
-
-def test_running_heads_and_numbers_are_left_out_unless_wanted():
-    body = [at(10, 20), at(10, 24), at(10, 28), at(10, 32)]
-    lines = [at(10, 10), *body, at(40, 40, length_mm=5)]
-    texts = ["248 A BOOK OF COOKS", "Take 2 eggs", "and 3", "of salt", "and 1", "17"]
-    assert paragraphs(lines, texts) == ["Take 2 eggs and 3 of salt and 1"]
-    assert len(paragraphs(lines, texts, keep_headers=True)) == 3
-
-
-def test_dots_that_lead_to_a_number_are_left_out():
-    lines = [at(10, 20), at(10, 24)]
-    texts = ["A chapter . . . . . . . 5", "Wait ... and see........ 9"]
-    assert paragraphs(lines, texts, keep_headers=True) == ["A chapter 5 Wait ... and see 9"]
-
-
-def test_a_centered_heading_after_a_short_line_begins_a_paragraph():
-    lines = [at(10, 20), at(10, 24), at(10, 28, length_mm=25), at(38, 32, length_mm=24), at(10, 36)]
-    texts = ["one", "two", "three", "Of cakes", "four"]
-    assert paragraphs(lines, texts)[:2] == ["one two three", "Of cakes"]
