@@ -103,14 +103,20 @@ def decoded(data: bytes, path: Path, error: type[SmartTouchError]) -> str:
         raise error(message) from None
 
 
-_FILE_NAME = re.compile(r"\.{0,2}/\S+|\S*\.[A-Za-z]\w{1,3}")
+_DOCUMENT = r"brf|csv|docx?|epub|html?|jpe?g|md|mkv|mp4|odt|pdf|png|rtf|tiff?|txt|webp"
+_FILE_NAME = re.compile(
+    rf"(?:\.{{0,2}}/\S+|\S*\.[A-Za-z]\w{{1,3}}|[^\n]*\.(?:{_DOCUMENT}|xhtml|markdown))"
+    r"(?P<options>\?[a-z_]+(?:=[^\s&]*)?(?:&[a-z_]+(?:=[^\s&]*)?)*)?",
+    re.IGNORECASE,
+)
 
 
 def named_file(name: str, error: type[SmartTouchError]) -> Path | None:
     """Return the file that a name stands for, None for words; a missing file is an error."""
     there = file_at(name)
-    if there is None and _FILE_NAME.fullmatch(name):
-        message = f"there is no file {name}: check its name, or give text:{name} for these words"
+    if there is None and (words := _FILE_NAME.fullmatch(name)):
+        file = name.removesuffix(words["options"] or "")
+        message = f"there is no file {file}: check its name, or give text:{name} for these words"
         raise error(message)
     return there
 

@@ -155,7 +155,7 @@ def braille(
             say(doubt)
         print(text)
     elif output is None:
-        print("\n".join(line for page in cells.laid_out(columns, rows, 0) for line in page))
+        _print_cells([line for page in cells.laid_out(columns, rows, 0) for line in page])
     else:
         pages = cells.laid_out(columns, rows)
         write_bytes(output, format_brf(pages), BrailleError)
@@ -173,6 +173,19 @@ def _require_new_brf(output: Path, back: bool) -> None:
         raise BrailleError(f"cannot write {output}: {message}")
     if output.exists():
         raise BrailleError(f"{output} is there already: give another name, or remove it")
+
+
+def _print_cells(lines: list[str]) -> None:
+    """Print lines of cells, as ASCII Braille where the output cannot show cells."""
+    import sys
+
+    from smarttouch.braille.brf import ascii_braille
+
+    try:
+        "".join(lines).encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:
+        lines = [ascii_braille(line) for line in lines]
+    print("\n".join(lines))
 
 
 def _print_tables() -> None:

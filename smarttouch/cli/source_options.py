@@ -4,7 +4,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -68,7 +68,14 @@ _TAGS = {code: tag for tag, code in _TESSERACT.items()}
 class DocumentOptions(OptionGroup):
     """Options of a document."""
 
-    password: Annotated[str | None, option("Give the password of an encrypted PDF.", "TEXT")] = None
+    password_file: Annotated[
+        str | None,
+        option(
+            "Read the password of a locked PDF from this file, or from standard input (-). It is "
+            "asked for at a terminal otherwise.",
+            "FILE|-",
+        ),
+    ] = None
     languages: Annotated[
         str | None,
         option("Name the language of the text, such as en or fr.", "TAG", "--language"),
@@ -78,6 +85,8 @@ class DocumentOptions(OptionGroup):
         """Return the document, and its options: these, and those that follow its name."""
         from smarttouch.base.errors import BrailleError, PageError
         from smarttouch.base.url_options import joined_options, read_options
+        from smarttouch.pages.file_kinds import FileKind, file_kind
+        from smarttouch.pages.passwords import password_of
         from smarttouch.reading.recognition import RecognitionOptions
 
         source = source.removeprefix("page:")
@@ -88,12 +97,13 @@ class DocumentOptions(OptionGroup):
             )
         if not place.startswith("text:") and named_file(place, BrailleError) is None:
             place = f"text:{place}"
-        own = {each.name: getattr(self, each.name) for each in fields(DocumentOptions)}
+        given = dict[str, Any]()
         if self.languages is not None:
-            own["languages"] = "+".join(
+            given["languages"] = "+".join(
                 _TESSERACT.get(each.partition("-")[0], each) for each in self.languages.split("+")
             )
-        given = {name: value for name, value in own.items() if value is not None}
+        if not place.startswith("text:") and file_kind(Path(place)) is FileKind.PAGES:
+            given["password"] = password_of(Path(place), self.password_file)
         given = joined_options(source, given, in_name, PageError)
         return place, RecognitionOptions(**given, **more)
 

@@ -40,6 +40,10 @@ _SIGNATURE_WITHIN = 1024
 """Bytes at a file's start in which readers look for the signature (ISO 32000-1, Annex H.3.4.1)."""
 
 
+class LockedError(PageError):
+    """A PDF needs a password, or another one."""
+
+
 def open_document(
     path: Path,
     *,
@@ -217,10 +221,10 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
         if "password" not in str(error).lower():
             message = f"{path} is damaged, or has no pages: save it again"
             raise PageError(message) from None
-        message = f"{path} is encrypted: give its password"
+        message = f"{path} is locked: give --password-file FILE, or page:FILE?password_file=FILE"
         if password is not None:
-            message = f"{path} is encrypted: this is not its password"
-        raise PageError(message) from None
+            message = f"{path} is locked, and this is not its password: check it"
+        raise LockedError(message) from None
     # Needed to render filled-in fields, before any page is opened.
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
         pdf.init_forms()

@@ -23,7 +23,9 @@ local function unwrap(element)
   if marks:includes("pagebreak") or marks:includes("doc-pagebreak") then
     return leave_out("page number of print")
   end
-  return marks:includes("footnote-back") and {} or element.content
+  -- What is hidden from screen readers stands there twice, as formulas of KaTeX do.
+  local hidden = (element.attributes or {})["aria-hidden"] == "true"
+  return (hidden or marks:includes("footnote-back")) and {} or element.content
 end
 
 -- Makes an element of raw <sup>6</sup> in Markdown.
@@ -104,11 +106,16 @@ return {
       return { pandoc.Str("(struck out: "), pandoc.Span(struck.content), pandoc.Str(")") }
     end,
     Math = function(math)
-      local text = math.text:gsub("([%^_]){([%w+-]+)}", "%1(%2)")
+      local text = math.text:gsub("([%^_]){(%w)}", "%1%2"):gsub("([%^_]){([%w+-]+)}", "%1(%2)")
       local is_plain = text:match("^[%w%s.,:;=+<>()/^_-]*$") and not text:match("[%^_]%w%w")
       return is_plain and pandoc.Str(text) or leave_out("formula", pandoc.Str("(formula)"))
     end,
-    Image = function(image) return leave_out("picture", image.caption) end,
+    Image = function(image)
+      if pandoc.utils.stringify(image.caption):match("\\%a") then
+        return leave_out("formula", pandoc.Str("(formula)"))
+      end
+      return leave_out("picture", image.caption)
+    end,
     Note = function(note) return pandoc.Str(" (" .. plain(note.content) .. ")") end,
     Inlines = mark_scripts,
     HorizontalRule = function() return {} end,

@@ -10,51 +10,25 @@ from collections.abc import Callable
 from pathlib import Path
 
 from smarttouch.base.errors import PageError
-from smarttouch.base.files import decoded, open_file, read_bytes
+from smarttouch.base.files import decoded, read_bytes
+from smarttouch.pages.file_kinds import format_of
 
 INSTALL = "apt install pandoc"
 MOST_BYTES, MOST_UNPACKED_BYTES = 50_000_000, 500_000_000
 """Largest file, and largest content of a packed one."""
 _TIMEOUT_S = 120.0
 _MEMORY = "1500M"
-_BEGINNING_BYTES = 4096
 _FILTER = Path(__file__).with_suffix(".lua")
-_MARKDOWN = "commonmark_x"
-_BY_NAME = {
-    ".md": _MARKDOWN, ".markdown": _MARKDOWN, ".html": "html", ".htm": "html", ".xhtml": "html",
-}  # fmt: skip
-_PACKED = {b"mimetypeapplication/epub+zip": "epub",
-           b"mimetypeapplication/vnd.oasis.opendocument.text": "odt"}  # fmt: skip
-_HTML = re.compile(
-    rb"(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b",
-    re.IGNORECASE | re.DOTALL,
-)
-_REFUSED = {
-    ".eml": "an e-mail", ".odp": "a presentation", ".ods": "a spreadsheet",
-    ".pptx": "a presentation", ".rtf": "an RTF document", ".svg": "a drawing",
-    ".xlsx": "a spreadsheet",
-}  # fmt: skip
+_FORMULAS = dict.fromkeys(["html", "epub"], "+tex_math_dollars+tex_math_single_backslash")
+"""Extensions of pandoc by which TeX in a text is a formula."""
+_TEX = re.compile(r"\\\((.{,500}?[\\^_].{,500}?)\\\)|\\\[(.{,500}?[\\^_].{,500}?)\\\]", re.DOTALL)
+"""Formulas in Markdown that pandoc knows between dollars only."""
 _EMBEDDED = {
-    "docx": ("word/document.xml", rb"<wps:txbx\b|<c:chart\b|<dgm:relIds\b"),
+    "docx": ("word/document.xml", rb"<wps:txbx\b|<w:object\b|<c:chart\b|<dgm:relIds\b"),
     "html": ("", rb"(?i)<(?:iframe|video|audio|canvas|object|embed)\b"),
     "odt": ("content.xml", rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>"),
 }
 """File within a document and elements in it that pandoc drops without a word."""
-
-
-def format_of(path: Path) -> str | None:
-    """Return pandoc's name of a document's format, by its content where that shows it; None if
-    pandoc does not read it."""
-    if kind := _REFUSED.get(path.suffix.lower()):
-        raise PageError(f"{path} is {kind}, which is not read: save it as PDF")
-    with open_file(path, PageError, MOST_UNPACKED_BYTES) as file:
-        data = file.read(_BEGINNING_BYTES)
-    if data.startswith(b"PK\x03\x04"):
-        packed = next((name for mark, name in _PACKED.items() if mark in data[:120]), None)
-        return packed or ("docx" if b"[Content_Types].xml" in data or b"word/" in data else None)
-    if _HTML.match(data):
-        return "html"
-    return None if b"\x00" in data else _BY_NAME.get(path.suffix.lower())
 
 
 def read_pandoc_text(path: Path, note: Callable[[str], None]) -> str:
@@ -71,7 +45,8 @@ def read_pandoc_text(path: Path, note: Callable[[str], None]) -> str:
     try:
         data, embedded = _prepared(path, kind, data)
         done = subprocess.run(
-            [program, "+RTS", f"-M{_MEMORY}", "-RTS", "--sandbox", "-f", kind, "-t", "plain",
+            [program, "+RTS", f"-M{_MEMORY}", "-RTS", "--sandbox",
+             "-f", kind + _FORMULAS.get(kind, ""), "-t", "plain",
              "--wrap=none", f"--lua-filter={_FILTER}"],
             input=data, capture_output=True, timeout=_TIMEOUT_S, check=False,
         )  # fmt: skip
@@ -101,7 +76,10 @@ def _prepared(path: Path, kind: str, data: bytes) -> tuple[bytes, int]:
     name, pattern = _EMBEDDED.get(kind, ("", rb"(?!)"))
     embedded = re.compile(pattern, re.DOTALL)
     if not data.startswith(b"PK"):
-        return decoded(data, path, PageError).encode(), len(embedded.findall(data))
+        text = decoded(data, path, PageError)
+        if kind not in _FORMULAS:
+            text = _TEX.sub(lambda found: f"${found[1] or found[2]}$", text)
+        return text.encode(), len(embedded.findall(data))
     with zipfile.ZipFile(io.BytesIO(data)) as packed:
         size = sum(member.file_size for member in packed.infolist())
         if size > MOST_UNPACKED_BYTES:

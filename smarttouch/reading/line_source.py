@@ -265,6 +265,7 @@ class ReadingSource(OpticalSource):
     def read(self, time_ns: int) -> Frame | None:
         """Return the image under the array at a time; None after the last line."""
         spot = self._cursor.at(time_ns)
+        self.tell_notes(time_ns)
         if spot is None:
             return None
         if spot.index != self.index or not self._titled:

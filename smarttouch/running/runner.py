@@ -182,6 +182,7 @@ class Runner:
             source = self.source
             for listener in (*([source] if isinstance(source, Listener) else ()), *self._listeners):
                 listener.start(context)
+            source.tell_notes(0)
             run_loop(
                 self.source,
                 pipeline,
@@ -239,8 +240,10 @@ class Runner:
             f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode, "
             f"net charge {dose.most_net_uc:.3f} µC"
         )
+        told = self.source.notes[: self.source.notes_told]
         for words in self._notes():
-            self._note_late(words)
+            if words not in told:
+                self._note_late(words)
 
     def _notes(self) -> list[str]:
         force = self._force

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.events import Emit, drop_event
+from smarttouch.base.events import Advice, Emit, drop_event
 from smarttouch.base.one_line import one_line
 from smarttouch.base.stopping import Closing
 from smarttouch.base.tactile_image import TactileImage
@@ -227,6 +227,8 @@ class Source(Device, ABC):
     """What the pointer over a page of the window moves, if anything."""
     fixed_mode: ClassVar[bool] = False
     """Whether it chooses the classes that it drives, so that the user cannot."""
+    notes_told: int = 0
+    """Number of its `notes` that were reported as they arose."""
     settings: Mapping[str, Any] = MappingProxyType({})
     """Settings of a run that suit it, as `RunConfig` names them, where no others are asked for."""
     keys_help: ClassVar[str] = ""
@@ -246,6 +248,12 @@ class Source(Device, ABC):
     def account(self) -> str:
         """Return in words what it has delivered, for users who cannot see it; empty if unknown."""
         return ""
+
+    def tell_notes(self, time_ns: int) -> None:
+        """Report the notes that have come up since the last call."""
+        for words in self.notes[self.notes_told :]:
+            self.emit(Advice(time_ns, words))
+            self.notes_told += 1
 
     send_at_ns: int | None = None
     """When to send what was read last, by `time.monotonic_ns`; at once if None."""

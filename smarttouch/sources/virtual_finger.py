@@ -18,6 +18,7 @@ from smarttouch.pages.file_kinds import FileKind, file_kind
 from smarttouch.pages.ink import reduced, separate_ink
 from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page
 from smarttouch.pages.pandoc_text import read_pandoc_text
+from smarttouch.pages.passwords import password_of
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
 from smarttouch.pages.text_lines import TextLine, find_lines
@@ -175,13 +176,14 @@ def open_page(
     path: Path | None = None,
     light_on_dark: bool = False,
     passes: int = 1,
+    password_file: str | None = None,
 ) -> "PageSource":
-    """Open ``page:FILE``; options are those of `PageSource`, its scale and passes.
+    """Open ``page:FILE``; options are those of `PageSource`, its scale, passes and password.
 
     Of a photograph the sheet is shown, laid flat and without its shadow.
     """
     notices: list[str] = []
-    page, assumed = load_or_guess(Path(rest), dpi, page_width_mm, notices.append)
+    page, assumed = load_or_guess(Path(rest), dpi, page_width_mm, notices.append, password_file)
     if assumed:
         notices.append(assumed)
     if not light_on_dark and separate_ink(page.grey).light_on_dark:
@@ -221,7 +223,11 @@ def _print_mm(page: Page, light_on_dark: bool) -> float | None:
 
 
 def load_or_guess(
-    path: Path, dpi: float | None, width_mm: float | None, note: Callable[[str], None]
+    path: Path,
+    dpi: float | None,
+    width_mm: float | None,
+    note: Callable[[str], None],
+    password_file: str | None = None,
 ) -> tuple[Page, str]:
     """Return a page, and a sentence if its scale is guessed or doubtful.
 
@@ -233,7 +239,8 @@ def load_or_guess(
     text = kind is FileKind.TEXT and path.suffix.lower() == ".txt"
     if text and dpi is None and width_mm is None:
         return print_text(read_text(path, PageError).strip()), ""
-    with open_document(path, dpi=dpi, page_width_mm=width_mm) as document:
+    password = password_of(path, password_file)
+    with open_document(path, dpi=dpi, page_width_mm=width_mm, password=password) as document:
         page = document.page(0)
     # The size of a PDF is known, whatever is said of it.
     if dpi or width_mm or isinstance(document, PdfDocument):

@@ -133,7 +133,7 @@ def test_a_texture_with_its_options(tmp_path):
 
 def test_a_document_with_its_options(tmp_path):
     path = tmp_path / "page.png"
-    path.write_bytes(b"")
+    Image.new("L", (9, 9)).save(path)
     place, how = DocumentOptions(languages="de").recognition(
         f"{path}?dpi=300&pages=2&light_on_dark=0"
     )

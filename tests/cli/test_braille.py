@@ -1,6 +1,8 @@
 """``braille``: texts to cells and back, on the screen and in files."""
 
+import os
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ from smarttouch.base.errors import BrailleError
 from smarttouch.braille import louis
 from smarttouch.braille.code_tables import DEFAULT_TABLE, known_tables
 
+from ..forks import PROGRAM
 from .conftest import says
 
 
@@ -28,6 +31,17 @@ def test_a_text_and_back(braille):
     assert cells == "⠠⠓⠑⠇⠇⠕⠀⠠⠺⠕⠗⠇⠙⠂⠀⠁⠛⠁⠊⠝\n"
     assert braille(cells, "--back") == "Hello World, again\n"
     assert braille("Hello World", "--columns=7") == "⠠⠓⠑⠇⠇⠕\n⠠⠺⠕⠗⠇⠙\n"
+
+
+@pytest.mark.parametrize(("encoding", "printed"), [
+    ("ascii", ",HELLO #B\n"), ("latin-1", ",HELLO #B\n"), ("utf-8", "⠠⠓⠑⠇⠇⠕⠀⠼⠃\n"),
+])  # fmt: skip
+def test_an_output_without_cells_gets_ascii_braille(encoding, printed):
+    done = subprocess.run(
+        [PROGRAM, "braille", "Hello 2"], env={**os.environ, "PYTHONIOENCODING": encoding},
+        capture_output=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.decode(encoding) == printed
 
 
 def test_a_brf_file(braille, tmp_path):

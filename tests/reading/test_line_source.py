@@ -56,6 +56,18 @@ def test_a_point_marks_the_start_of_a_line(reading, feed_of, make_line):
     assert (image == 0).sum() == dark[0] * dark[1]
 
 
+def test_notes_are_told_when_they_arise(reading, feed_of, make_line):
+    spots = [Spot(0, None)] * 3
+    source = ReadingSource("x", reading, feed_of(make_line()), Stands(*spots))
+    told = []
+    source.emit = told.append
+    source.read(0)
+    source.notes.append("page 1 is doubtful")
+    source.read(7)
+    source.read(8)
+    assert [(note.time_ns, note.text) for note in told] == [(7, "page 1 is doubtful")]
+
+
 def test_a_line_that_is_asked_for_again_is_announced_again(reading, feed_of, make_line):
     """Each line once by the title; after the key, once more by a note."""
     marks = [(0, True), (0, False), (1, False), (1, True), (1, False), (1, True), (1, False)]
