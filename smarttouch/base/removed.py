@@ -25,6 +25,7 @@ OPTIONS = {
     "--log": "leave it out; the comparisons determine the axis",
     "--note": "name the recording; experiment run has --session",
     "--overwrite": "remove the file, or give another name",
+    "--password": "give --password-file FILE, or answer at the terminal",
     "--robust": "leave it out; kernels are designed for the nominal finger",
     "--save": "record with smarttouch live SOURCE --record FILE.mcap",
     "--schema": "st.Profile.model_json_schema() in Python has it",
