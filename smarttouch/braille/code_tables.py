@@ -43,11 +43,6 @@ class BrailleTable:
     code: BrailleCode
     note: str | None = None  # warning for the user
 
-    def missing(self, text: str) -> str:
-        """Return the signs of a text that have neither cells nor a plain form, each once."""
-        forms = self._plain(text)[1]
-        return "".join(sign for sign in dict.fromkeys(text) if forms.get(sign) == "")
-
     def to_cells(self, text: str, leave_out: bool = False) -> str:
         """Return a text as cells, line by line; signs without cells get a plain form.
 
@@ -109,15 +104,14 @@ class BrailleTable:
 
     def to_text(self, cells: str) -> str:
         """Return cells as text, line by line; a cell without meaning stays as it is."""
-        if not self.code.goes_back:
+        code = self.code
+        if isinstance(code, Kana) or not code.goes_back:
             raise BrailleError(
                 f"table {self.name} translates texts into cells only: choose another table to "
                 "translate back"
             )
-        lines = cells.split("\n")
-        for line in lines:
-            require_cells(line)
-        return "\n".join(self.code.decode(self._without_typeforms(line)) for line in lines)
+        require_cells(cells.replace("\n", ""))
+        return "\n".join(code.decode(self._without_typeforms(line)) for line in cells.split("\n"))
 
     def _without_typeforms(self, cells: str) -> str:
         """Return cells without indicators of emphasis."""
@@ -151,14 +145,8 @@ class _EnglishLouis(LouisCode):
         text = Grade1().decode(cells)
         if not any(map(is_cell, text)):
             return text
-        words, ours = cells.split(BLANK), text.split(" ")
-        if len(words) != len(ours):
-            return super().decode(cells)
-        read = super().decode
-        return " ".join(
-            read(word) if any(map(is_cell, own)) else own
-            for word, own in zip(words, ours, strict=True)
-        )
+        words, read = zip(cells.split(BLANK), text.split(" "), strict=False), super().decode
+        return " ".join(read(word) if any(map(is_cell, own)) else own for word, own in words)
 
 
 class _Known(NamedTuple):
@@ -180,7 +168,7 @@ _KNOWN = {
     "de-2": _Known("German, Kurzschrift", "de-g2.ctb", False),
     "fr-1": _Known("French, uncontracted", "fr-bfu-comp6.utb", True),
     "fr-2": _Known("French, contracted", "fr-bfu-g2.ctb", True),
-    "ja": _Known("Japanese, kana", None, True, Kana),
+    "ja": _Known("Japanese, kana", None, False, Kana),
 }
 
 

@@ -1,5 +1,6 @@
 """English Braille without contractions (Unified English Braille, grade 1), built in."""
 
+import itertools
 import re
 import unicodedata
 from functools import cache
@@ -31,7 +32,6 @@ _SAME = str.maketrans({"–": "—", "…": "...", "‐": "-", "‑": "-", "−"
 """Characters that differ in print, and not in Braille."""
 
 _CAPITAL, _CAPITAL_WORD, _CAPITAL_PASSAGE, _CAPITALS_END = "⠠", "⠠⠠", "⠠⠠⠠", "⠠⠄"
-_PASSAGE_WORDS = 3  # words in capitals one after another that make a passage (8.5)
 _NUMBER, _GRADE_1, _NUMBER_SPACE = "⠼", "⠰", "⠐"
 _ONE_QUOTE_OR_QUESTION, _CLOSING_QUOTE, _ANY_QUOTE, _SURE_QUOTE = "⠦", "⠴", "⠠⠶", "⠘⠦"
 _OPENING = frozenset(" ([{<—-/‘«")
@@ -142,17 +142,8 @@ class Grade1:
 
 def _plain_apostrophes(text: str) -> str:
     """Turn ’ into an apostrophe wherever it does not close a ‘."""
-    plain, quoted = [], 0
-    for place, character in enumerate(text):
-        quoted += character == "‘"
-        if character == "’":
-            inside = place + 1 < len(text) and _is_letter(text[place + 1])
-            closes = quoted > 0 and not inside
-            quoted -= closes
-            plain.append(character if closes else "'")
-        else:
-            plain.append(character)
-    return "".join(plain)
+    closed = re.sub(r"(‘[^‘’]*(?:’(?=\w)[^‘’]*)*)’(?!\w)", "\\1\0", text)
+    return closed.replace("’", "'").replace("\0", "’")
 
 
 def _is_known(character: str) -> bool:
@@ -177,40 +168,15 @@ def _letter(character: str) -> str:
 def _capitals(text: str) -> tuple[dict[int, str], dict[int, str]]:
     """Return the indicators of capitals before, and after, characters of a text."""
     before, after = {}, {}
-    covered: set[int] = set()
-    for first, last in _passages(text):
-        before[next(k for k in range(first, last) if _is_letter(text[k]))] = _CAPITAL_PASSAGE
-        after[last - 1] = _CAPITALS_END
-        covered.update(range(first, last))
-    capital = [_is_letter(each) and each.isupper() for each in text] + [False]
-    start = 0
-    while start < len(text):
-        if not capital[start] or start in covered:
-            start += 1
-            continue
-        end = capital.index(False, start)
-        before[start] = _CAPITAL if end == start + 1 else _CAPITAL_WORD
-        if end > start + 1 and end < len(text) and _is_letter(text[end]):
-            after[end - 1] = _CAPITALS_END
-        start = end
+    capital = [_is_letter(each) and each.isupper() for each in text]
+    for is_capital, run in itertools.groupby(range(len(text)), capital.__getitem__):
+        places = list(run)
+        if is_capital:
+            end = places[-1] + 1
+            before[places[0]] = _CAPITAL if len(places) == 1 else _CAPITAL_WORD
+            if len(places) > 1 and end < len(text) and _is_letter(text[end]):
+                after[places[-1]] = _CAPITALS_END
     return before, after
-
-
-def _passages(text: str) -> list[tuple[int, int]]:
-    """Return beginnings and ends of passages in capitals; words without a letter do not count."""
-    passages: list[tuple[int, int]] = []
-    run: list[tuple[int, int]] = []
-    for found in [*re.finditer(r"[^ ]+", text), None]:
-        letters = [each for each in found[0] if _is_letter(each)] if found else ["end"]
-        if not letters:
-            continue
-        if found and all(each.isupper() for each in letters):
-            run.append(found.span())
-            continue
-        if len(run) >= _PASSAGE_WORDS:
-            passages.append((run[0][0], run[-1][1]))
-        run = []
-    return passages
 
 
 def _punctuation(character: str, opening: bool, following: str) -> str:

@@ -47,9 +47,7 @@ def _syllables() -> dict[str, str]:
 
 
 _SYLLABLES = _syllables()
-_SYLLABLE_OF = {cells: kana for kana, cells in _SYLLABLES.items()}
 _DIGITS = dict(zip("1234567890", "⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚", strict=True))
-_DIGIT_OF = {cell: digit for digit, cell in _DIGITS.items()}
 _NUMBER, _JOIN = "⠼", "⠤"
 """Number sign, and join between a number and a kana whose cell is also a digit."""
 _POINT, _COMMA = "⠂", "⠄"
@@ -60,17 +58,16 @@ _BLANKS = {"。": 2, "?": 2, "!": 2, "、": 1, "・": 1}  # blank cells that fol
 _UNPARTED = frozenset("」』)。、?!・…~,.")  # signs not separated from a stop by a blank cell
 _SIGNS = {**_BRACKETS, **_STOPS, "~": "⠤⠤", "…": "⠂⠂⠂"}
 _KNOWN = frozenset({*_SYLLABLES, *_FULL_SIZE, *_DIGITS, *_SIGNS, *" ,."})
-_WIDE = str.maketrans("?!()~", "？！（）〜")
 
 
 class Kana:
     """Kana Braille.
 
-    Katakana become hiragana, also in back-translation. Kana are translated as spelled: the
+    Katakana become hiragana. Cells are not translated back. Kana are translated as spelled: the
     writer writes the particles は and へ as わ and え, a long う as ー, and spaces between words.
     """
 
-    goes_back = True
+    goes_back = False
 
     def missing(self, line: str) -> str:
         """Return the characters of a line that have no cells here, each once."""
@@ -98,7 +95,7 @@ class Kana:
                 character = {",": "、", ".": "。"}[character]
             syllable, length = _syllable(text, place)
             if syllable:
-                if numeric and syllable in _DIGIT_OF:
+                if numeric and syllable in _DIGITS.values():
                     cells.append(_JOIN)
                 cells.append(syllable)
             else:
@@ -111,36 +108,6 @@ class Kana:
             numeric = False
             place += length
         return "".join(cells)
-
-    def decode(self, cells: str) -> str:
-        """Return cells as text; a cell without meaning stays as it is."""
-        text: list[str] = []
-        opened: list[str] = []
-        place, numeric = 0, False
-        while place < len(cells):
-            cell, following = cells[place], cells[place + 1 : place + 2]
-            digits = _DIGIT_OF.get(cell) if numeric else None
-            if numeric and digits is None and following in _DIGIT_OF:
-                digits = {_POINT: ".", _COMMA: ",", _JOIN: ""}.get(cell)
-            if digits is not None:
-                text.append(digits)
-                numeric = cell != _JOIN
-                place += 1
-                continue
-            numeric = cell == _NUMBER and following in _DIGIT_OF
-            if numeric:
-                place += 1
-            elif sign := _sign_at(cells, place, opened):
-                text.append(sign)
-                place += len(_SIGNS[sign])
-                blanks = len(cells) - place - len(cells[place:].lstrip(BLANK))
-                place += min(blanks, _BLANKS.get(sign, 0))
-            else:
-                pair = cells[place : place + 2]
-                spelled = pair if pair in _SYLLABLE_OF else cell
-                text.append(_SYLLABLE_OF.get(spelled, " " if cell == BLANK else cell))
-                place += len(spelled)
-        return "".join(text).translate(_WIDE)
 
 
 def _to_hiragana(text: str) -> str:
@@ -159,22 +126,3 @@ def _syllable(text: str, place: int) -> tuple[str, int]:
             return cells, length
     full = _FULL_SIZE.get(text[place])
     return (_PLAIN[full], 1) if full else ("", 0)
-
-
-def _sign_at(cells: str, place: int, opened: list[str]) -> str:
-    """Return the sign at a place, if any; opening and closing brackets are tracked."""
-    pair = cells[place : place + 2]
-    closing = {"「": "」", "『": "』", "(": ")"}.get(opened[-1]) if opened else None
-    if closing and cells.startswith(_BRACKETS[closing], place):
-        opened.pop()
-        return closing
-    if len(pair) == 2 and pair in _SYLLABLE_OF:
-        return ""
-    for sign in ("…", "~", "『", "「", "(", *_STOPS):
-        if cells.startswith(_SIGNS[sign], place):
-            if sign == "!" and pair[1:] in _SYLLABLE_OF:
-                return ""
-            if sign in _BRACKETS:
-                opened.append(sign)
-            return sign
-    return ""

@@ -6,9 +6,8 @@ import itertools
 import re
 import threading
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
-from typing import NamedTuple
 
 from smarttouch.base.errors import BrailleError
 from smarttouch.braille.cells import BLANK, pattern
@@ -51,11 +50,10 @@ class LouisCode:
             raise BrailleError(f"liblouis has no table {table!r} here: {INSTALL}")
         self._table = table
         self.goes_back: bool = _goes_both_ways(table) if goes_back is None else goes_back
-        self._known: dict[str, bool] = {}
 
     def missing(self, line: str) -> str:
         """Return the characters of a line that the table does not define, each once."""
-        return "".join(each for each in dict.fromkeys(line) if not self._knows(each))
+        return "".join(each for each in dict.fromkeys(line) if not _defines(self._table, each))
 
     def encode(self, line: str) -> str:
         """Return a line of text as cells."""
@@ -69,21 +67,18 @@ class LouisCode:
             return text
         return _ESCAPE.sub(lambda found: _cell(found[1]), text)
 
-    def _knows(self, character: str) -> bool:
-        known = self._known.get(character)
-        if known is None:
-            known = self._known[character] = self._defines(character)
-        return known
 
-    def _defines(self, character: str) -> bool:
-        if unicodedata.category(character).startswith("C") and character not in (*JOINERS, "\xad"):
-            return False
-        if _encoding() == "utf-16-le" and ord(character) > 0xFFFF:
-            return False
-        mode = _DOTS_IO | _UNICODE_CELLS | _NO_UNDEFINED
-        alone, undefined = (_translate(self._table, each, mode) for each in (character, _UNDEFINED))
-        # Some tables translate undefined characters as a question mark or a blank.
-        return alone != undefined or (character.isascii() and bool(undefined))
+@cache
+def _defines(table: str, character: str) -> bool:
+    """Return whether a table defines a character."""
+    if unicodedata.category(character).startswith("C") and character not in (*JOINERS, "\xad"):
+        return False
+    if _encoding() == "utf-16-le" and ord(character) > 0xFFFF:
+        return False
+    mode = _DOTS_IO | _UNICODE_CELLS | _NO_UNDEFINED
+    alone, undefined = (_translate(table, each, mode) for each in (character, _UNDEFINED))
+    # Some tables translate undefined characters as a question mark or a blank.
+    return alone != undefined or (character.isascii() and bool(undefined))
 
 
 def version() -> str | None:
@@ -113,60 +108,29 @@ def find_table(language: str) -> str | None:
     Where there is no table of its region, that of the language itself is taken; where none says
     its language, one that is named for it.
     """
-    named = (language.lower() + end for end in _PLAIN_ENDS if "-" in language)
-    if exact := next(filter(has_table, named), None):
-        return exact
     tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
     own = tag.partition("-")[0].lower()
 
     def described(*kinds: str) -> Iterator[str]:
         for each, kind in itertools.product((tag, own), kinds):
-            found = _query("lou_findTable", f"language:{each}{kind}".encode())
+            found = _query("lou_findTable", f"language:{each} type:literary{kind}".encode())
             # It also finds tables of other languages.
             if found and own == language_of(found).partition("-")[0]:
                 yield found.rpartition("/")[2]
 
-    literary = " type:literary"
+    def named(start: str, ends: Sequence[str] = _PLAIN_ENDS) -> Iterator[str]:
+        return (start + end for end in ends if has_table(start + end))
+
     candidates = itertools.chain(
-        described(*(literary + kind for kind in _PLAIN_KINDS)),
-        filter(has_table, (own + end for end in _PLAIN_ENDS[:4])),
-        described(literary, ""),
-        filter(has_table, (own + end for end in _PLAIN_ENDS)),
-    )
+        named(language.lower()) if "-" in language else (),
+        described(*_PLAIN_KINDS), named(own, _PLAIN_ENDS[:4]), described(""), named(own),
+    )  # fmt: skip
     return next(candidates, None)
 
 
 def language_of(table: str) -> str:
     """Return the tag of the language that a table gives itself; empty if none."""
     return _query("lou_getTableInfo", table.encode(), b"language")
-
-
-class TableFile(NamedTuple):
-    """Table of liblouis, as it describes itself."""
-
-    name: str
-    language: str
-    title: str
-
-
-def table_files() -> list[TableFile]:
-    """Return the tables of liblouis that describe themselves; none where it is not installed."""
-    library = _library()
-    if library is None:
-        return []
-    with _lock:
-        library.lou_listTables.restype = ctypes.POINTER(ctypes.c_char_p)
-        listed, names = library.lou_listTables(), list[bytes]()
-        while listed[len(names)]:
-            names.append(listed[len(names)])
-    return [
-        TableFile(
-            name.decode().rpartition("/")[2],
-            _query("lou_getTableInfo", name, b"language"),
-            _query("lou_getTableInfo", name, b"display-name"),
-        )
-        for name in names
-    ]
 
 
 def _query(function: str, *arguments: bytes) -> str:

@@ -194,17 +194,13 @@ def _print_tables() -> None:
     from smarttouch.braille.code_tables import DEFAULT_TABLE, known_tables
 
     version = louis.version()
-    known = known_tables()
     print_table(
         [
-            *(
-                (name + " (default)" * (name == DEFAULT_TABLE), name.partition("-")[0], title)
-                for name, title in known.items()
-            ),
-            *louis.table_files(),
+            (name + " (default)" * (name == DEFAULT_TABLE), name.partition("-")[0], title)
+            for name, title in known_tables().items()
         ],
         ("name", "language", "what it is"),
-        note=f"Or any other file of liblouis {version}, or the tag of a language."
+        note=f"Or any table file of liblouis {version}, or the tag of a language, such as pt."
         if version
         else f"liblouis is not here: of these only en-1 and ja work. For all: {louis.INSTALL}",
         left=3,

@@ -88,7 +88,6 @@ def test_many_threads_at_once():
 def test_without_it(no_liblouis):
     assert louis.version() is None
     assert not louis.has_table("en-ueb-g1.ctb")
-    assert louis.table_files() == []
     assert louis.find_table("fr") is None
     remedy = "apt install liblouis20 liblouis-data"
     with raises(BrailleError, names=remedy, value="en-ueb-g1.ctb"):
@@ -117,14 +116,6 @@ def test_it_is_found_under_its_own_names(monkeypatch):
 )
 def test_texts_stay_as_in_liblouis(table, text, same):
     opened = open_table(table)
-    assert opened.missing(text) == ""
+    assert opened.losses(text) == ""
     code = LouisCode("fr-bfu-comp6.utb" if table == "fr-1" else table)
     assert opened.to_cells(text) == code.encode(same or text)
-
-
-@needs_liblouis
-def test_tables_are_listed_as_they_call_themselves():
-    listed = {each.name: each for each in louis.table_files()}
-    assert len(listed) > 100
-    assert listed["fr-bfu-g2.ctb"].language == "fr"
-    assert "French" in listed["fr-bfu-g2.ctb"].title
