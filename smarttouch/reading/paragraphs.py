@@ -16,18 +16,19 @@ _LARGER = 1.2  # ratio of x-heights from which prints differ, as a heading and i
 _INDENT, _BESIDE = 0.8, 8.0
 """Least indent of a paragraph in x-heights, and that from which it may be beside a picture."""
 _EVEN = 0.5  # difference of right ends, in x-heights, of lines that are filled
-_LIKE = 0.4  # widths of verse, to the longest
-_LEADERS = re.compile(r"(?:\s?[.·…‥•]){4,}\s*(?=\S*\d\S*$|[ivxlc]{1,7}\W*$)")
-"""Dots that lead to a page's number or a price."""
+_LIKE, _SHORT = 0.4, 0.15  # widths of verse, to the longest; part of a line that is free
+_LEADERS = re.compile(r"(?:\s?[.·…‥•]){4,}\s*;?\s*(?=\S*\d\S*$|[ivxlc]{1,7}\W*$)")
+"""Dots that lead to a page's number or a price, in the same cell or the next."""
 _BLANK = re.compile(r"(?:_{3,}|(?:\s?[.…]){5,})\W*$")
 """A blank to be filled in at the end of a line."""
 _MARK = re.compile(
     r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]|\(?\d{1,3}(?:\.\d{1,3})*[.)]?\s|\(?[ivx]{1,5}[.)]\s|"
-    r"\(?[a-zA-Z][.)]\s|[-–—*>+]+\s|>"
+    r"\(?[a-zA-Z][.)]\s|\[\w{1,5}\]\s|[-–—*>+]+\s|>"
 )
-_SURE_MARK = re.compile(r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]|\(?\d{1,3}[.)]\s|\(?[a-z][.)]\s|>")
+_SURE_MARK = re.compile(r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]|\(?\d{1,3}[.)]\s|\(?[a-z][.)]\s|\[\d+\]\s|>")
 """Marks of items in a list; those that are not sure may stand in the middle of a sentence."""
 _HYPHENS = "-\u00ad\u2010\u2011\x02\ufffe¬"
+_ADDRESS = re.compile(r"\w://\S*[/?&=_%#-]$")  # end of a web address that goes on
 _AND = frozenset(["and", "or", "und", "oder", "bis", "bzw"])
 """Words after which the hyphen of "pre- and post-war" stays."""
 _ALONE = frozenset(["self", "well"])  # words that are not divided from their ends
@@ -345,12 +346,15 @@ class _Layout:
 
     def _ends(self, before: int, k: int) -> bool:
         """Return whether a line ends early, as the last of a paragraph or each of a poem."""
-        text, after = self._lines[before].text, self._lines[k].text
+        line, after = self._lines[before], self._lines[k].text
         ragged = self._is_ragged(before, k)
-        if self._keeps[k] and self._keeps[before]:
-            return ragged or self._is_verse[k] or not after[0].islower()
-        is_end = not after[0].islower() or _is_sentence(text)
-        return ragged and is_end and not self._is_even(before, k)
+        keeps = self._keeps[k] and self._keeps[before]
+        if keeps and after[0].islower():
+            width_mm = self._edge_mm[before] - line.left_mm
+            is_short = self._edge_mm[before] - line.right_mm > _SHORT * width_mm
+            return self._is_verse[k] or (ragged and is_short)
+        is_end = not after[0].islower() or _is_sentence(line.text)
+        return keeps or (ragged and is_end and not self._is_even(before, k))
 
     def _begins_column(self, paragraph: _Paragraph, k: int) -> bool:
         """Return whether the first line of a column or page begins a paragraph."""
@@ -400,12 +404,14 @@ def _table_rows(cells: Sequence[PrintedLine]) -> list[str]:
                 place = int(np.argmin(np.abs(middles - (cell.left_mm + cell.right_mm) / 2)))
             texts[place] = cell.text if texts[place] == "-" else f"{texts[place]} {cell.text}"
         alone = texts[0] != "-" and set(texts[1:]) == {"-"}
-        found.append(texts[0] if alone else "; ".join(texts))
+        found.append(_LEADERS.sub(" ", texts[0] if alone else "; ".join(texts)))
     return found
 
 
 def _joined(before: str, after: str, compounds: set[str]) -> str:
     """Return two lines as one: a hyphen goes where it divides a word, and stays in North-South."""
+    if _ADDRESS.search(before):
+        return before + after
     if before[-1] not in _HYPHENS or before[-2:-1].isspace() or not before[:-1]:
         return f"{before} {after}"
     first, second = re.search(r"\w*$", before[:-1]), re.match(r"\w*", after)

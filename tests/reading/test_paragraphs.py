@@ -58,6 +58,8 @@ def page(text, number=1, left_mm=20.0):
      "Other, Ben: On bread and what\n    it is made of, with an\n    index.",
      ["Miller, Ada: On the wheels of mills, and on the water below.",
       "Other, Ben: On bread and what it is made of, with an index."]),
+    ("[1] A. Miller, The old mill by the river\nin it, 1899.\n[2] B. Other, On rivers.",
+     ["[1] A. Miller, The old mill by the river in it, 1899.", "[2] B. Other, On rivers."]),
     # Empty cells of tables.
     ("Stop   Mon   Sat   Sun\nMill   7:05   8:05\nWell                8:31\n"
      "Hall   7:20         9:20",
@@ -74,6 +76,7 @@ def test_where_paragraphs_begin(text, found):
     ("one-half, or one-\nhalf more", "one-half, or one-half more"), ("CON-\nTENTS", "CONTENTS"),
     ("it is so -\nor not", "it is so - or not"), ("pre-\nand postwar", "pre- and postwar"),
     ("a well-\nknown one", "a well-known one"),
+    ("at http://a.b/c-\nd/e now", "at http://a.b/c-d/e now"),
 ])  # fmt: skip
 def test_hyphens_at_the_ends_of_lines(text, found):
     assert paragraphs(page(text)) == [found]
