@@ -60,40 +60,31 @@ class DisplayContent:
 
 
 class BrlttyMessages:
-    """Parser of lines that arrive in pieces of any length; counts those that are no message."""
+    """Parser of lines that arrive in pieces of any length; what is no message is dropped."""
 
-    def __init__(self) -> None:
-        self.shown: DisplayContent = DisplayContent()
-        self.garbled: int = 0
+    def __init__(self, shown: DisplayContent | None = None) -> None:
+        self.shown: DisplayContent = shown or DisplayContent()
         self._rest = b""
 
     def feed(self, data: bytes) -> None:
         """Parse the bytes that have arrived."""
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        *lines, rest = (self._rest + data).split(b"\n")
+        self._rest = rest if len(rest) <= LONGEST_LINE else b""
         for line in lines:
             self._take(line.decode("utf-8", "replace").rstrip("\r"))
-        if len(self._rest) > LONGEST_LINE:
-            self._rest = b""
-            self.garbled += 1
 
     def _take(self, line: str) -> None:
         found = _MESSAGE.fullmatch(line)
-        if found is None:
-            # Status cells are not presented.
-            self.garbled += not line.startswith("Status")
-            return
-        kind, content = found.groups()
+        kind, content = found.groups() if found else ("", "")
         if kind == "Visual":
             self.shown = replace(self.shown, text=re.sub(r"\\(.)", r"\1", content).rstrip())
-            return
         dots = content.split("|")
-        if len(dots) > MOST_CELLS or not all(map(_DOTS.fullmatch, dots)):
-            self.garbled += 1
-            return
-        cells = "".join(
-            chr(ord(BLANK) + sum(1 << (int(dot) - 1) for dot in cell.strip())) for cell in dots
-        )
-        self.shown = replace(self.shown, cells=cells, number=self.shown.number + 1)
+        if kind == "Braille" and len(dots) <= MOST_CELLS and all(map(_DOTS.fullmatch, dots)):
+            cells = "".join(
+                chr(ord(BLANK) + sum(1 << (int(dot) - 1) for dot in cell.strip())) for cell in dots
+            )
+            number, now_ns = self.shown.number + 1, time.perf_counter_ns()
+            self.shown = replace(self.shown, cells=cells, number=number, time_ns=now_ns)
 
 
 USUAL_PORT = 35752  # port to which BRLTTY's virtual driver connects by default
@@ -131,8 +122,8 @@ class Address:
 class BrlttyConnection:
     """Keeps the newest cells and sends commands; survives BRLTTY's restarts.
 
-    ``cells`` is the width reported to BRLTTY, ``shown`` its newest content, None without a
-    connection, and ``connections`` the number made so far.
+    ``cells`` is the width reported to BRLTTY, and ``shown`` its newest content, None without a
+    connection.
     """
 
     def __init__(self, address: Address, cells: int) -> None:
@@ -141,10 +132,7 @@ class BrlttyConnection:
         self.address: Address = address
         self.cells: int = cells
         self.shown: DisplayContent | None = None
-        self.connections: int = 0
-        self.garbled: int = 0
-        self._number = 0
-        self._closing = False
+        self._closing = threading.Event()
         self._line: socket.socket | None = None
         self._listener: socket.socket | None = None
         self._thread = threading.Thread(target=self._keep, name="brltty", daemon=True)
@@ -155,18 +143,17 @@ class BrlttyConnection:
         try:
             if self.address.listens:
                 self._listener = socket.create_server(where, backlog=1)
+                self._listener.settimeout(AGAIN_S)
             else:
                 self._line = socket.create_connection(where, timeout=AGAIN_S)
         except (OSError, UnicodeError) as error:
-            remedy = (
-                "give another port, as in listen:4101"
+            verb, remedy = (
+                ("listen", "give another port, as in listen:4101")
                 if self.address.listens
-                else f"start brltty -b vr -d server:{self.address} first"
+                else ("connect", f"start brltty -b vr -d server:{self.address} first")
             )
-            raise SourceError(
-                f"cannot {'listen' if self.address.listens else 'connect'} at {self.address}: "
-                f"{getattr(error, 'strerror', None) or error}: {remedy}"
-            ) from None
+            reason = getattr(error, "strerror", None) or error
+            raise SourceError(f"cannot {verb} at {self.address}: {reason}: {remedy}") from None
         self._thread.start()
         return self
 
@@ -179,60 +166,45 @@ class BrlttyConnection:
 
     def close(self) -> None:
         """End the connection; BRLTTY tries to reconnect by itself."""
-        self._closing = True
+        self._closing.set()
         if self._thread.is_alive():
             self._thread.join(JOIN_S)
 
     def _keep(self) -> None:
         """Hold the connection until closing; sockets are closed by this thread alone."""
-        try:
-            self._hold()
-        finally:
-            for each in (self._line, self._listener):
-                if each is not None:
-                    each.close()
-            self._line = None
-
-    def _hold(self) -> None:
-        wait = threading.Event()
-        while not self._closing:
-            line = self._line or self._connect()
-            if line is None:
-                wait.wait(AGAIN_S * (self._listener is None))
-                continue
-            self.connections += 1
-            with contextlib.suppress(OSError):
-                self._serve(line)
-            self.shown = None
-            self._line = None
-            line.close()
+        shown = DisplayContent()
+        with self._listener or contextlib.nullcontext():
+            while not self._closing.is_set():
+                line = self._line or self._connect()
+                if line is not None:
+                    with line, contextlib.suppress(OSError):
+                        shown = self._serve(line, shown)
+                    self.shown = self._line = None
 
     def _connect(self) -> socket.socket | None:
+        """Return a connection, or None if there is none yet."""
         with contextlib.suppress(OSError):
-            if self._listener is None:
+            if self._listener is not None:
+                self._line = self._listener.accept()[0]
+            else:
+                self._closing.wait(AGAIN_S)
                 where = (self.address.host, self.address.port)
                 self._line = socket.create_connection(where, timeout=AGAIN_S)
-            elif select.select([self._listener], [], [], AGAIN_S)[0]:
-                self._line = self._listener.accept()[0]
         return self._line
 
-    def _serve(self, line: socket.socket) -> None:
-        """Read messages until the connection ends."""
+    def _serve(self, line: socket.socket, shown: DisplayContent) -> DisplayContent:
+        """Read messages until the connection ends; return the last content."""
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         line.settimeout(None)
         line.sendall(f"cells {self.cells}\r\n".encode())
-        messages = BrlttyMessages()
-        while not self._closing:
-            if not select.select([line], [], [], AGAIN_S)[0]:
-                continue
-            data = line.recv(65536)
-            if not data:
-                return
-            updates, garbled = messages.shown.number, messages.garbled
-            messages.feed(data)
-            shown = messages.shown
-            self.garbled += messages.garbled - garbled
-            if shown.number:
-                self._number += shown.number - updates
-                now_ns = time.perf_counter_ns()
-                self.shown = replace(shown, number=self._number, time_ns=now_ns)
+        messages = BrlttyMessages(DisplayContent(number=shown.number))
+        with contextlib.suppress(OSError):
+            while not self._closing.is_set():
+                if select.select([line], [], [], AGAIN_S)[0]:
+                    data = line.recv(65536)
+                    if not data:
+                        break
+                    messages.feed(data)
+                    if messages.shown.number > shown.number:
+                        self.shown = messages.shown
+        return messages.shown

@@ -166,9 +166,8 @@ def test_the_cursor_is_found(brltty):
 
 def test_it_survives_restarts_of_brltty(brltty):
     real, connection = brltty
-    for number in range(10 if WHOLE else 3):
+    for _ in range(10 if WHOLE else 3):
         real.start()
         assert wait_until(lambda: connection.shown is not None, HANGS_S)
-        assert connection.connections == number + 1
         real.kill()
         assert wait_until(lambda: connection.shown is None, HANGS_S)

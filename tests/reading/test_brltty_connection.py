@@ -79,7 +79,6 @@ def test_it_is_made_again_whenever_it_is_lost(connection):
             assert updated(connection, number)
             assert connection.shown.cells == chr(0x2800 + (1 << number % 8))
         assert wait_until(lambda: connection.shown is None, HANGS_S)
-    assert connection.connections == 3
 
 
 def test_a_connection_to_brltty_is_made_again():
@@ -102,11 +101,3 @@ def test_commands_arrive_and_without_a_connection_are_dropped(connection):
         assert updated(connection, 1)
         connection.send("route 3")
         assert end.recv(100) == b"route 3\r\n"
-
-
-def test_what_was_garbled_is_counted_over_all_connections(connection):
-    for number in (1, 2):
-        with connect(connection) as end:
-            end.sendall(b'what?\r\nBraille "1"\r\n')
-            assert updated(connection, number)
-    assert connection.garbled == 2
