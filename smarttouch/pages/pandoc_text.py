@@ -43,6 +43,7 @@ def read_pandoc_text(path: Path, note: Callable[[str], None]) -> str:
         raise PageError(f"{path}: this kind of document needs pandoc: {INSTALL}")
     data = read_bytes(path, PageError, MOST_BYTES)
     try:
+        has_heads = data.startswith(b"PK") and _has_heads(data)
         data, embedded = _prepared(path, kind, data)
         done = subprocess.run(
             [program, "+RTS", f"-M{_MEMORY}", "-RTS", "--sandbox",
@@ -62,10 +63,23 @@ def read_pandoc_text(path: Path, note: Callable[[str], None]) -> str:
     for words in notes.split("\n"):
         if words.strip():
             note(words)
+    if has_heads:
+        note("headers and footers of its pages are left out")
     if embedded:
         note(f"embedded objects (formulas, charts, text boxes, frames) are left out: {embedded}")
     lines = [re.sub(r"[ \t\f]+", " ", line).strip() for line in text.split("\n")]
     return "\n".join(filter(None, lines))
+
+
+def _has_heads(data: bytes) -> bool:
+    """Return whether a packed document has headers or footers with text."""
+    with zipfile.ZipFile(io.BytesIO(data)) as packed:
+        return any(
+            re.search(rb"<w:t\b", packed.read(name)) for name in packed.namelist()
+            if re.fullmatch(r"word/(header|footer)\d*\.xml", name)
+        ) or ("styles.xml" in packed.namelist() and re.search(
+            rb"<style:(?:header|footer)\b[^>]*>(?:\s*<[^>]*>)*[^<\s]", packed.read("styles.xml")
+        ) is not None)  # fmt: skip
 
 
 def _prepared(path: Path, kind: str, data: bytes) -> tuple[bytes, int]:

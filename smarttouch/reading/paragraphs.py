@@ -23,9 +23,11 @@ _BLANK = re.compile(r"(?:_{3,}|(?:\s?[.…]){5,})\W*$")
 """A blank to be filled in at the end of a line."""
 _MARK = re.compile(
     r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]|\(?\d{1,3}(?:\.\d{1,3})*[.)]?\s|\(?[ivx]{1,5}[.)]\s|"
-    r"\(?[a-zA-Z][.)]\s|\[\w{1,5}\]\s|[-–—*>+]+\s|>"
+    r"\(?[a-zA-Z][.)]\s|\[\w{1,5}\]\s|§+\s?\d|[-–—*>+]+\s|>"
 )
-_SURE_MARK = re.compile(r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]|\(?\d{1,3}[.)]\s|\(?[a-z][.)]\s|\[\d+\]\s|>")
+_SURE_MARK = re.compile(
+    r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]|\(?\d{1,3}[.)]\s|\(?[a-z][.)]\s|\[\d+\]\s|§+\s?\d|>"
+)
 """Marks of items in a list; those that are not sure may stand in the middle of a sentence."""
 _HYPHENS = "-\u00ad\u2010\u2011\x02\ufffe¬"
 _ADDRESS = re.compile(r"\w://\S*[/?&=_%#-]$")  # end of a web address that goes on
@@ -340,7 +342,9 @@ class _Layout:
                 return False
             return hung > _INDENT or self._ends(paragraph.last, k)
         short = (self._edge_mm[k] - line.right_mm) / x_height_mm
-        if shift > _INDENT and (shift < _BESIDE or short > _INDENT):
+        # What is indented in the middle of a sentence hangs below its first line.
+        is_new = ragged or not line.text[0].islower()
+        if is_new and shift > _INDENT and (shift < _BESIDE or short > _INDENT):
             return True
         return self._ends(paragraph.last, k)
 

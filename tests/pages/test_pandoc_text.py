@@ -133,6 +133,19 @@ def test_no_tex_stays_and_each_formula_is_named(tmp_path, suffix, text):
 
 
 @needs_pandoc
+@pytest.mark.parametrize(("kind", "member", "text"), [
+    ("docx", "word/header1.xml", "<w:hdr><w:t>Mill</w:t></w:hdr>"),
+    ("docx", "word/footer2.xml", "<w:ftr><w:p/></w:ftr>"),
+])  # fmt: skip
+def test_headers_and_footers_are_named(tmp_path, kind, member, text):
+    path = written(tmp_path, kind)
+    with zipfile.ZipFile(path, "a") as packed:
+        packed.writestr(member, text)
+    notes = read(path)[1]
+    assert notes == ["headers and footers of its pages are left out"] * ("Mill" in text)
+
+
+@needs_pandoc
 def test_a_row_keeps_its_cells_below_a_tall_cell(tmp_path):
     path = tmp_path / "a.md"
     path.write_text("<table><tr><td rowspan=2>in<td>3<td></td></tr><tr><td><td>4</td></tr></table>")
