@@ -129,7 +129,6 @@ class _Form:
 
     table: str | None = None
     cells: str = "line"
-    lines: int = 1
     speed_mm_s: float | None = None
 
 
@@ -141,7 +140,7 @@ class FormOptions(OptionGroup):
         str | None,
         option(
             "Read shapes or braille. Options follow: 'shapes?speed_mm_s=20', "
-            "'braille?table=en-2&cells=cell&lines=2&speed_mm_s=40'.",
+            "'braille?table=en-2&cells=cell&speed_mm_s=40'.",
             "FORM",
             "--as",
         ),
@@ -170,4 +169,4 @@ class FormOptions(OptionGroup):
         if choice_of("kind", text, ("shapes", "braille")) == "shapes":
             return shapes, form.speed_mm_s
         table = table_of(form.table, language)
-        return Braille(table, presentation, form.lines), form.speed_mm_s
+        return Braille(table, presentation), form.speed_mm_s

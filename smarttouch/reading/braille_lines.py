@@ -1,7 +1,7 @@
 """Lines of Braille under the finger: cells of texts, files and pages, on an array of electrodes."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -44,16 +44,14 @@ class CellLayout:
     dot_x: int  # from dot to dot
     dot_y: int
     cell: int  # from cell to cell
-    line: int  # from line to line
-    lines: int  # under the finger at once
     eight: bool  # dots a cell, or six
     pitch_mm: tuple[float, float]  # of the electrodes, across and down
     pixel_mm: float  # of the images that are drawn
 
     @property
     def height(self) -> int:
-        """Number of rows of the lines."""
-        return (3 if self.eight else 2) * self.dot_y + 1 + (self.lines - 1) * self.line
+        """Number of rows of a cell."""
+        return (3 if self.eight else 2) * self.dot_y + 1
 
     @property
     def cell_mm(self) -> float:
@@ -64,54 +62,42 @@ class CellLayout:
         """Width of the array."""
         return self.columns * self.pitch_mm[0]
 
-    def dots_of(
-        self, lines: tuple[str, ...], cell: int
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def dots_of(self, cells: str, cell: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return rows and columns of the dots of cells that are ``cell`` electrodes apart."""
-        rows, columns = [], []
+        index, dot = np.nonzero(cells_to_dots(cells))
+        right, down = POSITION[dot].T
         top = (self.rows - self.height) // 2
-        for number, cells in enumerate(lines):
-            index, dot = np.nonzero(cells_to_dots(cells))
-            right, down = POSITION[dot].T
-            rows.append(top + number * self.line + down * self.dot_y)
-            columns.append(index * cell + right * self.dot_x)
-        return np.concatenate(rows), np.concatenate(columns)
+        return top + down * self.dot_y, index * cell + right * self.dot_x
 
-    def moving(
-        self, lines: tuple[str, ...], text: str = "", place: Place | None = None
-    ) -> TouchLine:
+    @property
+    def _margin(self) -> int:
+        """Number of columns of the array to the left of a cell in its middle."""
+        return (self.columns - self.dot_x - 1) // 2
+
+    def moving(self, cells: str, text: str = "", place: Place | None = None) -> TouchLine:
         """Return cells at their true distances, to be moved under the finger gradually."""
-        longest = max(map(len, lines))
-        image = self._draw(*self.dots_of(lines, self.cell), longest * self.cell)
-        half_mm, length_mm = self.width_mm / 2, longest * self.cell_mm
-        return TouchLine(image, -half_mm, length_mm + half_mm, text, lines, place)
+        image = self._draw(*self.dots_of(cells, self.cell), len(cells) * self.cell)
+        half_mm, length_mm = self.width_mm / 2, len(cells) * self.cell_mm
+        return TouchLine(image, -half_mm, length_mm + half_mm, text, cells, place)
 
-    def one_by_one(self, lines: tuple[str, ...], text: str = "") -> TouchLine:
+    def one_by_one(self, cells: str, text: str = "") -> TouchLine:
         """Return cells so far apart that the array shows one at a time, in its middle."""
-        longest = max(map(len, lines))
-        rows, columns = self.dots_of(lines, self.columns)
-        columns = columns + (self.columns - self.dot_x - 1) // 2
-        image = self._draw(rows, columns, longest * self.columns)
+        rows, columns = self.dots_of(cells, self.columns)
+        image = self._draw(rows, columns + self._margin, len(cells) * self.columns)
         first_mm = self.width_mm / 2
         # The last one stays as long as those before it.
-        end_mm = first_mm + longest * self.width_mm * (1 - 1e-6)
-        return TouchLine(image, first_mm, end_mm, text, lines)
+        end_mm = first_mm + len(cells) * self.width_mm * (1 - 1e-6)
+        return TouchLine(image, first_mm, end_mm, text, cells)
 
-    def decode(self, picture: LinePicture, lines: tuple[str, ...], apart: bool) -> tuple[str, ...]:
-        """Return the delivered cells in place of those of ``lines``; ``apart`` if they came one by
-        one.
-        """
-        found = []
+    def decode(self, picture: LinePicture, cells: str, apart: bool) -> str:
+        """Return the delivered cells in place of others; ``apart`` if they came one by one."""
         count = 8 if self.eight else 6
-        for number, cells in enumerate(lines):
-            every = (*[""] * number, dots_to_cells(np.ones((len(cells), count), bool)))
-            rows, columns = self.dots_of(every, self.columns if apart else self.cell)
-            if apart:
-                columns = columns + (self.columns - self.dot_x - 1) // 2
-            across, down = self.pitch_mm
-            dots = picture.at((columns + 0.5) * across, (rows + 0.5) * down) > 0.5
-            found.append(dots_to_cells(dots.reshape(len(cells), count)))
-        return tuple(found)
+        every = dots_to_cells(np.ones((len(cells), count), bool))
+        rows, columns = self.dots_of(every, self.columns if apart else self.cell)
+        columns = columns + self._margin * apart
+        across, down = self.pitch_mm
+        dots = picture.at((columns + 0.5) * across, (rows + 0.5) * down) > 0.5
+        return dots_to_cells(dots.reshape(len(cells), count))
 
     def _draw(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], width: int
@@ -126,33 +112,21 @@ class CellLayout:
         return image
 
 
-def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLayout:
+def cell_layout(profile: Profile, eight: bool = False) -> CellLayout:
     """Return the layout of Braille on an array, at the distances of Braille on paper."""
     electrodes = profile.electrodes
     rows, columns = _grid_of(electrodes, profile.name)
     pitch_x, pitch_y = electrodes.cell_mm
     dot_x, dot_y = max(1, round(DOT_MM / pitch_x)), max(1, round(DOT_MM / pitch_y))
+    # Cells must be farther apart than their dots to be distinguishable.
+    cell = max(2 * dot_x + 1, round(CELL_MM / pitch_x))
     layout = CellLayout(
-        rows=rows,
-        columns=columns,
-        dot_x=dot_x,
-        dot_y=dot_y,
-        # Cells must be farther apart than their dots to be distinguishable.
-        cell=max(2 * dot_x + 1, round(CELL_MM / pitch_x)),
-        line=max(3 * dot_y + 1, round(LINE_MM / pitch_y)),
-        lines=lines,
-        eight=eight,
-        pitch_mm=(pitch_x, pitch_y),
-        pixel_mm=pixel_pitch_mm(profile),
+        rows, columns, dot_x, dot_y, cell, eight, (pitch_x, pitch_y), pixel_pitch_mm(profile)
     )
-    if lines < 1:
-        raise ReadingError(f"{lines} lines of Braille at once are not possible: give 1 or more")
     if layout.height > rows or dot_x + 1 > columns:
-        fewer = lines > 1 and replace(layout, lines=1).height <= rows
         raise ReadingError(
-            f"{profile.name} has {rows} x {columns} electrodes, {lines} line{'s' * (lines > 1)} of "
-            f"Braille with {8 if eight else 6} dots need {layout.height} x {dot_x + 1}: choose "
-            + ("fewer lines" if fewer else "another profile")
+            f"{profile.name} has {rows} x {columns} electrodes, Braille with "
+            f"{8 if eight else 6} dots needs {layout.height} x {dot_x + 1}: choose another profile"
         )
     return layout
 
@@ -186,7 +160,6 @@ class Braille:
 
     table: str = DEFAULT_TABLE
     presentation: Presentation = Presentation.LINE
-    at_once: int = 1
 
     @property
     def tone(self) -> Tone:
@@ -204,30 +177,19 @@ class Braille:
         # A cell stays for as long as a line would take to move on by one.
         return LineMotion(speed_mm_s * layout.width_mm / layout.cell_mm, layout.width_mm, gaps=True)
 
-    def layout(self, profile: Profile, cells: tuple[str, ...] = ()) -> CellLayout:
-        """Return the places of the dots of lines of cells on an array."""
-        eight = any(pattern(each) >= SIX_DOT_PATTERNS for line in cells for each in line)
-        return cell_layout(profile, self.at_once, eight)
+    def layout(self, profile: Profile, cells: str = "") -> CellLayout:
+        """Return the places of the dots of a line of cells on an array."""
+        return cell_layout(profile, any(pattern(each) >= SIX_DOT_PATTERNS for each in cells))
 
     def lines(self, source: ReadingMaterial, profile: Profile) -> Iterator[TouchLine]:
         """Yield lines of cells."""
         self.layout(profile)
-        group: list[Cells] = []
-        for each in self._cells_of(source):
-            group.append(each)
-            if len(group) == self.at_once:
-                yield self._touch_line(group, profile)
-                group.clear()
-        if group:
-            yield self._touch_line(group, profile)
-
-    def _touch_line(self, group: list[Cells], profile: Profile) -> TouchLine:
-        cells = tuple(each for each, _, _ in group)
-        text = "\n".join(each for _, each, _ in group)
-        layout = self.layout(profile, cells)
-        if self.presentation is Presentation.CELL:
-            return layout.one_by_one(cells, text)
-        return layout.moving(cells, text, group[0][2])
+        for cells, text, place in self._cells_of(source):
+            layout = self.layout(profile, cells)
+            if self.presentation is Presentation.CELL:
+                yield layout.one_by_one(cells, text)
+            else:
+                yield layout.moving(cells, text, place)
 
     def _cells_of(self, source: ReadingMaterial) -> Iterator[Cells]:
         table = open_table(self.table)

@@ -171,9 +171,7 @@ class BrailleDisplaySource(StimulusSource):
         self.frames += missed
         self.dropped_frames += missed
         layout = self.layout
-        rows, columns = layout.dots_of(
-            (shown.cells,), layout.columns if self.apart else layout.cell
-        )
+        rows, columns = layout.dots_of(shown.cells, layout.columns if self.apart else layout.cell)
         columns = columns + self._margin * self.apart
         width = shown.length * (layout.columns if self.apart else layout.cell)
         self._dots = np.zeros((layout.rows, max(width, 1)), np.bool_)

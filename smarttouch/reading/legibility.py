@@ -60,18 +60,10 @@ def character_error_rate(truth: str, text: str) -> float:
 
     It is 0 for equal texts and above 1 where more was read than is there.
     """
-    return _rate(normalize(truth), normalize(text))
-
-
-def word_error_rate(truth: str, text: str) -> float:
-    """Return the Levenshtein distance of normalized texts in words, per word of the truth."""
-    return _rate(normalize(truth).split(), normalize(text).split())
-
-
-def _rate(truth: Sequence[str], text: Sequence[str]) -> float:
-    if not truth:
+    wanted = normalize(truth)
+    if not wanted:
         raise ReadingError("the text to compare with is empty: give the text of the page")
-    return float(_levenshtein()(truth, text)) / len(truth)
+    return float(_levenshtein()(wanted, normalize(text))) / len(wanted)
 
 
 def _levenshtein() -> Any:
@@ -113,18 +105,13 @@ def legibility_of_braille(
     pictures = [
         each.picture for each in collect(deliver_lines(lines, reading), 0, len(lines), progress)
     ]
-    wanted: list[str] = []
-    delivered: list[str] = []
-    for line, picture in zip(lines, pictures, strict=True):
-        layout = braille.layout(profile, line.cells)
-        wanted += line.cells
-        delivered += layout.decode(picture, line.cells, apart=reading.motion.gaps)
-    count = sum(map(len, wanted))
-    wrong = sum(
-        one != other
-        for pair in zip(wanted, delivered, strict=True)
-        for one, other in zip(*pair, strict=True)
-    )
+    wanted = [line.cells for line in lines]
+    delivered = [
+        braille.layout(profile, cells).decode(picture, cells, apart=reading.motion.gaps)
+        for cells, picture in zip(wanted, pictures, strict=True)
+    ]
+    pairs = list(zip("".join(wanted), "".join(delivered), strict=True))
+    wrong, count = sum(one != other for one, other in pairs), len(pairs)
     table = open_table(braille.table)
     shown = "\n".join(delivered)
     return BrailleLegibility(
@@ -157,7 +144,6 @@ class Legibility:
     """
 
     character_error_rate: float
-    word_error_rate: float
     sampling_limit: float
     page_error_rate: float | None
     text: str
@@ -201,7 +187,6 @@ def legibility_of_shapes(
     compared = page_text if truth is None else truth
     return Legibility(
         character_error_rate=character_error_rate(compared, text),
-        word_error_rate=word_error_rate(compared, text),
         sampling_limit=character_error_rate(compared, limit_text),
         page_error_rate=None if truth is None else character_error_rate(compared, page_text),
         text=text,

@@ -28,7 +28,7 @@ class TouchLine:
     start_mm: float  # first and last place of the array's middle, from the image's left edge
     end_mm: float
     text: str = ""
-    cells: tuple[str, ...] = ()  # a string for each line of Braille
+    cells: str = ""
     place: Place | None = None
 
 

@@ -163,8 +163,7 @@ def test_a_finger_that_moves_by_itself(figures_of, tmp_path, page_file):
     ("'text: '", says(PageError, "text:")),
     ("text:hi --as dots", says(value="dots", allowed=("shapes", "braille"))),
     ("text:hi --profile line-7", says(ReadingError, "line-7", " 1 row ", " 4:")),
-    ("text:hi --as braille?lines=9",
-     says(ReadingError, "electric-mouse", " 8 x 8 ", " 9 lines", " 43 x 2:")),
+    ("text:hi --as braille --profile line-8", says(ReadingError, "line-8", " 1 x 8 ", " 3 x 3:")),
     ("text:hi --pause -1", says(ReadingError, value=-1, allowed=(0, 3600))),
     ("page.png?pages=3", says(PageError, " 1 page", value=3)),
 ])  # fmt: skip

@@ -14,7 +14,6 @@ from smarttouch.profile import load_profile
 from smarttouch.reading.braille_lines import (
     CELL_MM,
     DOT_MM,
-    LINE_MM,
     Braille,
     Presentation,
     cell_layout,
@@ -35,7 +34,7 @@ def array(name):
 
 def test_on_a_grid_of_two_millimeters(reading):
     layout = cell_layout(reading)
-    assert (layout.dot_x, layout.dot_y, layout.cell, layout.line) == (1, 1, 3, 5)
+    assert (layout.dot_x, layout.dot_y, layout.cell) == (1, 1, 3)
 
 
 @pytest.mark.parametrize("name", ARRAYS)
@@ -45,14 +44,13 @@ def test_distances_are_the_nearest_that_electrodes_have(name):
         (layout.dot_x, DOT_MM, layout.pitch_mm[0]),
         (layout.dot_y, DOT_MM, layout.pitch_mm[1]),
         (layout.cell, CELL_MM, layout.pitch_mm[0]),
-        (layout.line, LINE_MM, layout.pitch_mm[1]),
     ):
         assert abs(count * pitch_mm - wanted_mm) <= pitch_mm / 2
 
 
 def test_each_dot_is_one_electrode(reading):
     layout = cell_layout(reading)
-    line = layout.moving(("⠓⠊",))
+    line = layout.moving("⠓⠊")
     dots = line.image.reshape(8, 8, -1, 8).mean(axis=(1, 3)) < 128
     wanted = np.zeros((8, 6), bool)
     for row, column in ((2, 0), (3, 0), (3, 1), (3, 3), (2, 4)):
@@ -61,15 +59,9 @@ def test_each_dot_is_one_electrode(reading):
     assert set(np.unique(line.image)) == {0, 255}
 
 
-def test_two_lines_are_as_far_apart_as_on_paper(reading):
-    layout = cell_layout(reading, lines=2)
-    rows, _ = layout.dots_of(("⠁", "⠁"), layout.cell)
-    assert (rows[1] - rows[0]) * layout.pitch_mm[1] == pytest.approx(LINE_MM)
-
-
 def test_one_by_one_the_array_holds_one_cell_in_its_middle(reading):
     layout = cell_layout(reading)
-    line = layout.one_by_one(("⠿⠿⠿",))
+    line = layout.one_by_one("⠿⠿⠿")
     assert line.image.shape[1] == 3 * reading.optics.sensor_columns
     columns = np.flatnonzero(line.image.min(axis=0) == 0) // 8
     assert sorted(set(columns)) == [3, 4, 11, 12, 19, 20]
@@ -81,9 +73,9 @@ eight_dot = st.text(
 )
 
 
-def delivered(name, line_cells, presentation, at_once=1):
+def delivered(name, line_cells, presentation):
     profile, bank = array(name)
-    braille = Braille(presentation=presentation, at_once=at_once)
+    braille = Braille(presentation=presentation)
     layout = braille.layout(profile, line_cells)
     apart = presentation is Presentation.CELL
     line = layout.one_by_one(line_cells) if apart else layout.moving(line_cells)
@@ -98,7 +90,7 @@ def delivered(name, line_cells, presentation, at_once=1):
 @settings(max_examples=4 if WHOLE else 2, deadline=None)
 @given(line=cells)
 def test_what_is_delivered_is_what_was_asked_for(name, presentation, line):
-    assert delivered(name, (line,), presentation) == (line,)
+    assert delivered(name, line, presentation) == line
 
 
 @pytest.mark.parametrize("presentation", Presentation)
@@ -106,35 +98,26 @@ def test_what_is_delivered_is_what_was_asked_for(name, presentation, line):
 @given(line=eight_dot)
 def test_so_are_cells_with_eight_dots(presentation, line):
     for name in ("electric-mouse", "optacon-24x6"):
-        assert delivered(name, (line,), presentation) == (line,)
-
-
-@settings(max_examples=4 if WHOLE else 2, deadline=None)
-@given(lines=st.tuples(cells, cells))
-def test_so_are_two_lines_at_once(lines):
-    assert delivered("electric-mouse", lines, Presentation.LINE, 2) == lines
+        assert delivered(name, line, presentation) == line
 
 
 def test_a_dot_that_was_not_delivered_is_missed():
     """The measure can fail."""
     profile, bank = array("electric-mouse")
     layout = cell_layout(profile)
-    line = layout.moving(("⠿⠿",))
+    line = layout.moving("⠿⠿")
     line.image[:24] = 255
     braille = Braille()
     picture = deliver_pulses(
         line, LineDelivery(profile, bank, braille.tone, braille.motion(profile))
     ).picture
-    assert layout.decode(picture, ("⠿⠿",), apart=False) == ("⠶⠶",)
+    assert layout.decode(picture, "⠿⠿", apart=False) == "⠶⠶"
 
 
-@pytest.mark.parametrize(("name", "options", "attributes"), [
-    ("line-7", {}, {"value": (1, 7), "allowed": (3, 3)}),
-    ("kajimoto-61", {}, {"value": "kajimoto-61"}),
-    ("electric-mouse", {"lines": 3}, {"value": (8, 8)}),
-    ("electric-mouse", {"lines": 0}, {"names": "lines", "value": 0, "allowed": 1}),
-    ("line-8", {"lines": 2}, {"value": (1, 8)}),
+@pytest.mark.parametrize(("name", "attributes"), [
+    ("line-7", {"value": (1, 7), "allowed": (3, 3)}), ("kajimoto-61", {"value": "kajimoto-61"}),
+    ("line-8", {"value": (1, 8)}),
 ])  # fmt: skip
-def test_arrays_without_room_are_named(name, options, attributes):
+def test_arrays_without_room_are_named(name, attributes):
     with raises(ReadingError, **attributes):
-        cell_layout(load_profile(name), **options)
+        cell_layout(load_profile(name))

@@ -141,34 +141,29 @@ def test_words_and_cells_are_distinguished(tmp_path, reading):
     assert not ReadingMaterial("text:it is in a.brf").holds_cells
     for name in ("a.brf", "a.txt"):
         lines = list(Braille().lines(ReadingMaterial(str(tmp_path / name)), reading))
-        assert [line.cells for line in lines] == [("⠁⠃",)]
+        assert [line.cells for line in lines] == ["⠁⠃"]
     with raises(ReadingError, allowed="Braille"):
         list(Shapes().lines(ReadingMaterial(str(tmp_path / "a.brf")), reading))
 
 
 def test_lines_of_braille_have_their_words(source_of, reading):
     lines = list(Braille().lines(source_of("text:ab\n\nc"), reading))
-    assert [(line.cells, line.text) for line in lines] == [(("⠁⠃",), "ab"), (("⠉",), "c")]
+    assert [(line.cells, line.text) for line in lines] == [("⠁⠃", "ab"), ("⠉", "c")]
     # On paper they would be a centimeter apart.
     assert lines[1].place.middle_mm - lines[0].place.middle_mm == 20.0
 
 
-def test_several_lines_at_once(source_of, reading):
-    lines = list(Braille(at_once=2).lines(source_of("text:a\nb\nc"), reading))
-    assert [line.cells for line in lines] == [("⠁", "⠃"), ("⠉",)]
-
-
 def test_characters_without_cells_are_left_out_and_named(source_of, reading, notes):
     lines = list(Braille().lines(source_of("text:a漢b"), reading))
-    assert lines[0].cells == ("⠁⠃",)
+    assert lines[0].cells == "⠁⠃"
     assert "漢" in notes[0]
 
 
 def test_eight_dots_where_they_are_needed(source_of, reading):
     eight = next(Braille().lines(source_of("text:⣿⠿"), reading))
-    assert eight.cells == ("⣿⠿",)
+    assert eight.cells == "⣿⠿"
     assert Braille().layout(reading, eight.cells).eight
-    assert not Braille().layout(reading, ("⠿",)).eight
+    assert not Braille().layout(reading, "⠿").eight
 
 
 def test_a_cell_stays_as_long_as_a_line_takes_to_move_on_by_one(reading):
