@@ -1,6 +1,7 @@
 """Files of ASCII Braille (BRF), as this and other programs write them."""
 
 import codecs
+import itertools
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -29,6 +30,7 @@ _CORNERS = {
     "right": re.compile(f"(?P<rest>.*?)(?:^|{BLANK}{{2,}}){_NUMBER}"),
     "left": re.compile(f"{_NUMBER}{BLANK}{{2,}}(?P<rest>.*)"),
 }
+_EDGES = {"top": 0, "bottom": -1}
 _DIGITS = str.maketrans("⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚", "1234567890")
 
 
@@ -114,24 +116,18 @@ def without_page_numbers(pages: Pages, note: Callable[[str], None]) -> Pages:
 
     What stands beside such a number goes where it repeats, too. ``note`` is told of both.
     """
-    for side, corner in _CORNERS.items():
-        for place, edge in ((0, "top"), (-1, "bottom")):
-            found = {
-                k: match
-                for k, page in enumerate(pages)
-                if page and (match := corner.fullmatch(page[place]))
-            }
-            counted = {k: int(match["number"].translate(_DIGITS)) - k for k, match in found.items()}
-            ((first, times),) = Counter(counted.values()).most_common(1) or [(0, 0)]
-            if times < 2:
-                continue
-            numbered = [k for k in found if counted[k] == first]
-            heads = Counter(found[k]["rest"].strip(BLANK) for k in numbered)
-            for k in numbered:
-                rest = found[k]["rest"].strip(BLANK)
-                pages[k][place : place + 1 or None] = [rest] if heads[rest] < 2 and rest else []
-            note(
-                f"page numbers {first + numbered[0]} to {first + numbered[-1]}, {edge} {side}, are "
-                "left out" + "".join(f", and {head}" for head in heads if head and heads[head] > 1)
-            )
+    for (side, corner), (edge, place) in itertools.product(_CORNERS.items(), _EDGES.items()):
+        lines = ((k, corner.fullmatch(page[place])) for k, page in enumerate(pages) if page)
+        found = {k: (int(line["number"].translate(_DIGITS)) - k, line["rest"].strip(BLANK))
+                 for k, line in lines if line}  # fmt: skip
+        counts = Counter(ahead for ahead, _ in found.values())
+        ((first, times),) = counts.most_common(1) or [(0, 0)]
+        if times < 2:
+            continue
+        numbered = {k: rest for k, (ahead, rest) in found.items() if ahead == first}
+        heads = [head for head, times in Counter(numbered.values()).items() if head and times > 1]
+        for k, rest in numbered.items():
+            pages[k][place : place + 1 or None] = [rest] if rest and rest not in heads else []
+        numbers = f"page numbers {first + min(numbered)} to {first + max(numbered)}, {edge} {side}"
+        note(f"{', '.join([numbers, *heads])}, are left out")
     return pages

@@ -16,19 +16,14 @@ from smarttouch.braille.louis import LouisCode
 from smarttouch.braille.plain_forms import QUIET, plain_forms
 
 DEFAULT_TABLE = "en-1"
-_MARKED = re.compile(
-    r"[^\W\d_]"
-    r"[\u0300-\u036f\u064b-\u065f\u0670\u093c\u09bc\u0a3c\u0b3c\u0cbc\u3099\u309a]+"
-)
+_MARKS = r"[\u0300-\u036f\u064b-\u065f\u0670\u093c\u09bc\u0a3c\u0b3c\u0cbc\u3099\u309a]+"
+_MARKED = re.compile(r"[^\W\d_]" + _MARKS)
 """A letter and its combining marks."""
 _TYPEFORM = re.compile("[⠨⠘⠸][⠂⠆⠶⠄]")
 """Indicators of emphasis in Unified English Braille (Rules 9.1): no table translates them back."""
 _MOST_NAMED = 12  # signs listed in a note
-_UNIFIED = ("en-1", "en-2")
 _TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")  # tag of a language, with its country or without
-MISSING_NOTE = (
-    f"liblouis is not installed: built-in English grade 1; for others and grade 2: {louis.INSTALL}"
-)
+MISSING_NOTE = f"liblouis is not installed: English grade 1 only; for others: {louis.INSTALL}"
 
 
 BrailleCode = Grade1 | Kana | LouisCode
@@ -115,7 +110,7 @@ class BrailleTable:
 
     def _without_typeforms(self, cells: str) -> str:
         """Return cells without indicators of emphasis."""
-        return _TYPEFORM.sub("", cells) if self.name in _UNIFIED else cells
+        return _TYPEFORM.sub("", cells) if self.name in ("en-1", "en-2") else cells
 
     def doubt(self, cells: str, text: str) -> str | None:
         """Return a sentence on words of a text that is translated back from cells, and would make

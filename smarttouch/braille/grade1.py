@@ -18,18 +18,13 @@ _ACCENTS = {
 """Cells of accents, by the combining mark; they precede the letter."""
 _SIGNS = {
     " ": BLANK, ".": "⠲", ",": "⠂", ";": "⠆", ":": "⠒", "!": "⠖", "'": "⠄", "-": "⠤",
-    "—": "⠠⠤", "‘": "⠠⠦", "’": "⠠⠴", "«": "⠸⠦", "»": "⠸⠴",
+    "–": "⠠⠤", "—": "⠠⠤", "‘": "⠠⠦", "’": "⠠⠴", "«": "⠸⠦", "»": "⠸⠴",
     "(": "⠐⠣", ")": "⠐⠜", "[": "⠨⠣", "]": "⠨⠜", "{": "⠸⠣", "}": "⠸⠜", "<": "⠈⠣", ">": "⠈⠜",
     "/": "⠸⠌", "\\": "⠸⠡", "|": "⠸⠳", "_": "⠨⠤", "#": "⠸⠹", "%": "⠨⠴", "&": "⠈⠯", "@": "⠈⠁",
     "*": "⠐⠔", "+": "⠐⠖", "=": "⠐⠶", "×": "⠐⠦", "÷": "⠐⠌", "~": "⠈⠔", "^": "⠈⠢", "•": "⠸⠲",
     "$": "⠈⠎", "£": "⠈⠇", "€": "⠈⠑", "¢": "⠈⠉", "¥": "⠈⠽",
     "°": "⠘⠚", "§": "⠘⠎", "¶": "⠘⠏", "©": "⠘⠉", "®": "⠘⠗", "™": "⠘⠞",
 }  # fmt: skip
-_SAME = str.maketrans({"–": "—", "…": "...", "‐": "-", "‑": "-", "−": "-"}) | {
-    ord(ligature): spelled for ligature, spelled in
-    (("ﬀ", "ff"), ("ﬁ", "fi"), ("ﬂ", "fl"), ("ﬃ", "ffi"), ("ﬄ", "ffl"))
-}  # fmt: skip
-"""Characters that differ in print, and not in Braille."""
 
 _CAPITAL, _CAPITAL_WORD, _CAPITAL_PASSAGE, _CAPITALS_END = "⠠", "⠠⠠", "⠠⠠⠠", "⠠⠄"
 _NUMBER, _GRADE_1, _NUMBER_SPACE = "⠼", "⠰", "⠐"
@@ -56,13 +51,11 @@ class Grade1:
 
     def missing(self, line: str) -> str:
         """Return the characters of a line that have no cells here, each once."""
-        return "".join(
-            each for each in dict.fromkeys(line) if not all(map(_is_known, each.translate(_SAME)))
-        )
+        return "".join(sign for sign in dict.fromkeys(line) if not _is_known(sign))
 
     def encode(self, line: str) -> str:
         """Return a line of text as cells."""
-        text = _plain_apostrophes(line.translate(_SAME))
+        text = _plain_apostrophes(line)
         before, after = _capitals(text)
         cells: list[str] = []
         numeric, opening = False, True

@@ -27,9 +27,7 @@ _UNDEFINED = "\uf8ff"
 """Private character that no table defines, to obtain the output of undefined ones."""
 _ESCAPE = re.compile(r"\\([0-9A-F]*)/")  # output for a cell that a table cannot read: its dots
 
-_TAG_OF = {
-    "zh": "cmn-Hans", "cmn": "cmn-Hans", "nb": "no", "nn": "no",
-}  # fmt: skip
+_TAG_OF = {"zh": "cmn-Hans", "cmn": "cmn-Hans", "nb": "no", "nn": "no"}
 """Tags under which liblouis has languages that others know by a wider or narrower one."""
 _PLAIN_KINDS = (" contraction:no dots:6", " contraction:no", " grade:1")
 _PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl")
@@ -40,10 +38,7 @@ _lock = threading.Lock()  # lock of liblouis, which keeps its state in globals
 
 
 class LouisCode:
-    """Braille code of a table of liblouis, by its file name, such as ``en-ueb-g2.ctb``.
-
-    Whether its cells can be translated back is read from the table if not given.
-    """
+    """Braille code of a table of liblouis, by its file name, such as ``en-ueb-g2.ctb``."""
 
     def __init__(self, table: str, goes_back: bool | None = None) -> None:
         if not has_table(table):
@@ -83,11 +78,7 @@ def _defines(table: str, character: str) -> bool:
 
 def version() -> str | None:
     """Return the version of liblouis; None where it is not installed."""
-    library = _library()
-    if library is None:
-        return None
-    library.lou_version.restype = ctypes.c_char_p
-    return str(library.lou_version().decode())
+    return _query("lou_version") or None
 
 
 def has_table(table: str) -> bool:
@@ -103,11 +94,8 @@ def has_table(table: str) -> bool:
 
 
 def find_table(language: str) -> str | None:
-    """Return the file name of the plainest table of a language tag, such as ``pt`` or ``pt-BR``.
-
-    Where there is no table of its region, that of the language itself is taken; where none says
-    its language, one that is named for it.
-    """
+    """Return the file name of the plainest table of a language tag, such as ``pt`` or ``pt-BR``, if
+    need be that of the language itself, or one that is named for it."""
     tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
     own = tag.partition("-")[0].lower()
 
@@ -129,7 +117,6 @@ def find_table(language: str) -> str | None:
 
 
 def language_of(table: str) -> str:
-    """Return the tag of the language that a table gives itself; empty if none."""
     return _query("lou_getTableInfo", table.encode(), b"language")
 
 

@@ -52,8 +52,8 @@ def test_cells_of_others(cells, text):
     assert ENGLISH.decode(cells) == text
 
 
-SIGNS = "?.,;:!'-—‘’«»()[]{}<>/\\|_#%&@*+=×÷~^•$£€¢¥°§¶©®™\"“”–…−ﬁ "
-SAME = str.maketrans({"“": '"', "”": '"', "–": "—", "…": "...", "−": "-", "ﬁ": "fi", "’": "'"})
+SIGNS = "?.,;:!'-—‘’«»()[]{}<>/\\|_#%&@*+=×÷~^•$£€¢¥°§¶©®™\"“”– "
+SAME = str.maketrans({"“": '"', "”": '"', "–": "—", "’": "'"})
 LINES = st.text(st.sampled_from(string.ascii_letters + string.digits + "éÉñçÅ" + SIGNS))
 
 
@@ -73,7 +73,7 @@ def test_any_cells_become_some_text(cells):
 
 
 def test_what_is_missing():
-    assert ENGLISH.missing("naïve 中½ﬁ中\t") == "中½\t"
+    assert ENGLISH.missing("naïve 中½ﬁ中\t") == "中½ﬁ\t"
 
 
 LETTERS = st.text(st.sampled_from(string.ascii_lowercase), min_size=1, max_size=6)
@@ -86,7 +86,7 @@ WORDS = st.one_of(
 )  # fmt: skip
 TOKENS = st.one_of(
     WORDS, WORDS, WORDS,
-    st.builds("{}{}".format, WORDS, st.sampled_from([*".,;:!?…", "...", "?!"])),
+    st.builds("{}{}".format, WORDS, st.sampled_from([*".,;:!?", "...", "?!"])),
     st.builds("({})".format, WORDS), st.builds("[{}],".format, WORDS),
     st.builds('"{}"'.format, LETTERS), st.builds("“{}.”".format, WORDS),
     st.builds("‘{}.’".format, WORDS),
