@@ -70,7 +70,7 @@ class CellLayout:
         return top + down * self.dot_y, index * cell + right * self.dot_x
 
     @property
-    def _margin(self) -> int:
+    def margin(self) -> int:
         """Number of columns of the array to the left of a cell in its middle."""
         return (self.columns - self.dot_x - 1) // 2
 
@@ -83,7 +83,7 @@ class CellLayout:
     def one_by_one(self, cells: str, text: str = "") -> TouchLine:
         """Return cells so far apart that the array shows one at a time, in its middle."""
         rows, columns = self.dots_of(cells, self.columns)
-        image = self._draw(rows, columns + self._margin, len(cells) * self.columns)
+        image = self._draw(rows, columns + self.margin, len(cells) * self.columns)
         first_mm = self.width_mm / 2
         # The last one stays as long as those before it.
         end_mm = first_mm + len(cells) * self.width_mm * (1 - 1e-6)
@@ -94,7 +94,7 @@ class CellLayout:
         count = 8 if self.eight else 6
         every = dots_to_cells(np.ones((len(cells), count), bool))
         rows, columns = self.dots_of(every, self.columns if apart else self.cell)
-        columns = columns + self._margin * apart
+        columns = columns + self.margin * apart
         across, down = self.pitch_mm
         dots = picture.at((columns + 0.5) * across, (rows + 0.5) * down) > 0.5
         return dots_to_cells(dots.reshape(len(cells), count))

@@ -172,7 +172,7 @@ class BrailleDisplaySource(StimulusSource):
         self.dropped_frames += missed
         layout = self.layout
         rows, columns = layout.dots_of(shown.cells, layout.columns if self.apart else layout.cell)
-        columns = columns + self._margin * self.apart
+        columns = columns + self.layout.margin * self.apart
         width = shown.length * (layout.columns if self.apart else layout.cell)
         self._dots = np.zeros((layout.rows, max(width, 1)), np.bool_)
         self._dots[rows, columns] = True
@@ -183,22 +183,17 @@ class BrailleDisplaySource(StimulusSource):
         if new is not None:
             self._go_to(new)
 
-    @property
-    def _margin(self) -> int:
-        """Number of columns of the array to the left of a cell in its middle."""
-        return (self.layout.columns - self.layout.dot_x - 1) // 2
-
     def _step(self) -> int:
         """Return the number of steps from the first cell to the finger."""
         moved_s = self._since_s if self.apart else max(0.0, self._since_s - REST_S)
         step = self._first * self._steps_a_cell + int(moved_s * self._steps_a_s + 1e-6)
         # Motion ends behind the last cell.
-        end = self._shown.length * self._steps_a_cell + self._margin * (not self.apart)
+        end = self._shown.length * self._steps_a_cell + self.layout.margin * (not self.apart)
         return min(step, end)
 
     def _left(self, step: int) -> int:
         """Return the column of the text at the array's left edge."""
-        return step * self.layout.columns if self.apart else step - self._margin
+        return step * self.layout.columns if self.apart else step - self.layout.margin
 
     def _pose(self, step: int) -> Pose:
         """Return the place of the array's middle on a sheet where every jump is a line."""

@@ -72,12 +72,6 @@ def test_hebrew_goes_back_by_the_table_of_eight_dots_only():
     assert eight.to_text(eight.to_cells("שלום עולם, מה? 12")) == "שלום עולם, מה? 12"
 
 
-def test_only_languages_of_our_own_without_liblouis(no_liblouis):
-    assert open_table("en-GB").name == "en-1"
-    with raises(BrailleError, names="table", value="pt"):
-        open_table("pt")
-
-
 @needs_liblouis
 def test_a_word_that_is_unknown_leaves_the_others_as_they_are():
     table = open_table("en-1")

@@ -95,15 +95,6 @@ def test_without_it(no_liblouis):
 
 
 @needs_liblouis
-def test_it_is_found_under_its_own_names(monkeypatch):
-    monkeypatch.setattr(louis.ctypes.util, "find_library", lambda _: None)
-    library = louis._library.__wrapped__()
-    assert library is not None
-    monkeypatch.setattr(louis, "_LIBRARIES", ("libnone.so",))
-    assert louis._library.__wrapped__() is None
-
-
-@needs_liblouis
 @pytest.mark.parametrize(
     ("table", "text", "same"),
     [

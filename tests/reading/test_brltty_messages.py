@@ -68,8 +68,3 @@ def test_what_is_no_message_is_dropped(line):
 ])  # fmt: skip
 def test_the_first_new_cell(before, now, first):
     assert DisplayContent(now).first_new(DisplayContent(before)) == first
-
-
-@pytest.mark.parametrize(("cells", "cursor"), [("⠓⣊", 1), ("⠓⡊", None), ("⣓⣊", None), ("", None)])
-def test_a_cursor_is_the_only_cell_with_both_low_dots(cells, cursor):
-    assert DisplayContent(cells).cursor == cursor

@@ -55,7 +55,7 @@ class Finger:
     def cell(self, seconds=0.0):
         """Return the cell in the middle of the array so many seconds later; blank if none."""
         window = self.window(self.after(seconds))
-        layout, margin = self.source.layout, self.source._margin
+        layout, margin = self.source.layout, self.source.layout.margin
         top = (layout.rows - layout.height) // 2
         rows = top + layout.dot_y * np.array([0, 1, 2, 0, 1, 2, 3, 3])
         columns = margin + layout.dot_x * np.array([0, 0, 0, 1, 1, 1, 0, 1])

@@ -30,15 +30,6 @@ def test_a_text_becomes_cells_and_cells_stay(load, text, paragraphs):
     assert load(f"text:{text}").paragraphs == paragraphs
 
 
-@pytest.mark.parametrize(("name", "data", "paragraphs"), [
-    ("a.TXT", "\ufeffé\r\nb\r\n", ["⠘⠌⠑", "⠃"]), ("a.txt", "⠀⠀⠁⠃\n⠉\n", ["⠀⠀⠁⠃", "⠉"]),
-    ("notes", "Go", ["⠠⠛⠕"]), ("LICENSE.rst", "Go", ["⠠⠛⠕"]),
-])  # fmt: skip
-def test_a_text_file_is_read_whatever_its_name(load, tmp_path, name, data, paragraphs):
-    (tmp_path / name).write_bytes(data.encode())
-    assert load(tmp_path / name).paragraphs == paragraphs
-
-
 def test_a_brf_file_keeps_its_pages_until_it_is_laid_out_anew(load, tmp_path):
     pages = [["⠀⠀⠁⠃", "⠉"], ["⠀⠀⠙"]]
     (tmp_path / "a.brf").write_bytes(format_brf(pages))

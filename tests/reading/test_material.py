@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.base.errors import BrailleError, ReadingError, SmartTouchError
-from smarttouch.braille.cells import BLANK
+from smarttouch.base.errors import ReadingError
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.profile import load_profile
@@ -153,12 +152,6 @@ def test_lines_of_braille_have_their_words(source_of, reading):
     assert lines[1].place.middle_mm - lines[0].place.middle_mm == 20.0
 
 
-def test_characters_without_cells_are_left_out_and_named(source_of, reading, notes):
-    lines = list(Braille().lines(source_of("text:a漢b"), reading))
-    assert lines[0].cells == "⠁⠃"
-    assert "漢" in notes[0]
-
-
 def test_eight_dots_where_they_are_needed(source_of, reading):
     eight = next(Braille().lines(source_of("text:⣿⠿"), reading))
     assert eight.cells == "⣿⠿"
@@ -171,18 +164,3 @@ def test_a_cell_stays_as_long_as_a_line_takes_to_move_on_by_one(reading):
     cell = Braille(presentation=Presentation.CELL).motion(reading, 30.0)
     assert (line.step_mm, line.gaps, cell.gaps) == (2.0, False, True)
     assert cell.step_mm / cell.speed_mm_s == pytest.approx(6.0 / 30.0)
-
-
-def test_blank_cells_alone_are_nothing_to_read(source_of, reading):
-    with raises(BrailleError):
-        list(Braille().lines(source_of(f"text:{BLANK}"), reading))
-
-
-def test_a_file_of_any_name_is_what_it_holds(source_of, tmp_path, reading):
-    (tmp_path / "notes.md").write_text("Go")
-    text = source_of(str(tmp_path / "notes.md"))
-    assert (text.words, text.holds_cells) == ("Go", False)
-    assert [line.text for line in Braille().lines(text, reading)] == ["Go"]
-    assert [line.text for line in Braille().lines(source_of("text:a.md"), reading)] == ["a.md"]
-    with raises(SmartTouchError, names="file"):
-        _ = source_of(str(tmp_path)).words
