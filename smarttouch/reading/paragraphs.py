@@ -30,6 +30,7 @@ _SURE_MARK = re.compile(
 )
 """Marks of items in a list; those that are not sure may stand in the middle of a sentence."""
 _HYPHENS = "-\u00ad\u2010\u2011\x02\ufffe¬"
+_LONGEST_WORD = 200  # characters that are searched at the end of a line
 _ADDRESS = re.compile(r"\w://\S*[/?&=_%#-]$")  # end of a web address that goes on
 _AND = frozenset(["and", "or", "und", "oder", "bis", "bzw"])
 """Words after which the hyphen of "pre- and post-war" stays."""
@@ -80,8 +81,8 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
         for rows, whole in zip(outer, pages, strict=True):
             labels = list(itertools.takewhile(bool, (_repeated(row, same) for row in rows)))
             if len(labels) > _MOST_HEADS:
-                # The pages are copies of one another.
-                continue
+                # Forms or copies of one page: their numbers alone are no part of them.
+                labels = [label for label in labels[:1] if "#" in label]
             while labels and not _are_apart(whole[::edge], len(labels)):
                 labels.pop()
             for label, row in zip(labels, rows, strict=False):
@@ -202,8 +203,11 @@ class _Layout:
 
     def __init__(self, lines: Sequence[PrintedLine]) -> None:
         self._lines = lines
+        self._pages: dict[int, list[PrintedLine]] = defaultdict(list)
+        for line in lines:
+            self._pages[line.page].append(line)
         self._step_mm: dict[int, float] = {}
-        for page, group in itertools.groupby(lines, lambda line: line.page):
+        for page, group in self._pages.items():
             steps = np.diff([line.y_mm for line in group if not line.cell])
             self._step_mm[page] = (
                 float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
@@ -239,7 +243,7 @@ class _Layout:
         """Find how far the lines of a column may reach: as far as others of it, and not beyond what
         stands beside them."""
         lines = self._lines
-        page = [line for line in lines if line.page == lines[column[0]].page]
+        page = self._pages[lines[column[0]].page]
         for k in column:
             line = lines[k]
             beside = (
@@ -343,7 +347,7 @@ class _Layout:
             return hung > _INDENT or self._ends(paragraph.last, k)
         short = (self._edge_mm[k] - line.right_mm) / x_height_mm
         # What is indented in the middle of a sentence hangs below its first line.
-        is_new = ragged or not line.text[0].islower()
+        is_new = ragged or not line.text[0].islower() or _is_sentence(before.text)
         if is_new and shift > _INDENT and (shift < _BESIDE or short > _INDENT):
             return True
         return self._ends(paragraph.last, k)
@@ -414,11 +418,12 @@ def _table_rows(cells: Sequence[PrintedLine]) -> list[str]:
 
 def _joined(before: str, after: str, compounds: set[str]) -> str:
     """Return two lines as one: a hyphen goes where it divides a word, and stays in North-South."""
-    if _ADDRESS.search(before):
+    tail = before[-_LONGEST_WORD:]
+    if _ADDRESS.search(tail):
         return before + after
     if before[-1] not in _HYPHENS or before[-2:-1].isspace() or not before[:-1]:
         return f"{before} {after}"
-    first, second = re.search(r"\w*$", before[:-1]), re.match(r"\w*", after)
+    first, second = re.search(r"\w*$", tail[:-1]), re.match(r"\w*", after)
     assert first is not None
     assert second is not None
     if before[-1] == "\u00ad":

@@ -132,3 +132,9 @@ def test_running_heads_and_numbers_go_where_they_repeat_and_are_named(head, foot
 ])  # fmt: skip
 def test_one_page_copies_and_slides_of_one_line_stay_whole(lines):
     assert without_heads(lines, pytest.fail) == lines
+
+
+def test_forms_lose_their_numbers_alone():
+    lines = book(*(f"Mill\nDay\nName\nWheel\nWater\n\n{number}" for number in (5, 6, 7)))
+    kept = [line.text for line in without_heads(lines, lambda _: None)]
+    assert kept == ["Mill", "Day", "Name", "Wheel", "Water"] * 3
