@@ -105,7 +105,7 @@ def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArra
 
 
 LEFT_OUT = "left out: "  # beginning of the note on what is not among the lines
-
+FAINT = "faint marks, as of print on the back of the sheet"
 DOUBTFUL = (
     "the order is doubtful: lines side by side may be rows of a table or columns, and are read as "
     "columns"
@@ -151,8 +151,9 @@ def prepare_page(
     if straightened:
         page, notes = straighten(page, quarter)
     page, paper, found = page_lines(page, light_on_dark, leftward)
-    if found.left_out:
-        notes.append(f"{LEFT_OUT}{found.left_out}")
+    left_out = [words for words in (found.left_out, FAINT if paper.faint else "") if words]
+    if left_out:
+        notes.append(LEFT_OUT + ", ".join(left_out))
     if found.doubtful:
         notes.append(DOUBTFUL)
     return PreparedPage(page, paper.cleaned, tuple(found.lines), paper.light_on_dark, tuple(notes))

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from smarttouch.pages.baselines import Baseline, Floats, curve_at, follow_baseline, with_marks
 from smarttouch.pages.initials import part_initials
-from smarttouch.pages.ink import Paper, separate_ink, turn_boxes, turn_panels
+from smarttouch.pages.ink import Paper, separate_ink
 from smarttouch.pages.letter_rows import find_rows
 from smarttouch.pages.page_image import Page
+from smarttouch.pages.panels import turn_boxes, turn_panels
 from smarttouch.pages.reading_order import find_captions, reading_order
 from smarttouch.pages.spots import (
     Spots,
@@ -190,7 +191,7 @@ def page_lines(
     coarse, scale = coarser[-1], 1 << len(coarser) - 1
     if scale > 1:
         coarse = turn_panels(coarse)
-        boxes = [([scale * side for side in panel], 0) for panel in coarse.panels]
+        boxes = [[scale * side for side in panel] for panel in coarse.panels]
         paper = turn_boxes(paper, boxes, scale * (coarse.letter_height or 0))
         return page, paper, _lines_in_ink(coarse, scale * page.mm_per_pixel, leftward)
     height = paper.letter_height

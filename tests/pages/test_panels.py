@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from skimage import data
 
-from smarttouch.pages.ink import separate_ink, turn_panels
+from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page
+from smarttouch.pages.panels import turn_panels
 from smarttouch.pages.prepared_page import prepare_page
 from smarttouch.pages.text_lines import find_lines
 
