@@ -32,7 +32,7 @@ def turn_boxes(paper: Paper, boxes: list[list[int]], height: float) -> Paper:
 
     The boxes are left, top, right, bottom, px, and ``height`` is that of the page's letters.
     """
-    ink, panels, cleaned = paper.ink.copy(), [], paper.cleaned
+    ink, panels, cleaned = paper.ink.copy(), [], paper.cleaned.copy()
     for left, top, right, bottom in boxes:
         box = np.s_[top:bottom, left:right]
         panel, edge = _panel(paper.ink[box], _LETTER[1] * height)

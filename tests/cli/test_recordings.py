@@ -37,7 +37,7 @@ def test_info_has_what_an_ethics_board_asks(call, recording):
     assert done.exit_code == 0
     for told in (
         "2023-11-14 22:13:20 UTC", "1.5 s", "nobody", "electric-mouse", "SAI 38", "mA",
-        "smarttouch 0.9.0", "0.05 MB", "0.600 s  intensity 0.40", "paused",
+        "smarttouch 1.0.0rc1", "0.06 MB", "0.600 s  intensity 0.40", "paused",
     ):  # fmt: skip
         assert told in done.stdout
 

@@ -91,7 +91,7 @@ GOLDENS = (
     Golden("color", "electric-mouse", Mode.COLOR, "o", 0.9, asks=True),
     # As --scan auto: kernels of RA are added up, those of SAI stand alone behind them.
     Golden(
-        "shared", "electric-mouse", Mode.NATURAL, "t", 0.9, wishes=((0.7, ControlState(Mode.RA)),),
+        "shared", "electric-mouse", Mode.NATURAL, "m", 0.7, wishes=((0.55, ControlState(Mode.RA)),),
         sharing=SlotPolicy((Afferent.RA,)),
     ),
 )  # fmt: skip

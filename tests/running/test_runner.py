@@ -205,7 +205,7 @@ def test_broken_electrodes_are_planned_around(monkeypatch):
     kohm[2] = 0
     with open_display("simulated:", small) as display:
         monkeypatch.setattr(display.board, "_measure", lambda: judge(kohm, 1.0, 9.0))
-        source = open_source("text:on", small, speed_mm_s=400)
+        source = open_source("text:HH", small, speed_mm_s=400)
         Runner(source, display, RunConfig(measure=True), listeners=[noting]).run()
     assert noting.context.profile.output.masked == (2,)
     assert any(each.sequence.slots for each in noting.results)

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from smarttouch.base.errors import SourceError
@@ -41,5 +42,5 @@ def test_what_may_be_a_slip_is_not_shown_as_words(name, named):
 def test_a_text_file_is_printed():
     profile = load_profile("electric-mouse")
     with open_source("notes.txt", profile) as shown, open_source("some words", profile) as typed:
-        assert (shown.read(0).image == typed.read(0).image).all()
+        assert np.abs(shown.read(0).image - typed.read(0).image.astype(int)).mean() < 3
         assert shown.url == "page:notes.txt"
