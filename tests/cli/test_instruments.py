@@ -23,8 +23,8 @@ def played(program_here):
     """Return a runner of a source that gives its figures, and all that was ``printed``."""
 
     def run(spec, more=""):
-        done = program_here(f"live '{spec}' --set paced=no --json f.json {more}").flawless()
-        return done.figures | {"printed": done.stdout}
+        done = program_here(f"live '{spec}' --set paced=no --json f.json {more}").fine()
+        return done.figures | {"printed": done.stdout, "noted": done.stderr}
 
     return run
 
@@ -37,7 +37,7 @@ def test_all_three_on_an_emulated_board(played, tmp_path):
     assert figures["emulator_violations"] == 0
     # RA at 30 a second, PC at every second cycle, at four sites; SAI as its force has it.
     assert figures["slots"] > 4 * (28 + 120)
-    assert "PC pulses reach another class" in " ".join(figures["printed"].split())
+    assert "PC pulses reach another class" in figures["noted"]
     assert_replays(tmp_path / "r.mcap")
 
 
@@ -53,10 +53,10 @@ def test_a_file_keeps_its_own_time_and_can_be_cut(played, tmp_path):
 
 
 def test_what_is_left_out_is_reported(played):
-    said = played("vibration:tone:30Hz,9um+press:1N?seconds=0.3", "--profile kajimoto-61")[
-        "printed"
-    ]
-    (left_out,) = (line for line in said.splitlines() if line.split()[:2] == ["SAI", "would"])
+    said = played("vibration:tone:30Hz,9um+press:1N?seconds=0.3", "--profile kajimoto-61")
+    (left_out,) = (
+        line for line in said["noted"].splitlines() if line.split()[:2] == ["SAI", "would"]
+    )
     assert "PC" not in left_out
 
 

@@ -1,7 +1,5 @@
 """The pointer over a run's page is the hand on a texture."""
 
-import json
-
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -11,12 +9,11 @@ from smarttouch.instruments.electric_mouse import open_texture_source
 from smarttouch.profile import load_profile
 
 from ..raising import raises
-from ..views.browser import opened
-from ..views.conftest import browser, running
+from ..views.conftest import running
 from ..views.test_window import connect, receive
 from ..waiting import until
 
-__all__ = ["browser", "running"]
+__all__ = ["running"]
 
 
 @pytest.fixture
@@ -75,15 +72,3 @@ def test_without_the_secret_or_something_to_move_nothing_moves(running, grating)
 def test_a_run_without_a_window_is_refused(grating):
     with grating, raises(SourceError, value=("motion=page", "window")):
         grating.read(0)
-
-
-def test_the_pointer_in_a_browser_is_the_hand(browser, running, grating):
-    with running(grating) as run, opened(browser, run.address) as page:
-        page.wait_for_function("document.querySelector('#page').dataset.x === '0.00'")
-        box = page.locator("#page").bounding_box()
-        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        page.mouse.move(*middle)
-        mm_per_px = 100 / box["height"]  # the whole height of the sheet is shown
-        page.mouse.move(middle[0] + 20 / mm_per_px, middle[1] - 10 / mm_per_px, steps=30)
-        until(lambda: any(abs(x - 20) < 2 and abs(y + 10) < 2 for x, y in poses(run)))
-        assert json.loads(run.window.hello)["moves"]

@@ -112,7 +112,7 @@ def test_a_grid_has_its_size_everywhere_and_shows_the_same_page(tmp_path):
 
 @pytest.mark.parametrize("options", [
     ("--grid", "5x"), ("--grid", "5x5", "--pitch", "1"), ("--grid", "99x2"),
-    ("--grid", "5x5", "a.csv"), (),
+    ("--grid", "5x5", "a.csv"),
 ])  # fmt: skip
 def test_what_is_no_grid_is_one_sentence(options, tmp_path):
     done = smarttouch("profiles", "new", *options, tmp_path / "new.toml")

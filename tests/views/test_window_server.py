@@ -1,5 +1,6 @@
 """The page in a real browser: what it draws, how it is used, and by whom."""
 
+import json
 import stat
 import threading
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 import smarttouch as st
+from smarttouch.instruments.electric_mouse import open_texture_source
 from smarttouch.views import window_server
 
 from ..waiting import until
@@ -209,3 +211,19 @@ def test_the_browser_is_led_to_the_page_by_a_private_file(browser, running, monk
         page.close()
         read.set()
         until(lambda: not path.parent.exists())
+
+
+def test_the_pointer_in_a_browser_is_the_hand(browser, running, profile):
+    def is_near(pose):
+        return abs(pose.x_mm - 20) < 2 and abs(pose.y_mm + 10) < 2
+
+    grating = open_texture_source("grating:4mm?motion=page", profile)
+    with running(grating) as run, opened(browser, run.address) as page:
+        page.wait_for_function("document.querySelector('#page').dataset.x === '0.00'")
+        box = page.locator("#page").bounding_box()
+        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.mouse.move(*middle)
+        mm_per_px = 100 / box["height"]  # the whole height of the sheet is shown
+        page.mouse.move(middle[0] + 20 / mm_per_px, middle[1] - 10 / mm_per_px, steps=30)
+        until(lambda: any(is_near(each.input.pose) for each in [*run.results.values()]))
+        assert json.loads(run.window.hello)["moves"]
