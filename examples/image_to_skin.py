@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
+from smarttouch.plugins import Capabilities
 
 # %%
 # 5 x 5 discs. A copy of a profile is checked as a file is; its other tables stay as they are.
@@ -18,7 +19,6 @@ OWN = """
 array = {layout="grid", rows=5, columns=5, pitch_x_mm=2, pitch_y_mm=2, diameter_mm=1}
 optics = {sensor_rows=64, sensor_columns=64, field_width_mm=9, field_height_mm=9, magnification=1}
 """
-CAN = {"max_current_ma": 3, "max_slots": 99, "time_to_zero_ms": 0, "firmware": "list"}
 profile = st.load_profile("electric-mouse").model_copy(update=tomllib.loads(OWN))
 
 
@@ -34,23 +34,23 @@ class Sliding(st.OpticalSource):
         return st.Frame(image.astype(np.uint8), time_ns, force_n=0.9, number=self.frames - 1)
 
 
-class Kept(st.Board):
+class Kept(st.Driver):
     """Keeps each sequence, which has been proved safe before it comes here."""
 
-    on_a_finger = False  # a list makes no current
+    def open(self, line, limits):
+        self.line, self.kept = line, []
+        return Capabilities(25, "weighted", 3.0, max_slots=99, time_to_zero_ms=0, firmware="list")
 
-    def __init__(self, rest, limits, output=None):
-        super().__init__(limits, output, **CAN)
-        self.kept = []
+    def write(self, proved):
+        with self.line.current(proved):
+            self.kept.append(proved.sequence)
 
-    def _send(self, sequence, times):
-        self.kept.append(sequence)
-        return len(self.kept)
-
-    def _stop(self): ...
+    def zero(self): ...
 
 
-steps, display = [], st.open_display(Kept, profile)
+own = {"on_a_finger": False, "claimed_time": True}
+steps, board = [], st.Board(Kept(), st.SafetyLimits.of(profile), **own)
+display = st.open_display(board, profile)
 print(st.run(Sliding("a ring"), display, seconds=1, listeners=[steps.append]).slots, "slots")
 figure, (touched, sent) = plt.subplots(1, 2, layout="constrained")
 fullest = max(steps, key=lambda step: step.sequence.slots)

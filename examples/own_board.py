@@ -2,10 +2,10 @@
 A board of your own
 ===================
 
-A board is a class with three methods. `Board` does the rest: it proves each sequence safe, counts
-the dose, and ends in zero. This one keeps what it is sent in a list. One with a wire, packed so
-that ``smarttouch live --board NAME:`` finds it, and with the tests that it must pass, is in the
-how-to *A board of your own*.
+A board has a driver: a class with three methods. `Board` does the rest: it proves each sequence
+safe, counts the dose, and ends in zero. This driver keeps what it is sent in a list. One with a
+wire, packed so that ``smarttouch live --board NAME:`` finds it, and with the tests that it must
+pass, is in the how-to *A board of your own*.
 """
 
 from dataclasses import replace
@@ -14,49 +14,46 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.types import Output
+from smarttouch.plugins import Capabilities, Line, ProvedSequence
 
 
-class ListBoard(st.Board):
+class ListDriver(st.Driver):
     """Keeps each sequence in a list."""
 
-    on_a_finger = False  # a list makes no current; a board that does leaves this out
-
-    def __init__(self, rest: str, limits: st.SafetyLimits, output: Output | None = None) -> None:
-        super().__init__(
-            limits,
-            output,
-            max_current_ma=limits.current_ma,
-            max_slots=1000,
-            time_to_zero_ms=0.0,
-            firmware="list 1.0",
-            clock="host",
-        )
+    def __init__(self) -> None:
         self.sequences: list[st.ScanSequence] = []
 
-    def _send(self, sequence: st.ScanSequence, times: int) -> int:
-        self.sequences.append(sequence)
-        self.acknowledged += 1
-        return len(self.sequences)
+    def open(self, line: Line, limits: st.SafetyLimits) -> Capabilities:
+        self.line = line
+        return Capabilities(
+            limits.electrodes, "weighted", limits.current_ma, max_slots=1000,
+            time_to_zero_ms=0.0, firmware="list 1.0", clock="host",
+        )  # fmt: skip
 
-    def _stop(self) -> None:
+    def write(self, proved: ProvedSequence) -> None:
+        with self.line.current(proved):
+            self.sequences.append(proved.sequence)
+
+    def zero(self) -> None:
         """A list is always at zero."""
 
 
 # %%
-# Put a run on it.
+# Put a run on it. A list makes no current: no finger is on this board, and its time is what
+# sequences state.
 profile = st.load_profile("electric-mouse")
 source = st.open_source("text:a", profile, speed_mm_s=60)
-with st.open_display(ListBoard, profile) as display:
+driver = ListDriver()
+limits = st.SafetyLimits.of(profile)
+board = st.Board(driver, limits, profile.output, on_a_finger=False, claimed_time=True)
+with st.open_display(board, profile) as display:
     statistics = st.run(source, display, mode="RA")
-    board = display.board
-    assert isinstance(board, ListBoard)
-print(f"{statistics.frames} frames, {len(board.sequences)} sequences")
+print(f"{statistics.frames} frames, {len(driver.sequences)} sequences")
 
 # %%
 # Every sequence that arrives has been proved, and cannot be written to. What is not safe does not
 # arrive: here each current is five times as strong.
-sequence = max(board.sequences, key=lambda each: each.slots)
+sequence = max(driver.sequences, key=lambda each: each.slots)
 try:
     sequence.current_ua[0] = 5000
 except ValueError as error:

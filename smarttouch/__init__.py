@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     )
     from smarttouch.base.tactile_image import TactileImage
     from smarttouch.boards.board import Board
+    from smarttouch.boards.driver import Driver
     from smarttouch.physiology.finger import Finger
     from smarttouch.profile import Profile, list_profiles, load_profile
     from smarttouch.running.config import RunConfig
@@ -51,10 +52,10 @@ if TYPE_CHECKING:
     from smarttouch.views.vibrator import Vibrator
 
 __all__ = [
-    "Afferent", "Board", "BoardError", "DeliveredPicture", "Display", "Finger", "Frame",
-    "LevelNotReachedError", "Listener", "OpticalSource", "Profile", "ProfileError", "RecordedRun",
-    "Recorder", "RunConfig", "RunStatistics", "SafetyError", "SafetyLimits", "ScanSequence",
-    "Session", "Shown", "SmartTouchError", "SourceError", "StepResult", "Stimulus",
+    "Afferent", "Board", "BoardError", "DeliveredPicture", "Display", "Driver", "Finger",
+    "Frame", "LevelNotReachedError", "Listener", "OpticalSource", "Profile", "ProfileError",
+    "RecordedRun", "Recorder", "RunConfig", "RunStatistics", "SafetyError", "SafetyLimits",
+    "ScanSequence", "Session", "Shown", "SmartTouchError", "SourceError", "StepResult", "Stimulus",
     "StimulusSource", "TactileImage", "Vibrator", "__version__", "design_kernel", "list_profiles",
     "load_kernels", "load_profile", "load_recording", "open_display", "open_source", "replay",
     "run", "show_together", "steps",
@@ -67,6 +68,7 @@ if not TYPE_CHECKING:  # else any name would be one to a type checker
         "SourceError",
         "base.tactile_image": "TactileImage",
         "boards.board": "Board",
+        "boards.driver": "Driver",
         "physiology.finger": "Finger",
         "profile": "Profile list_profiles load_profile",
         "running.config": "RunConfig",

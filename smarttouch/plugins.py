@@ -6,6 +6,9 @@ from smarttouch.base.wire.port import LINE_ERRORS as LINE_ERRORS
 from smarttouch.base.wire.port import Port as Port
 from smarttouch.base.wire.port import open_port as open_port
 from smarttouch.base.wire.port import reason as reason
+from smarttouch.boards.driver import Driver as Driver
+from smarttouch.boards.driver import Events as Events
+from smarttouch.boards.line import Line as Line
 from smarttouch.boards.reports import BoardReport as BoardReport
 from smarttouch.boards.reports import Capabilities as Capabilities
 from smarttouch.boards.reports import Impedance as Impedance
@@ -19,3 +22,4 @@ from smarttouch.sources.source_contract import DeviceWarnings as DeviceWarnings
 from smarttouch.sources.source_contract import OutageTracker as OutageTracker
 from smarttouch.sources.source_contract import Pose as Pose
 from smarttouch.stimulation.pulse_rates import ScanTiming as ScanTiming
+from smarttouch.stimulation.safety_gate import ProvedSequence as ProvedSequence

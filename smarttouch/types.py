@@ -47,8 +47,6 @@ from smarttouch.boards.reports import BoardReport as BoardReport
 from smarttouch.boards.reports import Capabilities as Capabilities
 from smarttouch.boards.reports import Impedance as Impedance
 from smarttouch.boards.reports import SequenceStart as SequenceStart
-from smarttouch.boards.seal import Sealed as Sealed
-from smarttouch.boards.seal import TimedBoard as TimedBoard
 from smarttouch.imaging.tactile_mapper import Tone as Tone
 from smarttouch.kernels.bank import KernelBank as KernelBank
 from smarttouch.kernels.design_problem import Kernel as Kernel

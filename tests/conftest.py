@@ -38,9 +38,7 @@ PATIENT = {
     "smarttouch.boards.link.packet_line.SILENCE_S": PATIENCE_S,
     "smarttouch.emulator.link_firmware.SILENCE_MS": 1000 * PATIENCE_S,
     "smarttouch.running.loop.LATE_NS": NEVER_LATE_NS,
-    "smarttouch.boards.link.link_board.LATE_NS": NEVER_LATE_NS,
-    "smarttouch.boards.kits.streamed.LATE_NS": NEVER_LATE_NS,
-    "smarttouch.boards.seal.LATE_NS": NEVER_LATE_NS,
+    "smarttouch.boards.board.LATE_NS": NEVER_LATE_NS,
 }
 """What `patient_boards` changes, in this process and in the programs that it starts."""
 

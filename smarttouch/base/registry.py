@@ -30,12 +30,12 @@ _OWN = {
         "recorded": "smarttouch.sources.force:RecordedForce",
     },
     "smarttouch.boards": {
-        "emulator": "smarttouch.emulator.emulated_boards:EmulatorBoard",
-        "etactilekit": "smarttouch.boards.kits.etactilekit:ETactileKitBoard",
-        "kajimoto61": "smarttouch.boards.kits.kajimoto61:Kajimoto61Board",
-        "link": "smarttouch.boards.link.link_board:LinkBoard",
-        "memory": "smarttouch.boards.open:MemoryBoard",
-        "simulated": "smarttouch.emulator.emulated_boards:SimulatedBoard",
+        "emulator": "smarttouch.emulator.emulated_boards:open_emulator",
+        "etactilekit": "smarttouch.boards.kits.etactilekit:ETactileKitDriver",
+        "kajimoto61": "smarttouch.boards.kits.kajimoto61:Kajimoto61Driver",
+        "link": "smarttouch.boards.link.link_driver:LinkDriver",
+        "memory": "smarttouch.boards.open:MemoryDriver",
+        "simulated": "smarttouch.emulator.emulated_boards:SimulatedDriver",
     },
 }
 """The package's own, by entry-point group; no other package can take their names."""
@@ -130,17 +130,6 @@ def given_options(
 def package_of(point: EntryPoint) -> str:
     """Return the name of an entry point's package."""
     return point.dist.name if point.dist is not None else point.module
-
-
-def final_names(base: type) -> list[str]:
-    """Return the names of the final methods and properties of a class."""
-    return [name for name in dir(base) if is_final(inspect.getattr_static(base, name))]
-
-
-def is_final(member: object) -> bool:
-    """Whether a member of a class is a method or property marked as final."""
-    inner = member.fget if isinstance(member, property) else member
-    return getattr(inner, "__final__", False) is True
 
 
 def _kind(group: str) -> str:

@@ -1,14 +1,18 @@
-"""Interface and safety gate of every display board."""
+"""A display board: its safety gate, and all that keeps what its driver sends safe."""
 
 import contextlib
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
+import os
+import threading
+import time
+from collections import deque
+from dataclasses import replace
 from types import TracebackType
-from typing import Any, ClassVar, Self, final
+from typing import Self, final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.base.clock import LATE_NS, Clock, MonotonicClock, prioritized
 from smarttouch.base.errors import (
     BoardClosedError,
     BoardError,
@@ -18,7 +22,11 @@ from smarttouch.base.errors import (
     LineLostError,
     SequenceLateError,
 )
-from smarttouch.boards.faults import latch, refuse_latched
+from smarttouch.base.wire.port import device_of
+from smarttouch.boards.driver import Driver
+from smarttouch.boards.faults import latch, refuse_latched, restart_lost_board
+from smarttouch.boards.line import Line
+from smarttouch.boards.probe_scans import measure_by_probes
 from smarttouch.boards.reports import (
     BOTH,
     BoardReport,
@@ -28,87 +36,119 @@ from smarttouch.boards.reports import (
     Polarity,
     SequenceStart,
 )
-from smarttouch.boards.seal import TimedBoard, make_gate, seal_fault
 from smarttouch.boards.stoppable import enter, leave
-from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.exposure import Dose
-from smarttouch.stimulation.pulse_rates import ScanTiming
-from smarttouch.stimulation.safety_gate import NanosecondClock, SafetyLimits
+from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
 
 __all__ = ["BOTH", "Board", "BoardReport", "Capabilities", "Polarity"]
 
-
 FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock
+MEASURED_WITHIN_NS = 10_000_000_000  # time in which measuring scans must be written
+ENDS_WITHIN_S = 3.0  # of the sender thread
+_MOST_VOLTS = 64
+
+Measured = tuple[ScanSequence, NDArray[np.float32]]
 
 
-class Board(TimedBoard, ABC):
-    """Base class of display boards.
-
-    A driver implements the underscored methods. `send` cannot be bypassed: it proves every
-    sequence safe, by the board's own clock, and the driver gets only the frozen copy that was
-    proved. Final methods cannot be replaced in a class or an object, and a board whose gate, limits
-    or clock were exchanged is put at zero.
+@final
+class Board:
+    """A display board, which sends only what its safety gate has proved.
 
     Parameters
     ----------
+    driver : Driver
+        Of the device.
     limits : SafetyLimits
         From the profile of the finger on the board.
     output : Output, optional
         Output section of the profile: kind, scale, wiring.
-    **capabilities
-        Fields of `Capabilities`, if they are known before the board is opened; ``electrodes``
-        and ``output`` are the profile's if not given.
+    clock : Clock, optional
+        The machine's if not given.
+    late_ns : int, optional
+        Delay after which a sequence is not sent any more: 100 ms if not given.
+    on_a_finger : bool
+        Whether a finger may be on it.
+    claimed_time : bool
+        Whether the gate takes the time that sequences state: for boards without a finger.
+
+    Attributes
+    ----------
+    driver : Driver
+    capabilities : Capabilities
+        Of the device; known once the board is open.
+    acknowledged, refused, replaced, dropped_late : int
+        Number of sequences that the board has begun to deliver; that it has refused; that a newer
+        one replaced before they were sent; that were not sent because they were too late.
+    force_n : float or None
+        Finger force, if the board measures it.
+    lifted : bool
+        Whether nothing touches the electrodes, by the voltages of the last scan.
+    notes : list of str
+        What the user should know after the run.
     """
 
-    default_profile: ClassVar[str] = DEFAULT_PROFILE
-    """Name of the default profile of such a board."""
-    takes_wiring: ClassVar[bool] = False
-    keeps_kernels: ClassVar[bool] = False
-    """Whether such boards can store kernels, so that slots should be sums of them."""
-    on_a_finger: ClassVar[bool] = True
-    """Whether a finger may be on it."""
-    drives_in_send: ClassVar[bool] = True
-    """Whether `_send` itself writes, at once: it is then called within `_driving`. A driver whose
-    `_send` waits, or that writes from a thread of its own, sets this to False and makes each
-    write that causes current within ``with self._driving():``."""
-    ua_per_count: float | None = None
-    """Current scale of the board, if it can be measured."""
-    timing: ScanTiming = ScanTiming()
-    """Scan timing fixed by the board; known before it is opened."""
     capabilities: Capabilities
-    acknowledged: int = 0
-    """Number of sequences that the board has begun to deliver."""
-    refused: int = 0
-    """Number of sequences that the board has refused or dropped."""
-    replaced: int = 0
-    """Number of sequences replaced by a newer one before they were sent."""
-    force_n: float | None = None
-    """Finger force, if the board measures it."""
-    lifted: bool = False
-    """Whether nothing touches the electrodes, by the voltages of the last scan."""
+
+    def __init_subclass__(cls, **_: object) -> None:
+        raise BoardError(f"{cls.__name__} inherits from Board, which is final: write a Driver")
 
     def __init__(
-        self, limits: SafetyLimits, output: Output | None = None, **capabilities: Any
+        self,
+        driver: Driver,
+        limits: SafetyLimits,
+        output: Output | None = None,
+        *,
+        clock: Clock | None = None,
+        late_ns: int | None = None,
+        on_a_finger: bool = True,
+        claimed_time: bool = False,
     ) -> None:
-        if output is not None and output.wiring is not None and not self.takes_wiring:
+        if output is not None and output.wiring is not None and not driver.takes_wiring:
             raise BoardError(
                 "output.wiring is for boards whose outputs are wired by the user (etactilekit:): "
                 "remove it from the profile of this one"
             )
-        super().__init__()
+        self.driver = driver
+        self.on_a_finger, self._claimed_time = on_a_finger, claimed_time
+        self.acknowledged = self.refused = self.replaced = self.dropped_late = 0
+        self.force_n: float | None = None
+        self.lifted = False
         self.notes: list[str] = []
         self._output = output
-        if capabilities:
-            kind = "weighted" if output is None else output.kind
-            known = {"electrodes": limits.electrodes, "output": kind}
-            self.capabilities = Capabilities(**(known | capabilities))
-        self._gate = make_gate(self, limits.on(output), self._time())
-        self._opened = False
-        self._openings = 0
+        self._limits = limits.on(output)
+        # Waits for a deadline need to be exact only where the host times the pulses.
+        self._clock = clock or MonotonicClock(None if driver.queued else 0)
+        self._late_ns = LATE_NS if late_ns is None else late_ns
+        self._gate = SafetyGate(self._limits, None if claimed_time else self._clock)
+        self._line = Line(self)
+        self._stopped = self._line._stopped
+        self._halted = self._opened = False
+        self._fault_found: BoardFaultError | None = None  # fault that latched the board
+        self._ready = False  # whether the driver can put the device at zero
+        self._is_lost = False  # whether the connection was lost, and is not back
+        self._zeroed = False  # whether a stop has put the board at zero
+        self._opened_by = os.getpid()
+        self._number = self._counted = 0
+        self._starts: dict[int, SequenceStart] = {}
+        self._volts: deque[Measured] = deque(maxlen=_MOST_VOLTS)
+        self._statistics = HostStatistics(limits.electrodes)
+        # What the sender thread and the others share.
+        self._news = threading.Condition()
+        self._waiting: ProvedSequence | None = None
+        self._busy = self._late_unreported = False
+        self._failure: BoardError | None = None
+        self._over_s = 0.0  # end of the scans that were written last, by time.monotonic
+        self._sender: threading.Thread | None = None
+        self._ending = threading.Event()
 
-    @final
+    def __repr__(self) -> str:
+        electrodes, state = self._limits.electrodes, "open" if self._opened else "closed"
+        return f"Board({type(self.driver).__name__}, {electrodes} electrodes, {state})"
+
+    # -- opening and closing -----------------------------------------------
+
     def open(self) -> None:
         """Connect, shake hands, and put all electrodes at zero.
 
@@ -123,9 +163,10 @@ class Board(TimedBoard, ABC):
             If the displays of this user could drive more current together than
             `CEILING_USER_MA`, and whatever keeps the board from opening.
         """
+        self._require_own_process()
         if self._opened:
             raise BoardError("the board is open already: close it first")
-        self._require_seal()
+        self._opened_by = os.getpid()
         refuse_latched(self.device)
         enter(self)
         try:
@@ -138,30 +179,168 @@ class Board(TimedBoard, ABC):
                 leave(self)
             raise
 
-    @final
     def _open_announced(self) -> None:
         # A new run starts from zero intensity, and its time may start again.
-        self._openings += 1
         self._gate.begin_session()
-        self._begin_unless_halted()
+        self._zeroed = False
+        self._stopped.clear()
+        # In this order: a halt from another thread is seen here or comes later.
+        if self._halted:
+            self._stopped.set()
+        self._line.require_running()
         if self._stopped.wait(self._gate.net_rest_ns() / 1e9):
-            self._go_on_unless_stopped()
-        self._host_statistics = HostStatistics(self._gate.limits.electrodes)
-        self._open()
+            self._line.require_running()
+        self._number = self._counted = 0
+        self._statistics = HostStatistics(self._limits.electrodes)
+        self._starts.clear()
+        self._open_driver(again=False)
         self._opened = True
-        self._require_seal()
-        if not isinstance(getattr(self, "capabilities", None), Capabilities):
-            raise BoardError(
-                f"{type(self).__name__} does not set capabilities: do so in __init__, or at the "
-                "latest in _open"
+        self._line.require_running()
+
+    def _open_driver(self, *, again: bool) -> None:
+        self._line.reopened = again
+        try:
+            found = self.driver.open(self._line, replace(self._limits))
+            if not isinstance(found, Capabilities):
+                kind = type(self.driver).__name__
+                raise BoardError(f"{kind}.open returns no Capabilities: return those of the device")
+            self.capabilities = found
+            self._line.require_running()
+        except BaseException:
+            self._close_driver()
+            raise
+        with self._news:
+            self._waiting = self._failure = None
+            self._busy = self._late_unreported = False
+        self._ready, self._is_lost = True, False
+        if self.driver.queued or self.driver.idle_s:
+            self._ending = threading.Event()
+            self._sender = threading.Thread(
+                target=self._serve, args=(self._ending,), name="board sender", daemon=True
             )
-        self._go_on_unless_stopped()
+            self._sender.start()
 
-    def __repr__(self) -> str:
-        electrodes, state = self._gate.limits.electrodes, "open" if self._opened else "closed"
-        return f"{type(self).__name__}({electrodes} electrodes, {state})"
+    def _close_driver(self) -> None:
+        self._ending.set()
+        with self._news:
+            self._news.notify_all()
+        if self._sender is not None and self._sender is not threading.current_thread():
+            self._sender.join(ENDS_WITHIN_S)
+        try:
+            self.driver.close()
+        finally:
+            self._line.disconnect()
 
-    @final
+    def _recover(self, lost: LineLostError) -> None:
+        """Connect again to a lost device, at zero; raise if that fails."""
+        self._is_lost = self._line.reopened = True
+        self._close_driver()
+        restart_lost_board(lambda: self._open_driver(again=True), lost)
+        # Nothing was delivered for a while: what comes next begins at zero.
+        self._gate.restart()
+
+    def close(self) -> None:
+        """Put all electrodes at zero and close the board."""
+        self._require_own_process()
+        if self._opened:
+            self._opened = self._line.reopened = False
+            try:
+                self.stop()
+            finally:
+                try:
+                    self._close_driver()
+                finally:
+                    self._ready = False
+                    leave(self, at_zero=self._zeroed)
+            if self._fault_found is not None:
+                raise self._fault_found
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            self.close()
+        except BoardError:
+            # The first fault is the one to report.
+            if error is None:
+                raise
+
+    # -- stops and faults --------------------------------------------------
+
+    def stop(self) -> None:
+        """Put all electrodes at zero now, from any thread; nothing is sent or measured after."""
+        self._require_own_process()
+        try:
+            self._line._bar()
+        finally:
+            self._zero()
+        self._zeroed = True
+
+    def halt(self) -> None:
+        """Stop for good, from any thread; a board that is being opened fails to open."""
+        self._require_own_process()
+        self._halted = True
+        self.stop()
+
+    def _zero(self) -> None:
+        with self._news:
+            self._waiting = None
+            self._news.notify_all()
+        if self._ready:
+            try:
+                self._line._put_at_zero()
+            except (BoardClosedError, LineLostError):
+                # Where silence is zero, only the first loss needs a report.
+                if not self._is_lost or self.capabilities.time_to_zero_ms is None:
+                    raise
+
+    def _refusal(self) -> BoardError:
+        """Return the error of a call after a stop."""
+        if self._fault_found is not None:
+            return self._fault_found
+        again = "open a new display" if self._halted else "open it again"
+        return BoardStoppedError(
+            f"the board was stopped, all electrodes are at zero: {again} before sending"
+        )
+
+    def _latch(self, reason: str) -> BoardFaultError:
+        """Put the board at zero for good and record its fault; return the error to raise."""
+        if self._fault_found is not None:
+            return self._fault_found
+        self._fault_found = BoardFaultError(
+            f"{reason}: the board is at zero and latched; have it checked, then clear it with "
+            "smarttouch devices clear"
+        )
+        with contextlib.suppress(BoardError):
+            self.halt()
+        if self.device is not None:
+            latch(self.device, reason)
+        return self._fault_found
+
+    @property
+    def device(self) -> str | None:
+        """Identity that its faults are recorded by: USB serial number, else port; or None."""
+        return None if self.driver.port is None else device_of(self.driver.port)
+
+    @property
+    def announced(self) -> bool:
+        """Whether ``smarttouch stop`` must reach it while it is open."""
+        return self.on_a_finger or not self._claimed_time
+
+    @property
+    def budget_ua(self) -> int:
+        """Its share of the current that all displays of a user may drive together, µA."""
+        return self._limits.total_ua if self.on_a_finger else 0
+
+    # -- sending -----------------------------------------------------------
+
     def send(self, sequence: ScanSequence, times: int = 1, due_ns: int | None = None) -> int:
         """Validate a sequence by the safety gate, then send it.
 
@@ -193,114 +372,208 @@ class Board(TimedBoard, ABC):
         BoardError
             If the board is closed, of another size, or gone.
         """
-        now_ns, opening = self._clock.now_ns(), self._openings
-        self._due_ns = now_ns if due_ns is None else due_ns
-        if not self._opened or self._stopped.is_set():
-            self._require_open("sending")
-            self._go_on_unless_stopped()
-        self._require_seal()
-        timed = self._time() is not None or self.on_a_finger
-        if timed:
-            _require_same_clock(self._due_ns, now_ns)
-        # By the class: a driver cannot replace it.
-        Capabilities.require(self.capabilities, sequence, times)
-        times = int(times)
-        proved = self._gate.prove(sequence, times)
+        proved = self._prove(sequence, times, due_ns)
         try:
-            if timed:
-                self._refuse_late(self._due_ns)
-            with self._driving() if self.drives_in_send else contextlib.nullcontext():
-                if opening != self._openings:
-                    raise BoardStoppedError(
-                        "the board was closed before this was sent: begin at zero"
-                    )
-                number = self._send(proved, times)
-                # Within: by the time that a stop returns, the report includes it.
-                if type(self).report is Board.report:
-                    self._host_statistics.add(proved, times)
+            if self._clock.now_ns() > proved.write_before_ns:
+                self.dropped_late += 1
+                raise self._line.late()
+            self._number = proved.number
+            if self.driver.queued:
+                self.driver.check(proved)
+                self._queue(proved)
+            else:
+                self._raise_failure()
+                self._write(proved)
         except SequenceLateError:
             # Nothing was delivered for a while: what comes next begins at zero.
             self._gate.restart()
             raise
         except LineLostError as lost:
-            self._go_on_unless_stopped()
+            self._line.require_running()
             self._recover(lost)
-            # Nothing was delivered for a while: what comes next begins at zero.
-            self._gate.restart()
             self.notes.append(f"{lost}: restarted")
             raise BoardRestartedError(f"{lost}, and was restarted") from None
         except BoardError:
             # On a stopped board any failure is due to the stop.
-            self._go_on_unless_stopped()
+            self._line.require_running()
             raise
-        return number
+        return proved.number
 
-    @final
+    def _prove(self, sequence: ScanSequence, times: int, due_ns: int | None) -> ProvedSequence:
+        """Return what the gate has proved of a sequence that this board can deliver."""
+        now_ns = self._clock.now_ns()
+        due_ns = now_ns if due_ns is None else due_ns
+        self._require_open("sending")
+        self._line.require_running()
+        # By the time that sequences state, nothing is late.
+        late_ns = self._late_ns
+        if self._claimed_time and not self.on_a_finger:
+            due_ns, late_ns = now_ns, 2**62
+        _require_same_clock(due_ns, now_ns)
+        self.capabilities.require(sequence, times)
+        return self._gate.prove(
+            sequence, times, number=self._number + 1, due_ns=due_ns, late_ns=late_ns
+        )
+
+    def _write(self, proved: ProvedSequence) -> None:
+        try:
+            self.driver.write(proved)
+        except SequenceLateError:
+            self.dropped_late += 1
+            raise
+
+    def _note_written(self, proved: ProvedSequence) -> None:
+        """Count a sequence whose bytes have just been written, with the line's lock held."""
+        self._gate.note(proved)
+        if not (self._claimed_time or self.driver.reports_starts):
+            passes = 1 if self.driver.queued else proved.times
+            self._over_s = time.monotonic() + passes * proved.sequence.period_us / 1e6
+        if proved.ramped and not self.driver.reports_delivery:
+            self._count(proved, proved.times)
+
+    def _count(self, proved: ProvedSequence, scans: int, most: int | None = None) -> None:
+        with self._news:
+            again = proved.number == self._counted
+            if again and not self.driver.reports_delivery:
+                return
+            self._counted = proved.number
+            self._statistics.add(proved.sequence, scans, again, most)
+            self.acknowledged += not again
+
+    def _raise_failure(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+
     def close_level(self) -> None:
         """Close the intensity level: what comes next begins at zero, as after a lifted finger."""
         self._gate.restart()
 
-    @property
-    @final
-    def net_charge_pc(self) -> NDArray[np.int64]:
-        """Net charge of each electrode since the board was opened, (E,) pC, positive cathodic."""
-        return self._gate.net_pc
+    def keep_kernels(self, table: KernelTable) -> None:
+        """Give the board the kernels of the sequences to come, if it keeps any.
 
-    @property
-    @final
-    def dose(self) -> Dose:
-        """Dose of current in the skin since the board was opened."""
-        return self._gate.dose
-
-    def _time(self) -> NanosecondClock | None:
-        """Return the clock of the safety gate: the machine's.
-
-        Only a board that no finger can be on has another, or None: the time that sequences state.
+        Raises
+        ------
+        BoardError
+            If it is closed, stopped or gone.
         """
-        return self.clock
+        self._require_open("giving it kernels")
+        try:
+            self.driver.store_kernels(table)
+        except LineLostError as lost:
+            self._recover(lost)
 
-    @property
-    def device(self) -> str | None:
-        """Identity that its faults are recorded by: USB serial number, else port; or None."""
-        return None
+    def drain(self, timeout_s: float = 1.0) -> None:
+        """Wait until all sequences have been delivered, or the time is over."""
+        deadline_s = time.monotonic() + timeout_s
+        with self._news:
+            self._news.wait_for(self._is_drained, timeout_s)
+        # A stop may come while the driver asks its device.
+        with contextlib.suppress(BoardStoppedError):
+            while time.monotonic() < deadline_s and not self._stopped.is_set():
+                if not self.driver.is_busy():
+                    break
+                self._stopped.wait(0.002)
+        self._stopped.wait(max(0.0, min(deadline_s, self._over_s) - time.monotonic()))
 
-    @final
-    def _latch(self, reason: str) -> BoardFaultError:
-        """Put the board at zero for good and record its fault; return the error to raise."""
-        self._fault_found = BoardFaultError(
-            f"{reason}: the board is at zero and latched; have it checked, then clear it with "
-            "smarttouch devices clear"
-        )
+    def _is_drained(self) -> bool:
+        if self._failure is not None or self._stopped.is_set():
+            return True
+        return self._waiting is None and not self._busy
+
+    # -- the sender thread -------------------------------------------------
+
+    def _queue(self, proved: ProvedSequence) -> None:
+        """Let the sender thread write a sequence; a newer one replaces one that waits."""
+        patience_s = self.driver.waits_s
+        if patience_s:
+            patience_s += 4e-6 * proved.sequence.period_us
+        with self._news:
+            self._news.wait_for(
+                lambda: (
+                    self._waiting is None or self._failure is not None or self._stopped.is_set()
+                ),
+                patience_s,
+            )
+            self._raise_failure()
+            self._line.require_running()
+            if self._late_unreported:
+                self._late_unreported = False
+                self.dropped_late += 1
+                raise self._line.late()
+            self.replaced += self._waiting is not None
+            self._waiting = proved
+            self._news.notify_all()
+
+    @prioritized()
+    def _serve(self, ending: threading.Event) -> None:
+        """Write queued sequences, and let the driver do what it does between them."""
+        wait_s: float | None = self.driver.idle_s or None
+        while not (ending.is_set() or self._stopped.is_set()):
+            proved = self._take(wait_s, ending)
+            try:
+                if proved is not None:
+                    self.driver.write(proved)
+                    wait_s = self.driver.idle_s or None
+                elif not (ending.is_set() or self._stopped.is_set()):
+                    wait_s = self.driver.idle()
+            except SequenceLateError:
+                self._drop_late()
+                wait_s = self.driver.idle_s or None
+            except BoardStoppedError:
+                break
+            except BoardError as error:
+                self._fail(error)
+                break
+            except Exception as error:
+                self._fail_driver(error)
+                break
+        self._rest()
+
+    def _take(self, wait_s: float | None, ending: threading.Event) -> ProvedSequence | None:
+        """Return the newest sequence, or None after a time or when the board stops or closes."""
+        with self._news:
+            self._busy = False
+            self._news.notify_all()
+            self._news.wait_for(
+                lambda: self._waiting is not None or ending.is_set() or self._stopped.is_set(),
+                wait_s,
+            )
+            if ending.is_set() or self._stopped.is_set():
+                return None
+            proved, self._waiting = self._waiting, None
+            self._busy = proved is not None
+            self._news.notify_all()
+            return proved
+
+    def _drop_late(self) -> None:
+        """Count sequences that are not sent; the next `send` reports it and restarts at zero."""
+        with self._news:
+            self.dropped_late += 1 + (self._waiting is not None)
+            self._waiting = None
+            self._late_unreported = True
+
+    def _rest(self) -> None:
+        """Wake threads that wait for the sender."""
+        with self._news:
+            self._busy = False
+            self._news.notify_all()
+
+    def _fail(self, error: BoardError) -> None:
+        with self._news:
+            self._is_lost = self._is_lost or isinstance(error, LineLostError)
+            self._failure = self._failure or error
+            self._news.notify_all()
+
+    def _fail_driver(self, error: Exception) -> None:
+        """Report a driver that has failed; its pattern would be shown on with nobody to end it."""
+        fault = BoardError(f"the driver {type(self.driver).__name__} has failed ({error!r})")
+        fault.__cause__ = error
+        self._fail(fault)
         with contextlib.suppress(BoardError):
-            self.halt()
-        if self.device is not None:
-            latch(self.device, reason)
-        return self._fault_found
+            self._line._put_at_zero()
 
-    @property
-    def refused_packets(self) -> int:
-        """Number of packets from the board that were old, of another session, or unrequested."""
-        return 0
+    # -- measuring and reports ---------------------------------------------
 
-    def start_of(self, number: int) -> SequenceStart | None:
-        """Return when a sequence began, by the number that `send` returned.
-
-        None before the board has reported it, some seconds later, and for boards that never do.
-        """
-        return None
-
-    def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
-        """Return the voltages measured since the last call.
-
-        Returns
-        -------
-        list of (ScanSequence, ndarray)
-            A sequence that was delivered, and the voltage its source needed at
-            the end of each slot, (S,) V.
-        """
-        return []
-
-    @final
     def measure(self) -> Impedance:
         """Measure the impedance of every electrode, with small currents.
 
@@ -314,164 +587,107 @@ class Board(TimedBoard, ABC):
             If the board is closed, cannot measure, or gives an invalid answer.
         """
         self._require_open("measuring")
-        self._go_on_unless_stopped()
-        self._require_seal()
+        self._line.require_running()
         self._gate.restart()
         try:
             found = self._measure()
         except BoardError as error:
             # A board whose line is lost is at zero only if the stop has reached it.
             if self._zeroed or not isinstance(error, LineLostError):
-                self._go_on_unless_stopped()
+                self._line.require_running()
             raise
         finally:
             # What comes next begins at zero, and its time may start again.
             self._gate.restart()
-        self._go_on_unless_stopped()
+        self._line.require_running()
         return found
 
-    @final
-    @contextlib.contextmanager
-    def _measuring(self, scan: ScanSequence, times: int = 1) -> Iterator[None]:
-        """Prove a scan that the firmware fixes, for the write within, as in `_driving`.
+    def _measure(self) -> Impedance:
+        if scans := self.driver.measuring_scans():
+            self.drain()
+            now_ns = self._clock.now_ns()
+            proved = [
+                self._gate.prove_measurement(
+                    scan, times, due_ns=now_ns, late_ns=MEASURED_WITHIN_NS
+                )
+                for scan, times in scans
+            ]  # fmt: skip
+            return self.driver.measure(proved)
+        self.take_volts()
+        return measure_by_probes(self._probe, self._limits, self._output, self.capabilities)
 
-        Parameters
-        ----------
-        scan : ScanSequence
-        times : int
-            Most times that the board repeats it.
-        """
-        with self._driving():
-            for _ in range(times):
-                self._gate.prove_measurement(scan)
-            yield
-
-    @final
-    def _require_open(self, what: str) -> None:
-        if not self._opened:
-            raise BoardClosedError(f"the board is not open: open it before {what}")
-
-    @final
-    def _require_seal(self) -> None:
-        """Raise, with the board closed, if its driver has replaced a part of the safety gate."""
-        fault = seal_fault(self)
-        if fault is not None:
-            try:
-                # By the class: the driver may have replaced them.
-                Board.halt(self)
-            finally:
-                try:
-                    Board.close(self)
-                finally:
-                    raise fault
-
-    @final
-    def stop(self) -> None:
-        """Put all electrodes at zero now, from any thread; nothing is sent or measured after."""
-        try:
-            self._bar()
-        finally:
-            self._stop()
-        self._zeroed = True
-
-    @final
-    def halt(self) -> None:
-        """Stop for good, from any thread; a board that is being opened fails to open."""
-        self._halted = True
-        try:
-            self._bar()
-        finally:
-            self._halt()
-        self._zeroed = True
-
-    @final
-    def close(self) -> None:
-        """Put all electrodes at zero and close the board."""
-        if self._opened:
-            self._opened = False
-            try:
-                self.stop()
-            finally:
-                try:
-                    self._close()
-                finally:
-                    leave(self, at_zero=self._zeroed)
-            if self._fault_found is not None:
-                raise self._fault_found
-
-    @property
-    @final
-    def announced(self) -> bool:
-        """Whether ``smarttouch stop`` must reach it while it is open."""
-        return self.on_a_finger or (self._time() is not None and not self.simulated_time)
-
-    @property
-    @final
-    def budget_ua(self) -> int:
-        """Its share of the current that all displays of a user may drive together, µA."""
-        return self._gate.limits.total_ua if self.on_a_finger else 0
-
-    def keep_kernels(self, table: KernelTable) -> None:
-        """Give the board the kernels of the sequences to come, if it keeps any.
-
-        Raises
-        ------
-        BoardError
-            If it is closed, stopped or gone.
-        """
-
-    def drain(self, timeout_s: float = 1.0) -> None:
-        """Wait until all sequences have been delivered, or the time is over.
-
-        This one returns at once, for boards whose `_send` returns when all is delivered.
-        """
+    def _probe(self, probe: ScanSequence) -> NDArray[np.float64]:
+        """Deliver a scan and return its voltages."""
+        self.send(probe)
+        self.drain()
+        found = [
+            volts for sequence, volts in self.take_volts() if sequence.time_ns == probe.time_ns
+        ]
+        if probe.slots and not found:
+            raise BoardError(
+                f"the board at {self._line.name} did not report the voltages of its electrodes: "
+                "measure again"
+            )
+        return found[-1].astype(np.float64) if found else np.empty(0)
 
     def report(self) -> BoardReport:
-        """Return the report of what was delivered.
+        """Return the report of what was delivered: the device's own, else the host's."""
+        own = self.driver.status()
+        if own is not None:
+            return own
+        with self._news:
+            return self._statistics.report()
 
-        This one reports what was sent; a board that measures more overrides it.
+    def start_of(self, number: int) -> SequenceStart | None:
+        """Return when a sequence began, by the number that `send` returned.
+
+        None before the board has reported it, some seconds later, and for boards that never do.
         """
-        return self._host_statistics.report()
+        return self._starts.get(number)
 
-    def _open(self) -> None:
-        """Connect, and put all electrodes at zero; nothing where there is no line."""
+    def take_volts(self) -> list[Measured]:
+        """Return the voltages measured since the last call.
 
-    @abstractmethod
-    def _send(self, sequence: ScanSequence, times: int) -> int:
-        """Send a validated sequence; raise LineLostError if a restart may help."""
+        Returns
+        -------
+        list of (ScanSequence, ndarray)
+            A sequence that was delivered, and the voltage its source needed at
+            the end of each slot, (S,) V.
+        """
+        return [self._volts.popleft() for _ in range(len(self._volts))]
 
-    def _recover(self, lost: LineLostError) -> None:
-        """Restart a lost board, at zero; raise if that fails."""
-        raise lost
+    @property
+    def clock(self) -> Clock:
+        """Clock of planned sequences."""
+        return self._clock
 
-    def _measure(self) -> Impedance:
-        raise BoardError("this board does not measure: use a multimeter")
+    @property
+    def simulated_time(self) -> bool:
+        """Whether its time is simulated, without waiting."""
+        return self._claimed_time and not self.on_a_finger and self.driver.simulated_time
 
-    def _close(self) -> None:
-        """Close the line, if there is one; all electrodes are at zero already."""
+    @property
+    def net_charge_pc(self) -> NDArray[np.int64]:
+        """Net charge of each electrode since the board was opened, (E,) pC, positive cathodic."""
+        return self._gate.net_pc
 
-    def _halt(self) -> None:
-        """Put all electrodes at zero, for good."""
-        self._stop()
+    @property
+    def dose(self) -> Dose:
+        """Dose of current in the skin since the board was opened."""
+        return self._gate.dose
 
-    @final
-    def __enter__(self) -> Self:
-        self.open()
-        return self
+    def _require_own_process(self) -> None:
+        """Raise in a forked process: the board and its line are its parent's."""
+        if self._opened and self._opened_by != os.getpid():
+            raise BoardClosedError(
+                f"process {self._opened_by} has the board open, and a process that it forked may "
+                "not use it: make a display here"
+            )
 
-    @final
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        try:
-            self.close()
-        except BoardError:
-            # The first fault is the one to report.
-            if error is None:
-                raise
+    def _require_open(self, what: str) -> None:
+        self._require_own_process()
+        if not self._opened:
+            raise BoardClosedError(f"the board is not open: open it before {what}")
 
 
 def _require_same_clock(due_ns: int, now_ns: int) -> None:

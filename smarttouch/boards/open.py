@@ -13,91 +13,88 @@ from smarttouch.base.errors import BoardError
 from smarttouch.base.registry import find_opener, refuse_rest, require_kind
 from smarttouch.base.url_options import read_options
 from smarttouch.boards.board import Board
-from smarttouch.boards.seal import is_foreign, seal_error, seal_fault
+from smarttouch.boards.driver import Driver
+from smarttouch.boards.line import Line
+from smarttouch.boards.reports import Capabilities
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
+
+_WITHOUT_FINGER: dict[str, dict[str, Any]] = {
+    "emulator": {"on_a_finger": False},
+    "memory": {"on_a_finger": False, "claimed_time": True},
+    "simulated": {"on_a_finger": False, "claimed_time": True},
+}
+"""Boards that no finger can be on. All others, those of other packages included, may have a finger
+on them and keep the machine's clock."""
 
 
 def make_board(
     url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
 ) -> Board:
-    """Return the driver for a board's URL, not opened yet; its options may stand in the URL, as in
+    """Return the board of a URL, not opened yet; its driver's options may stand in the URL, as in
     ``emulator:?books=FOLDER``."""
-    opener, rest = _driver(url)
+    driver = make_driver(url, limits, output, **options)
+    return Board(driver, limits, output, **_WITHOUT_FINGER.get(_name(url), {}))
+
+
+def make_driver(
+    url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
+) -> Driver:
+    """Return the driver for a board's URL; see `make_board`."""
+    opener, rest = _opener(url)
     rest, from_url = read_options(opener, rest, BoardError, but=("output",))
-    given = replace(limits)
-    board: Board = opener(rest, limits, output, **{**from_url, **options})
-    require_kind(board, Board, url, BoardError)
-    require_gate(board, limits, given)
-    return board
-
-
-def _of_one_source(found: SafetyLimits, given: SafetyLimits, output: Output | None) -> bool:
-    """Return whether limits are those that were given, made narrower for one source."""
-    narrower = given.on(output)
-    return narrower is not given and found == narrower
-
-
-def require_gate(board: Board, limits: SafetyLimits, given: SafetyLimits) -> None:
-    """Raise BoardError unless a board keeps the limits that its driver was given, unchanged since
-    ``given`` was copied, all final methods, and, if a finger may be on it, the machine's clock."""
-    fault = seal_fault(board)
-    if fault is not None:
-        raise fault
-    found = board._gate.limits
-    # By value too: a driver can change what it was given.
-    unchanged = found is limits and found == given
-    if not unchanged and not _of_one_source(found, given, board._output):
-        raise seal_error(board, "limits", "hand those that it is given to super().__init__")
-    # Only without a finger may time be what sequences state.
-    if is_foreign(board) and board.on_a_finger and type(board)._time is not Board._time:
-        raise seal_error(board, "clock", "leave _time and _clock as they are")
+    driver: Driver = opener(rest, replace(limits), output, **{**from_url, **options})
+    require_kind(driver, Driver, url, BoardError)
+    return driver
 
 
 def may_touch_a_finger(url: str) -> bool:
     """Return whether there may be a finger on the board of a URL."""
-    return bool(getattr(_driver(url)[0], "on_a_finger", True))
+    _opener(url)
+    return _name(url) not in _WITHOUT_FINGER
 
 
 def default_profile(url: str) -> str:
     """Return the name of the shipped profile that goes with a board's URL."""
-    return str(getattr(_driver(url)[0], "default_profile", DEFAULT_PROFILE))
+    return str(getattr(_opener(url)[0], "default_profile", DEFAULT_PROFILE))
 
 
-def _driver(url: str) -> tuple[Callable[..., Any], str]:
+def _name(url: str) -> str:
+    return url.partition(":")[0]
+
+
+def _opener(url: str) -> tuple[Callable[..., Any], str]:
     return find_opener("smarttouch.boards", url, BoardError)
 
 
-class MemoryBoard(Board):
-    """Board without process, line or current, which keeps all ``sequences`` since it was opened:
+class MemoryDriver(Driver):
+    """Driver without process, line or current, which keeps all ``sequences`` since it was opened:
     ``memory:``."""
-
-    on_a_finger = False
 
     def __init__(
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
     ) -> None:
-        super().__init__(
-            limits, output, max_current_ma=limits.current_ma, max_slots=0xFFFF, time_to_zero_ms=0.0,
-            firmware="memory", recharges=output is None or output.kind == "weighted",
-        )  # fmt: skip
         refuse_rest("memory:", rest, BoardError)
+        self._kind = "weighted" if output is None else output.kind
         self.sequences: list[ScanSequence] = []
 
-    def _time(self) -> None:
-        """Return None: time is what sequences state, as no finger is on this board."""
+    def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
+        self._line = line
+        if not line.reopened:
+            self.sequences.clear()
+        return Capabilities(
+            limits.electrodes, self._kind, limits.current_ma, max_slots=0xFFFF,
+            time_to_zero_ms=0.0, firmware="memory", recharges=self._kind == "weighted",
+        )  # fmt: skip
 
-    def _open(self) -> None:
-        self.sequences.clear()
+    def write(self, proved: ProvedSequence) -> None:
+        with self._line.current(proved):
+            self.sequences.append(proved.sequence)
 
-    def _send(self, sequence: ScanSequence, times: int) -> int:
-        self.sequences.append(sequence)
-        self.acknowledged += 1
-        return len(self.sequences)
-
-    def _stop(self) -> None: ...
+    def zero(self) -> None:
+        """Nothing flows."""
 
 
 ETACTILEKIT_PORT = 8888  # UDP port on which eTactileKits answer ``ETK?``

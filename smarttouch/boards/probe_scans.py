@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
-from smarttouch.boards.reports import SATURATED, Impedance, classify
+from smarttouch.boards.reports import SATURATED, Capabilities, Impedance, classify, judge
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -125,6 +125,29 @@ MOST_TRIPLES = 16
 ENOUGH = 0.5  # part of the electrodes that must conduct to a good reference
 
 Ask = Callable[[ScanSequence], NDArray[np.float64]]  # delivers a scan, returns (S,) V
+
+
+def measure_by_probes(
+    ask: Ask, limits: SafetyLimits, output: Output | None, can: Capabilities
+) -> Impedance:
+    """Return the impedance of each electrode, measured by sequences that rise from zero."""
+    if not can.measures or can.compliance_v is None:
+        raise BoardError("this board does not measure: use a multimeter")
+    for probe in probe_sequences(limits, output):
+        volts = ask(probe)
+    if (
+        can.output == "weighted"
+        and (volts >= SATURATED * can.compliance_v).any()
+        and not limits.masked
+    ):
+        level_ua = int(np.abs(probe.current_ua).max())
+        return measure_in_pairs(
+            ask, limits, level_ua, probe.intensity, probe.time_ns, can.compliance_v
+        )  # fmt: skip
+    # A masked electrode is not driven, and counts as open.
+    every = np.full(limits.electrodes, can.compliance_v)
+    every[probe.site] = volts
+    return judge(every, probe.source_ua[0] / 1000, can.compliance_v)
 
 
 def measure_in_pairs(

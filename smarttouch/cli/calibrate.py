@@ -339,7 +339,7 @@ def scale(
 
     ratio = check_reading(volts, ohm, current_ma)
     board = open_display(url, profile).board
-    scale_ua = measured_scale(url.partition(":")[0], board.ua_per_count, ratio)
+    scale_ua = measured_scale(url.partition(":")[0], board.driver.ua_per_count, ratio)
     typer.echo(
         f"{volts:g} V across {ohm:g} ohm are {1000 * volts / ohm:.3f} mA: {ratio:.3f} of nominal."
     )

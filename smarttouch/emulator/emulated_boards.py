@@ -8,26 +8,27 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
+from smarttouch.base.errors import BoardError, SilentBoardError
 from smarttouch.base.registry import refuse_rest
 from smarttouch.base.wire.framing import Deframer
+from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.handshake import reason_of
-from smarttouch.boards.link.link_board import LinkBoard
+from smarttouch.boards.link.link_driver import LinkDriver
 from smarttouch.boards.link.link_host import LinkHost
 from smarttouch.boards.link.protocol import ANSWERS, HostSession, Message, MessageKind
+from smarttouch.boards.reports import Capabilities
 from smarttouch.emulator import rules_over_time
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.rules_over_time import Room
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety_gate import SafetyLimits
-from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 
 _BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest silence of the host
 _LONGEST_GAP_NS = 1000 * (rules_over_time.KEPT_US + rules_over_time.SECOND_US)
@@ -58,8 +59,8 @@ class _KeptBooks(DeliveryLog):
         )
 
 
-class _Line:
-    """Line to firmware in the same thread, with the time that both go by."""
+class _Packets:
+    """Packets to and from firmware in the same thread, with the time that both go by."""
 
     name = "simulated:"
 
@@ -96,75 +97,74 @@ class _Line:
                 self._receive(message)
 
 
-class SimulatedBoard(LinkHost):
+class SimulatedDriver(LinkHost):
     """Emulated ``link`` board in the same thread: ``simulated:``. Its firmware, its packets and its
     host are those of ``emulator:``, but time is simulated: a sequence begins when its time stamp
     says, or at the end of the one before, and is over as soon as it has been computed."""
 
-    simulated_time = True
+    simulated_time: ClassVar[bool] = True
     room = Room()  # what the board has room for
-    on_a_finger = False
-    _line: _Line
+    _packets: _Packets
 
     def __init__(
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
     ) -> None:
         super().__init__(limits, output)
         refuse_rest("simulated:", rest, BoardError)
-        self._kind = "weighted" if output is None else output.kind
         self._power_up()
-
-    def _time(self) -> None:
-        """Return None: time is what sequences state, as no finger is on this board."""
 
     def take_pulses(self) -> Pulses:
         """Return all pulses delivered since the last call."""
-        return self._books.take()
+        packets, width_us, current_ua = self._books.take()
+        return np.array(self._numbers, np.uint32)[packets.astype(np.intp)], width_us, current_ua
 
-    def _open(self) -> None:
+    def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
+        self._line, self._limits = line, limits
         self._power_up()
-        self._take_offer(self._line.ask(MessageKind.HELLO))
-        self._line.ask(MessageKind.BEGIN)
+        self._take_offer(self._packets.ask(MessageKind.HELLO))
+        self._packets.ask(MessageKind.BEGIN)
         self._set_up()
         # Until it reports the finger's force.
         self._wait_until(protocol.ALIVE_MS * 1_000_000)
+        return self.can
 
     def _power_up(self) -> None:
-        self._books = _KeptBooks(self._gate.limits.electrodes)
+        self._books = _KeptBooks(self._limits.electrodes)
         self._firmware = LinkFirmware(
             self._books.electrodes,
-            self._kind,
+            "weighted" if self._output is None else self._output.kind,
             self._books,
             ramp_ms=rules_over_time.RAMP_MS,
             room=self.room,
         )
-        self._line = _Line(self._firmware, self._receive)
+        self._packets = _Packets(self._firmware, self._receive)
         self._number, self._suspicion = 0, ""
+        self._numbers = [0]  # of the board's sequences, by the numbers of their packets
         self._stamp_ns = self._ahead_ns = 0
         """Time stamp of the last sequence, and by how much such stamps are ahead of time here."""
 
     def _wait_until(self, end_ns: int) -> None:
-        self._line.wait_until(end_ns, self._go_on_unless_stopped)
+        self._packets.wait_until(end_ns, self._line.require_running)
 
-    def _send(self, sequence: ScanSequence, times: int) -> int:
-        parts = self._encoded(sequence, times)
-        first = self._number + 1
-        self._wait_until(self._start_ns(sequence.time_ns))
-        start_ns, before = self._line.now_ns, parts[0]
-        for part in parts:
-            # The board has room for it as soon as the one before has begun.
-            self._wait_until(start_ns + 1000 * before.start_us)
-            before, self._number = part, self._number + 1
-            self._note_sent(sequence, part, times)
-            self._line.say(MessageKind.SEQUENCE, self._number, part.payload)
-        self._wait_until(start_ns + sequence.period_us * times * 1000)
+    def write(self, proved: ProvedSequence) -> None:
+        parts, packets, sequence = self._encoded(proved), self._packets, proved.sequence
+        with self._line.current(proved):
+            self._wait_until(self._start_ns(sequence.time_ns))
+            start_ns, before = packets.now_ns, parts[0]
+            for part in parts:
+                # The board has room for it as soon as the one before has begun.
+                self._wait_until(start_ns + 1000 * before.start_us)
+                before, self._number = part, self._number + 1
+                self._numbers.append(proved.number)
+                self._note_sent(proved, part)
+                packets.say(MessageKind.SEQUENCE, self._number, part.payload)
+            self._wait_until(start_ns + sequence.period_us * proved.times * 1000)
         if self._suspicion:
-            raise self._latch(self._suspicion)
-        return first
+            raise self._line.events.fault(self._suspicion)
 
     def _start_ns(self, stamp_ns: int) -> int:
         """Return when a sequence with a time stamp begins."""
-        now_ns, before_ns, self._stamp_ns = self._line.now_ns, self._stamp_ns, stamp_ns
+        now_ns, before_ns, self._stamp_ns = self._packets.now_ns, self._stamp_ns, stamp_ns
         if not self._number or stamp_ns < before_ns:
             # Time stamps have started again, as they may.
             self._ahead_ns = stamp_ns - now_ns
@@ -175,19 +175,19 @@ class SimulatedBoard(LinkHost):
     def _receive(self, message: Message) -> None:
         match message.kind:
             case MessageKind.ACK:
-                self._note_start(message, self._line.now_ns, self._line.now_ns)
+                self._note_start(message, self._packets.now_ns, self._packets.now_ns)
             case MessageKind.NAK:
-                self.refused += 1
+                self._line.events.refused()
                 self._unsafe_refused += 1
                 _, _, words = reason_of(message)
                 raise BoardError(f"the simulated board refused sequence {message.about}: {words}")
             case _:
                 super()._receive(message)
 
-    def _stop(self) -> None:
+    def zero(self) -> None:
         # A stop from another thread waits for the end of the sequence.
-        with self._writing:
-            self._line.say(MessageKind.STOP)
+        with self._line.current():
+            self._packets.say(MessageKind.STOP)
 
 
 _STARTS_WITHIN_S = 30.0  # time limit of the start, long enough for a busy computer
@@ -195,66 +195,78 @@ _ENDS_WITHIN_S = 3.0
 _SPEAKS_WITHIN_S = 5.0  # longest silence: it may wait for a processor
 
 
-class EmulatorBoard(LinkBoard):
-    """Board emulated by a process of its own, which runs as long as it is open: ``emulator:``.
-    ``books`` is an existing folder for its delivery log, and ``events`` of the finger are as
-    ``smarttouch devices emulate`` takes them."""
+def open_emulator(
+    rest: str,
+    limits: SafetyLimits,
+    output: Output | None = None,
+    books: Path | None = None,
+    events: Sequence[str] = (),
+) -> LinkDriver:
+    """Return the driver of a board that a process of its own emulates: ``emulator:``. ``books`` is
+    an existing folder for its delivery log, and ``events`` of the finger are as ``smarttouch
+    devices emulate`` takes them."""
+    refuse_rest("emulator:", rest, BoardError)
+    process = EmulatorProcess(limits.electrodes, "weighted" if output is None else output.kind)
+    process.add(*(f"--event={event}" for event in events))
+    if books is not None:
+        process.keep_books(books)
+    driver = LinkDriver("", limits, output, process=process)
+    driver.answer_within(_SPEAKS_WITHIN_S)
+    return driver
 
-    on_a_finger = False
-    device = None
 
-    def __init__(
-        self,
-        rest: str,
-        limits: SafetyLimits,
-        output: Output | None = None,
-        books: Path | None = None,
-        events: Sequence[str] = (),
-    ) -> None:
-        super().__init__("", limits, output)
-        refuse_rest("emulator:", rest, BoardError)
-        self._line.answer_s = self._line.silence_s = _SPEAKS_WITHIN_S
-        kind = "weighted" if output is None else output.kind
-        options = f"--electrodes={limits.electrodes} --output={kind} --linger=0.2 --port-only"
-        options += f" --ramp-ms={rules_over_time.RAMP_MS}"
+class EmulatorProcess:
+    """Process that emulates a ``link`` board as long as it is open."""
+
+    def __init__(self, electrodes: int, kind: str) -> None:
         self._command = [sys.executable, "-m", "smarttouch.emulator", "board", "link"]
-        self._command += options.split()
-        self._command += [f"--event={event}" for event in events]
-        if books is not None:
-            self.keep_books(books)
+        self.add(f"--electrodes={electrodes}", f"--output={kind}", "--linger=0.2", "--port-only")
+        self.add(f"--ramp-ms={rules_over_time.RAMP_MS}")
+        self._process: subprocess.Popen[bytes] | None = None
+        self._port = ""
+
+    def add(self, *options: str) -> None:
+        """Give it more options, from its next start on."""
+        self._command += options
 
     def keep_books(self, folder: Path) -> None:
-        """Set the existing folder of its delivery log, from the next opening on."""
-        self._command.append(f"--books={folder}")
+        """Set the existing folder of its delivery log, from its next start on."""
+        self.add(f"--books={folder}")
 
     @property
     def process_id(self) -> int:
+        assert self._process is not None
         return self._process.pid
 
-    def _recover(self, lost: LineLostError) -> None:
-        if self._process.poll() is not None:
-            raise lost
-        super()._recover(lost)
+    @property
+    def has_ended(self) -> bool:
+        return self._process is not None and self._process.poll() is not None
 
-    def _open(self) -> None:
-        # A session of its own: the terminal's Ctrl-C must not reach the board.
-        self._process = subprocess.Popen(
-            self._command, stdout=subprocess.PIPE, start_new_session=True
-        )
+    def start(self, line: Line) -> str:
+        """Return the name of its port, as soon as it is printed; a stop ends the wait."""
+        if line.reopened:
+            if self.has_ended:
+                raise BoardError("the emulator's process has ended")
+            return self._port
+        self._process = self._started()
         try:
-            self._line.name = self._port_of_process()
-            super()._open()
+            self._port = self._printed_port(self._process, line)
         except BaseException:
             # No host will come.
             self._process.terminate()
-            self._end()
+            self.end()
             raise
+        return self._port
 
-    def _port_of_process(self) -> str:
-        """Return the name of the process's port, as soon as it is printed."""
-        assert self._process.stdout is not None
+    def _started(self) -> "subprocess.Popen[bytes]":
+        # A session of its own: the terminal's Ctrl-C must not reach the board.
+        command = [*self._command]
+        return subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+
+    def _printed_port(self, process: "subprocess.Popen[bytes]", line: Line) -> str:
+        assert process.stdout is not None
         deadline, said = time.monotonic() + _STARTS_WITHIN_S, b""
-        with self._process.stdout as output:
+        with process.stdout as output:
             while not said.endswith(b"\n"):
                 if time.monotonic() > deadline:
                     raise BoardError(
@@ -262,22 +274,18 @@ class EmulatorBoard(LinkBoard):
                         "computer is too busy, try again"
                     )
                 if not select.select([output], [], [], 0.02)[0]:
-                    self._go_on_unless_stopped()
+                    line.require_running()
                     continue
                 if not (piece := os.read(output.fileno(), 256)):
-                    message = f"the emulator did not start (exit {self._process.wait()})"
+                    message = f"the emulator did not start (exit {process.wait()})"
                     raise BoardError(message)
                 said += piece
         return said.decode().strip()
 
-    def _close(self) -> None:
-        super()._close()
-        self._end()
-
-    def _end(self) -> None:
-        if self._halted:
-            # Its own time limit would take longer.
-            self._process.terminate()
+    def end(self) -> None:
+        """Wait until it ends, which it does without its host, and end it if it does not."""
+        if self._process is None:
+            return
         try:
             self._process.wait(_ENDS_WITHIN_S)
         except subprocess.TimeoutExpired:

@@ -103,7 +103,7 @@ def open_vibration(
     """
     trace = open_trace(rest, seconds, seed)
     bank, places = load_bank(profile), parse_places(profile, sites)
-    timing = None if display is None else display.board.timing
+    timing = None if display is None else display.board.driver.timing
     mixture = mix_colors(trace, profile, bank, places, timing, vibrated)
     source = ColorSource(trace.title, profile, mixture, reading_force_n(profile))
     source.notes += notes(mixture)

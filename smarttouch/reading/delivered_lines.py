@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.imaging.array_window import pixel_pitch_mm, reading_force_n
 from smarttouch.imaging.registration import Registration
 from smarttouch.imaging.tactile_mapper import Tone
@@ -85,9 +85,9 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
         Runner(
             source, display, config, listeners=[watch], load_kernels=lambda _: reading.bank
         ).run()
-        board = display.board
-        assert isinstance(board, SimulatedBoard)
-        pulses = board.take_pulses()
+        driver = display.board.driver
+        assert isinstance(driver, SimulatedDriver)
+        pulses = driver.take_pulses()
         answers.deliver(*pulses)
     length_mm = _length_mm(line, profile)
     picture = LinePicture(profile.electrodes, length_mm)

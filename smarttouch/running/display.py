@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 from smarttouch.base.afferent import Mode
 from smarttouch.boards.board import Board
+from smarttouch.boards.driver import Driver
 from smarttouch.boards.open import default_profile
 from smarttouch.profile import Profile, load_profile
 from smarttouch.running.display_board import DisplayBoard
@@ -24,8 +25,9 @@ class Display(DisplayBoard):
 
     Parameters
     ----------
-    url : str or type
-        Board, for example ``emulator:`` or ``link:/dev/ttyACM0``, or a driver's class.
+    url : str, type or Board
+        Board, for example ``emulator:`` or ``link:/dev/ttyACM0``, the class of a driver, or a board
+        that you made.
     profile : Profile
 
     Attributes
@@ -67,7 +69,7 @@ class Display(DisplayBoard):
 
 
 def open_display(
-    url: str | type[Board],
+    url: str | type[Driver] | Board,
     profile: Profile | str | None = None,
     **options: Any,
 ) -> Display:
@@ -75,9 +77,9 @@ def open_display(
 
     Parameters
     ----------
-    url : str or type
+    url : str, type or Board
         ``emulator:``, ``simulated:``, ``link:PORT``, ``kajimoto61:PORT``, ``etactilekit:PORT`` …,
-        or the class of a driver of your own.
+        the class of a driver of your own, or a board that you made.
     profile : Profile or str, optional
         Device and finger; the board's usual one if not given.
     **options
@@ -94,5 +96,8 @@ def open_display(
     >>> st.open_display("simulated:").profile.name
     'electric-mouse'
     """
-    usual = default_profile(url) if isinstance(url, str) else url.default_profile
+    if isinstance(url, str):
+        usual = default_profile(url)
+    else:
+        usual = (url.driver if isinstance(url, Board) else url).default_profile
     return Display(url, load_profile(profile or usual), **options)

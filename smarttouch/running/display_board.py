@@ -6,7 +6,8 @@ from typing import Any
 
 from smarttouch.base.stopping import Closing, StopRequest
 from smarttouch.boards.board import Board
-from smarttouch.boards.open import make_board, require_gate
+from smarttouch.boards.driver import Driver
+from smarttouch.boards.open import make_board
 from smarttouch.profile import Profile
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -16,20 +17,23 @@ class DisplayBoard(Closing):
 
     def __init__(
         self,
-        url: str | type[Board],
+        url: str | type[Driver] | Board,
         profile: Profile,
         **options: Any,
     ) -> None:
         limits = SafetyLimits.of(profile)
         if isinstance(url, str):
             board = make_board(url, limits, profile.output, **options)
+        elif isinstance(url, Board):
+            board = url
         else:
-            # `Board` itself is made by its limits alone; drivers as their URLs are opened.
-            driver: Any = url
-            given = SafetyLimits.of(profile)
-            board = driver("", limits, profile.output, **options)
-            require_gate(board, limits, given)
-            url = f"{url.__module__}.{url.__qualname__}:"
+            # Drivers are made as their URLs are opened.
+            kind: Any = url
+            driver = kind("", SafetyLimits.of(profile), profile.output, **options)
+            board = Board(driver, limits, profile.output)
+        if not isinstance(url, str):
+            kind = type(board.driver)
+            url = f"{kind.__module__}.{kind.__qualname__}:"
         self.url: str = url
         self.profile: Profile = profile
         self._stop = StopRequest()

@@ -39,7 +39,7 @@ class PhaseLock:
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:
         self._board, self._statistics = board, statistics
-        self._says_starts = type(board).start_of is not Board.start_of and not board.simulated_time
+        self._says_starts = board.driver.reports_starts and not board.simulated_time
         self._pending: deque[Sent] = deque(maxlen=8)
         self._delays_ns: deque[int] = deque(maxlen=64)
         self._lines: deque[tuple[int, int]] = deque(maxlen=8)

@@ -35,8 +35,7 @@ class Regulator:
 
     def is_idle(self, board: Board) -> bool:
         """Whether no measurement of a board is requested or used."""
-        measures = getattr(board.take_volts, "__func__", None) is not Board.take_volts
-        return not measures and self.adaptation is None and self.ledger is None
+        return not board.capabilities.measures and self.adaptation is None and self.ledger is None
 
     def regulate(self, step: Step, board: Board) -> Step:
         """Return the step with its sequence as it is to be sent."""
@@ -138,7 +137,7 @@ def make_regulator(
             raise BoardError(
                 "hold needs a board that measures the voltage of each slot, and this one does not"
             )
-        if not board.timing.own_widths and config.hold == "charge":
+        if not board.driver.timing.own_widths and config.hold == "charge":
             raise BoardError(
                 "hold charge needs a pulse width of its own for each slot, and this board has "
                 "one for all: choose energy"
@@ -149,10 +148,10 @@ def make_regulator(
                 f"Energy is held from {RESERVED:.0%} of the current on, so that it can rise where "
                 "skin becomes wet: raise the intensity until it is as strong as you want."
             )
-        adaptation = Adaptation(profile, hold, can.compliance_v, board.timing)
+        adaptation = Adaptation(profile, hold, can.compliance_v, board.driver.timing)
     if config.balance:
         if can.recharges:
-            recharge = RechargeRules.of(profile, board.timing)
+            recharge = RechargeRules.of(profile, board.driver.timing)
         elif len(can.polarities) < 2:
             raise BoardError(
                 f"balance needs both polarities, and this board is {can.polarities[0]} only"

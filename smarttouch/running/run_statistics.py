@@ -198,7 +198,7 @@ def figures_of(
         "late_frames": statistics.late,
         "without_force_or_image": statistics.blind,
         "replaced": board.replaced,
-        "packets_refused_by_host": board.refused_packets,
+        "packets_refused_by_host": board.driver.refused_packets,
         "packets_refused_by_board": report and report.refused_packets,
         "dropped_late": board.dropped_late,
         "restarts": statistics.restarts,

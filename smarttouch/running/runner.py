@@ -148,8 +148,8 @@ class Runner:
                 profile = masked_where_broken(board, profile, self._advise)
         bank = self.statistics.kernels = self._load_kernels(profile)
         pipeline = Pipeline(
-            profile, bank, config, board.timing, vibrated=self._vibrated,
-            in_sums=board.keeps_kernels,
+            profile, bank, config, board.driver.timing, vibrated=self._vibrated,
+            in_sums=board.driver.keeps_kernels,
         )  # fmt: skip
         first = 1.0 if self._level is None else self._level
         state = ControlState(pipeline.mode, first)
@@ -209,8 +209,8 @@ class Runner:
         return {
             **self.config.settings(profile),
             "vibrated": self._vibrated,
-            "in_sums": display.board.keeps_kernels,
-            "timing": asdict(display.board.timing),
+            "in_sums": display.board.driver.keeps_kernels,
+            "timing": asdict(display.board.driver.timing),
             "sensor": source.url or source.title,
             "sensor_title": source.title,
             "board": display.url,
@@ -224,7 +224,7 @@ class Runner:
         return {
             "carried_pc": carried_pc if any(carried_pc) else [],
             "recharge": self.config.balance and can.recharges,
-            "timing": asdict(self.display.board.timing),
+            "timing": asdict(self.display.board.driver.timing),
             "compliance_v": can.compliance_v,
             "firmware": can.firmware,
         }
@@ -311,7 +311,7 @@ def _density(profile: Profile) -> list[str]:
 
 
 def _refused_packets(board: Board, report: BoardReport) -> list[str]:
-    by_host, by_board = board.refused_packets, report.refused_packets
+    by_host, by_board = board.driver.refused_packets, report.refused_packets
     if not by_host + by_board:
         return []
     return [

@@ -1,7 +1,8 @@
 """The safety gate, which validates every limit on a frozen copy of each scan sequence."""
 
+from dataclasses import InitVar, dataclass, replace
 from threading import Lock
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.stimulation.sequence_limits import prove_fields, prove_slots
 from smarttouch.stimulation.slot_sums import SlotAdder
 
-__all__ = ["SafetyGate", "SafetyLimits"]
+__all__ = ["ProvedSequence", "SafetyGate", "SafetyLimits"]
 
 LEEWAY_PPB = 1000  # tolerance for rounding in the ramp's sum
 
@@ -106,6 +107,46 @@ class Rise:
             self._left_ns = min(self._left_ns, gone_ns + to_come_ns)
 
 
+_GATE: Final = object()
+"""Key with which the gate makes a `ProvedSequence`."""
+WAITS_NS = 5_000_000_000
+"""Longest wait of a sequence for its turn, beside four of its periods and its repetitions: a kit
+that has lost a command takes over 2 s to find the next one."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProvedSequence:
+    """Sequence that the gate has proved safe; only the gate can make one.
+
+    Attributes
+    ----------
+    sequence : ScanSequence
+        The frozen copy that was proved.
+    times : int
+        Number of passes, one period after another, unless a newer sequence comes.
+    number : int
+        Number of the sequence on its board.
+    due_ns, write_before_ns : int
+        Planned start, and the time after which it may no longer be written, by the board's clock.
+    ramped : bool
+        Whether it must keep to the ramp; not a measuring scan, which the firmware fixes.
+    """
+
+    sequence: ScanSequence
+    times: int
+    number: int
+    due_ns: int
+    write_before_ns: int
+    ramped: bool
+    session: int
+    """Of the gate, in which it was proved."""
+    key: InitVar[object] = None
+
+    def __post_init__(self, key: object) -> None:
+        if key is not _GATE:
+            raise SafetyError("only the safety gate can prove a sequence", limit="gate")
+
+
 class SafetyGate:
     """Validator of successive sequences, on the clock of the display that it guards.
 
@@ -125,8 +166,11 @@ class SafetyGate:
         self._adder = SlotAdder(limits.felt_ua)
         self._lock = Lock()
         self._now_ns: int | None = None
+        self._session = 0
         # By the display's clock, and by the time that sequences claim.
         self._rises = Rise(limits.ramp_ns), Rise(limits.ramp_ns)
+        # What was proved may wait: the rise that the skin gets is that of what was written.
+        self._written = Rise(limits.ramp_ns)
         self.restart()
 
     @property
@@ -141,9 +185,10 @@ class SafetyGate:
 
     def restart(self) -> None:
         """Close the level; sequence time may start again at zero, the session continues."""
-        for rise in self._rises:
+        for rise in (*self._rises, self._written):
             rise.restart()
         self._time_ns: int | None = None
+        self._noted: ScanSequence | None = None  # the sequence that was written last
         if self._clock is None:
             self._now_ns = None
             self._exposure.forget_second()
@@ -157,25 +202,110 @@ class SafetyGate:
         """Start at intensity zero with a dose of zero; the last second still counts."""
         now_ns = None if self._clock is None else self._clock.now_ns()
         self._exposure.begin_session(now_ns)
+        self._session += 1
         self.restart()
 
-    def prove(self, sequence: ScanSequence, times: int = 1) -> ScanSequence:
-        """Return a frozen copy of a sequence, or raise if it breaks a limit.
+    def prove(
+        self,
+        sequence: ScanSequence,
+        times: int = 1,
+        *,
+        number: int = 0,
+        due_ns: int = 0,
+        late_ns: int = LATE_NS,
+    ) -> ProvedSequence:
+        """Return a frozen copy of a sequence for its board, or raise if it breaks a limit.
+
+        Parameters
+        ----------
+        sequence : ScanSequence
+        times : int
+            Number of passes.
+        number : int
+            Of the sequence on its board.
+        due_ns, late_ns : int
+            Planned start by the board's clock, and the delay after which it is not sent.
 
         Raises
         ------
         SafetyError
             Naming the limit, the slot and electrode, and by how much.
         """
+        copy = self._prove(sequence, times, ramped=True)
+        latest_ns = due_ns + late_ns
+        return ProvedSequence(
+            copy, int(times), number, due_ns, latest_ns, True, self._session, _GATE
+        )
+
+    def check(self, sequence: ScanSequence, times: int = 1) -> ScanSequence:
+        """Return a frozen copy of a sequence that reaches no board, or raise as `prove`."""
         return self._prove(sequence, times, ramped=True)
 
-    def prove_measurement(self, sequence: ScanSequence) -> ScanSequence:
+    def prove_measurement(
+        self,
+        sequence: ScanSequence,
+        times: int = 1,
+        *,
+        number: int = 0,
+        due_ns: int = 0,
+        late_ns: int = LATE_NS,
+    ) -> ProvedSequence:
         """Return a frozen copy of a scan; every limit is checked but the rise since the one before.
 
         For boards that measure with a pulse that their firmware fixes: it cannot
         be ramped, and comes only when a user asks for it.
         """
-        return self._prove(sequence, 1, ramped=False)
+        for _ in range(times):
+            copy = self._prove(sequence, 1, ramped=False)
+        latest_ns = due_ns + late_ns
+        return ProvedSequence(copy, times, number, due_ns, latest_ns, False, self._session, _GATE)
+
+    def has_proved(self, proved: ProvedSequence) -> bool:
+        """Return whether a sequence was proved in the present session."""
+        return proved.session == self._session
+
+    def repeated(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
+        """Return a proved sequence for a later start: a repetition that the host times, or a
+        sequence that had to wait for its turn on the board.
+
+        Raises
+        ------
+        SafetyError
+            If that is later than its repetitions and the longest wait can explain.
+        """
+        period_ns = 1000 * proved.sequence.period_us
+        latest_ns = proved.due_ns + (proved.times + 4) * period_ns + WAITS_NS
+        if due_ns > latest_ns:
+            raise SafetyError(
+                f"sequence {proved.number} would begin {(due_ns - latest_ns) / 1e9:.3g} s too late",
+                limit="write_before_ns", value=due_ns, allowed=latest_ns,
+            )  # fmt: skip
+        waits_ns = proved.write_before_ns - proved.due_ns
+        return replace(proved, due_ns=due_ns, write_before_ns=due_ns + waits_ns, key=_GATE)
+
+    def permits(self, proved: ProvedSequence) -> bool:
+        """Return whether the current of a proved sequence may begin now, by what was written."""
+        sequence = proved.sequence
+        if not proved.ramped or not sequence.drives:
+            return True
+        strength_ppb = self.limits.strength_of(sequence)
+        with self._lock:
+            return self._written.permits(strength_ppb, self._time_of(sequence))
+
+    def note(self, proved: ProvedSequence) -> None:
+        """Enter that the bytes of a proved sequence have just been written; its parts and
+        repetitions count once."""
+        sequence = proved.sequence
+        if not proved.ramped or sequence is self._noted:
+            return
+        lasting_ns = 1000 * sequence.period_us * proved.times * sequence.drives
+        ppb, strength_ppb = parts_per_billion(sequence.intensity), self.limits.strength_of(sequence)
+        with self._lock:
+            self._noted = sequence
+            self._written.note(ppb, strength_ppb, self._time_of(sequence), lasting_ns)
+
+    def _time_of(self, sequence: ScanSequence) -> int:
+        return sequence.time_ns if self._clock is None else self._clock.now_ns()
 
     def _prove(self, given: ScanSequence, times: int, *, ramped: bool) -> ScanSequence:
         # What is added up is added up in memory that the next sequence will use again.

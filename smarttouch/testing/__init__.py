@@ -6,12 +6,12 @@ from smarttouch.base.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from smarttouch.base.wire.device_lines import PtyLine, TcpLine
-    from smarttouch.testing.board_contract import BoardContract
+    from smarttouch.testing.driver_contract import DriverContract
     from smarttouch.testing.pulses import ZERO, SentPulse
     from smarttouch.testing.source_contracts import ForceContract, SourceContract, StimulusContract
 
 __all__ = [
-    "ZERO", "BoardContract", "ForceContract", "PtyLine", "SentPulse", "SourceContract",
+    "ZERO", "DriverContract", "ForceContract", "PtyLine", "SentPulse", "SourceContract",
     "StimulusContract", "TcpLine",
 ]  # fmt: skip
 
@@ -20,7 +20,7 @@ if not TYPE_CHECKING:  # pytest loads a plug-in from here before it can rewrite 
         __name__,
         {
             "base.wire.device_lines": "PtyLine TcpLine",
-            "testing.board_contract": "BoardContract",
+            "testing.driver_contract": "DriverContract",
             "testing.pulses": "ZERO SentPulse",
             "testing.source_contracts": "ForceContract SourceContract StimulusContract",
         },

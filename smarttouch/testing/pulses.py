@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from smarttouch.boards.board import Board
+from smarttouch.boards.driver import Driver
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 LOCKED_S = 0.02  # delay of a driver's line: an action not through by then waits for its lock
@@ -82,8 +83,8 @@ class AtLine:
     thread: threading.Thread | None
 
     def __init__(self, board: Board, number: int, action: Callable[[], object]) -> None:
-        kinds = [kind for kind in type(board).__mro__ if issubclass(kind, Board)]
-        self._packages = {_package(kind.__module__) for kind in kinds if kind is not Board}
+        kinds = [kind for kind in type(board.driver).__mro__ if issubclass(kind, Driver)]
+        self._packages = {_package(kind.__module__) for kind in kinds if kind is not Driver}
         self._number, self._action = number, action
         self.lines: int = 0  # that were executed
         self.thread = None  # the action's, once it has started

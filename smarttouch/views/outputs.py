@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from smarttouch.base.errors import DesignError, SmartTouchError
-from smarttouch.emulator.emulated_boards import EmulatorBoard, SimulatedBoard
+from smarttouch.emulator.emulated_boards import EmulatorProcess, SimulatedDriver
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 
@@ -41,15 +41,16 @@ class DeliveredPicture(Listener):
         if self.path.suffix.lower() not in ("", ".png"):
             raise SmartTouchError(f"{self.path} cannot be drawn: name a .png")
         load_anatomy(self._anatomy)
-        board = run.board
-        if isinstance(board, EmulatorBoard):
+        driver = run.board.driver
+        process = getattr(driver, "process", None)
+        if isinstance(process, EmulatorProcess):
             from smarttouch.emulator.firmware import read_delivered
 
             folder = Path(self._open.enter_context(TemporaryDirectory(prefix="smarttouch-")))
-            board.keep_books(folder)
+            process.keep_books(folder)
             self._pulses = partial(read_delivered, folder)
-        elif isinstance(board, SimulatedBoard):
-            self._pulses = board.take_pulses
+        elif isinstance(driver, SimulatedDriver):
+            self._pulses = driver.take_pulses
         else:
             raise SmartTouchError(
                 "this picture needs a board that reports every pulse, and this one "

@@ -1,13 +1,13 @@
 """Sources and boards of other packages: found, and refused at once where they are broken."""
 
-from dataclasses import replace
 from importlib.metadata import entry_points
 
 import pytest
 
+from smarttouch.base.clock import MonotonicClock
 from smarttouch.base.errors import BoardClosedError, BoardError, SmartTouchError, SourceError
 from smarttouch.base.registry import find_opener, known_names
-from smarttouch.boards.open import MemoryBoard, default_profile, make_board, may_touch_a_finger
+from smarttouch.boards.open import MemoryDriver, default_profile, make_board, may_touch_a_finger
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.running.display import open_display
 from smarttouch.sources import open_source
@@ -18,23 +18,15 @@ from ..installed import install
 from ..raising import raises
 
 BOARD = """
-from smarttouch.boards.board import Board, BoardReport, Capabilities
+from smarttouch.boards.driver import Driver
+from smarttouch.boards.reports import Capabilities
 
-class Mine(Board):
-    def __init__(self, rest, limits, output=None):
-        super().__init__(limits, output)
-        self.capabilities = Capabilities(
-            limits.electrodes, "weighted", limits.current_ma, 100, 0.0, "mine"
-        )
-
-    def drain(self, timeout_s=1.0): ...
-    def report(self):
-        return BoardReport(0, 0, 0, 0, 0.0, 0.0, 0.0)
-    def _open(self): ...
-    def _send(self, sequence, times):
-        return 1
-    def _stop(self): ...
-    def _close(self): ...
+class Mine(Driver):
+    def __init__(self, rest, limits, output=None): ...
+    def open(self, line, limits):
+        return Capabilities(limits.electrodes, "weighted", limits.current_ma, 100, 0.0, "mine")
+    def write(self, proved): ...
+    def zero(self): ...
 """
 SOURCE = """
 from smarttouch.sources.source_contract import OpticalSource
@@ -93,7 +85,7 @@ def test_a_source_of_others(installed, profile):
 def test_no_other_package_takes_a_name_of_ours(installed, limits):
     installed(BOARD, name="memory")
     assert entry_points(group="smarttouch.boards", name="memory")
-    assert type(make_board("memory:", limits)) is MemoryBoard
+    assert type(make_board("memory:", limits).driver) is MemoryDriver
     assert known_names("smarttouch.boards").count("memory") == 1
 
 
@@ -115,9 +107,6 @@ def without(line, text=BOARD):
     [
         ("import nothing_of_that_name\n" + BOARD, "nothing_of_that_name"),
         ("Theirs = 1\n", "Mine"),
-        # Refused where it is defined, by Board itself.
-        (BOARD + "\n    def send(self, *given, **named): ...\n", "send"),
-        (BOARD + "    clock = dose = None\n", "clock"),
     ],
 )
 def test_a_board_that_cannot_be_loaded_is_refused_by_its_package(installed, limits, text, words):
@@ -128,7 +117,7 @@ def test_a_board_that_cannot_be_loaded_is_refused_by_its_package(installed, limi
 
 def test_what_is_no_board_is_refused(installed, limits):
     installed("class Mine:\n    def __init__(self, *given): ...\n")
-    with raises(BoardError, value=("mine:", "Board")):
+    with raises(BoardError, value=("mine:", "Driver")):
         make_board("mine:", limits)
 
 
@@ -140,52 +129,22 @@ def test_what_is_no_source_is_refused(installed, profile, group):
         opener("mine:", profile)
 
 
-@pytest.mark.parametrize(
-    ("more", "about"),
-    [
-        ("        from dataclasses import replace; limits = replace(limits, current_ma=5.0)", ""),
-        ("        self._gate = type('Open', (), {'prove': lambda *_: None})()", "gate"),
-        ("        self._gate.prove = lambda sequence, times: sequence", "gate"),
-        ("        self.send = print", "send"),
-        ("        self._clock = type('Clock', (), {'now_ns': lambda _: 0})()", "clock"),
-        ("    def _time(self): ...", "clock"),
-    ],
-)  # fmt: skip
-def test_a_board_that_goes_around_its_gate_is_refused(installed, limits, more, about):
-    head, tail = BOARD.split("        super().__init__(limits, output)\n")
-    base = "        super().__init__(limits, output)\n"
-    if about:
-        rest, methods = tail.split("\n    def drain")
-        text = head + base + rest + "\n" + more + "\n\n    def drain" + methods
-    else:
-        text = head + more + "\n" + base + tail
-    installed(text)
-    with raises(BoardError, names=about or "limits", value="Mine"):
-        make_board("mine:", limits)
-
-
-def test_where_no_finger_can_be_time_is_what_sequences_claim(installed, limits):
-    installed(BOARD + "    on_a_finger = False\n    def _time(self): ...\n")
-    assert make_board("mine:", limits)
-    assert not may_touch_a_finger("mine:")
-
-
-def test_a_board_without_capabilities(installed, limits):
-    start, end = BOARD.index("        self.capabilities"), BOARD.index("    def drain")
-    installed(BOARD[:start] + BOARD[end:])
+def test_a_board_of_others_may_have_a_finger_on_it(installed, limits):
+    """Whatever its driver says of itself."""
+    installed(BOARD + "    on_a_finger, simulated_time, claimed_time = False, True, True\n")
     board = make_board("mine:", limits)
-    with raises(BoardError, names="capabilities", value="Mine"):
+    assert (board.on_a_finger, board.simulated_time, board.announced) == (True, False, True)
+    assert may_touch_a_finger("mine:")
+    assert type(board.clock) is MonotonicClock
+
+
+def test_a_driver_without_capabilities(installed, limits):
+    installed(BOARD.replace("return Capabilities", "Capabilities"))
+    board = make_board("mine:", limits)
+    with raises(BoardError, names="Capabilities", value="Mine"):
         board.open()
     with raises(BoardClosedError, names="board"):
         board.send(None)
-
-
-@pytest.mark.parametrize("name", [
-    "send", "stop", "halt", "close", "open", "dose", "clock", "measure", "_refuse_late", "__exit__",
-])  # fmt: skip
-def test_no_board_is_defined_without_its_safety(name):
-    with raises(BoardError, names=name, value="Theirs"):
-        type("Theirs", (MemoryBoard,), {name: lambda self: None})
 
 
 @pytest.mark.parametrize("group", ["smarttouch.sources", "smarttouch.forces", "smarttouch.boards"])
@@ -196,14 +155,9 @@ def test_ours_are_where_they_are_registered(group):
         assert rest == "rest"
 
 
-def test_a_display_of_a_class_has_the_gate_too(profile):
-    class Wide(MemoryBoard):
-        def __init__(self, rest, limits, output=None):
-            super().__init__(rest, replace(limits, rate_hz=200.0), output)
-
-    with raises(BoardError, names="limits", value="Wide"):
-        open_display(Wide, profile)
-    assert open_display(MemoryBoard, profile).board.capabilities is not None
+def test_a_display_may_be_of_a_drivers_class(profile):
+    board = open_display(MemoryDriver, profile).board
+    assert (type(board.driver), board.on_a_finger) == (MemoryDriver, True)
 
 
 @pytest.mark.parametrize(("url", "meant"), [

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.kernels.design_problem import Problem
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
@@ -15,10 +15,10 @@ from smarttouch.running.regulation import Regulator
 from smarttouch.sources import open_source
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
-from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 
 from ..looping import loop_through
+from ..played import played
 
 TEXT = "text:the quick brown fox"
 WAYS = ("without", "reversing", "recharging")
@@ -60,11 +60,11 @@ def test_letters(row, quick, profile, bank, mode, scan):
         pipeline = Pipeline(
             profile, bank, RunConfig(mode=mode, scan=SHARED if scan == "shared" else NO_SHARING)
         )
-        board = SimulatedBoard("", SafetyLimits.of(profile), profile.output)
+        board = played(profile, SimulatedDriver)
         with board, open_source("text:the" if quick else TEXT, profile) as sensor:
             tally = loop_through(sensor, pipeline, board, watch, regulator=regulator)
-            books, skin = board._firmware.books, board._firmware._skin
-            _, _, current_ua = board.take_pulses()
+            books, skin = board.driver._firmware.books, board.driver._firmware._skin
+            _, _, current_ua = board.driver.take_pulses()
         full = current_ua[np.abs(current_ua).max(axis=1) > 600].astype(np.float64)
         own, other = ((full @ each.T).max(axis=1) for each in (rows.target, rows.other))
         assert (books.violations, books.unsafe) == (0, 0)

@@ -96,7 +96,7 @@ class Ours:
             self.pipeline.restart_softly()
         frame = Frame(image, self.count * FULL_NS, Pose(0, 0), 1.0)
         self.count += 1
-        return self.gate.prove(self.pipeline.process(frame).sequence)
+        return self.gate.check(self.pipeline.process(frame).sequence)
 
     def __call__(self):
         sequence = self.proved()

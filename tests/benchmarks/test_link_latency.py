@@ -23,7 +23,7 @@ import pytest
 from smarttouch.base.errors import BoardRestartedError
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import encode
-from smarttouch.emulator.emulated_boards import EmulatorBoard
+from smarttouch.boards.open import make_board
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -118,8 +118,9 @@ def acknowledged_s(board, sequence):
     before = board.acknowledged
     start = time.perf_counter()
     board.send(sequence)
-    with board._line.news:
-        board._line.news.wait_for(lambda: board.acknowledged > before, 1)
+    news = board.driver._packets.news
+    with news:
+        news.wait_for(lambda: board.acknowledged > before, 1)
     return time.perf_counter() - start
 
 
@@ -138,7 +139,7 @@ def test_latency(row, quick):
         output = Output(kind="weighted")
         length = len(packet(make(electrodes, 1, electrodes, 20_000)))
         bare, ours, plain = Bare(length), [], []
-        with EmulatorBoard("", limits_of(electrodes), output) as board:
+        with make_board("emulator:", limits_of(electrodes), output) as board:
             first = raised(board, electrodes)
             for step in range(first, first + (3 if quick else 60)):
                 sequence = make(electrodes, step, electrodes, 40 * electrodes + 6000)
@@ -162,7 +163,7 @@ def test_throughput(row, quick, electrodes):
     if quick and electrodes not in COUNTS[:2]:
         pytest.skip("smaller ones are every path")
     count, spent, restarts = 5 if quick else 100, [], 0
-    with EmulatorBoard("", limits_of(electrodes), Output(kind="weighted")) as board:
+    with make_board("emulator:", limits_of(electrodes), Output(kind="weighted")) as board:
         step = raised(board, electrodes)
         while len(spent) < (1 if quick else 6):
             start = time.perf_counter()

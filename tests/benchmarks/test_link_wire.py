@@ -18,10 +18,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from smarttouch.boards.link.link_board import LinkBoard
 from smarttouch.boards.link.protocol import MessageKind, encode
 from smarttouch.boards.link.sequence_encoding import KernelImage
-from smarttouch.emulator.emulated_boards import EmulatorBoard
+from smarttouch.boards.open import make_board
 from smarttouch.emulator.link_packets import rounded
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
@@ -139,14 +138,15 @@ def test_acknowledged_over_a_pseudo_terminal(row, quick, electrodes, board):
         process = subprocess.Popen(
             [host(), f"--electrodes={electrodes}"], stdout=subprocess.PIPE, text=True
         )
-        driver = LinkBoard(process.stdout.readline().strip(), limits, output)
+        driver = make_board(f"link:{process.stdout.readline().strip()}", limits, output)
     else:
-        driver = EmulatorBoard("", limits, output)
+        driver = make_board("emulator:", limits, output)
     with driver:
         driver.keep_kernels(table)
         first = raised(driver, electrodes)
         at, wire = [], []
-        driver._write_in_time = partial(sent_at, at, driver._write_in_time)
+        carrier = driver.driver._packets
+        carrier.send = partial(sent_at, at, carrier.send)
         for step in range(first, first + (3 if quick else 60)):
             ours.append(acknowledged_s(driver, lists_at(electrodes, step, table, rng)))
             wire.append(time.perf_counter() - at[-1])

@@ -18,7 +18,8 @@ import pytest
 from smarttouch.base import clock
 from smarttouch.base.clock import MonotonicClock
 from smarttouch.base.stopping import StopRequest
-from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
+from smarttouch.boards.board import Board
+from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
@@ -80,12 +81,12 @@ def errors_us(kajimoto, rate_hz, seconds, spin_ns, monkeypatch):
     """Return how far from a period the times between packets were, µs."""
     profile, bank = kajimoto
     port = NotingPort()
-    monkeypatch.setattr("smarttouch.boards.kits.streamed.open_port", lambda name: port)
-    monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
-    clock = MonotonicClock(spin_ns)
-    monkeypatch.setattr("smarttouch.boards.seal.MonotonicClock", lambda _spin_ns: clock)
+    monkeypatch.setattr("smarttouch.boards.line.open_port", lambda *_: port)
+    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
     pipeline = Pipeline(profile, bank, RunConfig(rate_hz=rate_hz, scan="points"))
-    board = Kajimoto61Board("x", SafetyLimits.of(profile), profile.output)
+    limits = SafetyLimits.of(profile)
+    driver = Kajimoto61Driver("x", limits, profile.output)
+    board = Board(driver, limits, profile.output, clock=MonotonicClock(spin_ns))
     controls, tally = Controls(ControlState(pipeline.mode)), RunStatistics()
     with steady_environment(pipeline), board:
         run_loop(

@@ -11,7 +11,7 @@ import pytest
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.files import data_folder
 from smarttouch.base.tactile_image import TactileImage
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.kernels.bank import load_bank
 from smarttouch.sources import open_source
@@ -20,6 +20,7 @@ from smarttouch.stimulation.scan_sequence import SlotPolicy
 from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
 from tests.rising import open_level
 
+from ..played import played
 from .frame_sets import LETTERS, array_named, drawn, scattered
 
 DENSITIES = (0.05, 0.10, 0.20, 0.40, 0.60)
@@ -45,7 +46,7 @@ def delivered(profile, bank, afferent, frames, activations):
         common=SchedulerContext(SlotPolicy(frames)),
     )  # fmt: skip
     proofs, spent, period_us = [], 0.0, 0
-    with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
+    with played(profile, SimulatedDriver) as board:
         for index, activation in enumerate(activations):
             rows = np.zeros((3, len(activation)), np.float32)
             rows[afferent] = activation

@@ -49,13 +49,13 @@ def test_stop(profile, quick, row):
         stop, halted = StopRequest(), threading.Event()
         window = Window(stop, show=lambda _: None)
         display = st.open_display("emulator:", profile)
-        halt = display.board._halt
+        halt = display.board.driver.zero
 
         def at_zero(halt=halt, halted=halted):
             halt()
             halted.set()
 
-        display.board._halt = at_zero
+        display.board.driver.zero = at_zero
         flows = threading.Event()
 
         def watch(result, flows=flows):

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 import tty
+from functools import partial
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from smarttouch.boards.probe_scans import one_each
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.testing.board_contract import BoardContract
+from smarttouch.testing.driver_contract import DriverContract
 from tests.boards.fresh import fresh_state, starter
 from tests.firmware.build import WHOLE
 from tests.firmware.conftest import start_cortex_m3, start_firmware
@@ -44,8 +45,8 @@ def claimed_time(request, monkeypatch):
     the rise.
     """
     if "wall_clock" not in request.keywords:
-        monkeypatch.setattr(Board, "_time", lambda self: None)
-        if not issubclass(request.cls or object, BoardContract):
+        monkeypatch.setattr("smarttouch.boards.open.Board", partial(Board, claimed_time=True))
+        if not issubclass(request.cls or object, DriverContract):
             monkeypatch.setattr("smarttouch.stimulation.safety_gate.LATE_NS", 3600 * SECOND)
             monkeypatch.setattr(Bounds, "late_rise", WHOLE_RISE)
         monkeypatch.setattr("smarttouch.emulator.rules_over_time.RAMP_MS", 0)
@@ -147,7 +148,7 @@ class ScriptedPort:
 
     at_zero = False
 
-    def promise_zero(self, zero, slow):
+    def promise_zero(self, zero):
         """Take what a keeper would be sent; here there is none."""
 
     def close(self):
@@ -162,9 +163,9 @@ def script(monkeypatch):
     def set_script(*exchanges):
         port = ScriptedPort(exchanges)
         ports.append(port)
-        monkeypatch.setattr("smarttouch.boards.kits.streamed.open_port", lambda name: port)
+        monkeypatch.setattr("smarttouch.boards.line.open_port", lambda *_: port)
         monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.KeptLine", lambda port: port)
-        monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
         return port
 
     yield set_script
@@ -275,7 +276,7 @@ class Hosted:
 
     def __init__(self, kind, starters, faulty_line, folder, monkeypatch):
         start_emulator, start_firmware, start_cortex_m3 = starters
-        monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
         # An eTactileKit may have another firmware than the usual one, a link board one in C, on
         # this machine or a Cortex-M3.

@@ -1,16 +1,20 @@
 """An eTactileKit in this process, on a clock that the test sets, without waiting."""
 
 import random
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from smarttouch.boards.kits import etactilekit_line
-from smarttouch.boards.kits.etactilekit import ETactileKitBoard
-from smarttouch.boards.kits.streamed import Job
+from smarttouch.base.clock import LATE_NS
+from smarttouch.base.errors import SequenceLateError
+from smarttouch.boards.board import Board
+from smarttouch.boards.driver import Events
+from smarttouch.boards.kits import current_scale, etactilekit_line
+from smarttouch.boards.kits.etactilekit import ETactileKitDriver
 from smarttouch.boards.reports import HostStatistics
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.stimulation.safety_gate import _GATE, ProvedSequence
 
 US, MS = 1000, 1_000_000
 
@@ -50,7 +54,7 @@ class ManualPort:
         self.coming, self.going, self.incoming = [], [], bytearray()
         self.said = bytearray()
 
-    def promise_zero(self, zero, slow=False):
+    def promise_zero(self, zero):
         """Nothing keeps it: this program ends with the board."""
 
     def board_ns(self, time_ns):
@@ -110,49 +114,90 @@ class ScanBooks(DeliveryLog):
         self.scans.setdefault(number, {})[site] = round(abs(delivered.current_ua[site]) / 9.99)
 
 
+class ManualEvents(Events):
+    """What a driver reports, counted as a board does."""
+
+    def __init__(self, electrodes):
+        self.statistics, self.number = HostStatistics(electrodes), None
+        self.acknowledged = self.rejected = 0
+        self.lifted, self.notes = False, []
+
+    def delivered(self, proved, scans, most=None):
+        again = proved.number == self.number
+        self.number = proved.number
+        self.acknowledged += not again
+        self.statistics.add(proved.sequence, scans, again, most)
+
+    def refused(self):
+        self.rejected += 1
+
+    def lift(self, lifted):
+        self.lifted = lifted
+
+    def note(self, text):
+        self.notes.append(text)
+
+    def fault(self, reason):
+        return AssertionError(reason)
+
+    def ignore(self, *_):
+        """Nothing here asks for it."""
+
+    force = volts = started = replaced = fail = ignore
+
+
+def proved(sequence, times=1, number=0, due_ns=0, late_ns=LATE_NS):
+    """Return a sequence as the gate would prove it: what is tested is what drivers do."""
+    return ProvedSequence(sequence, times, number, due_ns, due_ns + late_ns, False, 0, key=_GATE)
+
+
+def manual_line(patch, driver, port, clock, limits):
+    """Return a line to a port in this process, by a clock that the test sets."""
+    patch.setattr(current_scale, "BOOT_S", 0.0)
+    patch.setattr(etactilekit_line, "KeptLine", lambda port: port)
+    patch.setattr(etactilekit_line.time, "monotonic", clock.monotonic)
+    line = Board(driver, limits, clock=clock)._line
+    line.events = ManualEvents(limits.electrodes)
+
+    def connect(name, wrap):
+        line.name, line._port = name, wrap(port)
+
+    line.connect, line.pause = connect, clock.sleep
+    line.reconnect = lambda away_s, _wrap: clock.sleep(away_s)
+    return line
+
+
 class ManualKit:
     """A driver and its board, in one thread."""
-
-    def __init__(
-        self, monkeypatch, limits, firmware="71adee2", seed=1, late_us=200, finger=None,
-        dummy_ohm=np.inf, **line,
-    ):  # fmt: skip
-        self.clock = ManualClock(seed, late_us)
-        monkeypatch.setattr(etactilekit_line.time, "sleep", self.clock.sleep)
-        self.books = ScanBooks(limits.electrodes)
-        self.board = ETactileKitFirmware(self.books, finger, firmware=firmware, dummy_ohm=dummy_ohm)
-        self.port = ManualPort(self.board, self.clock, **line)
-        self.driver = ETactileKitBoard(f"told?firmware={firmware}", limits)
-        self.driver._clock, self.driver._pause = self.clock, self.clock.sleep
-        self.driver._serial = self.port
-        self.driver._books = HostStatistics(limits.electrodes)
-        self.driver._greet()
 
     late_ns = 0
     """How long ago each sequence was due when its turn comes."""
 
-    def run(self, jobs):
-        """Let the driver serve jobs: when they come by its clock, sequence, times."""
-        jobs = [
-            (time_ns, Job(number, sequence, self.driver._encode(sequence), times))
-            for number, (time_ns, sequence, times) in enumerate(jobs)
-        ]
+    def __init__(
+        self, patch, limits, firmware="71adee2", seed=1, late_us=200, finger=None,
+        dummy_ohm=np.inf, **line,
+    ):  # fmt: skip
+        self.clock = ManualClock(seed, late_us)
+        self.books = ScanBooks(limits.electrodes)
+        self.board = ETactileKitFirmware(self.books, finger, firmware=firmware, dummy_ohm=dummy_ohm)
+        self.port = ManualPort(self.board, self.clock, **line)
+        self.driver = ETactileKitDriver(f"told?firmware={firmware}", limits)
+        self.line = manual_line(patch, self.driver, self.port, self.clock, limits)
+        self.events, self.dropped_late = self.line.events, 0
+        self.driver.open(self.line, limits)
 
-        def take(until_s):
-            if not jobs:
-                self.driver._closing.set()
-                return None
-            time_ns, job = jobs.pop(0)
+    def run(self, jobs):
+        """Let the driver write jobs: when they come by its clock, sequence, times."""
+        for number, (time_ns, sequence, times) in enumerate(jobs):
             self.clock.time_ns = max(self.clock.time_ns, time_ns)
             # It was due when there was room for it.
-            return replace(job, due_ns=self.clock.time_ns - self.late_ns)
-
-        self.driver._take = take
-        self.driver._serve()
-        self.driver._closing.clear()
-        with self.driver._line:
-            self.driver._zero()
-        return self.driver.report()
+            due_ns = self.clock.time_ns - self.late_ns
+            try:
+                self.driver.write(proved(sequence, times, number, due_ns))
+            except SequenceLateError:
+                self.dropped_late += 1
+        self.driver.zero()
+        return self.events.statistics.report()
 
     def scans(self):
         """Return what each scan with pulses did, in order."""

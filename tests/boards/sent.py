@@ -32,10 +32,19 @@ class SentBytes:
     def __init__(self, now_ns):
         self.written, self.now_ns = [], now_ns
 
-    def keep(self, board):
-        """Keep what is written from when a board's line is opened."""
-        wrap = board._wrap
+    def keep(self, driver):
+        """Keep what is written from when a driver is opened."""
+        open_driver = driver.open
 
+        def opened(line, limits):
+            connect, reconnect = type(line).connect, type(line).reconnect
+            line.connect = lambda name, wrap=_same: connect(line, name, self._of(wrap))
+            line.reconnect = lambda away_s, wrap=_same: reconnect(line, away_s, self._of(wrap))
+            return open_driver(line, limits)
+
+        driver.open = opened
+
+    def _of(self, wrap):
         def wrapped(port):
             line = wrap(port)
             write = line.write
@@ -48,7 +57,7 @@ class SentBytes:
             line.write, line.fileno = kept, _no_number
             return line
 
-        board._wrap = wrapped
+        return wrapped
 
     def pulses(self, firmware, extra_us=0):
         """Return the pulses that a firmware gives by these bytes at these times.
@@ -60,6 +69,10 @@ class SentBytes:
             firmware.feed(data, time_ns)
         firmware.advance(self.now_ns())
         return source.pulses
+
+
+def _same(port):
+    return port
 
 
 def _no_number():

@@ -9,8 +9,9 @@ import pytest
 
 from smarttouch.base.clock import prioritized
 from smarttouch.base.errors import BoardError
+from smarttouch.boards.board import Board
 from smarttouch.boards.link.protocol import Rule
-from smarttouch.boards.open import make_board
+from smarttouch.boards.open import make_driver
 from smarttouch.boards.probe_scans import probe_sequences
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
@@ -18,7 +19,7 @@ from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_limits import Load
 from smarttouch.emulator.link_rules import BrokenRule
 from smarttouch.profile.device import Output
-from smarttouch.testing.board_contract import BoardContract
+from smarttouch.testing.driver_contract import DriverContract
 from smarttouch.testing.pulses import SentPulse, planned_pulses
 from tests.boards.fresh import deliver, fresh_state, until
 from tests.boards.sent import SentBytes, pulses_in_books
@@ -54,7 +55,7 @@ DELIVERED = "test_what_is_sent_is_delivered"
 SENT = "test_what_the_device_is_sent_is_what_was_proved"
 
 
-class Contract(BoardContract):
+class Contract(DriverContract):
     """The contract of boards, judged by the books of an emulator.
 
     Drivers subclass this with a fixture `url` and what their boards can do.
@@ -69,19 +70,29 @@ class Contract(BoardContract):
     @pytest.fixture
     def make_board(self, url, limits):
         def make(kind=self.kinds[0], url=url):
-            polarities = ("anodic", "cathodic") if self.cathodic else ("anodic",)
-            output = Output(kind=kind, polarities=polarities)
-            options = {"books": self.folder} if url == "emulator:" else {}
-            here = url(kind) if callable(url) else url
-            self.board = make_board(here, limits, output, **options)
-            self.keep_sent()
-            return self.board
+            return self.board(self.make_driver(limits, kind, url), limits)
 
+        self.url = url
         return make
 
     @pytest.fixture(autouse=True)
     def _given(self, tmp_path, make_board):
-        self.folder, self.make = tmp_path, lambda limits: make_board()
+        self.folder, self.make = tmp_path, lambda limits: self.make_driver(limits)
+
+    def make_driver(self, limits, kind=None, url=None):
+        url = url or self.url
+        polarities = ("anodic", "cathodic") if self.cathodic else ("anodic",)
+        self.output = Output(kind=kind or self.kinds[0], polarities=polarities)
+        options = {"books": self.folder} if url == "emulator:" else {}
+        here = url(self.output.kind) if callable(url) else url
+        self.driver = make_driver(here, limits, self.output, **options)
+        self.keep_sent()
+        return self.driver
+
+    def board(self, driver, limits):
+        return Board(
+            driver, limits, self.output, on_a_finger=False, claimed_time=True, late_ns=self.late_ns
+        )
 
     @pytest.fixture(autouse=True)
     def _in_time(self):
@@ -90,8 +101,8 @@ class Contract(BoardContract):
             yield
 
     def state(self):
-        process = getattr(self.board, "_process", None)
-        ended = process is not None and process.poll() is not None
+        process = getattr(self.driver, "process", None)
+        ended = process is not None and process.has_ended
         state = read_state(self.folder) if ended else fresh_state(self.folder)
         assert (state["violations"], state["unsafe"]) == (0, 0)
         return state
@@ -174,11 +185,11 @@ class OneAgainstAll(Contract):
 
     @pytest.fixture(autouse=True)
     def _no_boot(self, monkeypatch):
-        monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
 
     def keep_sent(self):
         self.sent = SentBytes(time.monotonic_ns)
-        self.sent.keep(self.board)
+        self.sent.keep(self.driver)
 
 
 class TestKajimoto61(OneAgainstAll):
@@ -246,20 +257,22 @@ class TestMemory(Contract):
 
     def pulses(self):
         """Nothing leaves this process."""
-        sent = [given for name, given in self.calls if name == "_send"]
-        return [pulse for each in sent for pulse in planned_pulses(*each)]
+        sent = [given[0] for name, given in self.calls if name == "write"]
+        return [
+            pulse for each in sent for pulse in planned_pulses(each.sequence, each.times)
+        ]  # fmt: skip
 
     def check_delivered(self, kind):
-        assert [each.time_ns for each in self.board.sequences] == [i * SECOND for i in range(5)]
+        assert [each.time_ns for each in self.driver.sequences] == [i * SECOND for i in range(5)]
 
     def assert_silent(self):
-        assert len(self.board.sequences) <= 2
+        assert len(self.driver.sequences) <= 2
 
     def test_a_newer_sequence_ends_a_repetition(self, make_board):
         with make_board() as board:
             board.send(self.sequence(0), times=1000)
             board.send(self.sequence(1))
-            assert len(board.sequences) == 2
+            assert len(board.driver.sequences) == 2
 
 
 class TestSimulated(TestMemory):
@@ -272,21 +285,21 @@ class TestSimulated(TestMemory):
         return "simulated:"
 
     def pulses(self):
-        _, width_us, current_ua = self.board.take_pulses()
+        _, width_us, current_ua = self.driver.take_pulses()
         return [
             SentPulse(tuple(map(float, row)), width)
             for row, width in zip(current_ua, width_us.tolist(), strict=True)
         ]
 
     def check_delivered(self, kind):
-        numbers, width_us, current_ua = self.board.take_pulses()
+        numbers, width_us, current_ua = self.driver.take_pulses()
         planned = np.tile(self.sequence(1).current_ua, (4, 1))
         assert numbers.tolist() == [number for number in (2, 3, 4, 5) for _ in range(4)]
         assert (width_us == self.width_us).all()
         np.testing.assert_array_equal(np.sign(current_ua), np.sign(planned))
         if kind == "weighted":
             np.testing.assert_array_equal(current_ua, planned)
-        assert len(self.board.take_pulses()[0]) == 0
+        assert len(self.driver.take_pulses()[0]) == 0
 
     def _start(self, board):
         # Its time passes within a send: what goes on for long costs long, and shows no more.
@@ -295,9 +308,9 @@ class TestSimulated(TestMemory):
 
     def assert_silent(self):
         # What repeats, or a measurement: its ramp of probes, a slot for each electrode.
-        probes = probe_sequences(self.board._gate.limits, self.board._output)
-        assert self.board.report().slots <= max(80, sum(each.slots for each in probes))
-        assert self.board._firmware.books.state == "shorted"
+        probes = probe_sequences(self.driver._limits, self.output)
+        assert self.driver.status().slots <= max(80, sum(each.slots for each in probes))
+        assert self.driver._firmware.books.state == "shorted"
 
     def test_a_newer_sequence_ends_a_repetition(self, make_board):
         # Its time passes within a send: nothing newer can come before the end.

@@ -48,7 +48,7 @@ def test_a_scale_beyond_the_band_is_refused_before_anything_is_opened(kind, fact
 @given(ratio=st.floats(1 - BAND, 1 + BAND), kind=st.sampled_from(KINDS))
 def test_a_scale_in_the_band_is_taken(ratio, kind):
     board, _ = board_of(kind, ratio * NOMINAL_UA[kind])
-    assert board.ua_per_count == pytest.approx(ratio * NOMINAL_UA[kind])
+    assert board.driver.ua_per_count == pytest.approx(ratio * NOMINAL_UA[kind])
 
 
 def counts_of(kind, board, current_ua, limits):
@@ -56,7 +56,7 @@ def counts_of(kind, board, current_ua, limits):
         limits, current_ua, WIDTH_US[kind], 1.0, 10**9, cathodic=False, sites=[1],
         discharge_us=150, period_us=20_000,
     )  # fmt: skip
-    data = board._encode(sequence)
+    data = board.driver.encode(sequence)
     if kind == "kajimoto61":
         return 16 * data[2]
     return int(np.frombuffer(data, "<u2")[1])
@@ -69,7 +69,7 @@ def test_counts_keep_current_and_charge_by_either_scale(ratio, kind, part):
     board, limits = board_of(kind, ratio * NOMINAL_UA[kind], electrode_ma=own, charge_uc=0.3)
     wanted_ua = int(part * 1000 * min(limit_ma, 300 / WIDTH_US[kind]))
     counts = counts_of(kind, board, wanted_ua, limits)
-    for scale_ua in (NOMINAL_UA[kind], board.ua_per_count):
+    for scale_ua in (NOMINAL_UA[kind], board.driver.ua_per_count):
         assert counts * scale_ua <= 1000 * limit_ma * (1 + 1e-9)
         assert counts * scale_ua * WIDTH_US[kind] <= 0.3e6 * (1 + 1e-9)
 

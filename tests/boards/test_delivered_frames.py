@@ -5,7 +5,7 @@ import pytest
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.tactile_image import TactileImage
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.boards.open import make_board
 from smarttouch.kernels.design_problem import Problem
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence, SlotPolicy
@@ -19,7 +19,7 @@ def test_delivered_currents_do_what_was_planned(profile, changed, bank):
         profile, bank, (afferent,), common=SchedulerContext(SlotPolicy((afferent,)))
     )
     sent = {}
-    with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
+    with make_board("simulated:", SafetyLimits.of(profile), profile.output) as board:
         for step in range(60):
             activation = np.zeros((3, 64), np.float32)
             sites = rng.choice(64, rng.integers(2, 30), replace=False)
@@ -30,7 +30,7 @@ def test_delivered_currents_do_what_was_planned(profile, changed, bank):
             sequence = scan.schedule(image, intensity)
             sent[board.send(sequence)] = sequence, activation[afferent], intensity
         board.drain()
-        numbers, width_us, current_ua = board.take_pulses()
+        numbers, width_us, current_ua = board.driver.take_pulses()
         report = board.report()
     limits = profile.limits
     assert report.violations == 0
@@ -68,12 +68,12 @@ def test_delivered_currents_do_what_was_planned(profile, changed, bank):
     assert shared > 100
 
 
-@pytest.mark.parametrize("look", [SimulatedBoard.report, SimulatedBoard.take_pulses])
+@pytest.mark.parametrize("look", ["report", "take_pulses"])
 def test_a_sequence_is_over_when_it_was_sent(profile, look):
     """Also what takes so long that a host must say now and then that it is there."""
     one, limits = np.ones(1, np.uint16), SafetyLimits.of(profile)
     current_ua = np.zeros((1, 64), np.int16)
-    with SimulatedBoard("", limits, profile.output) as board:
+    with make_board("simulated:", limits, profile.output) as board:
         for time_ns, times in ((0, 1), (10**9, 25), (2 * 10**9, 1)):
             current_ua[0, :2] = (500, -500) if time_ns else 0
             intensity = min(time_ns / 10**9, 1.0)
@@ -81,8 +81,8 @@ def test_a_sequence_is_over_when_it_was_sent(profile, look):
                 ScanSequence(current_ua, 100 * one, 100 * one, one, 20_000, intensity, time_ns),
                 times,
             )
-        found = look(board)
-        if look is SimulatedBoard.report:
+        found = board.report() if look == "report" else board.driver.take_pulses()
+        if look == "report":
             assert (found.sequences, found.slots, found.violations) == (3, 27, 0)
         else:
             assert found[0].tolist() == [1, *[2] * 25, 3]

@@ -39,7 +39,7 @@ class ToldLink(LinkRig):
 
     def deliver(self, sequence):
         """Deliver a sequence; return what each of its slots needed, V."""
-        sequence = self.gate.prove(sequence)
+        sequence = self.gate.check(sequence)
         self.number += 1
         payload = sequence_payload(
             self.output, sequence.period_us, sequence.width_us, sequence.discharge_us,

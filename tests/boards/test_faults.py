@@ -11,10 +11,9 @@ import time
 import pytest
 
 from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
-from smarttouch.boards.link.link_board import LinkBoard
 from smarttouch.boards.link.packet_line import SILENCE_S
 from smarttouch.boards.link.protocol import MessageKind
-from smarttouch.emulator.emulated_boards import EmulatorBoard
+from smarttouch.boards.open import make_board
 from smarttouch.emulator.firmware import read_state
 from smarttouch.profile.device import Output
 from tests.boards.fresh import HANGS_S, alive, deliver, until
@@ -27,21 +26,21 @@ HOST = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from smarttouch.emulator.emulated_boards import EmulatorBoard
+from smarttouch.boards.open import make_board
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 limits = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 column = np.full(600, 100, np.uint16)
 current = np.tile(np.array([420] + [-60] * 7, np.int16), (600, 1))
-board = EmulatorBoard("", limits, books=Path(sys.argv[1]))
+board = make_board("emulator:", limits, books=Path(sys.argv[1]))
 board.open()
 for step in range(10_000):
     intensity = min(1.0, 0.2 * step)
     slots = 50 if step else 0
     board.send(ScanSequence(current[:slots], column[:slots], column[:slots] // 2,
                             column[:slots] * 0, 200_000, intensity, step * 160_000_000))
-    print(board.process_id, flush=True)
+    print(board.driver.process.process_id, flush=True)
     time.sleep(0.16)
 """
 
@@ -72,9 +71,9 @@ def test_a_killed_host_leaves_all_electrodes_shorted(tmp_path):
 
 
 def test_a_killed_board_is_reported_at_the_next_send(make_limits, make_sequence):
-    with EmulatorBoard("", make_limits()) as board:
+    with make_board("emulator:", make_limits()) as board:
         deliver(board, make_sequence(0))
-        os.kill(board.process_id, signal.SIGKILL)
+        os.kill(board.driver.process.process_id, signal.SIGKILL)
         with raises(BoardError, value="/dev/") as error:
             send_on(board, make_sequence)
         assert board.acknowledged == 1
@@ -82,27 +81,27 @@ def test_a_killed_board_is_reported_at_the_next_send(make_limits, make_sequence)
 
 
 def test_a_killed_board_can_be_closed(make_limits):
-    with EmulatorBoard("", make_limits()) as board:
-        os.kill(board.process_id, signal.SIGKILL)
+    with make_board("emulator:", make_limits()) as board:
+        os.kill(board.driver.process.process_id, signal.SIGKILL)
     assert board.refused == 0
 
 
 def test_a_board_that_hangs_is_reported(make_limits, make_sequence):
-    with EmulatorBoard("", make_limits()) as board:
-        board._line.silence_s = SILENCE_S
+    with make_board("emulator:", make_limits()) as board:
+        board.driver._packets.silence_s = SILENCE_S
         deliver(board, make_sequence(0))
-        board._line.answer_s = 0.3
-        os.kill(board.process_id, signal.SIGSTOP)
+        board.driver._packets.answer_s = 0.3
+        os.kill(board.driver.process.process_id, signal.SIGSTOP)
         try:
             with raises(LineLostError):
                 send_on(board, make_sequence, 0.05)
         finally:
-            os.kill(board.process_id, signal.SIGCONT)
+            os.kill(board.driver.process.process_id, signal.SIGCONT)
 
 
 def test_sigterm_and_no_ctrl_c_ends_a_board_that_has_a_host(tmp_path, make_limits, start_emulator):
     process, port = start_emulator(f"--books={tmp_path}")
-    with LinkBoard(port, make_limits()):
+    with make_board(f"link:{port}", make_limits()):
         process.send_signal(signal.SIGINT)
         time.sleep(0.2)
         assert process.poll() is None
@@ -113,29 +112,29 @@ def test_sigterm_and_no_ctrl_c_ends_a_board_that_has_a_host(tmp_path, make_limit
 
 def test_a_board_without_a_host_ends_by_itself(make_limits, start_emulator):
     process, port = start_emulator("--linger=0.1")
-    with LinkBoard(port, make_limits()):
+    with make_board(f"link:{port}", make_limits()):
         pass
     assert process.wait(60) == 0
 
 
 def test_a_busy_port_is_named(make_limits, start_emulator):
     _, port = start_emulator()
-    with LinkBoard(port, make_limits()), raises(BoardError, value=port):
-        LinkBoard(port, make_limits()).open()
+    with make_board(f"link:{port}", make_limits()), raises(BoardError, value=port):
+        make_board(f"link:{port}", make_limits()).open()
 
 
 @pytest.mark.parametrize(("port", "value"), [("/dev/nowhere", "/dev/nowhere"), ("", None)])
 def test_a_missing_port_is_named(make_limits, port, value):
     with raises(BoardError, value=value):
-        LinkBoard(port, make_limits()).open()
+        make_board(f"link:{port}", make_limits()).open()
 
 
 def test_another_board_than_the_profiles_is_refused(make_limits, start_emulator):
     _, port = start_emulator()
     with raises(BoardError, names="electrodes", value=9, allowed=8):
-        LinkBoard(port, make_limits(9)).open()
+        make_board(f"link:{port}", make_limits(9)).open()
     with raises(BoardError, value="three-state", allowed="weighted"):
-        LinkBoard(port, make_limits(), Output(kind="three-state")).open()
+        make_board(f"link:{port}", make_limits(), Output(kind="three-state")).open()
 
 
 def test_a_silent_port_is_reported(make_limits):
@@ -143,28 +142,28 @@ def test_a_silent_port_is_reported(make_limits):
     name = os.ttyname(slave)
     try:
         with raises(SilentBoardError, value=name):
-            LinkBoard(name, make_limits()).open()
+            make_board(f"link:{name}", make_limits()).open()
     finally:
         os.close(master)
         os.close(slave)
 
 
 def test_a_board_stopped_by_another_program_is_reported(make_limits, make_sequence):
-    with EmulatorBoard("", make_limits()) as board:
+    with make_board("emulator:", make_limits()) as board:
         board.send(make_sequence(0))
-        board._line.send(MessageKind.STOP)
+        board.driver._packets.send(MessageKind.STOP)
         with raises(BoardError):
             send_on(board, make_sequence)
 
 
 def test_stopping_before_opening_is_fine(make_limits):
-    board = LinkBoard("/dev/nowhere", make_limits())
+    board = make_board("link:/dev/nowhere", make_limits())
     board.stop()
 
 
 def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch):
     """From another thread, while a send is halfway through its bytes."""
-    with EmulatorBoard("", make_limits()) as board:
+    with make_board("emulator:", make_limits()) as board:
         deliver(board, make_sequence(0))
         write, halfway, raised = board._line._port.write, threading.Event(), []
 
@@ -191,7 +190,7 @@ def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch)
 
 
 def test_a_stop_in_the_middle_of_a_send(make_limits, make_sequence, monkeypatch):
-    with EmulatorBoard("", make_limits()) as board:
+    with make_board("emulator:", make_limits()) as board:
         deliver(board, make_sequence(0))
         write, calls = board._line._port.write, []
 
@@ -210,7 +209,7 @@ def test_a_stop_in_the_middle_of_a_send(make_limits, make_sequence, monkeypatch)
 
 def test_heartbeats_keep_an_idle_board(make_limits, make_sequence):
     """Longer without a sequence than either end bears silence."""
-    with EmulatorBoard("", make_limits()) as board:
+    with make_board("emulator:", make_limits()) as board:
         time.sleep(0.8)
         deliver(board, make_sequence(0))
         assert board.report().sequences == 1
@@ -228,10 +227,10 @@ def test_a_driver_that_fails_while_a_pattern_is_shown_ends_it(hosted, monkeypatc
     with hosted.board as board:
         hosted.send()
         hosted.send()
-        monkeypatch.setattr(board, "_hold" if hosted.kind == "etactilekit" else "_peek", fail)
+        monkeypatch.setattr(board.driver, "write", fail)
         hosted.send()
         assert failed.wait(HANGS_S)
-        until(lambda: not board._thread.is_alive())
+        until(lambda: not board._sender.is_alive())
         hosted.assert_zero()
         with raises(BoardError) as caught:
             hosted.send()

@@ -56,14 +56,14 @@ class TestFirmware(Contract):
         table = random_table(np.random.default_rng(0), 40, self.electrodes)
         with make_board() as board:
             board.keep_kernels(table)
-            sizes, send = [], board._line.send
+            sizes, send = [], board.driver._packets.send
 
             def told(kind, *rest, **more):
                 if kind == MessageKind.SEQUENCE:
                     sizes.append(len(rest[1]))
                 return send(kind, *rest, **more)
 
-            board._line.send = told
+            board.driver._packets.send = told
             deliver(board, self.sequence(0))
             sequence = sequence_of(self.lists(table, 30), time_ns=10**9, intensity=self.intensity)
             board.send(sequence)
@@ -120,12 +120,13 @@ def test_a_board_whose_session_is_over_gets_its_kernels_in_another(start_firmwar
     table = random_table(np.random.default_rng(0), 9, limits.electrodes)
     port = start_firmware()[1]
     with make_board(f"link:{port}", limits, Output(kind="weighted")) as board:
-        board._line.beat = lambda: None
+        packets = board.driver._packets
+        packets.beat = lambda: 0.01
         time.sleep(0.3)
-        del board._line.beat
-        first = board._line.session.number
+        del packets.beat
+        first = packets.session.number
         board.keep_kernels(table)
-        assert board._line.session.number != first
+        assert packets.session.number != first
 
 
 @pytest.mark.realtime
@@ -138,7 +139,7 @@ def test_a_host_that_is_killed_leaves_zero(start_firmware, tmp_path, make_limits
         deliver(board, make_sequence(0))
         board.send(make_sequence(1, intensity=0.1, level_ua=200), times=1000)
         until(lambda: read_state(tmp_path)["slots"] > 4)
-        board._line.overtaken = True
+        board.driver.idle = lambda: None
         until(lambda: read_state(tmp_path)["state"] == "shorted")
         state = fresh_state(tmp_path)
         assert state["reason"] == "silence"

@@ -5,10 +5,9 @@ import threading
 
 import pytest
 
-from smarttouch.base.errors import BoardError, BoardStoppedError
+from smarttouch.base.errors import BoardError, BoardStoppedError, LineLostError
 from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.boards.open import make_board
-from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -51,44 +50,43 @@ class Opening(threading.Thread):
 
 @pytest.mark.parametrize("kind", ["kajimoto61", "etactilekit", "link"])
 def test_halting_ends_the_wait_for_a_board_that_does_not_answer(monkeypatch, deaf_port, kind):
-    monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 600.0)
+    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 600.0)
     monkeypatch.setattr("smarttouch.boards.link.packet_line.ANSWER_S", 600.0)
     board = make_board(f"{kind}:{deaf_port}", LIMITS, OUTPUT)
     assert isinstance(Opening(board).halted(), BoardStoppedError)
 
 
 def test_halting_ends_the_silence_that_an_etactilekit_is_given(monkeypatch, deaf_port):
-    monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
     monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.FORGETS_S", 600.0)
     monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.CHIPS_S", 0.01)
     board = make_board(f"etactilekit:{deaf_port}", LIMITS, OUTPUT)
-    waiting, pause = threading.Event(), board._pause
+    waiting, pause = threading.Event(), board._line.pause
 
     def tell_and_pause(seconds):
         if seconds == 600.0:
             waiting.set()
         pause(seconds)
 
-    board._pause = tell_and_pause
+    board._line.pause = tell_and_pause
     opening = Opening(board)
     assert waiting.wait(PATIENCE_S)
     assert isinstance(opening.halted(), BoardStoppedError)
 
 
 def test_halting_ends_the_start_of_an_emulator():
-    board = EmulatorBoard("", LIMITS)
-    board._command = ["sleep", "600"]
+    board = make_board("emulator:", LIMITS)
+    board.driver.process._command = ["sleep", "600"]
     opening = Opening(board)
     assert isinstance(opening.halted(), BoardStoppedError)
-    if hasattr(board, "_process"):
-        assert board._process.poll() is not None
+    process = board.driver.process._process
+    assert process is None or process.poll() is not None
 
 
 def test_halting_ends_the_wait_for_a_port_that_is_gone(monkeypatch, deaf_port):
     """The line breaks in a send, and does not come back."""
-    monkeypatch.setattr("smarttouch.boards.link.link_board.RECOVER_S", 600.0)
+    monkeypatch.setattr("smarttouch.boards.line.RECOVER_S", 600.0)
     board = make_board("link:/dev/nowhere", LIMITS, OUTPUT)
-    board.capabilities = None
     thread = threading.Thread(target=recover, args=(board, raised := []), daemon=True)
     thread.start()
     board.halt()
@@ -98,6 +96,6 @@ def test_halting_ends_the_wait_for_a_port_that_is_gone(monkeypatch, deaf_port):
 
 def recover(board, raised):
     try:
-        board._recover(BoardError("the line broke"))
+        board._recover(LineLostError("the line broke"))
     except BoardError as error:
         raised.append(error)

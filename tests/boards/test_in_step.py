@@ -9,7 +9,7 @@ import random
 import numpy as np
 import pytest
 
-from smarttouch.boards.kits.etactilekit import ETactileKitBoard
+from smarttouch.boards.kits.etactilekit import ETactileKitDriver
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.firmware import read_slots
@@ -65,7 +65,7 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, phase_us, drift):
     assert kit.scans() == [wanted(each) for each in sequences]
     assert (report.slots, report.pulses) == (kit.books.slots, kit.books.pulses)
     assert report.most_pulses == report.pulses
-    assert (kit.driver.acknowledged, kit.driver.refused, kit.driver.replaced) == (PATTERNS, 0, 0)
+    assert (kit.events.acknowledged, kit.events.rejected) == (PATTERNS, 0)
     assert kit.books.unsafe == 0
     took = (kit.clock.time_ns - start) / (20 * MS)
     print(f"{firmware} {phase_us} {drift}: {took:.1f} periods for {PATTERNS} patterns")
@@ -132,18 +132,6 @@ def test_what_is_too_weak_to_measure_is_scanned_and_reported_as_a_range(monkeypa
 
 
 @FIRMWARES
-def test_slow_writing_scans_each_pattern_once_too(monkeypatch, firmware):
-    kit = ManualKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS, drift=-80e-6)
-    kit.driver._slow = True
-    sequences = patterns(60)
-    start = kit.clock.time_ns
-    report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
-    shown = unlike(kit.scans())
-    assert shown == [wanted(each) for each in sequences]
-    assert report.pulses <= kit.books.pulses <= report.most_pulses
-
-
-@FIRMWARES
 def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
     kit = ManualKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS)
     sequences = [
@@ -162,9 +150,9 @@ def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
 @pytest.mark.usefixtures("patient_boards")
 @FIRMWARES
 def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch, firmware):
-    monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
     # On a machine that stands still what waits would give way to what is newer.
-    monkeypatch.setattr(ETactileKitBoard, "room_s", 60.0)
+    monkeypatch.setattr(ETactileKitDriver, "waits_s", 60.0)
     _, port = start_emulator(
         f"--books={tmp_path}", f"--firmware={firmware}", protocol="etactilekit"
     )

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError, SafetyError
-from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
+from smarttouch.boards.board import Board
+from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -21,6 +22,11 @@ ZERO = bytes([0xFF]) + bytes(61)
 RECOVERY = bytes(61), ZERO
 OPEN = [(RECOVERY[0], b""), (ZERO, b"")]
 LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
+
+
+def kajimoto(limits=LIMITS, output=None, driver=Kajimoto61Driver, **options):
+    """Return a board on a port, whose time is what sequences claim."""
+    return Board(driver("x", limits, output), limits, output, claimed_time=True, **options)
 
 
 def anodic(levels_ua, step=1, period_us=20_000, width=50, discharge=150, sign=-1):
@@ -48,7 +54,7 @@ def packet(**intensities):
 
 def test_zero_first_scans_between_zero_last(script):
     script(*OPEN, (packet(), b""), (packet(e0=26, e60=100), b""), *OPEN)
-    with Kajimoto61Board("x", LIMITS) as board:
+    with kajimoto() as board:
         # 39.0625 µA to a byte: 1,020 µA are 26.1, 3,900 are 99.84.
         deliver(board, anodic({}, 0), anodic({0: 1020, 60: 3900}))
         report = board.report()
@@ -59,14 +65,13 @@ def test_zero_first_scans_between_zero_last(script):
 
 def test_what_a_broken_line_may_have_carried_counts_as_a_range(script, monkeypatch):
     script(*OPEN, (packet(), b""), (packet(e0=26), b""), *OPEN)
-    board = Kajimoto61Board("x", LIMITS)
-    with board:
+    with kajimoto() as board:
         deliver(board, anodic({}, 0), anodic({0: 1020}))
 
         def broken(*_):
-            raise board._lost("broke")
+            raise board._line.lost("broke")
 
-        monkeypatch.setattr(board, "_write_in_time", broken)
+        monkeypatch.setattr(board._line, "drive", broken)
         deliver(board, anodic({0: 1020, 60: 3900}, 2))
         report = board.report()
     assert (report.sequences, report.slots) == (3, 1)
@@ -81,7 +86,7 @@ def test_what_a_broken_line_may_have_carried_counts_as_a_range(script, monkeypat
 def test_the_scale_of_the_profile_and_its_limit_count(script, limits, scale_ua, level_ua, steps):
     output = Output(kind="one-against-all", polarities=("anodic",), ua_per_count=scale_ua)
     script(*OPEN, (packet(), b""), (packet(e3=steps), b""), *OPEN)
-    with Kajimoto61Board("x", limits, output) as board:
+    with kajimoto(limits, output) as board:
         deliver(board, anodic({}, 0), anodic({3: level_ua}))
 
 
@@ -96,7 +101,7 @@ def test_the_scale_of_the_profile_and_its_limit_count(script, limits, scale_ua, 
 ])  # fmt: skip
 def test_what_it_cannot_do_is_refused_and_never_sent(script, sequence, attributes):
     script(*OPEN, (packet(), b""), *OPEN)
-    with Kajimoto61Board("x", LIMITS) as board:
+    with kajimoto() as board:
         deliver(board, anodic({}, 0))
         with raises(BoardError, **attributes):
             board.send(sequence)
@@ -106,23 +111,15 @@ def test_a_board_that_answers_a_pattern_is_another(script):
     script((bytes(61), b""), (ZERO, b"\x10\x02" * 4))
     with raises(BoardError, names="board"):
         # Its reply comes a moment after the pattern: the flush before must not hide it.
-        Late(script).open()
-
-
-class Late(Kajimoto61Board):
-    """Its port keeps what it has to say over a flush."""
-
-    def __init__(self, _script):
-        super().__init__("x", LIMITS)
-
-    def _flush(self):
-        pass
+        board = kajimoto()
+        board._line.discard_input = lambda: None
+        board.open()
 
 
 def test_a_measurement_is_read_and_its_wrap_named(script):
     readings = bytes([100] * 59 + [250, 5])
     script(*OPEN, (b"\xfe", readings + b"\xff"), *OPEN)
-    with Kajimoto61Board("x", LIMITS) as board:
+    with kajimoto() as board:
         found = board.measure()
     # 100 units are 35.7 V at 2.5 mA: 14.3 kΩ, of which 1/61 is the way back.
     assert found.kohm[0] == pytest.approx(14.3 * 60 / 61, rel=0.02)
@@ -136,7 +133,7 @@ def test_a_measurement_is_read_and_its_wrap_named(script):
 def test_a_measurement_that_is_none_ends_in_zero(script, answer):
     script(*OPEN, (b"\xfe", answer), *OPEN, *OPEN)
     with (
-        Kajimoto61Board("x", LIMITS) as board,
+        kajimoto() as board,
         raises(BoardError, names="measure", value=len(answer), allowed=62),
     ):
         board.measure()
@@ -145,17 +142,17 @@ def test_a_measurement_that_is_none_ends_in_zero(script, answer):
 def test_a_measurement_above_the_limits_is_never_asked_for(script):
     script(*OPEN, *OPEN)
     limits = SafetyLimits(61, 2.0, 200, 0.5, 200, 0.8, 0.5, 2.0)
-    with Kajimoto61Board("x", limits) as board, raises(SafetyError, value=2.5):
+    with kajimoto(limits) as board, raises(SafetyError, value=2.5):
         board.measure()
 
 
 def test_another_profile_is_refused():
     with raises(BoardError, names="electrodes", value=64, allowed=61):
-        Kajimoto61Board("x", SafetyLimits(64, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0))
+        kajimoto(SafetyLimits(64, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0))
     with raises(BoardError, value="weighted", allowed="one-against-all"):
-        Kajimoto61Board("x", LIMITS, Output(kind="weighted"))
+        kajimoto(LIMITS, Output(kind="weighted"))
     with raises(BoardError, names="output.wiring"):
-        Kajimoto61Board("x", LIMITS, Output(kind="one-against-all", wiring=tuple(range(61))))
+        kajimoto(LIMITS, Output(kind="one-against-all", wiring=tuple(range(61))))
 
 
 class StillClock:
@@ -180,9 +177,7 @@ def test_packets_leave_on_a_grid_and_the_newest_wins(script):
     # A run of silent ones: bytes do not matter here, but when and how many.
     port = script(*OPEN, *[(packet(), b"")] * 4, *OPEN)
     clock = StillClock()
-    board = Kajimoto61Board("x", LIMITS)
-    board._clock = clock
-    with board:
+    with kajimoto(clock=clock) as board:
         for step in range(3):
             board.send(anodic({}, step))
         clock.gate.release()
@@ -214,9 +209,7 @@ def test_a_packet_that_left_late_is_not_made_up_for(script):
     sent = []
     script(*OPEN, *[(packet(), b"")] * 5, *OPEN)
     clock = Late()
-    board = Kajimoto61Board("x", LIMITS)
-    board._clock = clock
-    with board:
+    with kajimoto(clock=clock) as board:
         for _ in range(5):
             clock.gate.release()
         deliver(board, anodic({}, 0), times=5)
@@ -225,8 +218,7 @@ def test_a_packet_that_left_late_is_not_made_up_for(script):
 
 @given(levels=st.dictionaries(st.integers(0, 60), st.integers(0, 5000), max_size=61))
 def test_no_byte_of_a_pattern_is_ever_above_200_or_the_limit(levels):
-    board = Kajimoto61Board("x", LIMITS)
-    data = board._encode(anodic(levels))
+    data = Kajimoto61Driver("x", LIMITS).encode(anodic(levels))
     assert len(data) == 62
     assert data[0] == 0xFF
     assert max(data[1:]) * 39.0625 <= 5000

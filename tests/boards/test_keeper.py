@@ -237,7 +237,7 @@ def test_a_computer_that_was_suspended_is_a_host_that_was_silent(monkeypatch):
     with port, board, data, host, control, controls:
         kept = keeper.Keeper(port.fileno(), data.fileno(), control.fileno())
         # No clock that runs during suspend says so here; heartbeats are there without end.
-        controls.sendall(keeper.ZERO + bytes([0]) + len(ZERO).to_bytes(2, "little") + ZERO)
+        controls.sendall(keeper.ZERO + len(ZERO).to_bytes(2, "little") + ZERO)
         host.sendall(b"pattern")
         codes = []
         keeping = threading.Thread(target=lambda: codes.append(kept.run()))

@@ -9,8 +9,7 @@ import pytest
 
 from smarttouch.base.errors import BoardFaultError, BoardLatchedError
 from smarttouch.boards.faults import clear_latch, find_latch, latch
-from smarttouch.boards.kits.etactilekit import ETactileKitBoard
-from smarttouch.boards.link.link_board import LinkBoard
+from smarttouch.boards.open import make_board
 from smarttouch.profile.device import Output
 
 from ..forks import PROGRAM, Forked
@@ -58,8 +57,8 @@ def deliver(board, make_sequence, count=4, **fields):
 def test_a_link_board_is_latched(fault, start_faulty, make_limits, make_sequence):
     port = start_faulty(fault, "link", 8)
     with pytest.raises(BoardFaultError) as found:
-        deliver(LinkBoard(port, make_limits()), make_sequence)
-    again = LinkBoard(port, make_limits())
+        deliver(make_board(f"link:{port}", make_limits()), make_sequence)
+    again = make_board(f"link:{port}", make_limits())
     with pytest.raises(BoardLatchedError) as refused:
         again.open()
     reason = clear_latch(again.device).reason
@@ -71,7 +70,7 @@ def test_a_link_board_is_latched(fault, start_faulty, make_limits, make_sequence
 def test_an_output_beside_the_pattern_latches_a_kit(start_faulty, make_limits, make_sequence):
     port = start_faulty("beside", "etactilekit", 8)
     output = Output(kind="one-against-all", ua_per_count=9.99)
-    board = ETactileKitBoard(port, make_limits(), output)
+    board = make_board(f"etactilekit:{port}", make_limits(), output)
     with pytest.raises(BoardFaultError):
         deliver(board, make_sequence, 6, slots=2, period_us=50_000)
     assert find_latch(board.device) is not None
@@ -79,7 +78,7 @@ def test_an_output_beside_the_pattern_latches_a_kit(start_faulty, make_limits, m
 
 def test_sound_boards_stay_as_they_are(start_emulator, make_limits, make_sequence):
     _, port = start_emulator()
-    board = LinkBoard(port, make_limits())
+    board = make_board(f"link:{port}", make_limits())
     for _ in range(2):
         deliver(board, make_sequence)
     assert find_latch(board.device) is None

@@ -7,13 +7,14 @@ import pytest
 
 from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import SafetyError, SequenceLateError
-from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
-from smarttouch.boards.open import MemoryBoard
+from smarttouch.boards.board import Board
+from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
+from smarttouch.boards.link.protocol import MessageKind
+from smarttouch.boards.open import MemoryDriver, make_driver
 from smarttouch.boards.probe_scans import one_each
-from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.stimulation.safety_gate import Rise, SafetyLimits
 
-from .fresh import deliver
+from .fresh import deliver, until
 from .manual_kit import ManualKit
 
 HOUR_NS = 3600 * 10**9
@@ -34,14 +35,6 @@ class ManualClock:
         self.waited.set()
 
 
-class Felt(MemoryBoard):
-    """As if a finger were on it: where none is, and time is what is claimed, nothing is late."""
-
-    on_a_finger = True
-    # Counts as one of ours: drivers of others keep the machine's clock.
-    __module__ = MemoryBoard.__module__
-
-
 def limits(electrodes):
     return SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
 
@@ -54,17 +47,23 @@ def pulses(electrodes, step, level_ua=1000):
     )  # fmt: skip
 
 
+def board_of(kind, electrodes, rest="x", **options):
+    """Return a board on a finger, or as is said, whose time is claimed but for what is late."""
+    driver = kind(rest, limits(electrodes))
+    usual = {"clock": ManualClock(), "claimed_time": True}
+    return Board(driver, limits(electrodes), **(usual | options))
+
+
 @pytest.mark.parametrize(
-    ("kind", "late_ns", "sent"),
+    ("on_a_finger", "late_ns", "sent"),
     [
-        (Felt, 0, 2), (Felt, LATE_NS, 2), (Felt, LATE_NS + 1, 1),
+        (True, 0, 2), (True, LATE_NS, 2), (True, LATE_NS + 1, 1),
         # Same seed, same sequences: also where the computer stood still in between.
-        (MemoryBoard, HOUR_NS, 2),
+        (False, HOUR_NS, 2),
     ],
 )  # fmt: skip
-def test_a_tenth_of_a_second_is_the_limit(kind, late_ns, sent):
-    board = kind("", limits(8))
-    board._clock = ManualClock()
+def test_a_tenth_of_a_second_is_the_limit(on_a_finger, late_ns, sent):
+    board = board_of(MemoryDriver, 8, "", on_a_finger=on_a_finger)
     with board:
         board.send(pulses(8, 0))
         due_ns = board.clock.time_ns
@@ -74,14 +73,13 @@ def test_a_tenth_of_a_second_is_the_limit(kind, late_ns, sent):
         else:
             with pytest.raises(SequenceLateError):
                 board.send(pulses(8, 1), due_ns=due_ns)
-    assert (len(board.sequences), board.dropped_late) == (sent, 2 - sent)
+    assert (len(board.driver.sequences), board.dropped_late) == (sent, 2 - sent)
 
 
 @pytest.mark.parametrize("pause_ns", [3 * LATE_NS, HOUR_NS])
 def test_after_a_pause_it_begins_at_zero(pause_ns):
     """Also after an hour of sleep: the clock runs on while the machine is suspended."""
-    board = Felt("", limits(8))
-    board._clock = ManualClock()
+    board = board_of(MemoryDriver, 8, "")
     with board:
         board.send(pulses(8, 0))
         board.send(pulses(8, 1))
@@ -93,7 +91,7 @@ def test_after_a_pause_it_begins_at_zero(pause_ns):
             board.send(pulses(8, 3))
         board.send(one_each(limits(8), 0, 50, 0.0, 4 * 10**9, cathodic=False))
         board.send(pulses(8, 5))
-    assert [sequence.intensity for sequence in board.sequences] == [0, 1, 0, 1]
+    assert [sequence.intensity for sequence in board.driver.sequences] == [0, 1, 0, 1]
     assert board.dropped_late == 1
 
 
@@ -117,9 +115,7 @@ class PausesBeforeTheSecondPacket(ManualClock):
 def test_a_packet_whose_time_has_passed_is_not_written(script, times):
     # Two silent packets, and not one of the pulses between them.
     script(*KAJIMOTO_OPEN, (KAJIMOTO_ZERO, b""), (KAJIMOTO_ZERO, b""), *KAJIMOTO_OPEN)
-    board = Kajimoto61Board("x", limits(61))
-    board._clock = PausesBeforeTheSecondPacket()
-    with board:
+    with board_of(Kajimoto61Driver, 61, clock=PausesBeforeTheSecondPacket()) as board:
         deliver(board, pulses(61, 0))
         deliver(board, pulses(61, 1), times=times)
         assert (board.acknowledged, board.dropped_late) == (1, 1)
@@ -135,14 +131,10 @@ def test_a_packet_whose_time_has_passed_is_not_written(script, times):
 def test_a_job_that_waited_through_a_pause_is_not_sent(script):
     """The pause comes before the sender has even looked at it."""
     script(*KAJIMOTO_OPEN, *KAJIMOTO_OPEN)
-    clock = ManualClock()
-    board = Kajimoto61Board("x", limits(61))
-    board._clock = clock
-    with board:
+    with board_of(Kajimoto61Driver, 61) as board:
         with board._news:
-            board._waiting = None
             board.send(pulses(61, 0))
-            clock.time_ns += LATE_NS + 1
+            board.clock.time_ns += LATE_NS + 1
         board.drain()
         assert (board.acknowledged, board.dropped_late) == (0, 1)
 
@@ -160,35 +152,35 @@ def rising(electrodes, part, step):
 
 
 @pytest.fixture
-def rise_of_the_line(monkeypatch):
-    """Return a setter of a board's ramp by the clock of its line, as outside these tests."""
+def ramp_of_the_line(monkeypatch):
+    """Return a maker of boards whose ramp counts by their clock what was written, as outside these
+    tests; the proof lets everything rise."""
 
-    def set_rise(board, ramp_ns):
+    def make(driver, electrodes, **options):
+        clock = ManualClock()
+        board = Board(driver, limits(electrodes), clock=clock, **options)
         monkeypatch.setattr("smarttouch.stimulation.safety_gate.LATE_NS", LATE_NS)
-        board._rise = Rise(ramp_ns)
+        board._gate._written = Rise(limits(electrodes).ramp_ns)
+        return board
 
-    return set_rise
+    return make
 
 
 @pytest.mark.parametrize(("ahead_ms", "sent"), LATE_RISE)
-def test_the_rise_is_counted_from_what_was_written(script, rise_of_the_line, ahead_ms, sent):
+def test_the_rise_is_counted_from_what_was_written(script, ramp_of_the_line, ahead_ms, sent):
     """Though both were proved, and neither is late: the first one's delay adds nothing."""
     part = ahead_ms / 1000 / limits(61).ramp_s
-    board = Kajimoto61Board("x", limits(61))
-    board._clock = ManualClock()
-    rise_of_the_line(board, limits(61).ramp_ns)
-    packets = [(board._encode(rising(61, part, 1)), b"")] * sent
+    driver = Kajimoto61Driver("x", limits(61))
+    packets = [(driver.encode(rising(61, part, 1)), b"")] * sent
     script(*KAJIMOTO_OPEN, (KAJIMOTO_ZERO, b""), *packets, *KAJIMOTO_OPEN)
-    with board:
+    with ramp_of_the_line(driver, 61) as board:
         deliver(board, pulses(61, 0), rising(61, part, 1))
         assert (board.acknowledged, board.dropped_late) == (1 + sent, 1 - sent)
 
 
 @pytest.mark.parametrize(("ahead_ms", "sent"), LATE_RISE)
-def test_a_link_board_rises_from_what_was_written(rise_of_the_line, ahead_ms, sent):
-    with EmulatorBoard("", limits(8)) as board:
-        board._clock = ManualClock()
-        rise_of_the_line(board, limits(8).ramp_ns)
+def test_a_link_board_rises_from_what_was_written(ramp_of_the_line, ahead_ms, sent):
+    with ramp_of_the_line(make_driver("emulator:", limits(8)), 8, on_a_finger=False) as board:
         deliver(board, pulses(8, 0))
         # Nor does it matter how late the first went.
         fast = rising(8, ahead_ms / 1000 / limits(8).ramp_s, 1)
@@ -209,15 +201,13 @@ def test_a_pattern_whose_time_has_passed_is_not_let_through(monkeypatch, late_ns
     jobs = [(begin_ns + (step + 1) * 10**9, pulses(4, 1, 999), 1) for step in range(5)]
     kit.run(jobs)
     assert len(kit.scans()) == scans
-    assert kit.driver.dropped_late == 5 * (scans == 0)
+    assert kit.dropped_late == 5 * (scans == 0)
 
 
 class PausesAfter(ManualClock):
     """The computer stands still after so many looks at the clock."""
 
-    def __init__(self, looks):
-        super().__init__()
-        self.looks = looks
+    looks = 10**9
 
     def now_ns(self):
         self.looks -= 1
@@ -226,39 +216,49 @@ class PausesAfter(ManualClock):
         return self.time_ns
 
 
-@pytest.mark.parametrize("looks", [1, 2, 3])
+def emulated(clock):
+    """Return an emulated board for which it can be too late."""
+    driver = make_driver("emulator:", limits(8))
+    return Board(driver, limits(8), clock=clock, claimed_time=True)
+
+
+@pytest.mark.parametrize("looks", [1, 2, 3, 4])
 def test_a_link_board_gets_no_byte_of_what_is_late(looks):
     """Whenever the pause comes: the last look is directly before the bytes."""
-    with EmulatorBoard("", limits(8)) as board:
+    clock = PausesAfter()
+    with emulated(clock) as board:
         deliver(board, pulses(8, 0))
-        due_ns = board.clock.now_ns()
-        board._clock = PausesAfter(looks)
-        board.clock.time_ns = due_ns
+        due_ns, clock.looks = clock.time_ns, looks
         with pytest.raises(SequenceLateError):
             board.send(pulses(8, 1), due_ns=due_ns)
         assert board.dropped_late == 1
-        board._clock = ManualClock()
         deliver(board, one_each(limits(8), 0, 50, 0.0, 4 * 10**9, cathodic=False))
         report = board.report()
     assert (report.sequences, report.pulses) == (2, 0)
     assert np.isfinite(report.max_charge_uc)
 
 
-def test_what_got_lost_is_sent_again_only_while_there_is_time():
-    with EmulatorBoard("", limits(8)) as board:
-        board._clock = ManualClock()
-        written = []
+def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
+    written = []
+    with emulated(clock := ManualClock()) as board:
+        deliver(board, pulses(8, 0))
+        packets, again = board.driver._packets, []
+        # Its answers are lost, so that it is sent again, and again.
+        monkeypatch.setattr(packets, "take", lambda data: 1)
+        send = packets.send
 
-        def send(_kind, number, payload, *, latest_ns, now_ns):
-            return now_ns() <= latest_ns and not written.append((number, payload))
+        def told(kind, about=0, payload=b"", **more):
+            again.append(kind)
+            send(kind, about, payload, **more)
+            if kind == MessageKind.SEQUENCE:
+                written.append(about)
 
-        board._line.send = send
-        board._in_flight[7], board._in_flight_due_ns = (b"packet", 0), board.clock.time_ns
-        board._send_again()
-        assert written == [(7, b"packet")]
-        board.clock.time_ns += LATE_NS + 1
-        board._again_s = 0.0
-        board._send_again()
-        assert written == [(7, b"packet")]
-        board._in_flight.clear()
-        del board._line.send
+        monkeypatch.setattr(packets, "send", told)
+        board.send(pulses(8, 1))
+        until(lambda: len(written) > 1)
+        clock.time_ns += LATE_NS + 1
+        tried = again.count(MessageKind.SEQUENCE)
+        before = len(written)
+        until(lambda: again.count(MessageKind.SEQUENCE) > tried + 1)
+        assert len(written) <= before + 1
+        monkeypatch.undo()

@@ -172,8 +172,7 @@ def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
 @pytest.mark.usefixtures("patient_boards")
 @ALL
 def test_a_port_that_stays_away_is_reported(hosted, monkeypatch):
-    for module in ("link.link_board", "kits.streamed"):
-        monkeypatch.setattr(f"smarttouch.boards.{module}.RECOVER_S", 0.3)
+    monkeypatch.setattr("smarttouch.boards.line.RECOVER_S", 0.3)
     with raises(BoardError, names="board", value=str(hosted.line.path)) as error, hosted.board:
         pulled_out_after(4, hosted)
     goes_on = hosted.kind == "etactilekit"
@@ -195,7 +194,7 @@ def test_a_board_that_is_back_gets_zero_first(hosted, known_by_usb, known):
         hosted.line.plug_in()
         with pytest.raises(BoardRestartedError):
             send_on(hosted, 30)
-        zero = board._zero_anywhere
+        zero = board.driver._zero_anywhere
         # Once before its keeper starts, which takes a while, and once by that.
         first = 2 * zero if known else b"\xf5" + zero
         assert b"".join(heard).startswith(first)
@@ -206,7 +205,7 @@ def test_a_stop_of_a_board_that_is_away_says_whether_it_goes_on(hosted, known_by
     known_by_usb(hosted.line.path, True)
     away, raised = threading.Event(), []
 
-    def reopen(_name, _within_s, _identity, pause):
+    def reopen(_name, _within_s, _identity, pause, _baudrate):
         away.set()
         pause(HANGS_S)
 
@@ -216,7 +215,7 @@ def test_a_stop_of_a_board_that_is_away_says_whether_it_goes_on(hosted, known_by
         except BoardError as error:
             raised.append(error)
 
-    monkeypatch.setattr("smarttouch.boards.kits.streamed.reopen_port", reopen)
+    monkeypatch.setattr("smarttouch.boards.line.reopen_port", reopen)
     goes_on = hosted.kind == "etactilekit"
 
     def said():

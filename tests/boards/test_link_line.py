@@ -6,7 +6,7 @@ import pytest
 
 from smarttouch.base.errors import LineLostError
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.packet_line import SILENCE_S, LinkLine
+from smarttouch.boards.link.packet_line import SILENCE_S, PacketLine
 from smarttouch.boards.link.protocol import MessageKind, encode
 
 from ..raising import raises
@@ -39,14 +39,29 @@ class Port:
         pass
 
 
+class Reads:
+    """A line that reads from such a port."""
+
+    name = "here"
+
+    def __init__(self, port):
+        self.port = port
+
+    def read_some(self):
+        return self.port.read(1)
+
+    def lost(self, what):
+        return LineLostError(f"the board at {self.name} {what}")
+
+
 @pytest.fixture
 def listen():
-    """Return a maker of lines to a port that plays pieces."""
+    """Return a maker of packets from a port that plays pieces."""
     lines = []
 
     def start(*pieces, begun=True):
-        line = LinkLine("here", lambda message: None, lambda: "")
-        line.open(Port(line, *pieces))
+        line = PacketLine(lambda message: None)
+        line.open(Reads(Port(line, *pieces)))
         line.session.begun, line.silence_s = begun, SILENCE_S
         lines.append(line)
         return line

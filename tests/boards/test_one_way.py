@@ -5,15 +5,15 @@ import threading
 import pytest
 
 from smarttouch.base.errors import BoardClosedError, BoardStoppedError, LineLostError
+from smarttouch.boards.board import Board
 from smarttouch.boards.kits.etactilekit import SENSE_SCANS
-from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
 from smarttouch.boards.link.protocol import MessageKind
-from smarttouch.boards.open import MemoryBoard, make_board
+from smarttouch.boards.open import MemoryDriver, make_board
 
 from ..raising import raises
 from .test_etactilekit import OPEN, PING, QUIET, ZERO, make  # noqa: F401
-from .test_kajimoto61 import LIMITS, RECOVERY
 from .test_kajimoto61 import OPEN as KAJIMOTO_OPEN
+from .test_kajimoto61 import RECOVERY, kajimoto
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
@@ -43,8 +43,10 @@ def test_a_board_that_is_closed_does_not_measure(board):
 
 
 def stop_within(monkeypatch, board, method):
-    """Let another thread stop a board while it waits in a method of it; return the thread."""
-    before = getattr(board, method)
+    """Let another thread stop a board while its driver waits in a method of the line; return the
+    thread."""
+    line = board._line
+    before = getattr(line, method)
     thread = threading.Thread(target=board.stop, daemon=True)
 
     def stopped(*given, **named):
@@ -53,16 +55,16 @@ def stop_within(monkeypatch, board, method):
             assert board._stopped.wait(20)
         return before(*given, **named)
 
-    monkeypatch.setattr(board, method, stopped)
+    monkeypatch.setattr(line, method, stopped)
     return thread
 
 
-@pytest.mark.parametrize("waits", ["_pause", "_read"])
+@pytest.mark.parametrize("waits", ["pause", "read"])
 def test_a_measurement_that_is_stopped_ends_in_zero(script, monkeypatch, waits):
     """Before its request it is not requested; after it nobody waits for the answer."""
-    asked = [] if waits == "_pause" else [(b"\xfe", b"")]
+    asked = [] if waits == "pause" else [(b"\xfe", b"")]
     script(*KAJIMOTO_OPEN, *asked, *KAJIMOTO_OPEN, (RECOVERY[0], b""), (RECOVERY[1], b""))
-    with Kajimoto61Board("x", LIMITS) as board:
+    with kajimoto() as board:
         thread = stop_within(monkeypatch, board, waits)
         with pytest.raises(BoardStoppedError):
             board.measure()
@@ -72,16 +74,17 @@ def test_a_measurement_that_is_stopped_ends_in_zero(script, monkeypatch, waits):
 
 def test_sense_pulses_end_with_a_stop_and_not_with_closing(script, make, monkeypatch):  # noqa: F811
     ended = [(NO_SENSE + PING, b"\x04"), *ZERO]
-    port = script(*OPEN, *ZERO, (SENSE, b""), *ended, *ZERO, *ZERO)
+    port = script(*OPEN, *ZERO, (SENSE, b""), *ended, *ZERO)
     with make() as board:
-        del board._pause
-        thread = stop_within(monkeypatch, board, "_pause")
+        del board._line.pause
+        thread = stop_within(monkeypatch, board, "pause")
         with pytest.raises(BoardStoppedError):
             board.measure()
         thread.join(20)
         # What is left is of closing.
         assert port.exchanges == ZERO
-        assert board._gate.dose.seconds == pytest.approx(0.1 * SENSE_SCANS)
+        # Both tries that it may take were proved.
+        assert board.dose.seconds == pytest.approx(2 * 0.1 * SENSE_SCANS)
 
 
 def test_sense_pulses_end_also_where_their_readings_are_lost(script, make):  # noqa: F811
@@ -99,18 +102,21 @@ def test_a_sequence_that_meets_a_stop_on_its_way_is_not_written(
 ):
     with make_board("emulator:", make_limits()) as board:
         board.send(make_sequence(0))
-        kinds, write = [], board._line.send
-        monkeypatch.setattr(
-            board._line, "send", lambda kind, *rest, **named: (kinds.append(kind),
-            write(kind, *rest, **named))[1],
-        )  # fmt: skip
-        wait = board._wait_for_room
+        packets = board.driver._packets
+        kinds, write = [], packets.send
+
+        def told(kind, *rest, **named):
+            write(kind, *rest, **named)
+            kinds.append(kind)
+
+        monkeypatch.setattr(packets, "send", told)
+        wait = board.driver._wait_for_room
 
         def stopped_meanwhile():
             wait()
             stop_elsewhere(board)
 
-        monkeypatch.setattr(board, "_wait_for_room", stopped_meanwhile)
+        monkeypatch.setattr(board.driver, "_wait_for_room", stopped_meanwhile)
         with pytest.raises(BoardStoppedError):
             board.send(make_sequence(1))
         assert MessageKind.STOP in kinds
@@ -125,26 +131,40 @@ def stop_elsewhere(board):
     assert not thread.is_alive()
 
 
+class Noting(MemoryDriver):
+    """A driver that notes what flows, and what it does just before that."""
+
+    def __init__(self, before, *given):
+        super().__init__(*given)
+        self.before, self.did = before, []
+
+    def write(self, proved):
+        with self._line.current(proved):
+            self.before()
+            self.did.append("current")
+
+    def zero(self):
+        self.did.append("zero")
+
+
+def noting(before, limits):
+    return Board(Noting(before, "", limits), limits, on_a_finger=False, claimed_time=True)
+
+
 @pytest.mark.parametrize("long", [False, True])
 def test_a_write_that_meets_a_stop_is_over_before_zero_or_followed_by_it(
     monkeypatch, make_limits, make_sequence, long
 ):
     """As of a driver that was never made for that, with a line that takes its time."""
     if long:
-        monkeypatch.setattr("smarttouch.boards.seal.WRITE_S", 0.05)
-    did, writing, goes_on = [], threading.Event(), threading.Event()
+        monkeypatch.setattr("smarttouch.boards.line.WRITE_S", 0.05)
+    writing, goes_on = threading.Event(), threading.Event()
 
-    class Slow(MemoryBoard):
-        def _send(self, sequence, times):
-            writing.set()
-            goes_on.wait(20)
-            did.append("current")
-            return 1
+    def wait():
+        writing.set()
+        goes_on.wait(20)
 
-        def _stop(self):
-            did.append("zero")
-
-    with Slow("", make_limits()) as board:
+    with noting(wait, make_limits()) as board:
         sender = threading.Thread(target=board.send, args=(make_sequence(0),), daemon=True)
         stopper = threading.Thread(target=board.stop, daemon=True)
         sender.start()
@@ -156,22 +176,4 @@ def test_a_write_that_meets_a_stop_is_over_before_zero_or_followed_by_it(
         goes_on.set()
         for each in (sender, stopper):
             each.join(20)
-        assert did == (["zero", "current", "zero"] if long else ["current", "zero"])
-
-
-def test_a_stop_within_a_write_of_its_own_thread_is_followed_by_zero(make_limits, make_sequence):
-    """As by a signal handler."""
-    did = []
-
-    class Interrupted(MemoryBoard):
-        def _send(self, sequence, times):
-            self.stop()
-            did.append("current")
-            return 1
-
-        def _stop(self):
-            did.append("zero")
-
-    with Interrupted("", make_limits()) as board:
-        board.send(make_sequence(0))
-        assert did == ["zero", "current", "zero"]
+        assert board.driver.did == (["zero", "current", "zero"] if long else ["current", "zero"])

@@ -46,8 +46,7 @@ class Stranger:
 @pytest.fixture
 def stranger(monkeypatch):
     monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.FORGETS_S", 0.1)
-    monkeypatch.setattr("smarttouch.boards.link.link_board.RECOVER_S", 0.3)
-    monkeypatch.setattr("smarttouch.boards.kits.streamed.RECOVER_S", 0.3)
+    monkeypatch.setattr("smarttouch.boards.line.RECOVER_S", 0.3)
     made = []
 
     def make(path, *answer):

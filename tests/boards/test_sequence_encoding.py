@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardError
+from smarttouch.boards.board import Board
 from smarttouch.boards.link.sequence_encoding import KernelImage, encode_scan
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.link_packets import decode_lists
 from smarttouch.emulator.rules_over_time import Room
 from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
@@ -16,7 +17,7 @@ from tests.firmware.scenes import random_table, sequence_of
 from ..raising import raises
 
 
-class SmallBoard(SimulatedBoard):
+class SmallDriver(SimulatedDriver):
     room = Room(4, 128, 300, 5)
 
 
@@ -44,19 +45,20 @@ def test_what_a_small_board_delivers_is_what_a_large_one_does(make_limits, seed)
     scans = [made_scan(rng, table, step) for step in range(1, 16)]
     fields = ("current_ua", "width_us", "discharge_us", "site")
     none = {name: getattr(scans[0], name)[:0] for name in fields}
-    for kind in (SimulatedBoard, SmallBoard):
-        with kind("", make_limits()) as board:
+    for kind in (SimulatedDriver, SmallDriver):
+        limits = make_limits()
+        with Board(kind("", limits), limits, on_a_finger=False, claimed_time=True) as board:
             board.keep_kernels(table)
             board.send(replace(scans[0], sums=None, time_ns=0, intensity=0, **none))
             numbers = [board.send(scan) for scan in scans]
             volts = [volts.tolist() for _, volts in board.take_volts()]
             report = board.report()
             assert all(board.start_of(number) is not None for number in numbers)
-            if kind is SmallBoard:
+            if kind is SmallDriver:
                 longest = max(scans, key=lambda scan: scan.slots)
                 with raises(BoardError):
                     board.send(replace(longest, time_ns=20 * 10**9), times=2)
-        found.append((volts, report, *(each.tolist() for each in board.take_pulses()[1:])))
+        found.append((volts, report, *(each.tolist() for each in board.driver.take_pulses()[1:])))
     assert found[0] == found[1]
     assert found[0][1].slots == sum(scan.slots for scan in scans)
 

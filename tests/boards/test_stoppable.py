@@ -17,7 +17,9 @@ from smarttouch.base.errors import BoardError, BoardStoppedError, LineLostError,
 from smarttouch.boards import stoppable
 from smarttouch.boards.announced import running, stop_all
 from smarttouch.boards.board import Board
+from smarttouch.boards.driver import Driver
 from smarttouch.boards.open import make_board
+from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA, CEILING_USER_MA
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -32,31 +34,40 @@ LIMITS = SafetyLimits(
 )  # fmt: skip
 
 
-class Plain(Board):
-    """A board without a line, which a finger may be on."""
+class Unlined(Driver):
+    """A driver without a line, whose board may have a finger on it."""
 
     opened = 0
 
-    def __init__(self, total_ma=CEILING_TOTAL_MA, limits=LIMITS):
-        super().__init__(
-            replace(limits, total_ma=total_ma),
-            max_current_ma=5.0, max_slots=8, time_to_zero_ms=0.0, firmware="plain",
-        )  # fmt: skip
+    def __init__(self):
+        self.zeros = []
 
-    def _open(self):
+    def open(self, line, limits):
         self.opened += 1
+        self.line = line
+        return Capabilities(4, "weighted", 5.0, 8, time_to_zero_ms=0.0, firmware="plain")
 
-    def _send(self, sequence, times):
-        return 1
+    def write(self, proved):
+        with self.line.current(proved):
+            return
 
-    def _stop(self): ...
+    def zero(self):
+        self.zeros.append(threading.get_ident())
 
 
-class Lost(Plain):
-    """A board that does not confirm zero."""
+class Lost(Unlined):
+    """A driver that does not confirm zero."""
 
-    def _halt(self):
+    def open(self, line, limits):
+        return replace(super().open(line, limits), time_to_zero_ms=None)
+
+    def zero(self):
         raise LineLostError("lost")
+
+
+def plain(total_ma=CEILING_TOTAL_MA, kind=Unlined, limits=LIMITS):
+    """Return a board without a line, which a finger may be on."""
+    return Board(kind(), replace(limits, total_ma=total_ma))
 
 
 @contextlib.contextmanager
@@ -96,9 +107,9 @@ def waiting(*boards):
 
 
 def test_a_board_is_announced_while_it_is_open():
-    with Plain():
+    with plain():
         assert running() == [os.getpid()]
-        with Plain(5.0):
+        with plain(5.0):
             assert running() == [os.getpid()]
         assert running() == [os.getpid()]
     assert running() == []
@@ -115,11 +126,11 @@ def test_a_board_that_its_program_has_forgotten_is_counted_and_stopped():
     """A driver without a thread, whose board goes on: nothing else refers to it."""
 
     def work(say):
-        def stop(_):
+        def zero(_):
             os.write(stopped, b".")
 
-        Plain._stop = stop
-        Plain().open()
+        Unlined.zero = zero
+        plain().open()
         gc.collect()
         assert sum(stoppable._program._boards.values()) == 1000 * CEILING_TOTAL_MA
         say()
@@ -135,9 +146,9 @@ def test_a_board_that_its_program_has_forgotten_is_counted_and_stopped():
 
 @pytest.mark.parametrize("fails", ["open", "stopped"])
 def test_one_that_does_not_open_is_not(monkeypatch, fails):
-    board = Plain()
+    board = plain()
     if fails == "open":
-        monkeypatch.setattr(Plain, "_open", lambda _: 1 / 0)
+        monkeypatch.setattr(Unlined, "open", lambda *_: 1 / 0)
     else:
         board.halt()
     with pytest.raises(ZeroDivisionError if fails == "open" else BoardStoppedError):
@@ -146,7 +157,7 @@ def test_one_that_does_not_open_is_not(monkeypatch, fails):
 
 
 def test_the_folder_and_its_files_are_for_their_owner_alone(own_state):
-    with Plain():
+    with plain():
         (folder,) = Path(os.environ["XDG_STATE_HOME"]).iterdir()
         files = {each.suffix: stat.S_IMODE(each.stat().st_mode) for each in folder.iterdir()}
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
@@ -162,26 +173,26 @@ def too_much(total_ma):
 def test_boards_of_a_process_share_the_budget(total_ma):
     with contextlib.ExitStack() as stack:
         for _ in range(min(8, round(CEILING_USER_MA / total_ma))):
-            stack.enter_context(Plain(total_ma))
-        one_more = Plain(10.0)
+            stack.enter_context(plain(total_ma))
+        one_more = plain(10.0)
         if total_ma < 1:
             stack.enter_context(one_more)
             return
         with too_much(CEILING_USER_MA + 10.0):
             one_more.open()
-        assert one_more.opened == 0
+        assert one_more.driver.opened == 0
     with one_more:
-        assert one_more.opened == 1
+        assert one_more.driver.opened == 1
 
 
 def test_boards_of_all_processes_share_the_budget():
-    with in_child(waiting(Plain())) as child, Plain():
+    with in_child(waiting(plain())) as child, plain():
         with too_much(CEILING_USER_MA + 0.001):
-            Plain(0.001).open()
+            plain(0.001).open()
         # One that is gone counts nothing, however it ended.
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
-        with Plain():
+        with plain():
             pass
 
 
@@ -189,7 +200,7 @@ def test_of_boards_that_open_at_once_too_many_never_do():
     def work(say):
         say()
         for _ in range(40):
-            with contextlib.suppress(BoardError), Plain():
+            with contextlib.suppress(BoardError), plain():
                 # Looked at while it is open: what is declared is never above the ceiling, but for
                 # what others declare that will be refused.
                 os.write(open_now, b"+")
@@ -212,7 +223,7 @@ def test_of_boards_that_open_at_once_too_many_never_do():
 
 def test_stopping_a_board_that_confirms_no_zero_is_an_error():
     def work(say):
-        with Lost():
+        with plain(kind=Lost):
             say()
             time.sleep(PATIENCE_S)
 
@@ -226,7 +237,7 @@ def test_a_program_with_many_open_files_is_stopped():
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
         files = [os.open("/dev/null", os.O_RDONLY) for _ in range(FILES)]
-        with Plain() as board:
+        with plain() as board:
             say()
             until(lambda: board._halted)
         for each in files:
@@ -238,12 +249,8 @@ def test_a_program_with_many_open_files_is_stopped():
 
 
 def test_that_it_has_not_is_told_also_where_its_program_closes_it_and_ends():
-    class Deaf(Plain):
-        def _stop(self):
-            raise LineLostError("lost")
-
     def work(say):
-        board = Deaf()
+        board = plain(kind=Lost)
         board.open()
         say()
         until(lambda: board._halted)
@@ -257,12 +264,12 @@ def test_that_it_has_not_is_told_also_where_its_program_closes_it_and_ends():
 
 def test_a_stop_is_for_good_in_a_process_that_goes_on():
     def work(say):
-        board = Plain()
+        board = plain()
         board.open()
         say()
         until(lambda: board._halted)
         until(lambda: not running())
-        for each in (board, Plain()):
+        for each in (board, plain()):
             board.close()
             with pytest.raises(BoardStoppedError):
                 each.open()
@@ -273,7 +280,7 @@ def test_a_stop_is_for_good_in_a_process_that_goes_on():
 
 
 def test_a_forked_process_does_not_drive_the_boards_of_its_parent():
-    with Plain() as board:
+    with plain() as board:
         with in_child(lambda say: say() if board._stopped.is_set() else None) as child:
             assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
         assert running() == [os.getpid()]
@@ -282,8 +289,8 @@ def test_a_forked_process_does_not_drive_the_boards_of_its_parent():
 
 def test_a_forked_process_that_closes_the_boards_of_its_parent_writes_nothing(monkeypatch):
     told, writes = os.pipe()
-    monkeypatch.setattr(Plain, "_stop", lambda _: os.write(writes, b"."))
-    with Plain() as board:
+    monkeypatch.setattr(Unlined, "zero", lambda _: os.write(writes, b"."))
+    with plain() as board:
         with in_child(lambda say: (board.close(), say())) as child:
             assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
         os.set_blocking(told, False)
@@ -300,7 +307,7 @@ def test_handlers_of_signals_are_there_while_a_board_is_open():
         for number in numbers:
             signal.signal(number, signal.SIG_DFL)
         for _ in range(2):
-            with Plain():
+            with plain():
                 assert [signal.getsignal(each) for each in numbers] != default
             assert [signal.getsignal(each) for each in numbers] == default
         assert signal.set_wakeup_fd(-1) == -1
@@ -312,10 +319,10 @@ def test_handlers_of_signals_are_there_while_a_board_is_open():
 
 def test_they_are_there_for_the_main_thread_also_where_another_has_one_open():
     def work(say):
-        opening = threading.Thread(target=Plain().open)
+        opening = threading.Thread(target=plain().open)
         opening.start()
         opening.join()
-        with Plain() as board:
+        with plain() as board:
             _sleep(say, board)
 
     assert _code_at_sigterm(work) == 128 + signal.SIGTERM
@@ -331,7 +338,7 @@ def test_a_signal_ends_a_process_whatever_its_event_loop_does(loop_starts):
     def work(say):
         if loop_starts == "before":
             start_loop()
-        with Plain() as board:
+        with plain() as board:
             if loop_starts == "after":
                 start_loop()
             _sleep(say, board)

@@ -62,7 +62,7 @@ def test_the_host_hangs(running):
 @pytest.mark.realtime
 def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_path, monkeypatch):
     # How long it waits for the port to come back is another test's.
-    monkeypatch.setattr(Forked, "changes", {"smarttouch.boards.link.link_board.RECOVER_S": 0.3})
+    monkeypatch.setattr(Forked, "changes", {"smarttouch.boards.line.RECOVER_S": 0.3})
     emulator, port, books = start_emulator(64, "link", "--linger=0.2")
     # A name of its own: that of the system goes to whoever opens the next port.
     name = tmp_path / "port"

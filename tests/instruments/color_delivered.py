@@ -8,7 +8,7 @@ import numpy as np
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.stopping import StopRequest
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.instruments.color_mix import mix_colors
 from smarttouch.instruments.color_source import ColorSource
 from smarttouch.instruments.skin_trace import open_trace
@@ -18,8 +18,8 @@ from smarttouch.running.listener import Listener, as_listeners
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
-from smarttouch.stimulation.safety_gate import SafetyLimits
 
+from ..played import played
 from ..reference.recover import recover
 
 LEVEL = 0.25
@@ -52,7 +52,7 @@ def feel(spec, profile, bank, seconds=2.0, vibrator=None, **options):
     def watch(sent):
         began_s[sent.number] = sent.step.sequence.time_ns / 1e9
 
-    board = SimulatedBoard("", SafetyLimits.of(profile), profile.output)
+    board = played(profile, SimulatedDriver)
     if vibrated:
         vibrator.prepare(None)
     with board, contextlib.closing(vibrator or Listener()):
@@ -66,7 +66,7 @@ def feel(spec, profile, bank, seconds=2.0, vibrator=None, **options):
             controls=Controls(ControlState(mixture.mode, LEVEL)),
             clock=SimulatedClock(),
         )
-        numbers, _, current_ua = board.take_pulses()
+        numbers, _, current_ua = board.driver.take_pulses()
         assert board.report().violations == 0
     time_s = np.array([began_s[number] for number in numbers.tolist()])
     risen = time_s > RISEN_S

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.instruments.electric_mouse import MouseSource, TexturePicture
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
@@ -15,9 +15,9 @@ from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
-from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..looping import loop_through
+from ..played import played
 
 OPENED_NS = 700_000_000
 """So long the hand rests, and a point here and there opens the level."""
@@ -89,16 +89,15 @@ def feel(sensor: MouseSource, profile, bank, seconds: float | None = None) -> Si
             times_ns[sent.number] = frame.time_ns
             poses_mm[sent.number] = (frame.pose.x_mm, frame.pose.y_mm)
 
-    limits = SafetyLimits.of(profile)
-    with sensor, SimulatedBoard("", limits, profile.output) as board:
+    with sensor, played(profile, SimulatedDriver) as board:
         config = RunConfig(mode=sensor.mode, scan="points", balance=True)
         tally = loop_through(
             sensor, Pipeline(profile, bank, config), board, watch, seconds=seconds,
             controls=Controls(ControlState(sensor.mode)),
             regulator=Regulator(
                 ledger=ChargeBalance(len(profile.electrodes)),
-                recharge=RechargeRules.of(profile, board.timing),
+                recharge=RechargeRules.of(profile, board.driver.timing),
             ),
         )  # fmt: skip
-        drawing.deliver(*board.take_pulses())
+        drawing.deliver(*board.driver.take_pulses())
     return SimulationResult(drawing, pulses_of(drawing), times_ns, poses_mm, tally)

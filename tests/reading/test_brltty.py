@@ -8,7 +8,7 @@ import pytest
 
 from smarttouch.base.afferent import Mode
 from smarttouch.braille.cells import POSITION, dots_to_cells
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
@@ -114,8 +114,8 @@ def test_texts_come_back_from_the_delivered_dots(brltty):
         Runner(
             source, display, config, listeners=[answers.watch], load_kernels=lambda _: bank
         ).run()
-        assert isinstance(display.board, SimulatedBoard)
-        answers.deliver(*display.board.take_pulses())
+        assert isinstance(display.board.driver, SimulatedDriver)
+        answers.deliver(*display.board.driver.take_pulses())
     felt = delivered(answers, source.layout)
     assert len(source.lines) == len(texts)
     for number, text in list(enumerate(texts))[RISING:]:

@@ -9,6 +9,7 @@ Make them anew only where sequences are meant to change, and say so.
 import json
 import sys
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,8 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.errors import LineLostError
 from smarttouch.base.stopping import StopRequest
-from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
-from smarttouch.boards.open import MemoryBoard
+from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
+from smarttouch.boards.open import MemoryDriver
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running import recorder as writer_module
@@ -37,8 +38,9 @@ from smarttouch.sources.source_contract import Frame, Source, Stimulus
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance
-from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
+
+from ..played import played
 
 FOLDER = Path(__file__).parent / "goldens"
 STARTED_UNIX_NS = 1_700_000_000 * 10**9
@@ -82,7 +84,7 @@ GOLDENS = (
     Golden(
         "natural", "electric-mouse", Mode.NATURAL, "t", 0.9, wishes=((0.7, ControlState(Mode.RA)),)
     ),
-    Golden("kajimoto", "kajimoto-61", Mode.RA, "no", 1.0, timing=Kajimoto61Board.timing),
+    Golden("kajimoto", "kajimoto-61", Mode.RA, "no", 1.0, timing=Kajimoto61Driver.timing),
     Golden(
         "regulated", "electric-mouse", Mode.RA, "l", 1.2, rate_hz=20, hold="energy", balance=True,
         light_on_dark=True, lost_at=14,
@@ -142,32 +144,26 @@ class Script(Controls):
         return [each for after_s, each in self._wishes if time_ns >= after_s * 1e9][-1]
 
 
-class Board(MemoryBoard):
+class GoldenDriver(MemoryDriver):
     """A board in memory that can be lost once; where it matters it measures skin that dries out."""
 
-    def __init__(self, golden, profile):
-        super().__init__("", SafetyLimits.of(profile), profile.output)
-        self.timing, self._lost_at, self._delivered = golden.timing, golden.lost_at, []
+    def __init__(self, golden, *given):
+        super().__init__(*given)
+        self.timing, self._lost_at = golden.timing, golden.lost_at
         self._measures = golden.hold is not None
 
-    def _send(self, sequence, times):
+    def open(self, line, limits):
+        return replace(super().open(line, limits), measures=self._measures)
+
+    def write(self, proved):
         if len(self.sequences) == self._lost_at:
             self._lost_at = None
             raise LineLostError("the board in memory was lost")
-        self._delivered.append(sequence)
-        return super()._send(sequence, times)
-
-    def _recover(self, lost):
-        self._delivered.clear()
-
-    def take_volts(self):
-        delivered, self._delivered = self._delivered, []
-        kohm = 1.0 + 0.1 * len(self.sequences)
-        return [
-            (each, (np.abs(each.current_ua).max(axis=1) * kohm / 1000).astype(np.float32))
-            for each in delivered
-            if each.slots and self._measures
-        ]
+        super().write(proved)
+        if proved.sequence.slots and self._measures:
+            kohm = 1.0 + 0.1 * len(self.sequences)
+            volts = np.abs(proved.sequence.current_ua).max(axis=1) * kohm / 1000
+            self._line.events.volts(proved.sequence, volts.astype(np.float32))
 
 
 def make(golden, path):
@@ -204,7 +200,7 @@ def make(golden, path):
         Adaptation(profile, golden.hold, 100.0, golden.timing) if golden.hold else None,
         ChargeBalance(len(profile.electrodes)) if golden.balance else None,
     )
-    board = Board(golden, profile)
+    board = played(profile, partial(GoldenDriver, golden))
     recorder = RecordingWriter(path, about, STARTED_UNIX_NS)
     with open_source(f"text:{golden.text}", profile) as page, board:
         run_loop(

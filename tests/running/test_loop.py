@@ -18,9 +18,8 @@ from smarttouch.base.errors import (
 )
 from smarttouch.base.events import BoardRestarted
 from smarttouch.base.stopping import StopRequest
-from smarttouch.boards.open import MemoryBoard
+from smarttouch.boards.open import MemoryDriver, make_board
 from smarttouch.boards.probe_scans import one_each
-from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import OnEvent, OnStep, as_listeners
@@ -34,6 +33,7 @@ from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.recharge import ChargeBalance
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
+from ..played import played
 from ..raising import raises
 
 
@@ -83,30 +83,26 @@ class Bars(OpticalSource):
         return Frame(image, time_ns, Pose(0, 0), **{"number": self.frames - 1, **now})
 
 
-class Watched(MemoryBoard):
-    """A board in memory that notes what it is asked to do."""
+class Watched(MemoryDriver):
+    """A driver in memory that notes what it is asked to do."""
 
-    # Counts as one of ours: drivers of others keep the machine's clock.
-    __module__ = MemoryBoard.__module__
-
-    def __init__(self, profile):
-        super().__init__("", SafetyLimits.of(profile), profile.output)
-        # However busy the machine is, nothing is late but what a test makes late.
-        self._clock = FakeClock()
+    def __init__(self, *given):
+        super().__init__(*given)
         self.calls = []
 
-    def _open(self):
-        super()._open()
+    def open(self, line, limits):
         self.calls.append("open")
+        return super().open(line, limits)
 
-    def _stop(self):
-        self.calls.append("stop")
+    def zero(self):
+        self.calls.append("zero")
 
-    def _close(self):
+    def close(self):
         self.calls.append("close")
 
-    def drain(self, timeout_s=1.0):
+    def is_busy(self):
         self.calls.append("drain")
+        return False
 
 
 def loop(source, pipeline, board, **options):
@@ -117,7 +113,8 @@ def loop(source, pipeline, board, **options):
 
 @pytest.fixture
 def board(profile):
-    return Watched(profile)
+    # However busy the machine is, nothing is late but what a test makes late.
+    return played(profile, Watched, clock=FakeClock())
 
 
 @pytest.fixture
@@ -131,8 +128,8 @@ def test_frames_are_asked_for_at_absolute_deadlines(pipeline, board):
         loop(sensor, pipeline, board, statistics=tally, clock=clock)
     assert clock.deadlines == [i * 20_000_000 for i in range(51)]
     assert sensor.times == clock.deadlines[:50]
-    assert len(board.sequences) == tally.frames == 50
-    assert board.calls == ["open", "drain", "stop", "close"]
+    assert len(board.driver.sequences) == tally.frames == 50
+    assert board.driver.calls == ["open", "drain", "zero", "close"]
 
 
 def test_a_late_loop_moves_its_schedule_and_never_hurries(pipeline, board):
@@ -168,15 +165,15 @@ def test_a_little_lateness_does_not_add_up(pipeline, board):
 
 
 def test_a_board_whose_clock_is_behind_is_followed(pipeline, board, monkeypatch):
-    clock, tally, send = FakeClock(), RunStatistics(), board._send
+    clock, tally, send = FakeClock(), RunStatistics(), board.driver.write
 
-    def held_up(sequence, times):
+    def held_up(proved):
         # Its scans begin 7 ms after their time: who asks earlier has to wait.
         phase = (clock.time_ns - 5_000 - 7_000_000) % 20_000_000
         clock.time_ns += (20_000_000 - phase) if phase > 10_000_000 else 0
-        return send(sequence, times)
+        return send(proved)
 
-    monkeypatch.setattr(board, "_send", held_up)
+    monkeypatch.setattr(board.driver, "write", held_up)
     # Real processor time means nothing beside this clock.
     monkeypatch.setattr("time.thread_time_ns", lambda: 0)
     with board:
@@ -187,13 +184,13 @@ def test_a_board_whose_clock_is_behind_is_followed(pipeline, board, monkeypatch)
 
 
 def test_own_work_in_a_send_is_no_wait_for_the_board(pipeline, board, monkeypatch):
-    clock, send = FakeClock(), board._send
+    clock, send = FakeClock(), board.driver.write
 
-    def worked(sequence, times):
+    def worked(proved):
         clock.time_ns += 5_000_000
-        return send(sequence, times)
+        return send(proved)
 
-    monkeypatch.setattr(board, "_send", worked)
+    monkeypatch.setattr(board.driver, "write", worked)
     monkeypatch.setattr("time.thread_time_ns", lambda: clock.time_ns)
     with board:
         loop(Bars(20), pipeline, board, clock=clock)
@@ -232,31 +229,30 @@ def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, pipeline, board, st
 
     sensor = Bars(fails_at=3 if stage == "sensor" else None)
     if stage == "board":
-        monkeypatch.setattr(board, "_send", broken)
+        monkeypatch.setattr(board.driver, "write", broken)
     if stage == "pipeline":
         monkeypatch.setattr(pipeline, "process", broken)
     observers = [broken] if stage == "observer" else []
     with pytest.raises(BrokenStageError), board:
         loop(sensor, pipeline, board, listeners=as_listeners(observers))
-    assert board.calls == ["open", "stop", "close"]
+    assert board.driver.calls == ["open", "zero", "close"]
 
 
 def intensities(board):
-    return [sequence.intensity for sequence in board.sequences]
+    return [sequence.intensity for sequence in board.driver.sequences]
 
 
 def test_a_board_that_was_lost_and_is_back_begins_at_zero(monkeypatch, pipeline, board):
-    tally, send = RunStatistics(), board._send
+    tally, send = RunStatistics(), board.driver.write
     lost = LineLostError("the board at x has vanished")
 
-    def loses_the_fortieth(sequence, times):
-        if len(board.sequences) == 40:
-            monkeypatch.setattr(board, "_send", send)
+    def loses_the_fortieth(proved):
+        if len(board.driver.sequences) == 40:
+            monkeypatch.setattr(board.driver, "write", send)
             raise lost
-        return send(sequence, times)
+        return send(proved)
 
-    monkeypatch.setattr(board, "_send", loses_the_fortieth)
-    monkeypatch.setattr(board, "_recover", lambda lost: None)
+    monkeypatch.setattr(board.driver, "write", loses_the_fortieth)
     with board:
         loop(Bars(60), pipeline, board, statistics=tally)
     assert (tally.restarts, tally.frames) == (1, 59)
@@ -271,11 +267,10 @@ def test_after_a_loss_nothing_but_zero_is_let_through(monkeypatch, profile, pipe
 
     with board:
         loop(Bars(40), pipeline, board)
-        last = board.sequences[-1]
+        last = board.driver.sequences[-1]
         assert last.intensity == 1
         with monkeypatch.context() as patch:
-            patch.setattr(board, "_send", lost)
-            patch.setattr(board, "_recover", lambda lost: None)
+            patch.setattr(board.driver, "write", lost)
             with pytest.raises(BoardRestartedError):
                 board.send(replace(last, time_ns=last.time_ns + 10**9))
         with raises(SafetyError, limit="ramp_s", value=1, allowed=0):
@@ -286,10 +281,11 @@ def test_a_board_that_stays_lost_ends_the_run(monkeypatch, pipeline, board):
     def broken(*_):
         raise LineLostError("the board at x has vanished")
 
-    monkeypatch.setattr(board, "_send", broken)
     with raises(LineLostError, names="board", value="x"), board:
+        monkeypatch.setattr(board.driver, "write", broken)
+        monkeypatch.setattr(board.driver, "open", broken)
         loop(Bars(60), pipeline, board)
-    assert board.calls == ["open", "stop", "close"]
+    assert board.driver.calls[-2:] == ["zero", "close"]
 
 
 def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(pipeline, board):
@@ -326,7 +322,7 @@ def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkey
         source, listeners = Bars(60, speed=0), as_listeners([saturate])
         loop(source, pipeline, board, listeners=listeners, regulator=regulator)
     # The same voltage at ever more current: impedance seems to fall, and energy holds.
-    late = [s for s in board.sequences[30:] if s.slots]
+    late = [s for s in board.driver.sequences[30:] if s.slots]
     assert {bool(s.current_ua[0, s.site[0]] > 0) for s in late} == {True, False}
     assert regulator.ledger.worst_uc < 1.0
 
@@ -349,8 +345,8 @@ def test_what_could_not_be_held_is_reported(profile):
 def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     """By the voltages and the force that the board reports; it comes back from zero."""
     sent = []
-    board = EmulatorBoard(
-        "", SafetyLimits.of(profile), profile.output, events=["0.9 lift", "1.5 touch"]
+    board = make_board(
+        "emulator:", SafetyLimits.of(profile), profile.output, events=["0.9 lift", "1.5 touch"]
     )
     with board:
         run_loop(
@@ -455,7 +451,7 @@ def test_the_user_s_request_is_followed_and_reported(pipeline, board):
     # Kernels of the other class: its center is cathodic.
     current_ua = [
         sequence.current_ua[0, sequence.site[0]]
-        for sequence in (board.sequences[i] for i in (79, 119))
+        for sequence in (board.driver.sequences[i] for i in (79, 119))
     ]
     assert current_ua[0] < 0 < current_ua[1]
     end_ns, _ = told.pop()
@@ -476,16 +472,15 @@ def test_the_same_image_again_is_felt_once(pipeline, board):
 
 
 def test_every_step_is_observed_also_one_that_was_lost(pipeline, board, monkeypatch):
-    send, seen = board._send, []
+    send, seen = board.driver.write, []
     lost = LineLostError("the line is lost")
 
-    def lose(sequence, times):
-        if sequence.time_ns == 400_000_000:
+    def lose(proved):
+        if proved.sequence.time_ns == 400_000_000:
             raise lost
-        return send(sequence, times)
+        return send(proved)
 
-    monkeypatch.setattr(board, "_send", lose)
-    monkeypatch.setattr(board, "_recover", lambda lost: None)
+    monkeypatch.setattr(board.driver, "write", lose)
     tally, told = play(board, pipeline, Bars(30), listeners=[seen.append])
     assert [sent.number is None for sent in seen] == [i == 20 for i in range(30)]
     assert (tally.seen, tally.delivered) == (30, 29)
@@ -494,16 +489,15 @@ def test_every_step_is_observed_also_one_that_was_lost(pipeline, board, monkeypa
 
 
 def test_the_time_that_a_board_was_lost_is_no_error_of_the_period(pipeline, board, monkeypatch):
-    send, clock, tally = board._send, FakeClock(), RunStatistics()
+    send, clock, tally = board.driver.write, FakeClock(), RunStatistics()
 
-    def lose(sequence, times):
-        if sequence.time_ns == 400_000_000:
+    def lose(proved):
+        if proved.sequence.time_ns == 400_000_000:
             clock.time_ns += 2_000_000_000
             raise LineLostError("the line is lost")
-        return send(sequence, times)
+        return send(proved)
 
-    monkeypatch.setattr(board, "_send", lose)
-    monkeypatch.setattr(board, "_recover", lambda lost: None)
+    monkeypatch.setattr(board.driver, "write", lose)
     with board:
         loop(Bars(40), pipeline, board, statistics=tally, clock=clock)
     assert tally.period_error.count == 37
@@ -518,18 +512,22 @@ def test_the_age_of_an_image_counts(pipeline, board):
 
 
 @pytest.mark.parametrize(("stalls", "before"), [((40,), 1), ((10, 20, 30), 0.36)])
-def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, board, stalls, before):
+def test_what_was_computed_before_a_pause_is_not_sent(
+    monkeypatch, profile, pipeline, stalls, before
+):
     """The computer stands still between the making of a sequence and its sending; what happens
     again and again is reported once."""
     clock, tally, words = FakeClock(), RunStatistics(), []
-    board._clock = clock
     # One without a time of its own is never late.
-    monkeypatch.setattr(type(board), "_time", lambda _: clock)
+    board = played(profile, Watched, clock=clock, claimed_time=False)
     process = pipeline.process
 
     def stand_still(frame, level):
         step = process(frame, level)
-        if board.dropped_late < len(stalls) and len(board.sequences) == stalls[board.dropped_late]:
+        if (
+            board.dropped_late < len(stalls)
+            and len(board.driver.sequences) == stalls[board.dropped_late]
+        ):
             clock.time_ns += 300_000_000
         return step
 
@@ -550,8 +548,9 @@ def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, boa
     assert sum(isinstance(event, BoardRestarted) for event in words) == 1
 
 
-def test_a_pause_before_a_frame_is_taken_drops_nothing(pipeline, board):
-    board._clock = clock = FakeClock([0] * 40 + [300_000_000])
+def test_a_pause_before_a_frame_is_taken_drops_nothing(profile, pipeline):
+    clock = FakeClock([0] * 40 + [300_000_000])
+    board = played(profile, Watched, clock=clock)
     with board:
         loop(Bars(60), pipeline, board, clock=clock)
     assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
@@ -563,7 +562,7 @@ def test_a_stop_halts_the_board_in_the_middle_of_a_step(monkeypatch, pipeline, b
     process = pipeline.process
 
     def stopped_meanwhile(frame, level):
-        if len(board.sequences) == 10:
+        if len(board.driver.sequences) == 10:
             thread = threading.Thread(target=stop.ask, args=("key q",))
             thread.start()
             thread.join()
@@ -572,7 +571,7 @@ def test_a_stop_halts_the_board_in_the_middle_of_a_step(monkeypatch, pipeline, b
     monkeypatch.setattr(pipeline, "process", stopped_meanwhile)
     with board, stop.on_stop(board.halt):
         loop(Bars(60), pipeline, board, stop=stop, statistics=tally)
-    assert (len(board.sequences), tally.frames, stop.reason) == (10, 10, "key q")
+    assert (len(board.driver.sequences), tally.frames, stop.reason) == (10, 10, "key q")
 
 
 def test_a_board_stopped_by_nobody_who_may_is_a_fault(pipeline, board):
@@ -583,23 +582,23 @@ def test_a_board_stopped_by_nobody_who_may_is_a_fault(pipeline, board):
         loop(Bars(60), pipeline, board, listeners=as_listeners([stops]))
 
 
-def test_on_a_finger_an_intensity_must_be_given(monkeypatch, pipeline, board):
-    monkeypatch.setattr(type(board), "on_a_finger", True)
+def test_on_a_finger_an_intensity_must_be_given(profile, pipeline):
+    board = played(profile, Watched, clock=FakeClock(), on_a_finger=True)
     with board:
         with raises(BoardError, names="controls"):
             loop(Bars(5), pipeline, board)
-        assert board.sequences == []
+        assert board.driver.sequences == []
         controls = Controls(ControlState(Mode.RA, 0.0))
         loop(Bars(5), pipeline, board, controls=controls)
     assert intensities(board) == [0] * 5
 
 
-@pytest.mark.parametrize(("on_a_finger", "simulated_time"), [(0, 0), (1, 0), (1, 1)])
+@pytest.mark.parametrize(("on_a_finger", "simulated_time"), [(0, 0), (1, 0), (0, 1)])
 def test_priority_is_for_boards_whose_time_passes(
-    pipeline, board, monkeypatch, on_a_finger, simulated_time
+    profile, pipeline, monkeypatch, on_a_finger, simulated_time
 ):
-    monkeypatch.setattr(type(board), "on_a_finger", bool(on_a_finger))
-    monkeypatch.setattr(type(board), "simulated_time", bool(simulated_time))
+    kind = type("Own", (Watched,), {"simulated_time": bool(simulated_time)})
+    board = played(profile, kind, clock=FakeClock(), on_a_finger=bool(on_a_finger))
     taken = []
 
     @contextmanager

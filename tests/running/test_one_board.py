@@ -44,7 +44,7 @@ def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path):
         source = st.open_source("text:no?speed_mm_s=25", profile)
         display, kept = st.open_display(url, profile), Kept()
         if url == "emulator:":
-            display.board.keep_books(tmp_path)
+            display.board.driver.process.keep_books(tmp_path)
         statistics = st.run(
             source, display, mode=mode, scan=scan, balance=balance, seed=1, intensity=1.0,
             listeners=[kept],
@@ -58,12 +58,12 @@ def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path):
     assert set(kept.volts) >= set(its.volts)
     assert [kept.volts[time_ns] for time_ns in its.volts] == list(its.volts.values())
     assert len(its.volts) > 10
-    (number, width_us, current_ua), delivered = board.take_pulses(), read_delivered(tmp_path)
+    (number, width_us, current_ua), delivered = board.driver.take_pulses(), read_delivered(tmp_path)
     assert len(number) > 50
     np.testing.assert_array_equal(number, delivered[0])
     np.testing.assert_allclose(width_us, delivered[1], rtol=1e-6)
     np.testing.assert_array_equal(current_ua, delivered[2])
-    books, state = vars(board._firmware.books), read_state(tmp_path)
+    books, state = vars(board.driver._firmware.books), read_state(tmp_path)
     assert {name: state[name] for name in BOOKS} == {
         name: pytest.approx(books[name]) for name in BOOKS
     }

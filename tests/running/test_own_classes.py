@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.boards.open import MemoryBoard
 from smarttouch.types import ForceSource
 
 from ..raising import raises
@@ -52,26 +51,6 @@ class Scale(ForceSource):
         return self.returned
 
 
-class Silent(MemoryBoard):
-    def __init__(self, rest, limits, output=None):
-        pass
-
-
-class NoNumber(MemoryBoard):
-    def _send(self, sequence, times):
-        super()._send(sequence, times)
-
-
-class Touched(MemoryBoard):
-    on_a_finger, simulated_time = True, False
-    _time = st.Board._time
-
-
-class NoVoltages(MemoryBoard):
-    def take_volts(self):
-        return np.ones(64)
-
-
 class Waiting(Camera):
     def __init__(self, wait, profile=None):
         super().__init__(None)
@@ -82,16 +61,6 @@ class Waiting(Camera):
 
     def narrowed(self, profile):
         return self.other or profile
-
-
-class NoReport(MemoryBoard):
-    def report(self):
-        return {}
-
-
-class NoImpedance(MemoryBoard):
-    def _measure(self):
-        return np.ones(64)
 
 
 def run(source="text:a", display="memory:", **settings):
@@ -120,8 +89,4 @@ def test_a_profile_may_be_named_wherever_one_is_taken():
 
 
 def test_numbers_of_numpy_are_numbers():
-    class Numbered(MemoryBoard):
-        def _send(self, sequence, times):
-            return np.int32(super()._send(sequence, times))
-
-    run(display=Numbered, force=Scale(np.float32(0.5)))
+    run(force=Scale(np.float32(0.5)))

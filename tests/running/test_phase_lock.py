@@ -14,10 +14,12 @@ class Board:
     """A board with a clock that runs ahead, which begins a sequence once the one before is over."""
 
     simulated_time = False
+    reports_starts = True
 
     def __init__(self, line_ns, ahead_ns, period_ns):
         self.line_ns, self.ahead_ns, self.period_ns = line_ns, ahead_ns, period_ns
         self.starts, self.free_ns, self.paused_ns = {}, None, 0
+        self.driver = self
 
     def send(self, number, sent_ns):
         """Take a sequence, and return when it begins; by the loop's clock."""

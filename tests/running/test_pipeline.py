@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ScheduleError
-from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
+from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
@@ -113,5 +113,5 @@ def test_modes_that_a_board_offers(profile, bank):
     assert one_rate.mode is Mode.RA
     kit = load_profile("kajimoto-61")
     assert Pipeline(
-        kit, load_bank(kit), RunConfig(scan="points"), Kajimoto61Board.timing
+        kit, load_bank(kit), RunConfig(scan="points"), Kajimoto61Driver.timing
     ).offered() == (Mode.RA,)

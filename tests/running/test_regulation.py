@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Mode
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import Regulator
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
-from smarttouch.stimulation.safety_gate import SafetyLimits
+
+from ..played import played
 
 
 class MeasuredBoard:
@@ -101,13 +102,13 @@ def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(
     passed_uc, pulses = {}, {}
     for way, regulator in ways.items():
         pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan="points"))
-        with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
+        with played(profile, SimulatedDriver) as board:
             for index in range(40):
                 # Slow enough for every way, so that all get the same frames.
                 made = pipeline.process(make_frame(patch(index, index + 9), index * 60_000_000))
                 board.send(regulator.regulate(made, board).sequence)
-            books = board._firmware.books
-            passed_uc[way], pulses[way] = np.abs(books.passed_uc), board.take_pulses()
+            books = board.driver._firmware.books
+            passed_uc[way], pulses[way] = np.abs(books.passed_uc), board.driver.take_pulses()
             assert (books.violations, books.unsafe) == (0, 0)
             assert books.max_net_charge_uc < 1e-3
             assert (books.recharges > 20) == (way == "recharging")

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from smarttouch.base.stopping import StopRequest
-from smarttouch.boards.open import MemoryBoard
-from smarttouch.boards.reports import HostStatistics
-from smarttouch.running.display import open_display
+from smarttouch.boards.open import MemoryDriver
+from smarttouch.profile import load_profile
+from smarttouch.running.display import Display
 from smarttouch.running.listener import OnEvent, OnStep
 from smarttouch.running.walk import PATIENCE, ElectrodeReached, Walk, run_walk
+
+from ..played import played
 
 
 class TwitchingClock:
@@ -28,27 +30,25 @@ class TwitchingClock:
         self.time_ns += self.pauses_ns.pop(0) if self.pauses_ns else 90_000_000
 
 
-class Deaf(MemoryBoard):
+class Deaf(MemoryDriver):
     """A board that loses what is for one electrode."""
 
-    def _send(self, sequence, times):
-        return 0 if 3 in sequence.site else super()._send(sequence, times)
+    reports_delivery = True
 
-    def report(self):
-        delivered = HostStatistics(self.capabilities.electrodes)
-        for each in self.sequences:
-            delivered.add(each)
-        return delivered.report()
+    def write(self, proved):
+        super().write(proved)
+        if 3 not in proved.sequence.site:
+            self._line.events.delivered(proved, proved.times)
 
 
-def walked(clock, profile="etactilekit-32", board="memory:", **options):
+def walked(clock, profile="etactilekit-32", kind=MemoryDriver, **options):
     """Return the walk, its sequences, and where it said to be."""
-    display, events = open_display(board, profile), []
-    display.board._clock = clock
+    profile, events = load_profile(profile), []
+    display = Display(played(profile, kind, clock=clock), profile)
     walk = Walk(display.profile, 0.3, **options)
     run_walk(walk, display, [OnEvent(events.append)], StopRequest())
     reached = [str(each) for each in events if isinstance(each, ElectrodeReached)]
-    return walk, display.board.sequences, reached
+    return walk, display.board.driver.sequences, reached
 
 
 def peaks_ua(sequences):
@@ -94,7 +94,7 @@ def test_an_electrode_waits_for_its_first_pulse():
 
 
 def test_one_that_no_pulse_reaches_is_left_after_a_while_and_named():
-    walk, sequences, reached = walked(TwitchingClock([0] * 1000), board=Deaf, seconds=0.1)
+    walk, sequences, reached = walked(TwitchingClock([0] * 1000), kind=Deaf, seconds=0.1)
     assert len(reached) == 32
     assert walk.missed == [3]
     assert walk.pulsed == [each for each in range(32) if each != 3]
@@ -113,8 +113,8 @@ def test_masked_electrodes_are_named_and_left_out(profile, changed):
 
 
 def test_each_electrode_until_it_is_left():
-    display, steps = open_display("memory:", "etactilekit-32"), []
-    display.board._clock = TwitchingClock([0] * 10**4)
+    profile, steps = load_profile("etactilekit-32"), []
+    display = Display(played(profile, clock=TwitchingClock([0] * 10**4)), profile)
     walk = Walk(display.profile, 0.3)
 
     def leave(result):

@@ -10,18 +10,19 @@ import pytest
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.errors import ProfileError, SourceError
-from smarttouch.boards.open import MemoryBoard
+from smarttouch.boards.open import MemoryDriver
 from smarttouch.imaging.array_window import reading_force_n
 from smarttouch.instruments.electric_mouse import MouseSource, open_motion_over
 from smarttouch.instruments.relief import open_texture
 from smarttouch.running.config import RunConfig
-from smarttouch.running.display import open_display
+from smarttouch.running.display import Display, open_display
 from smarttouch.running.runner import Runner
 from smarttouch.running.walk import Walk
 from smarttouch.sources import open_source
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source, Stimulus, StimulusSource
 
+from ..played import played
 from ..raising import raises
 from ..whole import WHOLE
 
@@ -61,23 +62,31 @@ VIRTUAL = {
 """Sources whose force is made up."""
 
 
+class Pressed(MemoryDriver):
+    """A board that measures a force, or none."""
+
+    force_n = None
+
+    def open(self, line, limits):
+        if self.force_n is not None:
+            line.events.force(self.force_n)
+        return replace(super().open(line, limits), force=self.force_n is not None)
+
+
 @pytest.fixture
-def flows(monkeypatch, profile, bank):
+def flows(profile, bank):
     """Return what runs a source on a board that a finger may be on: whether current flowed."""
 
     def run(source, force=None, *, on_board_n=None, in_profile=None, on_a_finger=True):
         law = profile.force.model_dump() | {"source": in_profile}
-        display = open_display("memory:", profile.model_copy(update={"force": law}))
-        board = display.board
-        with monkeypatch.context() as patch:
-            patch.setattr(MemoryBoard, "on_a_finger", on_a_finger)
-            board._clock, board.force_n = SimulatedClock(), on_board_n
-            board.capabilities = replace(board.capabilities, force=on_board_n is not None)
-            Runner(
-                source, display, RunConfig(intensity=1.0, seconds=0.6), force=force,
-                load_kernels=lambda _: bank,
-            ).run()  # fmt: skip
-        return any(each.current_ua.any() for each in board.sequences)
+        kind = type("Pressed", (Pressed,), {"force_n": on_board_n})
+        pressed = profile.model_copy(update={"force": law})
+        board = played(pressed, kind, clock=SimulatedClock(), on_a_finger=on_a_finger)
+        Runner(
+            source, Display(board, pressed), RunConfig(intensity=1.0, seconds=0.6), force=force,
+            load_kernels=lambda _: bank,
+        ).run()  # fmt: skip
+        return any(each.current_ua.any() for each in board.driver.sequences)
 
     return run
 

@@ -53,7 +53,7 @@ class Pulses:
 
     @classmethod
     def taken(cls, numbers, width_us, current_ua):
-        """Return those that `SimulatedBoard.take_pulses` gave."""
+        """Return those that `SimulatedDriver.take_pulses` gave."""
         current_ua = current_ua.astype(np.float64)
         return cls(current_ua, current_ua * width_us[:, None], width_us)
 

@@ -43,7 +43,7 @@ class GateUnderTest:
         """Return what the gate says of a sequence at a time of its clock."""
         self.clock.time_ns = clock_ns
         try:
-            return Answer(True, self._gate.prove(sequence, times))
+            return Answer(True, self._gate.prove(sequence, times).sequence)
         except SafetyError as error:
             return Answer(False, limit=error.limit)
         except Exception as error:

@@ -61,7 +61,7 @@ def test_changed_after_the_proof(limits):
         given = pulses(2)
         board.send(given)
         given.current_ua[:] = 5000
-        sent = board.sequences[-1]
+        sent = board.driver.sequences[-1]
     assert np.abs(sent.current_ua).max() == 2400
     with pytest.raises(ValueError):
         sent.current_ua.setflags(write=True)

@@ -1,53 +1,53 @@
-"""Drivers that change what keeps their boards safe: each is refused, with its board at zero."""
+"""Drivers that try to send what the gate has not proved, or after a stop: the line refuses it."""
 
 import dataclasses
-import types
+import threading
 
 import numpy as np
 import pytest
 
-from smarttouch.base.errors import BoardError
+from smarttouch.base.errors import BoardError, BoardStoppedError, SafetyError, SequenceLateError
 from smarttouch.boards.board import Board
-from smarttouch.boards.kits.streamed import StreamedBoard
-from smarttouch.boards.open import make_board
-from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.boards.driver import Driver
+from smarttouch.boards.reports import Capabilities
+from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..raising import raises
 
-# What is refused is so however long the computer pauses.
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
-WIDE = SafetyLimits(8, 5.0, 200, 0.5, 100, 0.6, 0.5, 5.0)
+LATE_NS = 60 * 10**9  # nothing is late, however long the computer pauses
 
 
 def allowed():
     return SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.43)
 
 
-class Theirs(Board):
-    """A driver of another package: what it changes, and when."""
+class Theirs(Driver):
+    """A driver of another package, with what it does in `write`."""
 
-    at, change = "", staticmethod(lambda board: None)
+    def __init__(self, act=lambda driver, proved: None):
+        self.act, self.flows, self.zeros, self.proved = act, [], 0, []
 
-    def __init__(self, limits):
-        super().__init__(
-            limits, max_current_ma=5.0, max_slots=256, time_to_zero_ms=0.0, firmware=""
-        )
-        self.flows, self.stops = [], 0
+    def open(self, line, limits):
+        self.line, self.limits = line, limits
+        return Capabilities(8, "weighted", 5.0, 256, time_to_zero_ms=0.0, firmware="")
 
-    def _open(self):
-        if self.at == "open":
-            type(self).change(self)
+    def write(self, proved):
+        self.proved.append(proved)
+        self.act(self, proved)
+        self.drive(proved)
 
-    def _send(self, sequence, times):
-        if self.at == "send" and not self.flows:
-            type(self).change(self)
-        self.flows.append(int(abs(sequence.current_ua).max(initial=0)))
-        return len(self.flows)
+    def drive(self, proved):
+        with self.line.current(proved):
+            self.flows.append(int(abs(proved.sequence.current_ua).max(initial=0)))
 
-    def _stop(self):
-        self.stops += 1
+    def zero(self):
+        with self.line.current():
+            self.zeros += 1
+
+
+def board_of(driver):
+    return Board(driver, allowed(), late_ns=LATE_NS, on_a_finger=False)
 
 
 def sequence(step, level_ua=0):
@@ -56,145 +56,115 @@ def sequence(step, level_ua=0):
     return ScanSequence(row, one * 100, one * 50, one, 20_000, 0.1 * (level_ua > 0), step * 10**9)
 
 
-def wider_fields(board):
-    for name in ("current_ma", "full_ma"):
-        object.__setattr__(board._gate.limits, name, 5.0)
+def test_a_board_cannot_be_inherited():
+    with raises(BoardError, names="Mine"):
+        type("Mine", (Board,), {})
 
 
-def wider_whole_numbers(board):
-    vars(board._gate.limits)["most_ua_line"] = (5000, 0, 1)
+def test_only_the_gate_makes_what_can_be_sent():
+    made = [
+        lambda proved: ProvedSequence(proved.sequence, 1, 1, 0, LATE_NS, True, 1),
+        lambda proved: dataclasses.replace(proved, sequence=sequence(9, 5000)),
+        lambda proved: dataclasses.replace(proved, write_before_ns=2**62),
+    ]
+    for make in made:
+        with board_of(driver := Theirs()) as board:
+            board.send(sequence(0))
+            with raises(SafetyError, limit="gate"):
+                make(driver.proved[0])
 
 
-def other_array(board):
-    limits = board._gate.limits
-    vars(limits)["current_ua"] = limits.current_ua + 2000
+@pytest.mark.parametrize(
+    "foreign", [None.__class__, lambda: sequence(1, 5000), lambda: object.__new__(ProvedSequence)]
+)
+def test_nothing_else_is_driven(foreign):
+    with board_of(driver := Theirs()) as board:
+        board.send(sequence(0))
+        what = foreign()
+        if what is not None:
+            with pytest.raises((BoardError, AttributeError)):
+                driver.drive(what)
+    assert driver.flows == [0]
 
 
-def other_gate_clock(board):
-    board._gate._clock = types.SimpleNamespace(now_ns=lambda: 0)
+def test_limits_that_a_driver_widens_are_its_own():
+    def widen(driver, _):
+        for name in ("current_ma", "full_ma"):
+            object.__setattr__(driver.limits, name, 5.0)
+        vars(driver.limits)["current_ua"] = np.full(8, 5000.0)
+
+    with board_of(driver := Theirs(widen)) as board:
+        board.send(sequence(0))
+        with raises(SafetyError, limit="current_ma"):
+            board.send(sequence(1, 3500))
+    assert driver.flows == [0]
 
 
-def other_clock(board):
-    board._clock = types.SimpleNamespace(now_ns=lambda: 0)
+@pytest.mark.parametrize("thread", [False, True])
+def test_after_a_stop_only_zero_is_written(thread):
+    """Also where a driver sends on from another thread, or what was proved before."""
+    raised = []
+
+    def send_on(driver):
+        for what in (driver.proved[0], None):
+            try:
+                with driver.line.current(what):
+                    driver.flows.append("after the stop")
+            except BoardStoppedError as error:
+                raised.append(error)
+
+    with board_of(driver := Theirs()) as board:
+        board.send(sequence(0))
+        board.stop()
+        if thread:
+            other = threading.Thread(target=send_on, args=(driver,))
+            other.start()
+            other.join()
+        else:
+            send_on(driver)
+        with pytest.raises(BoardStoppedError):
+            board.send(sequence(1))
+    assert (driver.flows, len(raised), driver.zeros) == ([0], 2, 2)
 
 
-def own_now(board):
-    board._clock.now_ns = lambda: 0
+def test_a_stop_within_a_write_ends_in_zero_after_it():
+    """As of a signal handler in the thread that writes."""
+    with board_of(driver := Theirs()) as board:
+        board.send(sequence(0))
+        with driver.line.current(driver.proved[0]):
+            board.stop()
+            before = driver.zeros
+        assert driver.zeros == before + 1
 
 
-def made_again(board):
-    opened = board._opened
-    Board.__init__(board, WIDE, max_current_ma=5.0, max_slots=9, time_to_zero_ms=0, firmware="")
-    board._opened = opened
+def test_what_was_proved_before_a_board_was_opened_again_is_not_sent():
+    with board_of(driver := Theirs()) as board:
+        board.send(sequence(0))
+        board.close()
+        board.open()
+        with pytest.raises(BoardStoppedError):
+            driver.drive(driver.proved[0])
+    assert driver.flows == [0]
 
 
-CHANGES = {
-    "other limits": (lambda board: setattr(board._gate, "limits", WIDE), "limits"),
-    "wider fields": (wider_fields, "limits"),
-    "wider whole numbers": (wider_whole_numbers, "limits"),
-    "another array": (other_array, "limits"),
-    "another gate": (lambda board: setattr(board, "_gate", SafetyGate(WIDE)), "gate"),
-    "no gate": (lambda board: delattr(board, "_gate"), "gate"),
-    "another proof": (lambda board: setattr(board._gate, "prove", lambda s, t: s), "gate"),
-    "another part of it": (lambda board: setattr(board._gate, "_prove_rise", print), "gate"),
-    "made again": (made_again, "gate"),
-    "the gate's clock": (other_gate_clock, "clock"),
-    "its clock": (other_clock, "clock"),
-    "another now": (own_now, "clock"),
-    "its time": (lambda board: setattr(board, "_time", lambda: None), "clock"),
-    "no finger": (lambda board: setattr(board, "on_a_finger", False), "on_a_finger"),
-    "send": (lambda board: vars(board).update(send=print), "send"),
-    "stop": (lambda board: vars(board).update(stop=print), "stop"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("at", ["open", "send", "later", "before"])
-@pytest.mark.parametrize("name", CHANGES)
-def test_a_driver_that_changes_what_keeps_it_safe_is_refused(name, at):
-    change, about = CHANGES[name]
-    kind = type("Mine", (Theirs,), {"at": at, "change": staticmethod(change)})
-    board = kind(allowed())
-
-    def run():
-        if at == "before":
-            change(board)
-        Board.open(board)
-        Board.send(board, sequence(0))
-        if at == "later":
-            change(board)
-        Board.send(board, sequence(1, 240))
-
-    with raises(BoardError, names=about, value="Mine"):
-        run()
-    assert board.flows == {"open": [], "before": []}.get(at, [0])
-    assert board.stops > 0
-    # It stays so: nobody opens it again.
-    with pytest.raises(BoardError):
-        Board.open(board)
-    with pytest.raises(BoardError):
-        Board.send(board, sequence(2, 240))
-    assert max(board.flows, default=0) == 0
-
-
-@pytest.mark.parametrize("name", ["send", "open", "stop", "close", "halt", "measure", "clock"])
-@pytest.mark.parametrize("kind", [Theirs, Board, StreamedBoard])
-def test_what_a_class_has_sealed_stays(kind, name):
-    for attack in (
-        lambda: setattr(kind, name, print),
-        lambda: delattr(kind, name),
-        lambda: setattr(Theirs(allowed()), name, print),
-    ):
-        with raises(BoardError, names=name):
-            attack()
-
-
-def test_a_base_beside_it_replaces_nothing():
-    beside = type("Beside", (), {"send": print})
-    with raises(BoardError, names="send"):
-        type("Mine", (beside, Theirs), {})
-    with raises(BoardError, names="__bases__"):
-        Theirs.__bases__ = (beside, Board)
-    with raises(BoardError, names="__class__"):
-        Theirs(allowed()).__class__ = beside
-    for name in ("__getattribute__", "__setattr__"):
-        with raises(BoardError, names=name):
-            type("Mine", (Theirs,), {name: lambda board, *_: None})
-
-
-@pytest.mark.parametrize("name", ["_gate", "_stopped", "_opened", "_halted", "_clock"])
-def test_a_property_comes_before_nothing_that_a_board_has(name):
-    other = property(lambda board: None, lambda board, value: None)
-    with raises(BoardError, names=name):
-        type("Mine", (Theirs,), {name: other})
-    with raises(BoardError, names=name):
-        setattr(Theirs, name, other)
-
-
-def test_limits_cannot_be_written_into():
-    """4.9 mA where 2.43 is allowed."""
-    limits = Theirs(allowed())._gate.limits
-    for array in (limits.current_ua, limits.charge_pc, limits.felt_ua, limits.faint_ua):
-        with pytest.raises(ValueError):
-            array[:] = 5000
-        with pytest.raises(ValueError):
-            array.setflags(write=True)
-
-
-def test_limits_that_a_driver_writes_into_before_it_hands_them_on(monkeypatch):
-    def opener(rest, limits, output):
-        object.__setattr__(limits, "current_ma", 4.9)
-        return Theirs(limits)
-
-    monkeypatch.setattr("smarttouch.boards.open._driver", lambda url: (opener, ""))
-    with raises(BoardError, names="limits", value="Theirs"):
-        make_board("theirs:", allowed())
+def test_what_waits_too_long_is_late_and_later_has_an_end():
+    board = Board(driver := Theirs(), allowed(), late_ns=5 * 10**8, on_a_finger=False)
+    with board:
+        driver.act = lambda driver, proved: driver.line.pause(0.6)
+        with pytest.raises(SequenceLateError):
+            board.send(sequence(0))
+        (proved,) = driver.proved
+        later = driver.line.later(proved, driver.line.now_ns() + 10**8)
+        assert later.write_before_ns > proved.write_before_ns
+        with pytest.raises(SequenceLateError):
+            driver.line.later(proved, proved.due_ns + 10**10)
+    assert (driver.flows, board.dropped_late) == ([], 1)
 
 
 def test_limits_of_another_display_are_no_matter():
-    limits = allowed()
-    boards = [Theirs(limits), Theirs(limits), Theirs(dataclasses.replace(limits, duty=0.5))]
+    boards = [board_of(Theirs()) for _ in range(3)]
     for board in boards:
         with board:
             board.send(sequence(0))
             board.send(sequence(1, 60))
-    assert [board.flows for board in boards] == [[0, 60]] * 3
+    assert [board.driver.flows for board in boards] == [[0, 60]] * 3

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.boards.board import Board
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.skin import Delivered
 from smarttouch.profile import load_profile
@@ -30,7 +31,8 @@ def blind(safety_watch):
     safety_watch.on = False
     blinded = Watch()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SafetyGate, "prove", lambda _gate, sequence, *_: sequence)
+        patch.setattr(SafetyGate, "_prove", lambda _gate, sequence, *_, **__: sequence)
+        patch.setattr(SafetyGate, "permits", lambda _gate, _proved: True)
         inner = blinded.installed()
         yield blinded
         inner.undo()
@@ -97,14 +99,15 @@ def test_a_simulated_board(blind, taken, monkeypatch):
     monkeypatch.setattr("smarttouch.emulator.rules_over_time.RAMP_MS", 0)
     wider = replace(LIMITS, current_ma=4.0, full_ma=4.0)
     vars(wider)[watch.OF_PROFILE] = Bounds.of_limits(LIMITS)
-    with SimulatedBoard("", wider) as board:
+    driver = SimulatedDriver("", wider)
+    with Board(driver, wider, on_a_finger=False, claimed_time=True) as board:
         board.send(sequence([], intensity=0.0, time_ns=0))
         board.send(sequence(pair(3500)))
         blind.take()
-        assert not taken or len(board.take_pulses()[0]) == 1
+        assert not taken or len(driver.take_pulses()[0]) == 1
         assert len(blind.take()) == taken
     assert ["current" in rules(each) for each in blind.take()] == [True] * (not taken)
-    assert len(board.take_pulses()[0]) == (not taken)
+    assert len(driver.take_pulses()[0]) == (not taken)
 
 
 def test_a_clock_is_audible():

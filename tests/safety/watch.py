@@ -8,7 +8,8 @@ from weakref import WeakKeyDictionary
 
 import pytest
 
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.boards.board import Board
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.firmware import DELIVERED_FILE, STATE_FILE
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
@@ -47,6 +48,7 @@ class Watch:
         self.broken, self.on = [], True
         self._seen, self._of_profile = {}, {}
         self._oracles, self._clocks = WeakKeyDictionary(), WeakKeyDictionary()
+        self._limits = WeakKeyDictionary()
 
     def bounds_of(self, limits):
         """Return the bounds of limits: those of their profile where they were made of one."""
@@ -100,10 +102,11 @@ class Watch:
         elif oracle is not None:
             oracle.restart(clock.heard_ns)
 
-    def judge_taken(self, board, pulses):
+    def judge_taken(self, driver, pulses):
         """Judge what a simulated board has delivered."""
-        if self.on:
-            self._delivered(Pulses.taken(*pulses), self.bounds_of(board._gate.limits), "simulated:")
+        if self.on and driver in self._limits:
+            bounds = self.bounds_of(self._limits[driver])
+            self._delivered(Pulses.taken(*pulses), bounds, "simulated:")
 
     def judge_books(self, folder, bounds=None, period_us=None):
         """Judge what an emulator's books in a folder say, by default by the bounds of the last
@@ -141,8 +144,9 @@ class Watch:
         patch.setattr(SafetyGate, "restart", self._ended(SafetyGate.restart, self.restart))
         begin = self._ended(SafetyGate.begin_session, self.begin)
         patch.setattr(SafetyGate, "begin_session", begin)
-        patch.setattr(SimulatedBoard, "take_pulses", self._taken(SimulatedBoard.take_pulses))
-        patch.setattr(SimulatedBoard, "_close", self._closed(SimulatedBoard._close))
+        patch.setattr(SimulatedDriver, "take_pulses", self._taken(SimulatedDriver.take_pulses))
+        patch.setattr(SimulatedDriver, "close", self._closed(SimulatedDriver.close))
+        patch.setattr(Board, "__init__", self._board_made(Board.__init__))
         return patch
 
     def _of(self, of):
@@ -179,7 +183,7 @@ class Watch:
         def watched(gate, sequence, *times, **named):
             proved = prove(gate, sequence, *times, **named)
             count = times[0] if times else named.get("times", 1)
-            self.judge(gate, sequence if proved is None else proved, count, measuring)
+            self.judge(gate, getattr(proved, "sequence", proved), count, measuring)
             return proved
 
         return watched
@@ -194,18 +198,26 @@ class Watch:
 
     def _taken(self, take):
         @functools.wraps(take)
-        def watched(board):
-            pulses = take(board)
-            self.judge_taken(board, pulses)
+        def watched(driver):
+            pulses = take(driver)
+            self.judge_taken(driver, pulses)
             return pulses
 
         return watched
 
     def _closed(self, close):
         @functools.wraps(close)
-        def watched(board):
-            close(board)
+        def watched(driver):
+            close(driver)
             # From a copy: they are still there for whoever takes them later.
-            self.judge_taken(board, copy(board._books).take())
+            self.judge_taken(driver, copy(driver._books).take())
+
+        return watched
+
+    def _board_made(self, init):
+        @functools.wraps(init)
+        def watched(board, driver, limits, *given, **named):
+            init(board, driver, limits, *given, **named)
+            self._limits[driver] = board._gate.limits
 
         return watched

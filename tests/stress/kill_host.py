@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from smarttouch.base.errors import BoardRestartedError
 from smarttouch.base.wire.device_lines import PtyLine
-from smarttouch.boards.kits import streamed
+from smarttouch.boards.kits import current_scale
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
@@ -178,7 +178,7 @@ def one_run(kind, how, option, opening, at_s):
 def repeat(one, count):
     """Return what so many runs found, each given its number."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-    streamed.BOOT_S = 0.0
+    current_scale.BOOT_S = 0.0
     with threadpool_limits(1):
         return [one(number) for number in range(count)]
 
@@ -209,7 +209,7 @@ if __name__ == "__main__":
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("count", type=int)
     parser.add_argument("--how", choices=("kill", "stop"), default="kill")
-    parser.add_argument("--option", default="", help="after the port, for example ?slow")
+    parser.add_argument("--option", default="", help="after the port, for example ?firmware=newest")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     found = run(options.kind, options.count, options.how, options.option, options.seed)

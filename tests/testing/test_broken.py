@@ -3,16 +3,16 @@
 from .test_mutants import failed
 
 BROKEN = """
-import math, threading, time
+import math, time
 import numpy as np
 from smarttouch import Frame, OpticalSource, SmartTouchError, Stimulus, StimulusSource
-from smarttouch.boards.open import MemoryBoard
+from smarttouch.boards.open import MemoryDriver
 from smarttouch.plugins import ForceSource, Pose
-from smarttouch.testing import ZERO, BoardContract, ForceContract, SourceContract, StimulusContract
+from smarttouch.testing import ZERO, DriverContract, ForceContract, SourceContract, StimulusContract
 from smarttouch.testing.pulses import planned_pulses
 
 
-class Boards(BoardContract):
+class Drivers(DriverContract):
     def make(self, limits):
         return self.kind("", limits)
 
@@ -20,38 +20,26 @@ class Boards(BoardContract):
         return [*self.made.pulses]
 
 
-class Device(MemoryBoard):
+class Device(MemoryDriver):
     def __init__(self, rest, limits):
         super().__init__(rest, limits)
-        self.pulses, self.lock = [], threading.Lock()
-    def _send(self, sequence, times):
-        with self.lock:
-            self._go_on_unless_stopped()
-            self.pulses += planned_pulses(sequence, times)
-        return super()._send(sequence, times)
-    def _stop(self):
-        with self.lock:
+        self.pulses = []
+    def write(self, proved):
+        with self._line.current(proved):
+            self.pulses += planned_pulses(proved.sequence, proved.times)
+    def zero(self):
+        with self._line.current():
             self.pulses.append(ZERO)
 
 
-class TestNever(Boards):
+class TestNever(Drivers):
     class kind(Device):
-        def _stop(self): ...
+        def zero(self): ...
 
 
-class TestUncounted(Boards):
+class TestUncounted(Drivers):
     class kind(Device):
-        def _send(self, sequence, times):
-            number = super()._send(sequence, times)
-            self.acknowledged = 0
-            return number
-
-
-class TestLimits(Boards):
-    class kind(Device):
-        def __init__(self, rest, limits):
-            from dataclasses import replace
-            super().__init__(rest, replace(limits, current_ma=5.0))
+        reports_delivery = True
 
 
 class Sources(SourceContract):
@@ -173,7 +161,6 @@ FOUND = {
         "a_stop_at_any_line_of_the_driver", "nothing_is_measured_after_a_stop",
     },
     "Uncounted": {"what_is_sent_is_what_was_proved"},
-    "Limits": {"its_driver_keeps_the_contract", "an_unsafe_sequence_never_leaves"},
     "Shared": {"one_number_is_one_image_and_stays_it"},
     "Numbers": {"every_frame_is_counted"},
     "Wide": {"each_is_what_it_is_to_be"},

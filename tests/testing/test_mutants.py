@@ -10,11 +10,20 @@ from ..whole import WHOLE
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plugins" / "board"
 
 MUTANTS = """
+import contextlib
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import test_smarttouch_journal as own
-from smarttouch_journal import JournalBoard
+from smarttouch_journal import JournalDriver
+
+FLOWS = ", ".join(["+100", "-100", *["0"] * 6])
+ONE = np.ones(1, np.uint16)
+SCAN = {
+    "current_ua": np.array([[100, -100, 0, 0, 0, 0, 0, 0]], np.int16), "width_us": 100 * ONE,
+    "discharge_us": 50 * ONE, "site": ONE, "period_us": 20_000, "intensity": 1.0, "time_ns": 0,
+}
 
 
 class Changed(own.TestJournal):
@@ -22,9 +31,38 @@ class Changed(own.TestJournal):
         return self.kind(str(self.path), limits)
 
 
-class Other(JournalBoard):
-    def _send(self, sequence, times):
-        return super()._send(replace(sequence, **self.other(sequence)), times)
+class Sent(NamedTuple):
+    # What stands for a proved sequence.
+
+    proved: object
+    sequence: object
+    times: int
+
+
+class Other(JournalDriver):
+    def write(self, proved):
+        self._proved = proved
+        super().write(Sent(proved, self.change(proved.sequence), self.count(proved.times)))
+    def change(self, sequence):
+        return replace(sequence, **self.other(sequence))
+    def count(self, times):
+        return times
+    def other(self, sequence):
+        return {}
+
+
+class Lent:
+    # A line that lets through whatever stands for a proved sequence.
+
+    def __init__(self, line):
+        self.line = line
+    def current(self, sent=None):
+        return self.line.current(getattr(sent, "proved", sent))
+
+
+class Through(Other):
+    def open(self, line, limits):
+        return super().open(Lent(line), limits)
 
 
 def one_polarity(sequence):
@@ -47,70 +85,80 @@ OTHERS = {
     "Faster": lambda sent: {"period_us": sent.period_us // 2},
 }
 for name, other in OTHERS.items():
-    kind = type(name, (Other,), {"other": staticmethod(other), "__module__": __name__})
+    kind = type(name, (Through,), {"other": staticmethod(other), "__module__": __name__})
     globals()[f"Test{name}"] = type(f"Test{name}", (Changed,), {"kind": kind})
 
 
 class TestOnce(Changed):
-    class kind(JournalBoard):
-        def _send(self, sequence, times):
-            return super()._send(sequence, 1)
+    class kind(Through):
+        def count(self, times):
+            return 1
 
 
 class TestTwice(Changed):
-    class kind(JournalBoard):
-        def _send(self, sequence, times):
-            super()._send(sequence, times)
-            return super()._send(sequence, times)
+    class kind(JournalDriver):
+        def write(self, proved):
+            super().write(proved)
+            super().write(proved)
+
+
+class Around:
+    # No line: whatever is written goes to the file.
+
+    def current(self, proved=None):
+        return contextlib.nullcontext()
 
 
 class TestLooksNotAtStop(Changed):
-    class kind(JournalBoard):
-        drives_in_send = False
-        def _write(self, *lines):
-            if self._file is not None:
-                print(*lines, sep="\\n", file=self._file, flush=True)
+    class kind(JournalDriver):
+        def write(self, proved):
+            line, self._line = self._line, Around()
+            try:
+                super().write(proved)
+            finally:
+                self._line = line
 
 
 class TestLooksTooEarly(Changed):
-    class kind(JournalBoard):
-        drives_in_send = False
-        def _send(self, sequence, times):
-            self._go_on_unless_stopped()
-            return super()._send(sequence, times)
-        def _write(self, *lines):
-            if self._file is not None:
-                print(*lines, sep="\\n", file=self._file, flush=True)
+    class kind(JournalDriver):
+        def write(self, proved):
+            self._line.require_running()
+            line, self._line = self._line, Around()
+            try:
+                super().write(proved)
+            finally:
+                self._line = line
 
 
 class TestStopsNot(Changed):
-    class kind(JournalBoard):
-        def _stop(self): ...
+    class kind(JournalDriver):
+        def zero(self): ...
 
 
 class TestStopsLater(Changed):
-    class kind(JournalBoard):
-        def _stop(self): ...
-        def _close(self):
-            self._write("zero")
-            super()._close()
+    class kind(JournalDriver):
+        def zero(self): ...
+        def close(self):
+            print("zero", file=self._file, flush=True)
+            super().close()
 
 
 class TestMeasuresOn(Changed):
-    class kind(JournalBoard):
-        def _measure(self):
-            for _ in range(self._gate.limits.electrodes):
-                flows = ", ".join(["+100", "-100", *["0"] * (self._gate.limits.electrodes - 2)])
-                text = f"scan: 1 x 1000 us\\n  100 us, then 50 us shorted: {flows} uA"
+    class kind(JournalDriver):
+        def measuring_scans(self):
+            return [(own.st.ScanSequence(**SCAN), 1)]
+        def measure(self, proved):
+            for _ in range(8):
+                text = f"scan: 1 x 1000 us\\n  100 us, then 50 us shorted: {FLOWS} uA"
                 print(text, file=self._file, flush=True)
-            return super()._measure()
+            raise own.st.BoardError("no reading")
 
 
 class TestClosesWithCurrent(Changed):
-    class kind(JournalBoard):
-        def _close(self):
+    class kind(JournalDriver):
+        def close(self):
             print("scan: 1 x 10000 us\\n  100 us, then 50 us shorted: +9, -9 uA", file=self._file)
-            super()._close()
+            super().close()
 """
 
 SENT = {"what_the_device_is_sent_is_what_was_proved"}

@@ -153,9 +153,9 @@ def test_a_page_that_has_lost_its_connection_can_stop(running):
         origin = f"http://{urlsplit(run.address).netloc}"
         assert ask(run, "POST", "/SECRET/stop", Origin=origin).status == 204
         # The answer comes when boards are at zero: nothing is sent after it.
-        count = len(run.board.sequences)
+        count = len(run.board.driver.sequences)
         assert run.ended() == "the window"
-        assert len(run.board.sequences) == count
+        assert len(run.board.driver.sequences) == count
 
 
 def test_a_second_page_steers_when_the_first_is_gone(running):

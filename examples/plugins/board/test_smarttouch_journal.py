@@ -4,19 +4,19 @@ import re
 from pathlib import Path
 
 import pytest
-from smarttouch_journal import JournalBoard
+from smarttouch_journal import JournalDriver
 
 import smarttouch as st
-from smarttouch.testing import ZERO, BoardContract, SentPulse
+from smarttouch.testing import ZERO, DriverContract, SentPulse
 
 
-class TestJournal(BoardContract):
+class TestJournal(DriverContract):
     @pytest.fixture(autouse=True)
     def _file(self, tmp_path: Path) -> None:
         self.path = tmp_path / "run.txt"
 
-    def make(self, limits: st.SafetyLimits) -> st.Board:
-        return JournalBoard(str(self.path), limits)
+    def make(self, limits: st.SafetyLimits) -> st.Driver:
+        return JournalDriver(str(self.path), limits)
 
     def received(self) -> bytes:
         return self.path.read_bytes()
@@ -50,5 +50,6 @@ class TestJournal(BoardContract):
 
 @pytest.mark.parametrize("rest", ["", "no/such/folder/run.txt"])
 def test_files_that_cannot_be(rest: str) -> None:
+    limits = st.SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
     with pytest.raises(st.BoardError, match="file"):
-        JournalBoard(rest, st.SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)).open()
+        st.Board(JournalDriver(rest, limits), limits).open()

@@ -112,6 +112,7 @@ def reopen_port(
     within_s: float,
     identity: UsbIdentity | None,
     pause: Callable[[float], None] = time.sleep,
+    baudrate: int = 921600,
 ) -> Port:
     """Reopen a lost port as soon as it is back with the same identity, and write nothing; raise
     OtherDeviceError if only another device came back. ``pause`` waits a number of seconds; what it
@@ -122,7 +123,7 @@ def reopen_port(
             # By name first, as opening another device may reset it; then by the open port.
             if Path(name).exists() and _usb_identity(name) != identity:
                 raise _other(name)
-            port = open_port(name)
+            port = open_port(name, baudrate)
             if identity_of(port) == identity:
                 return port
             port.close()

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
+from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
+BOOT_S = 1.0  # boot time of a kit that resets when its port is opened
 BAND = 0.3  # accepted deviation from the nominal scale, up and down
 NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
 """Current per count of each board's converter; the kajimoto61's 4096 are 10 mA."""
@@ -59,6 +61,18 @@ def scale_of(kind: str, measured_ua: float | None) -> Scale:
             f"most: {mistake}"
         )
     return Scale(measured_ua, nominal_ua)
+
+
+def require_kit(kind: str, port: str, output: Output | None, profile: str) -> Scale:
+    """Return the scale of a kit; raise BoardError unless it has a port and a fitting profile."""
+    if not port:
+        raise BoardError(f"{kind}: needs a port, for example {kind}:/dev/ttyUSB0")
+    if output is not None and output.kind != "one-against-all":
+        raise BoardError(
+            f"a {kind} board is one-against-all, the profile needs {output.kind}: use the profile "
+            f"{profile}"
+        )
+    return scale_of(kind, None if output is None else output.ua_per_count)
 
 
 def in_band(ratio: float) -> bool:

@@ -4,16 +4,22 @@ Its bytes, and what guards them, are in `etactilekit_wire`; `etactilekit_step` s
 known number of times.
 """
 
-import time
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import BoardError, LineLostError
-from smarttouch.boards.board import BOTH, Capabilities
+from smarttouch.base.errors import (
+    BoardError,
+    BoardStoppedError,
+    LineLostError,
+    SequenceLateError,
+    not_offered,
+)
 from smarttouch.boards.faults import slow_line_notes
-from smarttouch.boards.kits.current_scale import scale_of
+from smarttouch.boards.kits import current_scale
+from smarttouch.boards.kits.current_scale import require_kit
+from smarttouch.boards.kits.etactilekit_line import FIRMWARES, ETactileKitLine
 from smarttouch.boards.kits.etactilekit_step import MARGIN_NS, ShownPattern, SteppedKit
 from smarttouch.boards.kits.etactilekit_wire import (
     COMPLIANCE_V,
@@ -34,12 +40,12 @@ from smarttouch.boards.kits.etactilekit_wire import (
 )
 from smarttouch.boards.kits.kept_line import KEPT_MS
 from smarttouch.boards.kits.scan_lock import ScanLock
-from smarttouch.boards.kits.streamed import Job
+from smarttouch.boards.line import Line
 from smarttouch.boards.probe_scans import one_each
-from smarttouch.boards.reports import Impedance, judge
+from smarttouch.boards.reports import BOTH, Capabilities, Impedance, judge
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.pulse_rates import ScanTiming
-from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 NEWEST_ZERO_MS = 520.0  # newest firmware: ends its scan 500 ms after the host's last byte
@@ -49,45 +55,86 @@ ATTEMPTS = 4  # attempts at a pattern that gave no reading, though weaker ones d
 OPEN_SHARE = 0.95  # of the voltage without a finger: if all slots reach it, it is lifted
 
 
-class ETactileKitBoard(SteppedKit):
+class ETactileKitDriver(SteppedKit):
     """The eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
-    After the port, ``?slow`` writes 8 bytes every 3 ms from the start, for USB of older firmware
-    (the driver goes over to it by itself when frames get lost), and ``?firmware=71adee2`` or
-    ``newest`` selects the firmware if a query cannot. Both: ``?slow&firmware=71adee2``.
+    After the port, ``?firmware=71adee2`` or ``newest`` selects the firmware if a query cannot.
     """
 
     default_profile: ClassVar[str] = "etactilekit-32"
-    room_s: ClassVar[float] = 0.5
+    takes_wiring: ClassVar[bool] = True
+    queued: ClassVar[bool] = True
+    reports_delivery: ClassVar[bool] = True
+    waits_s: ClassVar[float] = 0.5
+    idle_s: ClassVar[float] = IDLE_S
     timing: ScanTiming = ScanTiming(
         slot_extra_us=10, every_electrode=True, own_widths=False, whole_hz=True, load=0.9
     )
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
-        super().__init__(port, limits, output)
-        self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
-        self.ua_per_count: float = self._scale.measured_ua
+        port, _, options = port.partition("?")
+        self._firmware = _firmware(options)
+        self._scale = require_kit("etactilekit", port, output, self.default_profile)
+        self.port = port
+        self.ua_per_count = self._scale.measured_ua
+        wiring = None if output is None else output.wiring
+        self._wiring = np.arange(limits.electrodes) if wiring is None else np.asarray(wiring)
+        self._outputs = int(self._wiring.max()) + 1
+        if self._outputs > 253:
+            raise BoardError(
+                f"output {self._outputs - 1} is out of reach: an eTactileKit counts to 253 outputs"
+            )
+        self._limits = limits
         self._nothing = bytes(2 * self._outputs)
-        self._on_board = b""
-        self._volts: list[tuple[ScanSequence, NDArray[np.float32]]] = []
+        self._zero_anywhere = zero_anywhere(self._outputs)
+        self._opening = self._away = False
+        self._begin(True)
 
     # -- opening and closing -----------------------------------------------
 
-    def _greet(self) -> None:
-        firmware, capacity = self._find_out()
-        self._zero_anywhere = zero_anywhere(self._outputs)
-        self._promise_zero(self._zero_anywhere)
+    def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
+        self._limits = limits
+        # A board that is away goes on by itself, unless the keeper has put it at zero.
+        self._opening, self._away = True, line.reopened and not self._kit.is_at_zero
+        try:
+            if not line.reopened:
+                self._kit = ETactileKitLine(line, self._outputs, self._firmware)
+            return self._greet(line)
+        except BoardStoppedError:
+            # It is not at zero, whatever has stopped it.
+            if self._away:
+                raise line.lost("is not back") from None
+            raise
+        finally:
+            self._opening = False
+
+    def _greet(self, line: Line) -> Capabilities:
+        kit = self._kit
+        is_known = line.reopened and line.identity is not None
+        line.connect(str(self.port), kit.keep_at_zero if is_known else kit.keep)
+        if line.reopened:
+            if not is_known:
+                kit.recognize()
+            kit.promise_zero(self._zero_anywhere)
+            line.write(self._zero_anywhere)
+        if is_known or not line.reopened:
+            # Only a reset takes the time to boot.
+            line.pause(current_scale.BOOT_S)
+        firmware, capacity = kit.find_out()
+        kit.promise_zero(self._zero_anywhere)
         self._give_up()
-        self._on_board, self._settings, self._before = b"", None, None
-        self._senses = False
-        self._waits = firmware != "newest"
-        self._zero()
-        self.notes += slow_line_notes(lambda: self._exchange(b""))
-        self.capabilities: Capabilities = Capabilities(
-            electrodes=self._gate.limits.electrodes,
+        self._begin(firmware != "newest")
+        self._on_board, kit.senses = b"", False
+        self._free_ns = 0
+        self._put_at_zero()
+        self._away = False
+        for note in slow_line_notes(lambda: kit.exchange(b"")):
+            line.events.note(note)
+        return Capabilities(
+            electrodes=self._limits.electrodes,
             output="one-against-all",
             max_current_ma=LARGEST * self._scale.measured_ua / 1000,
-            max_slots=self._gate.limits.electrodes,
+            max_slots=self._limits.electrodes,
             time_to_zero_ms=NEWEST_ZERO_MS if firmware == "newest" else None,
             kept_ms=KEPT_MS,
             firmware=f"eTactileKit {firmware}, {capacity} outputs",
@@ -97,25 +144,42 @@ class ETactileKitBoard(SteppedKit):
             compliance_v=COMPLIANCE_V,
         )
 
-    def _zero_first(self) -> None:
-        self._promise_zero(self._zero_anywhere)
-        self._write_out(self._zero_anywhere)
+    def zero(self) -> None:
+        if self._away:
+            raise self._kit.line.lost("is not back")
+        if not self._opening:
+            with self._kit.lock:
+                try:
+                    self._put_at_zero()
+                except LineLostError:
+                    if not self._kit.is_at_zero:
+                        raise
 
-    def _zero(self) -> None:
+    def _put_at_zero(self) -> None:
+        kit = self._kit
         for _ in range(2):
-            if not self._senses or self._exchange(NO_SENSE) is not None:
-                self._senses = False
+            if not kit.senses or kit.exchange(NO_SENSE) is not None:
+                kit.senses = False
                 break
-            self._resync()
+            kit.resync()
         else:
-            raise self._lost("does not confirm the end of its sense pulses")
+            raise kit.line.lost("does not confirm the end of its sense pulses")
         self._stop_pulses()
         if not (self._load(self._nothing) or self._load(self._nothing)):
-            raise self._lost("does not confirm a pattern of zeros")
+            raise kit.line.lost("does not confirm a pattern of zeros")
+
+    def aftermath(self) -> str:
+        if self._kit.is_at_zero:
+            return ""
+        return "; the board goes on with its last pattern: lift the finger, then switch it off"
 
     # -- sequences ---------------------------------------------------------
 
-    def _encode(self, sequence: ScanSequence) -> bytes:
+    def check(self, proved: ProvedSequence) -> None:
+        self.encode(proved.sequence)
+
+    def encode(self, sequence: ScanSequence) -> bytes:
+        """Return the bytes of a sequence; raise BoardError if the board cannot make it."""
         settings = settings_of(sequence)
         busy_us = settings.scan_us(self._outputs)
         if sequence.slots and 1000 * busy_us > 0.97 * settings.period_ns:
@@ -124,63 +188,66 @@ class ETactileKitBoard(SteppedKit):
                 f"a scan of {self._outputs} outputs takes {busy_us} µs, which does not fit "
                 f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate"
             )
-        return payload(sequence, self._wiring, self._scale, self._gate.limits)
+        return payload(sequence, self._wiring, self._scale, self._limits)
 
-    def _serve(self) -> None:
-        idle, free_ns = False, 0
-        while not self._closing.is_set():
-            self._rest()
-            job = self._take(None if idle else time.monotonic() + IDLE_S)
-            if job is not None and self._is_in_time(job, max(job.due_ns, free_ns)):
-                self._perform(job)
-                # A sequence that waited for its turn is not late.
-                free_ns = self._clock.now_ns()
-                idle = False
-            elif not self._closing.is_set():
-                with self._line:
-                    self._zero()
-                if job is not None:
-                    self._drop_late(job)
-                idle = True
+    def write(self, proved: ProvedSequence) -> None:
+        line = self._kit.line
+        # A sequence that waited for its turn is not late.
+        proved = line.later(proved, max(proved.due_ns, self._free_ns))
+        try:
+            if line.now_ns() > proved.write_before_ns:
+                raise line.late()
+            self._perform(proved)
+        except SequenceLateError:
+            self.zero()
+            raise
+        self._free_ns = line.now_ns()
 
-    def _perform(self, job: Job) -> None:
+    def idle(self) -> float | None:
+        """Load a pattern of zeros while no sequence comes."""
+        self.zero()
+        return None
+
+    def _perform(self, proved: ProvedSequence) -> None:
         """Scan a sequence as often as requested, or until a newer one waits."""
-        if not job.sequence.slots or job.data == self._nothing:
-            self._begun(job)
-            for _ in range(job.times):
-                self._wait(self._clock.now_ns() + 1000 * job.sequence.period_us)
-                if self._waiting is not None or self._closing.is_set():
+        line, sequence = self._kit.line, proved.sequence
+        pattern = self.encode(sequence)
+        if not sequence.slots or pattern == self._nothing:
+            line.events.delivered(proved, 0)
+            for _ in range(proved.times):
+                self._wait(line.now_ns() + 1000 * sequence.period_us)
+                if line.has_newer():
                     return
             return
         for attempt in range(ATTEMPTS):
-            with self._line:
-                if self._closing.is_set():
-                    return
-                if not self._show(job):
-                    self.refused += attempt == 0
+            with self._kit.lock:
+                if not self._show(proved, pattern):
+                    if attempt == 0:
+                        line.events.refused()
                     return
             if attempt == 0:
-                self._begun(job)
-            self._hold(job)
-            with self._line:
+                line.events.delivered(proved, 0)
+            self._hold(proved)
+            with self._kit.lock:
                 if self._shown is None or self._stop_pulses():
                     self._listen()
                     return
 
-    def _show(self, job: Job) -> bool:
+    def _show(self, proved: ProvedSequence, pattern: bytes) -> bool:
         """Enable a sequence's pulses; return whether the board has done so."""
-        settings = settings_of(job.sequence)
+        line, settings = self._kit.line, settings_of(proved.sequence)
         if settings != self._settings and not self._set(settings):
             return False
-        if job.data != self._on_board and not self._load(job.data):
+        if pattern != self._on_board and not self._load(pattern):
             return False
-        self._wait(self._free_of_scans(self._clock.now_ns()))
-        if self._closing.is_set() or (span := self._ask(GO, drives=True)) is None:
+        # Settings and the board's own scans decide when it can begin.
+        begin_ns = self._free_of_scans(line.now_ns())
+        self._wait(begin_ns)
+        if (span := self._ask(GO, drives=line.later(proved, begin_ns))) is None:
             self._on_board = b""
             return False
-        self._note_rise(job)
         assert self._before is not None
-        self._shown = ShownPattern(job, span, self._before[1])
+        self._shown = ShownPattern(proved, span, self._before[1])
         return True
 
     def _set(self, settings: Settings) -> bool:
@@ -193,83 +260,90 @@ class ETactileKitBoard(SteppedKit):
         self._on_board, self._settings, self._before = b"", None, None
         self._lock = ScanLock(settings.period_ns)
         for commands in (LOAD + self._nothing, settings_commands(settings, between_hz)):
-            if self._exchange(commands) is None:
-                self._resync()
+            if self._kit.exchange(commands) is None:
+                self._kit.resync()
                 return False
         if settings.rate_hz != before_hz:
             # The newest firmware finishes the current period.
-            self._wait(self._clock.now_ns() + 10**9 // before_hz + MARGIN_NS)
+            self._wait(self._kit.line.now_ns() + 10**9 // before_hz + MARGIN_NS)
         self._settings = settings
         return True
 
     def _load(self, pattern: bytes) -> bool:
         """Load a pattern while nothing flows; return whether the board has it."""
         self._on_board = b""
-        if self._exchange(LOAD + pattern) is None:
-            self._resync()
+        if self._kit.exchange(LOAD + pattern) is None:
+            self._kit.resync()
             return False
         self._on_board = pattern
         return True
 
     def _note_volts(
-        self, job: Job, current_ua: NDArray[np.int64], readings: NDArray[np.uint16]
+        self,
+        proved: ProvedSequence,
+        current_ua: NDArray[np.int64],
+        readings: NDArray[np.uint16],
     ) -> None:
-        volts = (readings * VOLTS_PER_COUNT).astype(np.float32)
-        with self._news:
-            self._volts = [*self._volts[-63:], (job.sequence, volts)]
+        events, volts = self._kit.line.events, (readings * VOLTS_PER_COUNT).astype(np.float32)
+        events.volts(proved.sequence, volts)
         if volts.any():
             # Without a finger all current takes the load beside the skin.
             alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
-            self.lifted: bool = bool((volts >= OPEN_SHARE * alone_v).all())
-
-    def _begun(self, job: Job) -> None:
-        with self._news:
-            self._books.add(job.sequence, 0)
-            self.acknowledged += 1
-
-    def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
-        with self._news:
-            taken, self._volts = self._volts, []
-        return taken
+            events.lift(bool((volts >= OPEN_SHARE * alone_v).all()))
 
     # -- measuring ---------------------------------------------------------
 
-    def _measure(self) -> Impedance:
-        level_ua = int(SENSE_COUNTS * self._scale.measured_ua)
+    def measuring_scans(self) -> list[tuple[ScanSequence, int]]:
+        """Return the scan twice: a busy board may not scan all electrodes in the first."""
         most_ua = int(SENSE_COUNTS * self._scale.largest_ua)
         scan = one_each(
-            self._gate.limits, most_ua, SENSE_US, 1.0, time.monotonic_ns(), cathodic=False,
+            self._limits, most_ua, SENSE_US, 1.0, self._kit.line.now_ns(), cathodic=False,
             period_us=100_000,
         )  # fmt: skip
-        self.drain()
-        for _ in range(2):  # a busy board may not have scanned all electrodes in the first
+        return [(scan, SENSE_SCANS)] * 2
+
+    def measure(self, proved: list[ProvedSequence]) -> Impedance:
+        for scan in proved:
             readings = self._sense(scan)
             if readings is not None:
                 break
         else:
             raise LineLostError(
-                f"the board at {self._port_name} did not report all of its {self._outputs} "
-                "readings: measure again"
+                f"the board at {self.port} did not report all of its {self._outputs} readings: "
+                "measure again"
             )
         volts = readings[self._wiring].astype(np.float64) * VOLTS_PER_COUNT
+        level_ua = int(SENSE_COUNTS * self._scale.measured_ua)
         through_skin = np.maximum(level_ua / 1000 - volts / DUMMY_KOHM, 1e-6)
         return judge(volts, through_skin, COMPLIANCE_V)
 
-    def _sense(self, scan: ScanSequence) -> NDArray[np.uint16] | None:
+    def _sense(self, proved: ProvedSequence) -> NDArray[np.uint16] | None:
         """Sense for `SENSE_S`; return the reading of each output, counts, if the board sent all."""
-        with self._line:
-            self._zero()
+        kit = self._kit
+        with kit.lock:
+            self._put_at_zero()
             try:
-                with self._measuring(scan, SENSE_SCANS):
-                    self._senses = True
-                    self._write_out(SENSE)
+                kit.senses = True
+                kit.line.drive(SENSE, proved)
                 # Ten scans a second; two of them are over when the readings are queried.
-                self._pause(SENSE_S)
-                found = self._exchange(NO_SENSE, ask=True)
-                self._senses = found is None
+                kit.line.pause(SENSE_S)
+                found = kit.exchange(NO_SENSE, ask=True)
+                kit.senses = found is None
                 if found is None:
-                    self._resync()
+                    kit.resync()
             finally:
                 self._settings = self._before = None
-                self._zero()
+                self._put_at_zero()
         return None if found is None else found[1]
+
+
+def _firmware(options: str) -> str | None:
+    """Return the firmware that the user chose, if any."""
+    firmware = None
+    for option in options.split("&") if options else ():
+        name, _, firmware = option.partition("=")
+        if name != "firmware":
+            raise BoardError(f"etactilekit: takes the option ?firmware, not ?{option}")
+        if firmware not in FIRMWARES:
+            raise not_offered("?firmware", firmware, FIRMWARES, BoardError)
+    return firmware

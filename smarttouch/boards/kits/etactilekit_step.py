@@ -14,13 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.boards.driver import Driver
 from smarttouch.boards.kits.current_scale import one_against_all
 from smarttouch.boards.kits.etactilekit_line import ETactileKitLine
 from smarttouch.boards.kits.etactilekit_wire import QUIET, SHORTEST_US, Settings
 from smarttouch.boards.kits.scan_lock import WIDEST, ScanLock, Span
-from smarttouch.boards.kits.streamed import Job
-from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.safety_gate import ProvedSequence
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 LOW, HIGH = 4, 12  # readings below 4 had no pulse, from 12 on they had one: .3 and 1 V
@@ -35,7 +34,7 @@ KEEP_NS = 100_000_000  # longest silence to the newest firmware
 class ShownPattern:
     """Pattern that is being pulsed, and its start."""
 
-    job: Job
+    proved: ProvedSequence
     since: Span
     before: NDArray[np.uint16]  # readings of the previous scan
     unseen_ns: int = 0  # time of the last readings that showed none of its pulses
@@ -46,13 +45,18 @@ class ShownPattern:
         return (self.before < LOW) & (readings >= HIGH)
 
 
-class SteppedKit(ETactileKitLine):
-    """Kit that scans patterns a known number of times."""
+class SteppedKit(Driver):
+    """Driver of a kit that scans patterns a known number of times."""
 
-    def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
-        super().__init__(port, limits, output)
+    _kit: ETactileKitLine
+    _wiring: NDArray[np.intp]
+    _outputs: int
+
+    def _begin(self, waits: bool) -> None:
+        """Start without knowledge of the board's scans; ``waits`` if its parser stands still while
+        it scans."""
+        self._waits = waits
         self._settings: Settings | None = None  # what it pulses with; None if not certain
-        self._waits = True  # whether its parser stands still while it scans
         self._lock = ScanLock(1)
         self._shown: ShownPattern | None = None
         # The time of the last query, and its readings.
@@ -64,16 +68,19 @@ class SteppedKit(ETactileKitLine):
 
     @abstractmethod
     def _note_volts(
-        self, job: Job, current_ua: NDArray[np.int64], readings: NDArray[np.uint16]
+        self,
+        proved: ProvedSequence,
+        current_ua: NDArray[np.int64],
+        readings: NDArray[np.uint16],
     ) -> None:
         """Take the measured voltages of a sequence's slots, in counts."""
 
-    def _ask(self, body: bytes, *, drives: bool = False) -> Span | None:
+    def _ask(self, body: bytes, *, drives: ProvedSequence | None = None) -> Span | None:
         """Send commands and update the scan lock by the readings; return the time of execution."""
-        found = self._exchange(body, ask=True, drives=drives)
+        found = self._kit.exchange(body, ask=True, drives=drives)
         if found is None:
             self._before = None
-            self._resync()
+            self._kit.resync()
             return None
         span, readings = found
         assert readings is not None
@@ -123,13 +130,13 @@ class SteppedKit(ETactileKitLine):
         following = self._lock.scan(number + 1)
         return now_ns if now_ns + answer_ns < following.early else following.late + MARGIN_NS
 
-    def _hold(self, job: Job) -> None:
+    def _hold(self, proved: ProvedSequence) -> None:
         """Wait until the requested number of scans of the shown pattern is over."""
-        shown, asked_ns, late = self._shown, self._clock.now_ns(), 0
-        while shown is self._shown and not self._closing.is_set():
-            now_ns = self._clock.now_ns()
+        shown, asked_ns, late = self._shown, self._kit.line.now_ns(), 0
+        while shown is self._shown:
+            now_ns = self._kit.line.now_ns()
             assert shown is not None
-            due_ns = self._over_ns(shown.since, 1 if self._waiting is not None else job.times)
+            due_ns = self._over_ns(shown.since, 1 if self._kit.line.has_newer() else proved.times)
             if now_ns >= due_ns:
                 due_ns = self._free_of_scans(now_ns)
                 if now_ns >= due_ns or late >= LATE_SCANS:
@@ -140,9 +147,9 @@ class SteppedKit(ETactileKitLine):
             until_ns = min(due_ns, ask_ns, now_ns + self._lock.nominal_ns)
             self._wait(until_ns)
             if until_ns == ask_ns:
-                with self._line:
-                    if shown is self._shown and not self._closing.is_set():
-                        asked_ns = self._clock.now_ns()
+                with self._kit.lock:
+                    if shown is self._shown:
+                        asked_ns = self._kit.line.now_ns()
                         answer = self._ask(b"") and self._before
                         if answer:
                             self._look(shown, asked_ns, answer[1])
@@ -181,7 +188,7 @@ class SteppedKit(ETactileKitLine):
 
     def _listen(self) -> None:
         """Run a scan without pulses if its readings will show when it starts."""
-        now_ns, before = self._clock.now_ns(), self._before
+        now_ns, before = self._kit.line.now_ns(), self._before
         self._lock.check(now_ns)
         if before is None or now_ns < self._listen_ns or not (before[1] >= HIGH).any():
             return
@@ -195,26 +202,26 @@ class SteppedKit(ETactileKitLine):
         assert self._settings is not None
         end_ns += 1000 * self._settings.scan_us(self._outputs, 25) + POLL_NS
         while self._before is not None and (self._before[1] >= HIGH).any():
-            if self._clock.now_ns() > end_ns or self._closing.is_set():
+            if self._kit.line.now_ns() > end_ns:
                 break
-            self._wait(self._clock.now_ns() + POLL_NS // 2)
+            self._wait(self._kit.line.now_ns() + POLL_NS // 2)
             self._ask(b"")
-        self._listen_ns = self._clock.now_ns() + LISTEN_NS
+        self._listen_ns = self._kit.line.now_ns() + LISTEN_NS
 
     def _stop_pulses(self) -> bool:
         """Stop all pulses, and record the scans; return False if there seem to be none."""
         shown, self._shown = self._shown, None
-        begun_ns, stopped = self._clock.now_ns(), None
+        begun_ns, stopped = self._kit.line.now_ns(), None
         try:
             stopped = self._ask(QUIET)
         finally:
-            self._stopped_ns = self._clock.now_ns()
+            self._stopped_ns = self._kit.line.now_ns()
             seen = self._account(shown, stopped, begun_ns) if shown is not None else True
         return seen
 
     def _account(self, shown: ShownPattern, stopped: Span | None, begun_ns: int) -> bool:
         """Record the scans of the shown pattern; return False if there seem to be none."""
-        sequence, since, seen = shown.job.sequence, shown.since, True
+        sequence, since, seen = shown.proved.sequence, shown.since, True
         readings = None if stopped is None or self._before is None else self._before[1]
         certain = False if readings is None else shown.pulsed(readings)
         if np.any(certain) and not shown.risen and self._settings is not None:
@@ -222,7 +229,7 @@ class SteppedKit(ETactileKitLine):
             slots = int(np.argmax(certain))
             unseen_ns = shown.unseen_ns - 1000 * slots * self._settings.scan_us(1, 25)
             since = Span(max(since.early, unseen_ns), max(since.late, unseen_ns))
-        least, most = self._lock.starts(since, stopped or Span(begun_ns, self._clock.now_ns()))
+        least, most = self._lock.starts(since, stopped or Span(begun_ns, self._kit.line.now_ns()))
         foreign = certain & self._unused(sequence)
         if readings is not None:
             electrode, current_ua = one_against_all(sequence)
@@ -234,11 +241,10 @@ class SteppedKit(ETactileKitLine):
                 self._lock.forget()
                 least, seen = 0, False
             if least and self._lock.locked:
-                self._note_volts(shown.job, current_ua, readings)
-        with self._news:
-            self._books.add(sequence, least, again=True, most=max(least, most))
+                self._note_volts(shown.proved, current_ua, readings)
+        self._kit.line.events.delivered(shown.proved, least, most=max(least, most))
         if foreign.any():
-            raise self._latch(
+            raise self._kit.line.events.fault(
                 f"output {foreign.argmax()} pulsed, and its pattern has no pulse there"
             )
         return seen
@@ -257,5 +263,5 @@ class SteppedKit(ETactileKitLine):
             self._account(shown, None, max(sure_ns, shown.since.late))
 
     def _wait(self, until_ns: int) -> None:
-        if until_ns > self._clock.now_ns():
-            self._clock.wait_until(until_ns, self._closing)
+        if until_ns > self._kit.line.now_ns():
+            self._kit.line.wait_until(until_ns)

@@ -18,20 +18,20 @@ load nothing into its converter, so the test's last value, at most 1,024 counts 
 value does. No packet can prevent that; it is 8 nC, once after power-on.
 """
 
-import time
 from typing import ClassVar
 
 import numpy as np
 
 from smarttouch.base.errors import BoardError, LineLostError
-from smarttouch.boards.board import Capabilities
-from smarttouch.boards.kits.current_scale import one_against_all, scale_of
-from smarttouch.boards.kits.streamed import Job, StreamedBoard
+from smarttouch.boards.driver import Driver
+from smarttouch.boards.kits import current_scale
+from smarttouch.boards.kits.current_scale import one_against_all, require_kit
+from smarttouch.boards.line import Line
 from smarttouch.boards.probe_scans import one_each
-from smarttouch.boards.reports import Impedance, judge
+from smarttouch.boards.reports import Capabilities, Impedance, judge
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.pulse_rates import ScanTiming
-from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 ELECTRODES = 61
@@ -49,29 +49,53 @@ HURRY = 20  # divisor of a period: no two packets are closer than it by more tha
 LEAD_S = 0.003  # from a run's first sequence to its packet: margin for delayed later ones
 
 
-class Kajimoto61Board(StreamedBoard):
+class Kajimoto61Driver(Driver):
     """Kit of 61 electrodes: ``kajimoto61:PORT``."""
 
-    kind = "kajimoto61"
     default_profile: ClassVar[str] = "kajimoto-61"
+    queued: ClassVar[bool] = True
+    reports_delivery: ClassVar[bool] = True
     timing: ScanTiming = ScanTiming(
         width_us=WIDTH_US, discharge_us=REST_US, slot_extra_us=8, scan_us=700, in_index_order=True,
         own_widths=False, load=1 / 1.1,
     )  # fmt: skip
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
-        super().__init__(port, limits, output)
+        self._scale = require_kit("kajimoto61", port, output, self.default_profile)
         if limits.electrodes != ELECTRODES:
             raise BoardError(
                 f"a kajimoto61 board has {ELECTRODES} electrodes, the profile "
                 f"{limits.electrodes}: use the profile {self.default_profile}"
             )
-        self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
-        self.ua_per_count: float = self._scale.measured_ua
+        self.port = port
+        self.ua_per_count = self._scale.measured_ua
         self._step_ua = COUNTS_PER_BYTE * self.ua_per_count
         most = self._scale.most_counts(limits, WIDTH_US, COUNTS_PER_BYTE)
         self._largest = np.minimum(LARGEST, most)
-        self.capabilities: Capabilities = Capabilities(
+        self._limits = limits
+        # When the next packet may go, and the period of the last one; None begins a new grid.
+        self._next_ns: int | None = None
+        self._period_ns = 0
+
+    def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
+        self._line, self._limits, self._next_ns = line, limits, None
+        if line.reopened and line.identity is None:
+            raise BoardError(
+                f"the board at {self.port} was lost; it has no USB serial number and cannot be "
+                "identified, so nothing is sent to what comes back: check the cable, then start "
+                "again"
+            )
+        line.connect(str(self.port))
+        line.pause(current_scale.BOOT_S)
+        line.discard_input()
+        self.zero()
+        # This board sends nothing unrequested; an eTactileKit takes FF for a query and answers.
+        if answer := line.read(64, 0.05):
+            raise BoardError(
+                f"the board at {self.port} answers {len(answer)} bytes to a packet that a "
+                "kajimoto61 board answers with none: it is another one, perhaps etactilekit:"
+            )
+        return Capabilities(
             electrodes=ELECTRODES,
             output="one-against-all",
             max_current_ma=LARGEST * self._step_ua / 1000,
@@ -84,24 +108,18 @@ class Kajimoto61Board(StreamedBoard):
             measures=False,
         )
 
-    def _greet(self) -> None:
-        self._flush()
-        self._zero()
-        # This board sends nothing unrequested; an eTactileKit takes FF for a query and answers.
-        if answer := self._read(64, 0.05):
-            raise BoardError(
-                f"the board at {self._port_name} answers {len(answer)} bytes to a packet that a "
-                "kajimoto61 board answers with none: it is another one, perhaps etactilekit:"
-            )
-
-    def _zero(self) -> None:
+    def zero(self) -> None:
         # Zeros complete a packet that was cut short; a full one ends the self-test.
-        self._write(bytes(ELECTRODES))
-        time.sleep(0.02)
-        self._write(ZERO)
-        self._flush()
+        self._line.write(bytes(ELECTRODES))
+        self._line.pause(0.02)
+        self._line.write(ZERO)
+        self._line.discard_input()
 
-    def _encode(self, sequence: ScanSequence) -> bytes:
+    def check(self, proved: ProvedSequence) -> None:
+        self.encode(proved.sequence)
+
+    def encode(self, sequence: ScanSequence) -> bytes:
+        """Return the bytes of a sequence; raise BoardError if the board cannot make it."""
         electrode, current_ua = one_against_all(sequence)
         if (current_ua > 0).any():
             slot = int((current_ua > 0).argmax())
@@ -128,91 +146,64 @@ class Kajimoto61Board(StreamedBoard):
         packet[1 + electrode] = steps.astype(np.uint8)
         return packet.tobytes()
 
-    def _serve(self) -> None:
-        """Send the newest sequence on a grid of absolute deadlines."""
-        deadline_ns, job = 0, None
-        while (newest := self._take()) is not None:
-            now = self._clock.now_ns()
-            if not self._is_in_time(newest, newest.due_ns):
-                self._drop_late(newest)
-                continue
-            if job is None or now - deadline_ns > 1000 * job.sequence.period_us:
-                # The first of a run or after a pause starts a new grid.
-                deadline_ns = now + int(LEAD_S * 1e9)
-            job, deadline_ns = self._scan(newest, deadline_ns)
-            self._rest()
-
-    def _scan(self, job: Job, deadline_ns: int) -> tuple[Job | None, int]:
-        """Send one sequence as often as requested; return the last one sent, None if it had become
-        too late, and when the next one may go."""
-        left = job.times
-        while left:
-            self._clock.wait_until(deadline_ns, self._closing)
-            if (fresh := self._peek()) is not None:
-                self.replaced += left == job.times
-                job, left = fresh, fresh.times
-            with self._line, self._driving():
-                if self._closing.is_set():
-                    break
-                sent_ns = self._clock.now_ns()
-                if not (self._is_in_time(job, deadline_ns) and self._went(job, deadline_ns)):
-                    self._drop_late(job)
-                    return None, deadline_ns
-                self._note_rise(job)
-            self._delivered(job)
-            left -= 1
+    def write(self, proved: ProvedSequence) -> None:
+        """Send a packet for each pass, on a grid of absolute deadlines."""
+        line, packet = self._line, self.encode(proved.sequence)
+        now_ns, period_ns = line.now_ns(), 1000 * proved.sequence.period_us
+        if now_ns > proved.write_before_ns:
+            raise line.late()
+        next_ns, self._next_ns = self._next_ns, None
+        if next_ns is None or now_ns - next_ns > self._period_ns:
+            # The first of a run or after a pause starts a new grid.
+            next_ns = now_ns + int(LEAD_S * 1e9)
+        for scan in range(proved.times):
+            if line.now_ns() < next_ns:
+                line.wait_until(next_ns)
+            if line.has_newer():
+                if scan == 0:
+                    line.events.replaced()
+                break
+            sent_ns = line.now_ns()
+            proved = line.later(proved, next_ns)
+            try:
+                line.drive(packet, proved)
+            except LineLostError:
+                # The scan may have been made.
+                line.events.delivered(proved, 0, most=1)
+                raise
+            line.events.delivered(proved, 1)
             # After a late packet the grid moves, as catching up would exceed the proved rate; the
             # part of a period that is caught up lies within the board's own margin.
-            period_ns = 1000 * job.sequence.period_us
-            deadline_ns = max(deadline_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
-        return job, deadline_ns
+            next_ns = max(next_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
+            self._period_ns = period_ns
+        self._next_ns = next_ns
 
-    def _went(self, job: Job, deadline_ns: int) -> bool:
-        """Write a sequence in time; return whether it was. Where the line breaks meanwhile, the
-        scan counts as one that may have been made."""
-        try:
-            return self._write_in_time(job.data, deadline_ns)
-        except LineLostError:
-            with self._news:
-                self._books.add(job.sequence, 0, job.number == self._last_begun, most=1)
-            raise
-
-    def _peek(self) -> Job | None:
-        with self._news:
-            job, self._waiting = self._waiting, None
-            return job
-
-    def _measure(self) -> Impedance:
-        """Request one MEASURE; readings wrap, so that some of them fit more than one voltage."""
+    def measuring_scans(self) -> list[tuple[ScanSequence, int]]:
+        most_ua = int(MEASURE_MA * 1000 * self._scale.largest_ua / self._scale.nominal_ua)
         scan = one_each(
-            self._gate.limits,
-            int(MEASURE_MA * 1000 * self._scale.largest_ua / self._scale.nominal_ua),
-            MEASURE_US,
-            1.0,
-            time.monotonic_ns(),
-            cathodic=False,
+            self._limits, most_ua, MEASURE_US, 1.0, self._line.now_ns(), cathodic=False,
             period_us=20_000,
-        )
-        self.drain()
-        with self._line:
-            self._pause(0.02)
-            self._flush()
-            with self._measuring(scan):
-                self._write(bytes([MEASURE]))
-            answer = b""
-            # In short reads, as a stop waits for one.
-            for _ in range(ANSWER_READS):
-                self._go_on_unless_stopped()
-                answer += self._read(ELECTRODES + 1 - len(answer), READ_S)
-                if len(answer) > ELECTRODES:
-                    break
-            if len(answer) != ELECTRODES + 1 or answer[-1] != 0xFF or 0xFF in answer[:-1]:
-                self._zero()
-                raise BoardError(
-                    f"the board at {self._port_name} answered {len(answer)} of {ELECTRODES + 1} "
-                    "bytes to a measurement, or some that are no readings: it was put at zero; "
-                    "measure again"
-                )
+        )  # fmt: skip
+        return [(scan, 1)]
+
+    def measure(self, proved: list[ProvedSequence]) -> Impedance:
+        """Request one MEASURE; readings wrap, so that some of them fit more than one voltage."""
+        line, answer = self._line, b""
+        line.pause(0.02)
+        line.discard_input()
+        line.drive(bytes([MEASURE]), proved[0])
+        # In short reads, as a stop waits for one.
+        for _ in range(ANSWER_READS):
+            line.require_running()
+            answer += line.read(ELECTRODES + 1 - len(answer), READ_S)
+            if len(answer) > ELECTRODES:
+                break
+        if len(answer) != ELECTRODES + 1 or answer[-1] != 0xFF or 0xFF in answer[:-1]:
+            self.zero()
+            raise BoardError(
+                f"the board at {self.port} answered {len(answer)} of {ELECTRODES + 1} bytes to a "
+                "measurement, or some that are no readings: it was put at zero; measure again"
+            )
         readings = np.frombuffer(answer[:-1], np.uint8).astype(np.float64)
         # The next voltage that reads the same still lies within what the board can supply.
         unsure = (readings + WRAP) * READING_V < COMPLIANCE_V

@@ -14,7 +14,7 @@ the board's bytes both ways) and ``control`` (a socket with messages of the host
 
     b"."                         a heartbeat
     b"F"                         drop what has come from the board; answered by b"F"
-    b"Z" u8 slow u16 N, N bytes  zero command, and whether the board loses bytes written fast
+    b"Z" u16 N, N bytes          zero command
 
 Silence counts from the first ``Z`` on: nothing sent before can make current. A suspended computer
 counts as a silent host.
@@ -30,12 +30,12 @@ import time
 SILENCE_S = 0.09  # longest silence of the host: with the time to wake up and write, .1 s to zero
 PRIORITY = 2  # real-time, where allowed: above the host's 1, so a hung host cannot block it
 STUCK_S = 0.4  # without a byte accepted while zero is written: the board is stuck
-PIECE, PAUSE_S = 8, 0.003  # what the USB of older firmware takes without losing bytes
+PIECE, PAUSE_S = 8, 0.003  # zero goes out once more in pieces, of which a busy USB chip loses none
 GONE, SILENT, LINE_LOST, BLOCKED, ENDED = 7, 3, 4, 5, 6
 """Exit codes: the host has closed, or was silent; the line broke, or takes no bytes; SIGTERM.
 None is 0, which a host that ignores SIGCHLD reads of any process, killed ones too."""
 HEARTBEAT, FLUSH, ZERO = b".", b"F", b"Z"
-ZERO_HEAD = 4
+ZERO_HEAD = 3
 _MOST = 65536
 _MOST_READS = 100
 
@@ -45,7 +45,7 @@ class Keeper:
 
     def __init__(self, port: int, data: int, control: int) -> None:
         self._port, self._data, self._control = port, data, control
-        self._zero, self._slow = b"", False
+        self._zero = b""
         self._unread = b""
         self._to_port = self._to_host = b""
         self._ended = False
@@ -114,11 +114,10 @@ class Keeper:
         while self._unread:
             kind = self._unread[:1]
             if kind == ZERO:
-                length = ZERO_HEAD + int.from_bytes(self._unread[2:4], "little")
+                length = ZERO_HEAD + int.from_bytes(self._unread[1:3], "little")
                 if len(self._unread) < max(length, ZERO_HEAD):
                     break
-                self._slow = bool(self._unread[1])
-                self._zero, self._unread = (self._unread[ZERO_HEAD:length], self._unread[length:])
+                self._zero, self._unread = self._unread[ZERO_HEAD:length], self._unread[length:]
                 continue
             self._unread = self._unread[1:]
             if kind == FLUSH:
@@ -146,7 +145,7 @@ class Keeper:
     def _write_zero(self) -> bool:
         """Write the zero command twice, the second time in small pieces, as older firmware loses
         bytes that come fast; return whether the line accepted it."""
-        for slow in (self._slow, True):
+        for slow in (False, True):
             step = PIECE if slow else _MOST
             for start in range(0, len(self._zero), step):
                 piece = self._zero[start : start + step]

@@ -87,11 +87,11 @@ class KeptLine:
         """True if the keeper has ended and reported the board at zero."""
         return self._process.poll() in _AT_ZERO
 
-    def promise_zero(self, zero: bytes, slow: bool = False) -> None:
+    def promise_zero(self, zero: bytes) -> None:
         """Set the keeper's zero command, valid at any point of the byte stream, and start its
-        silence timer; ``slow`` if the board loses bytes that are written fast."""
+        silence timer."""
         self._zero = zero
-        head = keeper.ZERO + bytes([slow]) + len(zero).to_bytes(2, "little")
+        head = keeper.ZERO + len(zero).to_bytes(2, "little")
         try:
             self._control.sendall(head + zero)
         except OSError:

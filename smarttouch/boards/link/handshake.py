@@ -27,17 +27,17 @@ from smarttouch.stimulation.safety_limits import SafetyLimits
 
 def accepted(
     answer: Message, name: str, electrodes: int, wanted: Output | None, known: Capabilities | None
-) -> tuple[protocol.Output, Capabilities]:
-    """Return a board's outputs and capabilities, checked against the profile and, if known, those
+) -> Capabilities:
+    """Return a board's capabilities, checked against the profile and, if known, those
     from before the line was lost. A wrong board has received no more than HELLO."""
-    kind, found = _offered(answer, name)
+    found = _offered(answer, name)
     _require_ready(answer, name, found, known)
     _require_fit(name, found, electrodes, wanted)
-    return kind, found
+    return found
 
 
-def _offered(answer: Message, name: str) -> tuple[protocol.Output, Capabilities]:
-    """Return the outputs and capabilities in a CAPABILITIES of any version."""
+def _offered(answer: Message, name: str) -> Capabilities:
+    """Return the capabilities in a CAPABILITIES of any version."""
     if answer.version != protocol.VERSION:
         raise BoardError(
             f"the board at {name} speaks link version {answer.version}, this "
@@ -56,7 +56,7 @@ def _offered(answer: Message, name: str) -> tuple[protocol.Output, Capabilities]
     head += protocol.KEEPING.size
     if not features & Feature.KERNELS:
         room = kernels = 0
-    found = Capabilities(
+    return Capabilities(
         electrodes=outputs, output=kind, max_current_ma=current_ua / 1000, max_slots=slots,
         time_to_zero_ms=zero_ms, firmware=answer.payload[head:].decode("utf-8", "replace"),
         measures=bool(features & Feature.VOLTAGE), force=bool(features & Feature.FORCE),
@@ -64,7 +64,6 @@ def _offered(answer: Message, name: str) -> tuple[protocol.Output, Capabilities]
         emergency_switch=bool(features & Feature.EMERGENCY), protocol=f"link {protocol.VERSION}",
         kernel_bytes=room, most_kernels=kernels, packet_bytes=packet,
     )  # fmt: skip
-    return kind, found
 
 
 def _require_ready(
@@ -135,24 +134,26 @@ _RULES = {
 }
 
 
-class Line(Protocol):
-    """Line to a board, which answers queries."""
+class Packets(Protocol):
+    """Packets to and from a board, which answers queries."""
 
-    name: str
     session: HostSession
+
+    @property
+    def name(self) -> str: ...
 
     def ask(self, question: MessageKind, payload: bytes = b"") -> Message:
         """Return the answer; raise BoardError if there is none."""
         ...
 
 
-def give_limits(line: Line, limits: SafetyLimits) -> None:
+def give_limits(line: Packets, limits: SafetyLimits) -> None:
     if line.ask(MessageKind.LIMITS, encode_limits(limits)).payload != b"\1":
         raise malformed(line.name)
 
 
 def give_kernels(
-    line: Line, image: KernelImage, most_bytes: int, go_on: Callable[[], None]
+    line: Packets, image: KernelImage, most_bytes: int, go_on: Callable[[], None]
 ) -> None:
     """Give a board its kernels, in packets of at most ``most_bytes``; what it keeps already is not
     sent again. ``go_on`` raises if the board is to be stopped; one that keeps nothing is lost."""

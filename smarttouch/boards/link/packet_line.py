@@ -1,4 +1,4 @@
-"""Line to a ``link`` board: one thread reads, one keeps the board alive."""
+"""Packets of a ``link`` board: a thread reads them, and queries wait for their answers."""
 
 import contextlib
 import threading
@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 
 from smarttouch.base.clock import prioritized
-from smarttouch.base.errors import BoardError, BoardStoppedError, LineLostError, SilentBoardError
+from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
 from smarttouch.base.wire.framing import Deframer
-from smarttouch.base.wire.port import LINE_ERRORS, Port, read_some, reason, write_before
+from smarttouch.boards.line import Line
 from smarttouch.boards.link.protocol import (
     ANSWERS,
     VERSION,
@@ -17,33 +17,30 @@ from smarttouch.boards.link.protocol import (
     MessageKind,
     draw_half,
 )
+from smarttouch.stimulation.safety_gate import ProvedSequence
 
 HEARTBEAT_S = 0.03  # longest silence of the host: the board gives up after 0.1 s
 SILENCE_S = 0.5  # after which a board, which sends every 20 ms in a session, is gone
 LISTENED_S = 0.1  # most silence counted for one read; the rest was a pause of ours
 ANSWER_S = 1.0
 AGAIN_S = 0.25  # time after which a query is sent again
-PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a whole packet
+STOPPED_S = 0.05  # time in which a query sees that the board was stopped
 
 
-class LinkLine:
+class PacketLine:
     """Packets to and from one board; a fault is raised at the next call.
 
-    Messages call its port ``name``. ``receive`` gets every packet that answers no query, with
-    `news` held; ``aftermath`` returns the end of messages on faults; ``tend`` is called every few
-    milliseconds to repeat lost packets; ``draw`` returns the host's half of a session, a new one
-    each time.
+    Parameters
+    ----------
+    receive : callable
+        Gets every packet that answers no query, with `news` held.
+    draw : callable
+        Returns the host's half of a session, a new one each time.
     """
 
     def __init__(
-        self,
-        name: str,
-        receive: Callable[[Message], None],
-        aftermath: Callable[[], str],
-        tend: Callable[[], None] = lambda: None,
-        draw: Callable[[], int] = draw_half,
+        self, receive: Callable[[Message], None], draw: Callable[[], int] = draw_half
     ) -> None:
-        self.name = name
         self.session: HostSession = HostSession(draw)  # of all packets; each opening has its own
         # Longest wait for an answer, and longest silence of the board in a session.
         self.answer_s: float = ANSWER_S
@@ -51,31 +48,40 @@ class LinkLine:
         self._draw = draw
         self.news: threading.Condition = threading.Condition()
         self.fault: BoardError | None = None
-        self.overtaken: bool = False  # by a stop: without heartbeats the board stops itself
-        self._receive, self._aftermath, self._tend = receive, aftermath, tend
+        self._receive = receive
         self._closing = threading.Event()
-        # Reentrant: a signal handler may stop while its own thread is writing.
-        self.writing: threading.RLock = threading.RLock()
-        self._port: Port | None = None
+        self._line: Line | None = None
         self._refused_before = 0
         self._deframer = Deframer()
         self._answers: dict[int, Message] = {}
-        self._threads: list[threading.Thread] = []
+        self._reader: threading.Thread | None = None
 
     @property
-    def opened(self) -> bool:
-        return self._port is not None
+    def line(self) -> Line:
+        """Line that carries the packets."""
+        assert self._line is not None
+        return self._line
+
+    @property
+    def name(self) -> str:
+        """Name of the board's port."""
+        return self.line.name
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a reader runs."""
+        return self._line is not None and not self._closing.is_set()
 
     @property
     def refused(self) -> int:
         """Number of refused packets from the board, in all sessions."""
         return self._refused_before + self.session.refused
 
-    def open(self, port: Port) -> None:
-        """Start reading."""
-        self._port = port
+    def open(self, line: Line) -> None:
+        """Start reading from a connected line."""
+        self._line = line
         self._closing.clear()
-        self.fault, self.overtaken = None, False
+        self.fault = None
         self._refused_before, self.session = self.refused, HostSession(self._draw)
         self._deframer = Deframer()
         self._answers.clear()
@@ -83,12 +89,8 @@ class LinkLine:
         self._listen()
 
     def _listen(self) -> None:
-        self._threads = [
-            threading.Thread(target=self._read_all, name="board reader", daemon=True),
-            threading.Thread(target=self._keep_alive, name="board heartbeat", daemon=True),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._reader = threading.Thread(target=self._read_all, name="board reader", daemon=True)
+        self._reader.start()
 
     def now_s(self) -> float:
         """Return the time by the clock of all timeouts here."""
@@ -99,34 +101,27 @@ class LinkLine:
         return self.news.wait_for(condition, timeout_s)
 
     def close(self) -> None:
-        """End both threads and close the port."""
+        """End the reader."""
         self._closing.set()
-        for thread in self._threads:
-            if thread is not threading.current_thread():
-                thread.join(ANSWER_S)
-        if self._port is not None:
-            with contextlib.suppress(*LINE_ERRORS):
-                self._port.close()
+        if self._reader is not None and self._reader is not threading.current_thread():
+            self._reader.join(ANSWER_S)
 
-    def begin(
-        self, accept: Callable[[Message], None], stopped: threading.Event | None = None
-    ) -> None:
+    def begin(self, accept: Callable[[Message], None]) -> None:
         """Begin a session with a board, unless ``accept`` raises on its CAPABILITIES, of any
-        version; ``stopped`` ends the wait (see `overtake`)."""
+        version."""
         deadline = self.now_s() + self.answer_s
         offer = None
         while self.now_s() < deadline:
-            offer = self._ask_once(MessageKind.HELLO, stopped=stopped) or offer
+            offer = self._ask_once(MessageKind.HELLO) or offer
             if offer is None:
                 continue
             accept(offer)
-            if self.session.begun or self._ask_once(MessageKind.BEGIN, stopped=stopped):
+            if self.session.begun or self._ask_once(MessageKind.BEGIN):
                 return
         raise self._no_answer()
 
-    def overtake(self) -> None:
-        """Give a stop priority over everything else, and wake whatever waits for an answer."""
-        self.overtaken = True
+    def wake(self) -> None:
+        """Wake whatever waits for an answer."""
         with self.news:
             self.news.notify_all()
 
@@ -140,11 +135,7 @@ class LinkLine:
         raise self._no_answer()
 
     def _ask_once(
-        self,
-        question: MessageKind,
-        first: int = 0,
-        stopped: threading.Event | None = None,
-        payload: bytes = b"",
+        self, question: MessageKind, first: int = 0, payload: bytes = b""
     ) -> Message | None:
         """Send a query; return an answer to it, or to one sent since ``first``."""
         first = first or self.session.sent + 1
@@ -155,14 +146,18 @@ class LinkLine:
             # An answer of another version may name no query.
             return found is not None and (found.about >= first or found.version != VERSION)
 
+        def over() -> bool:
+            return self.fault is not None or answered() or self.line.is_stopped
+
         # The leading zero ends any half packet on the line.
         self.send(question, payload=payload, start=b"\0")
+        until_s = self.now_s() + AGAIN_S
         with self.news:
-            halted = stopped.is_set if stopped is not None else lambda: False
-            self.wait(lambda: self.fault is not None or answered() or halted(), AGAIN_S)
+            # In short waits: a stop of a board that is being opened wakes nobody.
+            while not self.wait(over, STOPPED_S) and self.now_s() < until_s:
+                pass
             self.raise_fault()
-            if halted():
-                raise BoardStoppedError(f"the board at {self.name} was stopped before it answered")
+            self.line.require_running()
             return self._answers.pop(kind) if answered() else None
 
     def _no_answer(self) -> SilentBoardError:
@@ -178,41 +173,29 @@ class LinkLine:
         payload: bytes = b"",
         *,
         start: bytes = b"",
-        latest_ns: int = 0,
-        now_ns: Callable[[], int] = lambda: 0,
-    ) -> bool:
-        """Write the next packet of the session behind ``start``, unless the clock is past
-        ``latest_ns`` before its first byte; return whether it was written. A stop may come between
-        its pieces."""
-        if not self.writing.acquire(timeout=ANSWER_S):
-            raise BoardError(f"the line to {self.name} is blocked: check the cable")
+        proved: ProvedSequence | None = None,
+    ) -> None:
+        """Write the next packet of the session behind ``start``; one that delivers a sequence is
+        refused as `Line.drive` says."""
         try:
             # Numbered under the lock, so that packets leave in order.
-            packet = start + self.session.encode(kind, about, payload)
-            assert self._port is not None
-            for at in range(0, len(packet), PIECE):
-                if self.overtaken and len(packet) > PIECE:
-                    raise BoardError("the board was stopped: open it again before sending")
-                piece = packet[at : at + PIECE]
-                if at:
-                    self._port.write(piece)
-                elif not write_before(self._port, piece, latest_ns, now_ns):
-                    return False
-            self._last_written = self.now_s()
-            if kind is not MessageKind.HEARTBEAT:
-                self._last_packet = self._last_written
-        except LINE_ERRORS as error:
-            self.fail(self.lost(f"cannot be written to ({reason(error)})"))
+            with self.line.current():
+                packet = start + self.session.encode(kind, about, payload)
+                if proved is None:
+                    self.line.write(packet)
+                else:
+                    self.line.drive(packet, proved)
+        except LineLostError as lost:
+            self.fail(lost)
             self.raise_fault()
-        finally:
-            self.writing.release()
-        return True
+        self._last_written = self.now_s()
+        if kind is not MessageKind.HEARTBEAT:
+            self._last_packet = self._last_written
 
     def stop_blindly(self) -> None:
         """Write a STOP to a line that has failed, which may still carry it."""
-        if self._port is not None:
-            with contextlib.suppress(*LINE_ERRORS):
-                self._port.write(b"\0" + self.session.encode(MessageKind.STOP))
+        with contextlib.suppress(BoardError):
+            self.line.write(b"\0" + self.session.encode(MessageKind.STOP))
 
     def fail(self, fault: BoardError) -> None:
         """Keep the first fault for the next call."""
@@ -226,24 +209,21 @@ class LinkLine:
 
     def lost(self, what: str) -> LineLostError:
         """Return a fault that a restart may repair."""
-        message = f"the board at {self.name} {what}{self._aftermath()}"
-        return LineLostError(message)
+        return self.line.lost(what)
 
     def gone(self, what: str) -> BoardError:
         """Return a fault that is final."""
-        message = f"the board at {self.name} {what}{self._aftermath()}"
-        return BoardError(message)
+        return BoardError(str(self.line.lost(what)))
 
     @prioritized()
     def _read_all(self) -> None:
         silent_s, now = 0.0, self.now_s()
         while not self._closing.is_set():
             try:
-                assert self._port is not None
-                data = read_some(self._port)
-            except LINE_ERRORS as error:
+                data = self.line.read_some()
+            except BoardError as error:
                 if not self._closing.is_set():
-                    self.fail(self.lost(f"has vanished ({reason(error)})"))
+                    self.fail(error)
                 return
             before, now = now, self.now_s()
             silent_s += min(now - before, LISTENED_S)
@@ -270,21 +250,10 @@ class LinkLine:
                 self.news.notify_all()
         return taken
 
-    @prioritized()
-    def _keep_alive(self) -> None:
-        # Nothing is due soon after a packet: a sequence is sent again after longer than that, too.
-        while not self._closing.wait(
-            max(HEARTBEAT_S / 4, self._last_packet + HEARTBEAT_S * 2 / 3 - self.now_s())
-        ):
-            if self.fault is not None or self.overtaken:
-                return
-            try:
-                self.beat()
-            except BoardError:
-                return
-
-    def beat(self) -> None:
-        """Send a lost packet again, and a heartbeat if one is due."""
-        self._tend()
-        if self.session.begun and self.now_s() - self._last_written > HEARTBEAT_S:
+    def beat(self) -> float:
+        """Send a heartbeat if one is due; return the time to the next look, s."""
+        now_s = self.now_s()
+        if self.session.begun and now_s - self._last_written > HEARTBEAT_S:
             self.send(MessageKind.HEARTBEAT)
+        # Nothing is due soon after a packet: a sequence is sent again after longer than that, too.
+        return max(HEARTBEAT_S / 4, self._last_packet + HEARTBEAT_S * 2 / 3 - now_s)

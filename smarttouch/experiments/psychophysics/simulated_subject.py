@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import ExperimentError
 from smarttouch.boards.board import Board
-from smarttouch.emulator.emulated_boards import Pulses, SimulatedBoard
+from smarttouch.emulator.emulated_boards import Pulses, SimulatedDriver
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
 from smarttouch.experiments.psychophysics.observers import (
     BlindObserver,
@@ -41,7 +41,7 @@ class Subject(Listener):
         self._source, self._observer = source, observer
         self._look_s, self._reaction_s = look_s, reaction_s
         self._key: tuple[int, str] | None = None  # when the next key is pressed, ns, and which
-        self._board: SimulatedBoard | None = None
+        self._driver: SimulatedDriver | None = None
         self._starts: dict[tuple[int, int], dict[int, tuple[int, int]]] = {}
         """Time and discharge of each sequence by number, for each presentation and interval."""
         self._asked: Trial | None = None
@@ -53,12 +53,12 @@ class Subject(Listener):
 
     def attend(self, board: Board) -> None:
         """Attach to a board, as `start` does."""
-        if not isinstance(board, SimulatedBoard):
+        if not isinstance(board.driver, SimulatedDriver):
             raise ExperimentError(
                 "a simulated subject responds to simulated currents only: choose the board "
                 "simulated:"
             )
-        self._board = board
+        self._driver = board.driver
 
     def step(self, result: StepResult) -> None:
         """Follow a step; answer if a question is open."""
@@ -99,8 +99,8 @@ class Subject(Listener):
 
     def _answer(self, trial: Trial, parts: list[dict[int, tuple[int, int]]]) -> str:
         """Return the key of the observer's answer, empty if there is none."""
-        assert self._board is not None
-        pulses = self._board.take_pulses()
+        assert self._driver is not None
+        pulses = self._driver.take_pulses()
         felt = [interval_of(pulses, starts) for starts in parts]
         task = trial.task if trial.course is None else trial.course.task
         alternatives = ("y", "n") if trial.rises else trial.alternatives
@@ -110,7 +110,7 @@ class Subject(Listener):
 
 def interval_of(pulses: Pulses, starts: dict[int, tuple[int, int]]) -> Interval:
     """Return the pulses that the sequences of one interval delivered, from
-    `SimulatedBoard.take_pulses`.
+    `SimulatedDriver.take_pulses`.
 
     `starts` has, by the number of each sequence, when it began, ns, and the discharge after each of
     its slots, µs.

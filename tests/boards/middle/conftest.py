@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from smarttouch.boards.link.link_board import LinkBoard
-from smarttouch.boards.link.packet_line import LinkLine
+from smarttouch.base.clock import LATE_NS
+from smarttouch.boards.board import Board
+from smarttouch.boards.link.link_driver import LinkDriver
+from smarttouch.boards.link.packet_line import PacketLine
 from smarttouch.boards.link.protocol import HALF
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import BoardSession
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.safety_gate import _GATE, ProvedSequence, SafetyLimits
 
 MS = 1_000_000
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
@@ -152,11 +154,13 @@ class World:
         return self.random.randrange(1, 2**32)
 
     def make_board(self):
-        """Return the driver of a host that comes to this board."""
-        board = ToldBoard("the middle", LIMITS, Output(kind="weighted"))
-        board._clock = WorldClock(self)
-        board._line = ToldLine(self, board)
-        return board
+        """Return the board of a host that comes to this one."""
+        output = Output(kind="weighted")
+        driver = ToldDriver("the middle", LIMITS, output)
+        driver._packets = ToldPackets(self, driver)
+        return Board(
+            driver, LIMITS, output, clock=WorldClock(self), on_a_finger=False, claimed_time=True
+        )  # fmt: skip
 
     def wait(self, time_ms):
         for _ in range(time_ms):
@@ -184,7 +188,7 @@ class World:
         if self.opens_ns is not None and self.now_ns >= self.opens_ns:
             self.firmware.switch_open = True
         if self.host is not None:
-            self.host.beat()
+            self.host.idle()
         self.answer(self.firmware.advance(self.now_ns))
         for piece in self.to_board.arrived(self.now_ns):
             self.reach_board(piece)
@@ -235,32 +239,25 @@ class WorldClock:
         return self._world.now_ns
 
 
-class ToldBoard(LinkBoard):
-    """A driver whose sequences are due as they are sent, and that is opened from within."""
+class ToldDriver(LinkDriver):
+    """A driver without a thread: the world lets it do what is due."""
 
-    # Counts as one of ours: drivers of others keep the machine's clock.
-    __module__ = LinkBoard.__module__
-
-    def _open(self):
-        self._begin_unless_halted()
-        super()._open()
-
-    def _send(self, sequence, times):
-        self._due_ns = self._clock.now_ns()
-        return super()._send(sequence, times)
+    idle_s = 0.0
 
 
-class ToldLine(LinkLine):
-    """The host's line: while it waits, the world goes on."""
+class ToldPackets(PacketLine):
+    """The host's packets: while it waits for one, the world goes on."""
 
-    def __init__(self, world, board):
-        super().__init__(
-            "the middle", board._receive, board._aftermath, board._send_again, world.draw
-        )
-        self._world = world
+    def __init__(self, world, driver):
+        super().__init__(driver._receive, world.draw)
+        self._world, self._driver = world, driver
 
     def _listen(self):
         self._world.host, self._world.said.waiting = self, b""
+
+    def idle(self):
+        if not self.line.is_stopped:
+            self._driver.idle()
 
     def now_s(self):
         return self._world.now_ns / 1e9
@@ -274,14 +271,24 @@ class ToldLine(LinkLine):
         return True
 
 
+def write(board, sequence, times=1):
+    """Let a driver write what no gate has proved, with no ramp."""
+    now_ns, number = board.clock.now_ns(), board.driver._number + 1
+    board.driver.write(
+        ProvedSequence(
+            sequence, times, number, now_ns, now_ns + LATE_NS, False, board._gate._session, _GATE
+        )
+    )
+
+
 @pytest.fixture
 def make_world(monkeypatch):
     """Return a maker of boards with someone in the middle; the last one made is what is opened."""
 
     def make(seed):
         world = World(seed)
-        monkeypatch.setattr("smarttouch.boards.link.link_board.open_port", lambda name: world)
-        monkeypatch.setattr("smarttouch.boards.link.link_board.reopen_port", lambda *_: world)
+        monkeypatch.setattr("smarttouch.boards.line.open_port", lambda *_: world)
+        monkeypatch.setattr("smarttouch.boards.line.reopen_port", lambda *_: world)
         return world
 
     return make

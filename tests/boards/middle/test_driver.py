@@ -11,6 +11,7 @@ from smarttouch.boards.link.protocol import MessageKind, encode_volts
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ...raising import raises
+from .conftest import write
 
 
 def sequence():
@@ -20,7 +21,7 @@ def sequence():
 
 def send(board, count=1):
     for _ in range(count):
-        board._send(sequence(), 1)
+        write(board, sequence())
     board.drain()
 
 
@@ -32,7 +33,7 @@ def world(make_world):
 @pytest.fixture
 def board(world):
     board = world.make_board()
-    board._open()
+    board.open()
     return board
 
 
@@ -52,16 +53,20 @@ def lose(world, direction, kind):
 
 def test_on_a_quiet_line_nothing_is_refused(world, board):
     for _ in range(10):
-        board._send(sequence(), 1)
+        write(board, sequence())
         world.wait(35)
     board.drain()
     report = board.report()
-    board.stop()
-    assert (board.acknowledged, board.refused, board.refused_packets) == (10, 0, 0)
+    board.close()
+    assert (board.acknowledged, board.refused, board.driver.refused_packets) == (10, 0, 0)
     assert (report.sequences, report.slots, report.refused_packets) == (10, 10, 0)
-    board._open()
+    board.open()
     send(board)
-    assert (board.refused_packets, board.report().refused_packets, world.refused()) == (0, 0, 0)
+    assert (board.driver.refused_packets, board.report().refused_packets, world.refused()) == (
+        0,
+        0,
+        0,
+    )
 
 
 @pytest.mark.parametrize("lost", [("to_host", MessageKind.ACK), ("to_board", MessageKind.SEQUENCE)])
@@ -70,7 +75,7 @@ def test_a_lost_packet_is_made_up_for_without_delivering_twice(world, board, los
     for _ in range(3):
         send(board)
     assert (board.acknowledged, world.books.slots) == (3, 3)
-    assert (board.refused_packets, board.report().refused_packets) == (0, 0)
+    assert (board.driver.refused_packets, board.report().refused_packets) == (0, 0)
 
 
 def test_starts_are_by_the_boards_clock_however_late_an_answer_comes(world, board):
@@ -104,7 +109,7 @@ def say(world, kind, about, payload=b""):
 def test_what_answers_nothing_is_counted_and_has_no_effect(world, board, kind, payload):
     send(board)
     say(world, kind, 77, payload)
-    assert (board.refused_packets, board.acknowledged, board.refused) == (1, 1, 0)
+    assert (board.driver.refused_packets, board.acknowledged, board.refused) == (1, 1, 0)
     assert board.take_volts()[1:] == []
     send(board)
     assert world.books.slots == 2
@@ -113,16 +118,16 @@ def test_what_answers_nothing_is_counted_and_has_no_effect(world, board, kind, p
 def test_a_second_acknowledgment_of_one_sequence_is_counted(world, board):
     send(board)
     say(world, MessageKind.ACK, 1, bytes(8))
-    assert (board.refused_packets, board.acknowledged) == (1, 1)
+    assert (board.driver.refused_packets, board.acknowledged) == (1, 1)
 
 
 def test_a_second_acknowledgment_of_what_was_sent_twice_is_none_too_many(world, board):
     lose(world, "to_host", MessageKind.ACK)
     send(board, 2)
     say(world, MessageKind.ACK, 1, bytes(8))
-    assert (board.refused_packets, board.acknowledged) == (0, 2)
+    assert (board.driver.refused_packets, board.acknowledged) == (0, 2)
     say(world, MessageKind.ACK, 2, bytes(8))
-    assert (board.refused_packets, board.acknowledged) == (1, 2)
+    assert (board.driver.refused_packets, board.acknowledged) == (1, 2)
 
 
 def test_what_the_board_refused_before_is_not_of_this_run(world, board):
@@ -130,8 +135,8 @@ def test_what_the_board_refused_before_is_not_of_this_run(world, board):
         world.to_board.due.append((world.now_ns, b"\0" + world.to_board.record[0]))
         world.wait(2)
     assert board.report().refused_packets == 3
-    board.stop()
-    board._open()
+    board.close()
+    board.open()
     assert board.report().refused_packets == 0
     assert world.refused() == 3
 
@@ -144,33 +149,33 @@ def test_a_board_of_another_version_is_reported_in_a_sentence(world, monkeypatch
     monkeypatch.setattr(world.firmware, "advance", lambda now_ns: b"")
     monkeypatch.setattr(world, "answer", lambda data: world.to_host.due.append((0, data)))
     with raises(BoardError, names="version", value=2, allowed=protocol.VERSION):
-        world.make_board()._open()
+        world.make_board().open()
 
 
 def test_a_board_that_is_lost_ends_its_session_before_the_next(world, board):
     lose(world, "to_host", MessageKind.ACK)
-    board._send(sequence(), 1000)
-    before = board._line.session.number
+    write(board, sequence(), 1000)
+    before = board.driver._packets.session.number
     board._recover(board._line.lost("is gone"))
-    assert board._line.session.number != before
+    assert board.driver._packets.session.number != before
     assert world.refused() == 0
     send(board)
     assert board.report().refused_packets == 0
 
 
 def test_an_emergency_switch_ends_the_run_and_keeps_the_board_shut(world, board):
-    board._send(sequence(), 2000)
+    write(board, sequence(), 2000)
     world.wait(30)
     world.firmware.switch_open = True
     slots = world.books.slots
     world.wait(protocol.ALIVE_MS + 2)
     for _ in range(2):
         with raises(EmergencyStopError, names="board"):
-            board._send(sequence(), 1)
+            write(board, sequence())
     with raises(EmergencyStopError, names="board"):
-        world.make_board()._open()
+        world.make_board().open()
     world.firmware.switch_open = False
     world.wait(50)
     with raises(EmergencyStopError, names="board"):
-        board._send(sequence(), 1)
+        write(board, sequence())
     assert world.books.slots == slots

@@ -15,6 +15,8 @@ from smarttouch.base.errors import BoardError, EmergencyStopError, LineLostError
 from smarttouch.boards.link.protocol import ALIVE_MS, LATE_MS, SILENCE_MS
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
+from .conftest import write
+
 RUNS = int(os.environ.get("SMARTTOUCH_MIDDLE_RUNS", "40"))
 RUNS_PER_BOARD = 20
 
@@ -34,9 +36,9 @@ class Host:
         current = np.array([[first, second, -first - second, 0]] * 2, np.int16)
         column = np.full(2, 100, np.uint16)
         sequence = ScanSequence(current, column, column, column * 0, 5000, 1.0, 0)
-        self.asked[tuple(current[0])] = (self.board._number + 1, times)
+        self.asked[tuple(current[0])] = (self.board.driver._number + 1, times)
         try:
-            self.board._send(sequence, times)
+            write(self.board, sequence, times)
         except LineLostError as lost:
             self.board._recover(lost)
 
@@ -48,7 +50,7 @@ def one_run(world, ending):
     world.to_board.share = world.to_host.share = world.random.choice([0.03, 0.1, 0.3])
     world.to_board.record, world.to_host.record = [], []
     try:
-        board._open()
+        board.open()
         for _ in range(8):
             host.send(world.random.choice([1, 1, 3, 2000]))
             if world.random.random() < 0.5:
@@ -64,7 +66,7 @@ def one_run(world, ending):
     world.host, gone_ns = None, world.now_ns
     # What is still on its way is lost with the host.
     world.to_board.due = [each for each in world.to_board.due if each[0] <= world.now_ns]
-    board._close()
+    board._close_driver()
     return host, gone_ns
 
 
@@ -122,7 +124,7 @@ def test_a_man_in_the_middle(make_world):
                 faults.update(middle.counts)
                 middle.share = 0.0
             # HELLOs that led to nothing are counted when the next host begins.
-            Host(world).board._open()
+            Host(world).board.open()
             assert world.refused() >= world.replayed["board"]
             totals.update(world.replayed)
             totals.update(slots=world.books.slots, refused=world.refused(), faults=world.given_up)
@@ -150,16 +152,16 @@ def test_the_emergency_switch_opened_at_random(make_world):
         last_us = max((time_us for *_, time_us in world.books.kept), default=0)
         assert last_us <= world.opens_ns / 1000
         while_flowing += world.opens_ns / 1000 - last_us <= 5000
-        reported += isinstance(host.board._line.fault, EmergencyStopError)
+        reported += isinstance(host.board.driver._packets.fault, EmergencyStopError)
         check(world, host, gone_ns, ending)
         world.to_board.share = world.to_host.share = 0.0
         with pytest.raises(EmergencyStopError):
-            Host(world).board._open()
+            Host(world).board.open()
         world.opens_ns, world.firmware.switch_open = None, False
         world.wait(300)
         assert world.books.kept == []
         again = Host(world)
-        again.board._open()
+        again.board.open()
         again.send(1)
         world.wait(20)
         assert len(world.books.kept) == 2

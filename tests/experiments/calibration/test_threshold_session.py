@@ -7,7 +7,7 @@ import pytest
 
 from smarttouch.base.errors import CalibrationError, ExperimentError, LineLostError
 from smarttouch.base.stopping import StopRequest
-from smarttouch.boards.open import MemoryBoard
+from smarttouch.boards.open import MemoryDriver
 from smarttouch.experiments.calibration.profile_file import file_to_calibrate
 from smarttouch.experiments.calibration.threshold_procedures import (
     TICK_S,
@@ -37,6 +37,7 @@ from smarttouch.running.listener import Listener, OnStep
 from smarttouch.running.runner import Operation, Runner
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
+from ...played import played
 from ...raising import raises
 from ...whole import sample
 from .subject import SimulatedSubject
@@ -91,14 +92,15 @@ def silent(profile):
     return [SimulatedSubject(1e3, 1e4, guess=0)] * len(profile.electrodes)
 
 
-class Unpaced(MemoryBoard):
+class Unpaced(MemoryDriver):
     """A board that takes sequences as soon as they are made: nothing is waited for."""
 
     simulated_time = True
 
 
 def display_of(profile, kind=Unpaced):
-    return Display(kind, measuring_profile(profile))
+    measuring = measuring_profile(profile)
+    return Display(played(measuring, kind), measuring)
 
 
 def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **options):
@@ -129,7 +131,7 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile
     run(display, profile, subjects(profile), wanted, progress, repeats=1)
     last_ma, last_ns, sites = 0.0, 0, set()
     slew = float(profile.full_ma.max()) / profile.limits.ramp_s
-    for sequence in display.board.sequences:
+    for sequence in display.board.driver.sequences:
         level_ma = level_of(sequence)
         rise_ma = slew * (sequence.time_ns - last_ns) / 1e9
         # To the rounding of a microampere.
@@ -147,7 +149,7 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile
 def test_runs_begin_at_zero_however_long_the_pause(profile, tmp_path, begun):
     display = display_of(profile)
     run(display, profile, subjects(profile), [0], begun(tmp_path / "p.json", {}))
-    levels = np.array([level_of(each) for each in display.board.sequences])
+    levels = np.array([level_of(each) for each in display.board.driver.sequences])
     starts = levels[1:][(levels[:-1] == 0) & (levels[1:] > 0)]
     assert len(starts) >= 3
     assert starts.max() <= slew_ma_s(display.profile, 0) * 2 * TICK_S
@@ -160,7 +162,7 @@ def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path
     display, site = display_of(profile), len(profile.electrodes) - 1
     progress = begun(tmp_path / "p.json", {})
     run(display, profile, silent(profile), [site], progress, repeats=1)
-    strongest_ma = max(level_of(each) for each in display.board.sequences)
+    strongest_ma = max(level_of(each) for each in display.board.driver.sequences)
     assert strongest_ma == pytest.approx(ceiling_ma(profile, site, display.board), abs=1.1e-3)
     assert strongest_ma <= profile.limits.current_ma
     assert strongest_ma * profile.pulse.width_us / 1000 <= profile.limits.charge_uc
@@ -190,7 +192,7 @@ def test_single_electrodes_keep_their_own_limit(profile, changed, tmp_path, begu
     limited = changed(profile, {"limits.electrode_ma": own})
     display = display_of(limited)
     run(display, limited, silent(limited), [5], begun(tmp_path / "p.json", {}))
-    assert max(level_of(each) for each in display.board.sequences) == 2.4
+    assert max(level_of(each) for each in display.board.driver.sequences) == 2.4
 
 
 def test_an_interrupted_session_goes_on_where_it_was(profile, tmp_path, begun):
@@ -208,7 +210,7 @@ def test_an_interrupted_session_goes_on_where_it_was(profile, tmp_path, begun):
     second = display_of(profile)
     shown = run(second, profile, subjects(profile), range(3), again, repeats=1)
     assert shown == [2]
-    assert {int(s) for each in second.board.sequences for s in each.site} == {2}
+    assert {int(s) for each in second.board.driver.sequences for s in each.site} == {2}
 
 
 def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, tmp_path, begun):
@@ -222,7 +224,7 @@ def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, tmp_path, begun
     progress = begun(tmp_path / "p.json", {})
     run(display, profile, subjects(profile), [0], progress, stop, [OnStep(stop_at_a_level)])
     assert level_of(sent[-1].sequence) > 0.8
-    assert len(display.board.sequences) == len(sent)
+    assert len(display.board.driver.sequences) == len(sent)
     assert display.board._stopped.is_set()
     assert not progress.found
 
@@ -232,21 +234,18 @@ class Losing(Unpaced):
 
     at = ()
 
-    def _send(self, sequence, times):
+    def write(self, proved):
         if len(self.sequences) in self.at:
             self.at = [each for each in self.at if each != len(self.sequences)]
             raise LineLostError("the line broke")
-        return super()._send(sequence, times)
-
-    def _recover(self, lost):
-        pass
+        super().write(proved)
 
 
 def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun):
     progress, display = begun(tmp_path / "p.json", {}), display_of(profile, Losing)
-    display.board.at = lost = [300, 700]
+    display.board.driver.at = lost = [300, 700]
     run(display, profile, subjects(profile), [0], progress, repeats=1)
-    sequences = display.board.sequences
+    sequences = display.board.driver.sequences
     for each in lost:
         assert level_of(sequences[each - 1]) > 0
         assert [sequence.slots for sequence in sequences[each : each + 10]] == [0] * 10
@@ -256,7 +255,7 @@ def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun):
 
 def test_a_board_that_is_lost_all_the_time(profile, tmp_path, begun):
     display, progress = display_of(profile, Losing), begun(tmp_path / "p.json", {})
-    display.board.at = range(0, 5000, 200)
+    display.board.driver.at = range(0, 5000, 200)
     with raises(ExperimentError, names="trial", value=4, allowed=3):
         run(display, profile, subjects(profile), [0], progress)
     assert display.board._stopped.is_set()

@@ -8,7 +8,6 @@ import pytest
 
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import ExperimentError
-from smarttouch.boards.open import MemoryBoard
 from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
 from smarttouch.experiments.psychophysics.experiment_source import AGAIN, ExperimentSource
 from smarttouch.experiments.psychophysics.observers import BlindObserver
@@ -21,8 +20,8 @@ from smarttouch.running.listener import RunContext
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import StepResult
-from smarttouch.stimulation.safety_gate import SafetyLimits
 
+from ...played import played
 from ...raising import raises
 from .sitting import Perfect, sit
 
@@ -220,7 +219,7 @@ class Loop:
         config, controls = RunConfig(mode=Mode.RA, scan="points"), Controls(ControlState(Mode.RA))
         self.source, self.pipeline, self.time_ns = source, Pipeline(profile, bank, config), 0
         self.frames = []
-        board = MemoryBoard("", SafetyLimits.of(profile))
+        board = played(profile)
         source.start(
             RunContext(
                 source,

@@ -6,7 +6,7 @@ import pytest
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ExperimentError
 from smarttouch.base.events import Marked, Note
-from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.experiments.psychophysics.free_stimulation import (
     FreeSource,
     raise_to_device_limits,
@@ -17,9 +17,9 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import Listener
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ...looping import loop_through
+from ...played import played
 from ...raising import raises
 
 
@@ -51,7 +51,7 @@ def play(line):
                 if isinstance(event, Note | Marked):
                     events.append(str(event))
 
-        with SimulatedBoard("", SafetyLimits.of(line), line.output) as board:
+        with played(line, SimulatedDriver) as board:
             pipeline = Pipeline(line, load_bank(line), RunConfig(mode=Mode.COLOR, scan="points"))
             loop_through(source, pipeline, board, Hand(), seconds=seconds, controls=controls)
             return steps, events, board.report()

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.boards.open import MemoryBoard
 from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
 from smarttouch.experiments.psychophysics.observers import BlindObserver
 from smarttouch.experiments.psychophysics.simulated_subject import (
@@ -16,8 +15,8 @@ from smarttouch.experiments.psychophysics.simulated_subject import (
     make_observer,
 )
 from smarttouch.experiments.psychophysics.trial_rows import read_rows
-from smarttouch.stimulation.safety_gate import SafetyLimits
 
+from ...played import played
 from ...raising import raises
 from ...whole import WHOLE
 from .sitting import Perfect, sit
@@ -74,7 +73,7 @@ def test_letters_are_felt_where_they_were_drawn(profile, bank, tmp_path):
 
 def test_only_simulated_boards_have_simulated_subjects(profile):
     with raises(ExperimentError, names="board", allowed=("simulated:",)):
-        Subject(None, BlindObserver("first")).attend(MemoryBoard("", SafetyLimits.of(profile)))
+        Subject(None, BlindObserver("first")).attend(played(profile))
 
 
 def test_observers_by_name(profile):

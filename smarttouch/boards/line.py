@@ -1,0 +1,328 @@
+"""Line to a device: the only way by which a driver reaches it, which a stop closes."""
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+from smarttouch.base.errors import (
+    BoardClosedError,
+    BoardError,
+    BoardStoppedError,
+    LineLostError,
+    SafetyError,
+    SequenceLateError,
+)
+from smarttouch.base.wire.port import (
+    LINE_ERRORS,
+    Port,
+    UsbIdentity,
+    identity_of,
+    open_port,
+    read_some,
+    reason,
+    reopen_port,
+    write_before,
+)
+from smarttouch.boards.driver import Events
+from smarttouch.stimulation.safety_gate import ProvedSequence
+
+if TYPE_CHECKING:
+    from smarttouch.boards.board import Board
+
+__all__ = ["Line"]
+
+PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a whole packet
+WRITE_S = 0.6  # longest time that a stop waits for one write: ports give up after .5 s
+BLOCKED_S = 1.0  # longest time that zero waits for a write that does not end
+RECOVER_S = 3.0  # time to wait for a lost port
+
+
+class Line:
+    """Line of one board to its device; only `Board` makes one.
+
+    It holds the lock of `Board.stop` while it writes, refuses sequences that are late or rise too
+    fast, and after a stop refuses everything that `Driver.zero` does not write.
+
+    Attributes
+    ----------
+    events : Events
+        Receives what the driver reports.
+    name : str
+        Name of the connected port.
+    reopened : bool
+        Whether the connection was lost and is opened again: `connect` then waits for the same
+        device.
+    identity : UsbIdentity or None
+        USB identity of the device; None if it has none.
+    """
+
+    def __init__(self, board: "Board") -> None:
+        self.events, self.name = Events(board), ""
+        self.reopened = False
+        self.identity: UsbIdentity | None = None
+        self._board, self._gate = board, board._gate
+        self._port: Port | None = None
+        self._stopped = threading.Event()
+        # Reentrant: a signal handler may stop while its own thread is writing.
+        self._lock = threading.RLock()
+        self._dialogue = threading.RLock()
+        self._writes = 0
+        self._overtaken = False  # whether a stop did not wait for the write under way
+        self._zeroing = threading.local()  # `depth` above zero in threads that write zero
+
+    # -- the connection ----------------------------------------------------
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether a port is open."""
+        return self._port is not None
+
+    def connect(
+        self, name: str, wrap: Callable[[Port], Port] = lambda port: port, baudrate: int = 921600
+    ) -> None:
+        """Open a port, or wait until it is back if the connection was lost.
+
+        Parameters
+        ----------
+        name : str
+            A device, ``tcp://HOST:PORT``, or any URL that pyserial knows.
+        wrap : callable
+            Returns the port to use in place of the open one, such as that of a watchdog.
+        baudrate : int
+
+        Raises
+        ------
+        BoardError
+            If it cannot be opened.
+        OtherDeviceError
+            If another device is there now.
+        """
+        if self.reopened:
+            port = reopen_port(name, RECOVER_S, self.identity, self.pause, baudrate)
+        else:
+            port = open_port(name, baudrate)
+            self.identity = identity_of(port)
+        self.name = name
+        self._port = wrap(port)
+
+    def reconnect(self, away_s: float, wrap: Callable[[Port], Port] = lambda port: port) -> None:
+        """Close the port, wait, and open it again."""
+        self.disconnect()
+        self.pause(away_s)
+        self._port = wrap(open_port(self.name))
+
+    def disconnect(self) -> None:
+        """Close the port, if one is open."""
+        port, self._port = self._port, None
+        if port is not None:
+            with contextlib.suppress(*LINE_ERRORS):
+                port.close()
+
+    # -- writing -----------------------------------------------------------
+
+    def write(self, data: bytes) -> None:
+        """Write bytes that cause no current.
+
+        Raises
+        ------
+        BoardStoppedError
+            If the board was stopped, and this is not called by `Driver.zero`.
+        LineLostError
+            If the connection is lost.
+        """
+        with self.current():
+            self._write(data)
+
+    def drive(self, data: bytes, proved: ProvedSequence) -> None:
+        """Write the bytes that let the device deliver a sequence.
+
+        Raises
+        ------
+        SequenceLateError
+            If it is too late for it, or its current would rise too fast.
+        BoardStoppedError
+            If the board was stopped.
+        LineLostError
+            If the connection is lost.
+        """
+        with self.current(proved):
+            self._write(data, proved.write_before_ns)
+
+    @contextlib.contextmanager
+    def current(self, proved: ProvedSequence | None = None) -> Iterator[None]:
+        """Hold the lock of `Board.stop` for a write to a device that is not a port.
+
+        Parameters
+        ----------
+        proved : ProvedSequence, optional
+            The sequence that the write delivers; None for one that causes no current.
+
+        Raises
+        ------
+        SequenceLateError, BoardStoppedError
+            As `drive`.
+        """
+        if not self._lock.acquire(timeout=BLOCKED_S if self._is_zeroing else -1):
+            raise self.lost("is blocked: check the cable")
+        try:
+            self.require_running()
+            if proved is not None:
+                self._require_timely(proved)
+            self._writes += 1
+            try:
+                yield
+                if proved is not None:
+                    self._board._note_written(proved)
+            finally:
+                self._writes -= 1
+                if self._overtaken and not self._writes and not self._is_zeroing:
+                    self._overtaken = False
+                    self._put_at_zero()
+        finally:
+            self._lock.release()
+
+    def later(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
+        """Return a proved sequence for a later start, by `now_ns`: a repetition that the host
+        times, or a sequence that waited for its turn on the device.
+
+        Raises
+        ------
+        SequenceLateError
+            If that is later than repetitions and turns can explain.
+        """
+        try:
+            return self._gate.repeated(proved, due_ns)
+        except SafetyError:
+            raise self.late() from None
+
+    def _require_timely(self, proved: ProvedSequence) -> None:
+        if type(proved) is not ProvedSequence:
+            raise BoardError(
+                f"{type(self._board.driver).__name__} sends what the gate has not proved"
+            )
+        if not self._gate.has_proved(proved):
+            raise BoardStoppedError("the board was closed before this was sent: begin at zero")
+        if self.now_ns() > proved.write_before_ns or not self._gate.permits(proved):
+            raise self.late()
+
+    def _write(self, data: bytes, latest_ns: int | None = None) -> None:
+        with self._open_port("cannot be written to") as port:
+            if latest_ns is None:
+                port.write(data[:PIECE])
+            elif not write_before(port, data[:PIECE], latest_ns, self.now_ns):
+                raise self.late()
+            for at in range(PIECE, len(data), PIECE):
+                self.require_running()
+                port.write(data[at : at + PIECE])
+
+    # -- reading -----------------------------------------------------------
+
+    def read(self, count: int, within_s: float) -> bytes:
+        """Return as many bytes as come in time, at most ``count``."""
+        with self._open_port("has vanished") as port:
+            port.timeout = within_s
+            return bytes(port.read(count))
+
+    def ask(
+        self, data: bytes, count: int, within_s: float, proved: ProvedSequence | None = None
+    ) -> bytes:
+        """Write bytes and return the answer, at most ``count`` bytes; no other question of any
+        thread comes between. The bytes deliver a sequence if one is given, as those of `drive`."""
+        with self._dialogue:
+            self.discard_input()
+            if proved is None:
+                self.write(data)
+            else:
+                self.drive(data, proved)
+            return self.read(count, within_s)
+
+    def read_some(self) -> bytes:
+        """Return what has come; waits a moment for the first byte."""
+        with self._open_port("has vanished") as port:
+            return read_some(port)
+
+    def discard_input(self) -> None:
+        """Drop what has come and was not read."""
+        with self._open_port("has vanished") as port:
+            port.reset_input_buffer()
+
+    @contextlib.contextmanager
+    def _open_port(self, what: str) -> Iterator[Port]:
+        """Lend the port; raise LineLostError if it fails."""
+        if (port := self._port) is None:
+            raise BoardClosedError("the board is not connected: open it first")
+        try:
+            yield port
+        except LINE_ERRORS as error:
+            raise self.lost(f"{what} ({reason(error)})") from None
+
+    # -- time and stops ----------------------------------------------------
+
+    def now_ns(self) -> int:
+        """Return the time by the board's clock."""
+        return self._board.clock.now_ns()
+
+    def wait_until(self, time_ns: int) -> None:
+        """Wait until a time of the board's clock; raise if the board is stopped meanwhile."""
+        self._board.clock.wait_until(time_ns, self._stopped)
+        self.require_running()
+
+    def pause(self, seconds: float) -> None:
+        """Wait; raise if the board is stopped meanwhile."""
+        if self._is_zeroing:
+            time.sleep(seconds)
+        else:
+            self._stopped.wait(seconds)
+            self.require_running()
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether writes are refused; never within `Driver.zero`."""
+        return self._stopped.is_set() and not self._is_zeroing
+
+    def require_running(self) -> None:
+        """Raise BoardStoppedError if the board was stopped, but not within `Driver.zero`."""
+        if self.is_stopped:
+            raise self._board._refusal()
+
+    def has_newer(self) -> bool:
+        """Return whether a newer sequence waits, which ends the repetitions of this one."""
+        return self._board._waiting is not None
+
+    def lost(self, what: str) -> LineLostError:
+        """Return the error of a lost connection, such as ``lost("does not answer")``."""
+        return LineLostError(f"the board at {self.name} {what}{self._board.driver.aftermath()}")
+
+    def late(self) -> SequenceLateError:
+        """Return the error of a sequence that is dropped because it is late."""
+        late_ms = self._board._late_ns // 1_000_000
+        return SequenceLateError(
+            f"the computer paused for over {late_ms} ms: pulses were skipped, and intensity "
+            "restarts at zero"
+        )
+
+    # -- for the board -----------------------------------------------------
+
+    @property
+    def _is_zeroing(self) -> bool:
+        return getattr(self._zeroing, "depth", 0) > 0
+
+    def _bar(self) -> None:
+        """Refuse all current from now on, and wait for the end of the write under way."""
+        self._stopped.set()
+        free = False
+        try:
+            free = self._lock.acquire(timeout=WRITE_S)
+        finally:
+            self._overtaken = not free or self._writes > 0
+        if free:
+            self._lock.release()
+
+    def _put_at_zero(self) -> None:
+        self._zeroing.depth = getattr(self._zeroing, "depth", 0) + 1
+        try:
+            self._board.driver.zero()
+        finally:
+            self._zeroing.depth -= 1
