@@ -184,8 +184,8 @@ def _main_of(request):
 
 def _become(request, streams):
     """Let this process be as if it had just been started."""
-    announced = import_module("smarttouch.boards.announced")
-    announced._begun_ns = announced.started_ns()
+    registry = import_module("smarttouch.boards.run_registry")
+    registry._begun_ns = registry._start_ns(os.getpid())
     if request["session"]:
         os.setsid()
     Forked.changes = request["changes"]

@@ -1,10 +1,12 @@
-"""What only POSIX has: modules, flags of `os.open`, and the user's number.
+"""What only POSIX has: modules, flags of `os.open`, file locks, and the user's number.
 
 On other systems modules are None and flags 0, so that all that needs no line, terminal or lock
 works.
 """
 
+import errno
 import os
+import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # a module cannot be None for a type checker; users of one check first
@@ -31,10 +33,21 @@ O_NOCTTY, O_NONBLOCK, O_NOFOLLOW, O_CLOEXEC, O_DIRECTORY, O_BINARY = (
 )
 
 
-def set_nonblocking(number: int) -> None:
-    """Let no read or write of an open file wait, where the system can do so."""
-    if hasattr(os, "set_blocking"):
-        os.set_blocking(number, False)
+def try_lock(number: int, shared: bool = False) -> bool:
+    """Lock an open file until it is closed; return False if another process has it locked.
+
+    File systems without locks count as free.
+    """
+    try:
+        if fcntl is not None:
+            fcntl.flock(number, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        elif sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(number, msvcrt.LK_NBLCK, 1)
+    except OSError as error:
+        return error.errno not in (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+    return True
 
 
 def user_number() -> int | None:

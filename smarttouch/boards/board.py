@@ -22,6 +22,7 @@ from smarttouch.base.errors import (
     LineLostError,
     SequenceLateError,
 )
+from smarttouch.base.stopping import uninterrupted
 from smarttouch.base.wire.port import device_of
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.faults import latch, refuse_latched, restart_lost_board
@@ -36,7 +37,7 @@ from smarttouch.boards.reports import (
     Polarity,
     SequenceStart,
 )
-from smarttouch.boards.stoppable import enter, leave
+from smarttouch.boards.shutdown import enter, leave
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.exposure import Dose
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyGate, SafetyLimits
@@ -277,11 +278,12 @@ class Board:
     def stop(self) -> None:
         """Put all electrodes at zero now, from any thread; nothing is sent or measured after."""
         self._require_own_process()
-        try:
-            self._line._bar()
-        finally:
-            self._zero()
-        self._zeroed = True
+        with uninterrupted():
+            try:
+                self._line._bar()
+            finally:
+                self._zero()
+            self._zeroed = True
 
     def halt(self) -> None:
         """Stop for good, from any thread; a board that is being opened fails to open."""

@@ -14,6 +14,7 @@ from smarttouch.base.errors import (
     SafetyError,
     SequenceLateError,
 )
+from smarttouch.base.stopping import uninterrupted
 from smarttouch.base.wire.port import (
     LINE_ERRORS,
     Port,
@@ -164,6 +165,11 @@ class Line:
         SequenceLateError, BoardStoppedError
             As `drive`.
         """
+        with uninterrupted(), self._locked(proved):
+            yield
+
+    @contextlib.contextmanager
+    def _locked(self, proved: ProvedSequence | None) -> Iterator[None]:
         if not self._lock.acquire(timeout=BLOCKED_S if self._is_zeroing else -1):
             raise self.lost("is blocked: check the cable")
         try:

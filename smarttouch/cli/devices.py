@@ -10,7 +10,7 @@ from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import Commands, ForceOption, JsonOption, ProfileOption
 from smarttouch.emulator.commands import emulate_board, emulate_sensor
-from smarttouch.views.keys_and_signals import asks_a_board, command_stop, drives_a_board, opened
+from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
 
 if TYPE_CHECKING:
     from smarttouch.base.events import Event
@@ -84,7 +84,7 @@ _ENDS = ("q", "\x03", "\x04", "")  # keys that end a walk; the empty one is a te
 
 
 @devices.command()
-@asks_a_board
+@drives_a_board
 def show(
     url: Annotated[
         str,

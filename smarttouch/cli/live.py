@@ -1,7 +1,5 @@
 """``smarttouch live`` and ``stop``: current in the skin, and its end."""
 
-import subprocess
-import sys
 from typing import Annotated
 
 import typer
@@ -10,7 +8,7 @@ from smarttouch.base.command_options import argument, option
 from smarttouch.cli.options import RateOption, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.cli.source_options import or_standard_input
-from smarttouch.views.keys_and_signals import drives_a_board
+from smarttouch.views.keys_and_signals import drives_a_board, opened
 
 
 @takes_options
@@ -100,17 +98,31 @@ def stop(
         str | None, argument("A board to set to zero as well, by its URL.", "BOARD")
     ] = None,
 ) -> None:
-    """End every run of this user with all electrodes at zero, and wait until all have ended.
+    """Put every run of this user at zero for good, and wait until each has confirmed that.
 
-    Runs that are still starting are canceled, too.
+    Programs that are still starting open no board. The exit code is 0 only if a run was found, or a
+    board named, and all have confirmed zero.
     """
-    from smarttouch.boards.announced import stop_all
+    from smarttouch.boards.run_registry import registry_folder, stop_all
 
-    asked = stop_all()
-    typer.echo(f"{asked} stopped." if asked else "Nothing runs.")
+    answers = stop_all()
+    for answer in answers:
+        typer.echo(f"{answer.sentence}.", err=not answer.at_zero)
+    if not answers:
+        typer.echo(f"No run is announced in {registry_folder()}.", err=True)
     if url is not None:
-        # A board is at zero once it was opened and closed: by a program that was not stopped.
-        looks = [sys.executable, "-m", "smarttouch", "devices", "show", url]
-        if subprocess.run(looks, stdout=subprocess.DEVNULL, check=False).returncode:
-            raise typer.Exit(2)
+        _zero(url)
         typer.echo(f"All electrodes of {url} are at zero.")
+    if not all(answer.at_zero for answer in answers):
+        raise typer.Exit(2)
+    if not answers and url is None:
+        raise typer.Exit(1)
+
+
+@drives_a_board
+def _zero(url: str) -> None:
+    """Open a board and close it, which puts it at zero."""
+    from smarttouch.running.display import open_display
+
+    with opened(open_display(url).board):
+        pass

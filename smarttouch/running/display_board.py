@@ -8,6 +8,7 @@ from smarttouch.base.stopping import Closing, StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.open import make_board
+from smarttouch.boards.shutdown import expect
 from smarttouch.profile import Profile
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -40,6 +41,7 @@ class DisplayBoard(Closing):
         self.board: Board = board
         # Also without a run: a program may drive the board itself.
         self._stop.always_on_stop(board.halt)
+        expect(board)
         self.notes_reported = 0  # number of the board's notes that earlier runs have reported
 
     def __repr__(self) -> str:

@@ -16,7 +16,7 @@ from smarttouch.base.errors import (
 from smarttouch.base.events import Advice, Note, RunFailed
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board, BoardReport
-from smarttouch.boards.stoppable import stoppable_run
+from smarttouch.boards.shutdown import stoppable_run
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2

@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Self
 
 from smarttouch.base.stopping import StopRequest
-from smarttouch.boards.stoppable import stoppable_run
+from smarttouch.boards.shutdown import stoppable_run
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display_board import DisplayBoard
 from smarttouch.running.listener import Listener

@@ -12,34 +12,15 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from smarttouch.base.errors import BoardError, BoardStoppedError
 from smarttouch.base.posix import termios, tty
-from smarttouch.base.stopping import RunStopped, SignalWatch, StopRequest
-from smarttouch.base.terminal import never_waiting
-from smarttouch.boards.announced import refuse_if_stopped
-from smarttouch.boards.stoppable import announced
+from smarttouch.base.stopping import RunStopped, StopRequest
+from smarttouch.boards.shutdown import current_command, running_command
 
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board
 
 LOST = ""  # key that stands for a terminal that is gone
 JOIN_S = 0.3  # longest time that the end waits for a key that is being handled
-
-
 _before: list[list[Any]] = []  # the terminal's own settings, while they are changed
-
-
-@contextmanager
-def keyboard() -> Iterator[None]:
-    """Let single keys through, if there is a keyboard."""
-    if not sys.stdin.isatty():
-        yield
-        return
-    _before.append(termios.tcgetattr(sys.stdin))
-    # Now, not after pending output, which may never be read.
-    tty.setcbreak(sys.stdin, termios.TCSANOW)
-    try:
-        yield
-    finally:
-        restore()
 
 
 def restore() -> None:
@@ -57,35 +38,39 @@ def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
         yield
         return
     over = threading.Event()
-
-    def listen() -> None:
-        number = sys.stdin.fileno()
-        while not over.is_set():
-            if not select.select([number], [], [], 0.1)[0]:
-                continue
-            try:
-                data = os.read(number, 64)
-            except OSError:
-                data = b""
-            if not data:
-                on_key(LOST)
-                return
-            for key in _keys(data.decode("utf-8", "replace")):
-                try:
-                    on_key(key)
-                except BaseException:
-                    # No key would be heard any more, neither one that ends the run.
-                    on_key(LOST)
-                    raise
-
-    with keyboard():
-        thread = threading.Thread(target=listen, name="keyboard", daemon=True)
+    thread = threading.Thread(target=_listen, args=(on_key, over), name="keyboard", daemon=True)
+    _before.append(termios.tcgetattr(sys.stdin))
+    try:
+        # Now, not after pending output, which may never be read.
+        tty.setcbreak(sys.stdin, termios.TCSANOW)
         thread.start()
-        try:
-            yield
-        finally:
-            over.set()
+        yield
+    finally:
+        over.set()
+        if thread.ident is not None:
             thread.join(JOIN_S)
+        restore()
+
+
+def _listen(on_key: Callable[[str], None], over: threading.Event) -> None:
+    number = sys.stdin.fileno()
+    while not over.is_set():
+        if not select.select([number], [], [], 0.1)[0]:
+            continue
+        try:
+            data = os.read(number, 64)
+        except OSError:
+            data = b""
+        try:
+            for key in _keys(data.decode("utf-8", "replace")):
+                on_key(key)
+        except BaseException:
+            # Otherwise this thread dies, and even `q` stops working.
+            on_key(LOST)
+            raise
+        if not data:
+            on_key(LOST)
+            return
 
 
 def _keys(text: str) -> Iterator[str]:
@@ -101,119 +86,73 @@ _P = ParamSpec("_P")
 _T = TypeVar("_T")
 _CURSOR_ON = b"\x1b[?25h"
 
-_watches: list[tuple[StopRequest, SignalWatch]] = []
-
 
 def drives_a_board(command: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Let a command that may make current be stopped, by signals and by ``smarttouch stop``."""
-
-    def driving(*arguments: _P.args, **options: _P.kwargs) -> _T:
-        with announced():
-            refuse_if_stopped()
-            return command(*arguments, **options)
-
-    return asks_a_board(functools.wraps(command)(driving))
-
-
-def asks_a_board(command: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Let a command that makes no current be stopped by signals."""
+    """Let signals and ``smarttouch stop`` end a command."""
 
     @functools.wraps(command)
-    def surrounded(*arguments: _P.args, **options: _P.kwargs) -> _T:
-        with _stoppable():
-            return command(*arguments, **options)
+    def stoppable(*arguments: _P.args, **options: _P.kwargs) -> _T:
+        try:
+            with running_command(_give_up):
+                return command(*arguments, **options)
+        except RunStopped as stopped:
+            print(f"smarttouch: ended by {stopped}; no board is open", file=sys.stderr)
+            raise
 
-    return surrounded
+    return stoppable
 
 
 def command_stop() -> StopRequest:
     """Return the stop request of the command that runs."""
-    return _watches[-1][0] if _watches else StopRequest()
+    command = current_command()
+    return StopRequest() if command is None else command.stop
 
 
 def by_signal() -> bool:
     """Return whether a signal ends the command that runs."""
-    return bool(_watches and _watches[-1][1].number)
+    command = current_command()
+    return command is not None and bool(command.number)
 
 
 @contextmanager
 def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
     """Let the block end by itself when a stop is requested, within ``patience_s`` of a signal;
     elsewhere a signal interrupts."""
-    if not _watches:
+    command = current_command()
+    if command is None:
         yield
         return
-    watch = _watches[-1][1]
-    if patience_s is not None:
-        watch.patience_s = patience_s
-    with watch.ending_in_order():
+    command.patience_s = patience_s or command.patience_s
+    before, command.orderly = command.orderly, True
+    try:
         yield
+    finally:
+        command.orderly = before
 
 
 @contextmanager
 def opened(board: "Board", stop: StopRequest | None = None) -> Iterator["Board"]:
     """Open a board for a block; a stop puts it at zero at once, also while it opens, and sending
     raises BoardStoppedError after it."""
-    with ending_in_order(), (stop or command_stop()).on_stop(board.halt):
-        if _watches:
-            refuse_if_stopped()
-        with contextlib.ExitStack() as stack:
-            _open(board)
-            stack.push(board)
-            if _watches:
-                refuse_if_stopped()
-            yield board
-
-
-def _open(board: "Board") -> None:
-    """Open a board; a failure after a signal counts as a stop."""
-    try:
-        board.open()
-    except BoardError as error:
-        if _watches and _watches[-1][1].number:
-            raise BoardStoppedError(str(error)) from None
-        raise
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    stop = StopRequest()
-    watch = SignalWatch(stop, _give_up)
-    with watch, never_waiting(stop.event.is_set):
-        _watches.append((stop, watch))
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(ending_in_order())
+        stack.enter_context((stop or command_stop()).on_stop(board.halt))
         try:
-            with _raising_as_stopped(watch):
-                yield
-        except RunStopped as stopped:
-            # Here, where a terminal that has stopped reading blocks nothing.
-            print(
-                f"smarttouch: ended by {stopped} before it began: all electrodes are off",
-                file=sys.stderr,
-            )
-            raise
-        finally:
-            _watches.pop()
-
-
-@contextmanager
-def _raising_as_stopped(watch: SignalWatch) -> Iterator[None]:
-    try:
-        yield
-    except BoardStoppedError:
-        if watch.number:
-            raise RunStopped(watch.number) from None
-        # The mark is there, the signal on its way.
-        refuse_if_stopped()
-        raise
+            stack.enter_context(board)
+        except BoardError as error:
+            if not by_signal():
+                raise
+            # Whatever failed, the signal is the reason.
+            raise BoardStoppedError(str(error)) from None
+        yield board
 
 
 def _give_up(number: int) -> None:
     """End the process now: every board is at zero, and something blocks the rest."""
     restore()
-    with contextlib.suppress(OSError, ValueError):
-        for stream in (sys.__stdout__, sys.__stderr__):
-            place = -1 if stream is None else stream.fileno()
-            if place >= 0 and os.isatty(place):
+    with suppress(OSError, ValueError):
+        for place in (1, 2):
+            if os.isatty(place):
                 os.set_blocking(place, False)
                 try:
                     os.write(place, _CURSOR_ON)

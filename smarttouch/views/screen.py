@@ -4,9 +4,11 @@ import sys
 import textwrap
 import threading
 import time
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, partial
 from itertools import zip_longest
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from rich.table import Table
 from rich.text import Text
 
 from smarttouch.base import terminal
+from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.events import Advice, Event
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.run_statistics import summary_lines
@@ -31,14 +34,16 @@ _KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
 _ROOMY = 20  # rows of a terminal from which an event has two of them
 _LEAST_PICTURE = 9  # fewest rows of the pictures and their title beside the numbers
 _NAME = 9
+_CLOSES_WITHIN_S = 1.0  # a terminal that has stopped reading takes longer
 
 Rows = tuple[tuple[str, str], ...]
 _Row = list[tuple[str, str]]  # pieces of a row of the terminal, and their styles
 
 
 class Screen(Listener):
-    """Shows a run from a thread of its own, and summarizes it. Where nothing can be drawn, or if
-    plain, it prints a line for each event and each new title of the source; if quiet, nothing."""
+    """Shows a run from a thread of its own, so that no pulse waits for the terminal; and summarizes
+    it. Where nothing can be drawn, or if plain, it prints a line for each event and each new title
+    of the source; if quiet, nothing."""
 
     def __init__(self, url: str, quiet: bool, keys_help: str = "", plain: bool = False) -> None:
         super().__init__()
@@ -52,7 +57,9 @@ class Screen(Listener):
         self._event = ""
         self._keys = keys_help + _KEYS
         self._live: Live | None = None
-        self._over = threading.Event()
+        self._acts: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._failure: BaseException | None = None  # of the terminal, raised in the run's thread
 
     def prepare(self, run: RunContext) -> None:
         self._source, self._profile, self._controls = run.source, run.profile, run.controls
@@ -66,10 +73,7 @@ class Screen(Listener):
         self._live = Live(
             console=self._console, get_renderable=self._render, auto_refresh=False, transient=True
         )
-        self._live.start(refresh=True)
-        self._over.clear()
-        self._drawing = threading.Thread(target=self._draw, args=(self._live,), daemon=True)
-        self._drawing.start()
+        self._later(partial(self._live.start, refresh=True))
 
     @cached_property
     def _array(self) -> ArrayPicture:
@@ -100,7 +104,9 @@ class Screen(Listener):
         self._event = f"{event.time_ns / 1e9:.1f} s: {event}"
         if isinstance(event, Advice) and not self._quiet:
             console = terminal.console(stderr=True) if self._live is None else self._console
-            console.print(str(event), soft_wrap=True, highlight=False, markup=False)
+            self._later(
+                partial(console.print, str(event), soft_wrap=True, highlight=False, markup=False)
+            )
         elif self._plain and self._early is not None:
             self._early.append(self._event)
         elif self._plain:
@@ -108,29 +114,58 @@ class Screen(Listener):
 
     def finish(self, run: RunContext) -> None:
         self.close()
+        self._raise_failure()
 
     def close(self) -> None:
-        """Restore the terminal."""
-        live, self._live = self._live, None
-        if live is not None:
-            self._over.set()
-            self._drawing.join()
-            live.stop()
+        """Restore the terminal, unless it has stopped reading."""
+        if self._live is not None:
+            self._acts.put(self._live.stop)
             sys.setswitchinterval(self._interval)
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            self._acts.put(None)
+            thread.join(_CLOSES_WITHIN_S)
+        self._live = None
 
-    def _draw(self, live: Live) -> None:
-        """Redraw what has changed until the screen is closed; while the machine is busy, less."""
+    def _later(self, act: Callable[[], object]) -> None:
+        """Let the screen's thread do something, after what it was told before."""
+        self._raise_failure()
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="screen", daemon=True)
+            self._thread.start()
+        self._acts.put(act)
+
+    def _raise_failure(self) -> None:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    def _work(self) -> None:
+        """Print what comes, and redraw what has changed; less often while the machine is busy."""
         drawn: object = None
         rest_s = _REFRESH_S
-        while not self._over.wait(rest_s):
-            now = self._latest, self._event, self._console.size, self._controls.state(0)
-            if now == drawn:
-                continue
-            drawn, began_s = now, time.monotonic()
-            live.refresh()
+        while True:
+            live = self._live
+            try:
+                act = self._acts.get(timeout=None if live is None else rest_s)
+            except Empty:
+                assert live is not None
+                now = self._latest, self._event, self._console.size, self._controls.state(0)
+                act = live.refresh if now != drawn else lambda: None
+                drawn = now
+            if act is None:
+                return
+            began_s = time.monotonic()
+            try:
+                act()
+            except (OSError, SmartTouchError) as failure:
+                self._failure = self._failure or failure
             rest_s = max(_REFRESH_S, _LEAST_REST * (time.monotonic() - began_s))
 
     def _print(self, line: str) -> None:
+        self._later(partial(self._print_now, line))
+
+    def _print_now(self, line: str) -> None:
         """Print a line; a terminal's are broken at words."""
         line, whole = line.replace("\n", " "), not self._console.is_terminal
         self._console.print(line, soft_wrap=whole, highlight=False, markup=False)
@@ -236,10 +271,10 @@ class Screen(Listener):
                 notes = [*notes, f"intensity restarted at zero {again} times"]
             more = "; ".join([*notes, *wrote]) or "No warning, and nothing was kept."
             for line in (lines[0], account, more):
-                self._print(line)
+                self._print_now(line)
             return
         for line in (lines[0], *(f"  {each}" for each in (*lines[1:], *notes, *wrote))):
-            self._print(line)
+            self._print_now(line)
 
 
 def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:

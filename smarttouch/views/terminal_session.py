@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from smarttouch.base.files import write_json
-from smarttouch.base.stopping import ENDS_WITHIN_S, StopRequest
+from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
@@ -63,9 +63,9 @@ class Outputs:
         return [each for each in (self.felt, self.record, self.json_file) if each is not None]
 
     @property
-    def patience_s(self) -> float:
-        """Time that the end of a stopped run may take; drawing takes long."""
-        return ENDS_WITHIN_S if self.felt is None else DRAWN_WITHIN_S
+    def patience_s(self) -> float | None:
+        """Time that the end of a stopped run may take, if longer than usual: drawing takes long."""
+        return None if self.felt is None else DRAWN_WITHIN_S
 
     def listeners(self) -> Iterator[Listener]:
         """Yield a listener for each output that is wanted."""

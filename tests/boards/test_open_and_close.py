@@ -1,18 +1,56 @@
 """Boards are opened, closed and stopped by several threads, and by a Ctrl-C at any instant."""
 
 import contextlib
-import os
 import signal
 import threading
 
 import pytest
 
-from smarttouch.base.errors import BoardError
-from smarttouch.boards.announced import running
+from smarttouch.base.errors import BoardError, BoardStoppedError
+from smarttouch.boards.board import Board
+from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
+from smarttouch.boards.reports import Capabilities
+from smarttouch.boards.run_registry import registry_folder
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from ..raising import raises
-from .test_stoppable import PATIENCE_S, Unlined, plain
+from .runs import PATIENCE_S
+
+LIMITS = SafetyLimits(
+    electrodes=4, current_ma=2.0, pulse_us=200.0, charge_uc=0.4, rate_hz=50.0, duty=0.5,
+    ramp_s=1.0, full_ma=2.0,
+)  # fmt: skip
+
+
+class Unlined(Driver):
+    """A driver without a line, whose board may have a finger on it."""
+
+    opened = 0
+
+    def __init__(self):
+        self.zeros = []
+
+    def open(self, line, limits):
+        self.opened += 1
+        self.line = line
+        return Capabilities(4, "weighted", 5.0, 8, time_to_zero_ms=0.0, firmware="plain")
+
+    def write(self, proved):
+        with self.line.current(proved):
+            return
+
+    def zero(self):
+        self.zeros.append(threading.get_ident())
+
+
+def plain():
+    return Board(Unlined(), LIMITS)
+
+
+def announced():
+    """Return the number of entries in the run registry."""
+    return len(list(registry_folder().glob("*.json")))
 
 
 def test_a_board_that_two_threads_open_at_once_is_announced_and_opened_once(monkeypatch):
@@ -34,10 +72,10 @@ def test_a_board_that_two_threads_open_at_once_is_announced_and_opened_once(monk
     assert within.wait(PATIENCE_S)
     with raises(BoardError, names="board"):
         board.open()
-    assert running() == [os.getpid()]
+    assert announced() == 1
     goes_on.set()
     opening.join(PATIENCE_S)
-    assert (board.driver.opened, running()) == (1, [os.getpid()])
+    assert (board.driver.opened, announced()) == (1, 1)
     board.close()
 
 
@@ -58,7 +96,7 @@ def test_a_board_that_one_thread_closes_while_another_opens_it_is_announced(monk
         board.open()
     goes_on.set()
     closing.join(PATIENCE_S)
-    assert running() == [os.getpid()] * board._opened
+    assert announced() == board._opened
     board.close()
 
 
@@ -76,15 +114,54 @@ def test_a_board_that_is_interrupted_when_it_is_open_is_closed(monkeypatch):
     board = plain()
     with pytest.raises(KeyboardInterrupt):
         board.open()
-    assert (board._opened, running()) == (False, [])
+    assert (board._opened, announced()) == (False, 0)
+
+
+def test_what_was_proved_before_a_board_was_closed_is_not_sent_when_it_is_open_again(
+    monkeypatch, make_sequence
+):
+    """It may be strong, and what comes first must be weak."""
+    sent, raised, proved, goes_on = [], [], threading.Event(), threading.Event()
+    prove = SafetyGate.prove
+
+    def slow(gate, *given, **named):
+        frozen = prove(gate, *given, **named)
+        proved.set()
+        assert goes_on.wait(PATIENCE_S)
+        return frozen
+
+    def send(board):
+        try:
+            board.send(make_sequence(0, electrodes=4, period_us=20_000))
+        except BoardError as error:
+            raised.append(type(error))
+
+    def write(driver, proved):
+        with driver.line.current(proved):
+            sent.append(proved)
+
+    monkeypatch.setattr(Unlined, "write", write)
+    with plain() as board:
+        monkeypatch.setattr(SafetyGate, "prove", slow)
+        sending = threading.Thread(target=send, args=(board,), daemon=True)
+        sending.start()
+        assert proved.wait(PATIENCE_S)
+        board.close()
+        board.open()
+        goes_on.set()
+        sending.join(PATIENCE_S)
+    assert (sent, raised) == ([], [BoardStoppedError])
 
 
 @pytest.mark.parametrize("how", ["stop", "halt", "close"])
 def test_a_stop_that_is_interrupted_while_it_waits_still_ends_in_zero(monkeypatch, how):
-    """As by a second Ctrl-C; a write under way is waited for."""
+    """As by Ctrl-C; a write under way is waited for."""
+    signals = [signal.SIGINT]
     with plain() as board:
         with monkeypatch.context() as interrupted:
-            interrupted.setattr(Line, "_bar", lambda _: signal.raise_signal(signal.SIGINT))
+            interrupted.setattr(
+                Line, "_bar", lambda _: signals and signal.raise_signal(signals.pop())
+            )
             with pytest.raises(KeyboardInterrupt):
                 getattr(board, how)()
-        assert len(board.driver.zeros) == 1
+        assert board.driver.zeros

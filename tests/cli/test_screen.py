@@ -215,11 +215,13 @@ def test_where_nothing_is_drawn(monkeypatch, terminal, dumb, asked, plain):
     assert console.file.getvalue() == ""
     screen.start(run)
     screen.event(Resumed(2_500_000_000))
+    screen.close()
     told = [each for each in console.file.getvalue().splitlines() if not each.startswith("keys")]
     assert told == ["a b, p, emulator:", "1.5 s: paused", "2.5 s: goes on"] * plain
     quiet = Screen("emulator:", quiet=True, plain=asked)
     quiet.start(run)
     quiet.event(Paused(0))
+    quiet.close()
     assert console.file.getvalue().count("\n") == len(told) + plain * sys.stdin.isatty()
 
 
@@ -229,7 +231,9 @@ def test_lines_break_at_words_on_a_terminal_and_nowhere_else(monkeypatch, termin
     monkeypatch.setattr("smarttouch.views.screen.terminal.console", lambda **_: console)
     title = " ".join(["letters"] * 20)
     run = SimpleNamespace(source=SimpleNamespace(title=title), profile=SimpleNamespace(title="p"))
-    Screen("emulator:", quiet=False, plain=True).start(run)
+    screen = Screen("emulator:", quiet=False, plain=True)
+    screen.start(run)
+    screen.close()
     lines = [each for each in console.file.getvalue().splitlines() if not each.startswith("keys")]
     assert (max(map(len, lines)) <= 33) == terminal
     assert " ".join(each.rstrip() for each in lines) == f"{title}, p, emulator:"

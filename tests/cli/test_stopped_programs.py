@@ -62,15 +62,15 @@ def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_pa
     process, books = start(kind)
     until(lambda: read_state(books)["slots"] > 50)
     stop = start_program("stop")
-    assert stop.communicate(timeout=PATIENCE_S)[0].split()[0] == "1"
+    assert f"process {process.pid} has confirmed zero" in stop.communicate(timeout=PATIENCE_S)[0]
     assert stop.returncode == 0
     # Books are written now and then; a board that had to find out by itself tells of silence.
     until(lambda: read_state(books)["reason"] == "stop")
     after = read_state(books)
     assert after["state"] == "shorted"
+    attempts, out = told(process)
     if first.keys() & {"run", "session"}:
         assert is_whole(tmp_path / f"{process.pid}.mcap")
-    attempts, out = told(process)
     assert attempts == first | REFUSED | ({"again": "BoardError"} if kind == "left open" else {})
     assert "own handler" not in out
     assert process.returncode == 0
@@ -122,7 +122,8 @@ def test_a_stop_at_any_instant_reaches_every_program(start, start_program):
         time.sleep(draw.uniform(0.05, 2.0))
         stop = start_program("stop")
         stop.communicate(timeout=PATIENCE_S)
-        assert stop.returncode == 0
+        # 1 where neither had begun to open its board.
+        assert stop.returncode in (0, 1)
         for _, books in programs:
             until(lambda books=books: read_state(books)["reason"] in ("stop", "start"))
         slots = [read_state(books)["slots"] for _, books in programs]

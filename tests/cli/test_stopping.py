@@ -2,22 +2,19 @@
 
 import contextlib
 import os
-import re
 import signal
 import termios
 import time
-from pathlib import Path
 
 import pytest
 
 from smarttouch.base.wire.device_lines import PtyLine
-from smarttouch.boards.announced import running
-from smarttouch.boards.stoppable import announced
+from smarttouch.boards.run_registry import registry_folder
 from smarttouch.emulator.firmware import read_state
 
 from ..boards.fresh import until
 from ..forks import PROGRAM, Forked
-from .conftest import PRESSED, refused, says
+from .conftest import PRESSED
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
@@ -46,23 +43,31 @@ def test_a_signal_while_a_board_is_being_opened(start_program, deaf, number, nam
     assert name in errors
 
 
-def is_asked_to_end(process):
-    """Return whether SIGTERM waits for a process that stands still."""
-    status = Path(f"/proc/{process.pid}/status").read_text()
-    pending = int(status.partition("ShdPnd:")[2].split()[0], 16)
-    return bool(pending & 1 << signal.SIGTERM - 1)
-
-
 def test_a_stop_while_a_board_is_being_opened(start_program, deaf):
     port, written = deaf
     process = start_program("devices", "measure", f"link:{port}")
     until(written)
     process.send_signal(signal.SIGSTOP)
     stop = start_program("stop")
-    until(lambda: is_asked_to_end(process))
+    until(lambda: list(registry_folder().glob("*.stop")))
     process.send_signal(signal.SIGCONT)
     assert process.wait(PATIENCE_S) == 128 + signal.SIGTERM
-    assert stop.communicate(timeout=PATIENCE_S)[0].split()[0] == "1"
+    assert f"process {process.pid} " in "".join(stop.communicate(timeout=PATIENCE_S))
+
+
+def test_a_stop_before_a_command_opens_its_board(start_program, program_here, deaf):
+    """It is announced before it designs the kernels of a new profile."""
+    port, written = deaf
+    program_here("profiles new --grid 12x12 --pitch 1.4 new.toml").fine()
+    process = start_program(
+        "live", "--board", f"link:{port}", "--profile", "new.toml", "--intensity", "1", *PRESSED
+    )
+    until(lambda: list(registry_folder().glob("*.json")))
+    stop = start_program("stop")
+    assert "has confirmed zero" in stop.communicate(timeout=PATIENCE_S)[0]
+    assert stop.returncode == 0
+    assert process.wait(PATIENCE_S) == 128 + signal.SIGTERM
+    assert written() == b""
 
 
 def test_a_program_that_was_started_before_a_stop_drives_nothing(start_program, program_here, deaf):
@@ -71,7 +76,7 @@ def test_a_program_that_was_started_before_a_stop_drives_nothing(start_program, 
     process = start_program("live", "--board", f"link:{port}", "--intensity", "1", real=True)
     process.send_signal(signal.SIGSTOP)
     time.sleep(0.02)
-    assert not re.search(r"\d", program_here("stop").stdout)
+    assert program_here("stop").returncode == 1
     process.send_signal(signal.SIGCONT)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 128 + signal.SIGTERM
@@ -123,20 +128,15 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
     assert (tmp_path / "run.json").exists()
 
 
-def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_reported(
-    tmp_path, monkeypatch, program_here
-):
-    folder = tmp_path / "state" / "smarttouch" / "nowhere"
-    monkeypatch.setattr("smarttouch.boards.announced._MARK", "nowhere/stopped")
-    child = os.fork()
-    if child == 0:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        with announced():
-            signal.pause()
-        os._exit(1)
-    while not running():
-        time.sleep(0.005)
-    # Reaped, or it would be a run until we end.
+def test_a_stop_names_the_folder_where_no_run_is_announced(program_here, tmp_path):
     done = program_here("stop")
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
-    says(value=folder)(refused(done))
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == f"No run is announced in {tmp_path / 'state' / 'smarttouch' / 'runs'}.\n"
+
+
+def test_a_simulated_run_needs_no_writable_home(program, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    for name in ("HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / "file"))
+    done = program("live", "text:a?passes=1", "--board", "simulated:", "--seconds", "0.5")
+    assert done.returncode == 0, done.stderr

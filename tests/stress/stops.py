@@ -1,4 +1,4 @@
-"""``smarttouch stop`` against runs that are starting: none survives it."""
+"""``smarttouch stop`` against runs that are starting or driving: none survives it."""
 
 import json
 import os
@@ -13,7 +13,9 @@ from forked import KINDS, Emulated, spread, start_host, wait_for_end
 
 AT_ONCE = 2
 """Runs that start against one stop: as many as the budget of a user lets open."""
-WITHIN_S = 2.0
+WITHIN_S = 1.5
+RUNS_FOR_S = 6.0
+"""Longest time from the last start to the stop: a run drives its board well before that."""
 IMPORTING_S = 0.8
 
 
@@ -30,17 +32,19 @@ def one(draw, folder):
         delay_s = draw.uniform(0.0, IMPORTING_S)
         hosts.append(start_host(run, state, out=state / "out", delay_s=delay_s))
     # Later than the last, by more than the system's steps of the time when it was started.
-    time.sleep(0.02)
+    time.sleep(draw.uniform(0.02, RUNS_FOR_S))
     for board in boards:
         board.flag()
     code, took_s = wait_for_end(start_host(["stop"], state, out=state / "stop"), 15.0)
-    found = []
+    found, said = [], (state / "stop").read_text()
     for board, host in zip(boards, hosts, strict=True):
         own, _ = wait_for_end(host, 2.0)
         if own is None:
             os.kill(host, signal.SIGKILL)
             os.waitpid(host, 0)
-        found.append({"board": board.kind, "code": own, "stop": code, "stop_s": took_s})
+        found.append(
+            {"board": board.kind, "code": own, "stop": code, "stop_s": took_s, "said": said}
+        )
     return [each | board.ended() for each, board in zip(found, boards, strict=True)]
 
 

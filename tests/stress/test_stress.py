@@ -48,8 +48,9 @@ def test_no_starting_run_survives_a_stop():
     runs = stress("stops.py", max(4, COUNT), WORKERS, SEED)
     assert len(runs) >= max(COUNT, 4)
     for run in runs:
-        assert run["stop"] == 0, run
-        assert run["code"] in (0, 143, -15), run
+        # A run that drove its board was found; one that was only starting opened none.
+        assert run["stop"] == 0 or (run["stop"] == 1 and not run["pulses"]), run
+        assert run["code"] in (0, 143), run
         assert (run["driving"], run["wrong"]) == (False, 0), run
 
 

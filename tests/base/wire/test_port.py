@@ -2,7 +2,9 @@
 
 import contextlib
 import os
+import shutil
 import socket
+import subprocess
 import threading
 
 import pytest
@@ -212,3 +214,13 @@ def test_waiting_for_a_port_ends_when_the_waiter_is_stopped():
 
     with pytest.raises(StoppedError):
         reopen_port("/dev/nowhere", 600.0, None, stop)
+
+
+def test_brltty_is_named_where_it_may_have_claimed_a_port(tmp_path):
+    with raises(BoardError, names="check the cable"):
+        open_port("/dev/ttyUSB99")
+    shutil.copy("/bin/sleep", tmp_path / "brltty")
+    with subprocess.Popen([tmp_path / "brltty", "60"]) as process:
+        with raises(BoardError, names="BRLTTY"):
+            open_port("/dev/ttyUSB99")
+        process.kill()

@@ -1,0 +1,386 @@
+"""The run registry: a folder in which each run that may drive a finger announces itself.
+
+``runs/ID.json`` describes a run. ``runs/ID.lock`` is locked until its process ends, however it
+ends. To stop a run, `stop_all` writes ``runs/ID.stop``; the run looks for it every 50 ms, puts its
+boards at zero, and renames it to ``ID.zero`` or ``ID.unconfirmed``. Nothing here signals a process:
+process id and start time only tell which run has ended or did not answer.
+"""
+
+import json
+import os
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from platformdirs import user_state_path
+
+from smarttouch.base.clock import now_ns
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.posix import O_CLOEXEC, O_NOFOLLOW, try_lock
+
+ANSWER_S = 3.0  # time that `stop_all` gives runs to confirm zero
+_LOOK_S = 0.05
+_LOOKS_PER_CHECK = 20  # once a second a run checks that its files are still there
+_LOCK_S = 2.0
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A run as its file describes it; without a host if the file cannot be read."""
+
+    id: str
+    host: str = ""
+    boot: str = ""
+    namespace: str = ""
+    pid: int = 0
+    start_ns: int = 0  # 0 if the system does not say when a process started
+    current_ua: int = 0  # the most that all its boards may drive together
+
+    def path(self, kind: str) -> Path:
+        return registry_folder() / f"{self.id}.{kind}"
+
+    @property
+    def name(self) -> str:
+        if not self.host:
+            return f"the run of {self.path('json')}"
+        return f"process {self.pid}" + ("" if self.is_here else f" on host {self.host}")
+
+    @property
+    def is_here(self) -> bool:
+        """Whether its process id means the same process to this one."""
+        return (self.host, self.boot, self.namespace) == _place()
+
+    @property
+    def is_locked(self) -> bool:
+        with suppress(OSError):
+            number = os.open(self.path("lock"), os.O_RDWR | O_CLOEXEC | O_NOFOLLOW)
+            try:
+                # Shared, so that two processes that look at once do not see each other's lock.
+                return not try_lock(number, shared=True)
+            finally:
+                os.close(number)
+        return False
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether its process has certainly ended."""
+        if not self.is_here:
+            return False
+        return _start_ns(self.pid) != self.start_ns if self.start_ns else not self.is_locked
+
+    def remove(self, *kinds: str) -> None:
+        for kind in kinds or ("json", "lock", "stop"):
+            with suppress(OSError):
+                self.path(kind).unlink()
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What is known of a run after a stop, in a sentence, and whether it has confirmed zero."""
+
+    sentence: str
+    at_zero: bool = False
+
+
+class RunEntry:
+    """The entry of this process in the run registry.
+
+    ``on_stop`` is called from a thread with the reason for which this process must end, and with a
+    function to call with whether all its boards have confirmed zero.
+    """
+
+    def __init__(self, on_stop: Callable[[str, Callable[[bool], None]], None]) -> None:
+        self._on_stop = on_stop
+        self._run, self._lock_number = _Run(uuid4().hex), -1
+        self._over, self._changing = threading.Event(), threading.RLock()
+        self._announce()
+        threading.Thread(target=self._watch, name="stop requests", daemon=True).start()
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether a stop has asked this run to end."""
+        return os.path.lexists(self._run.path("stop"))
+
+    def declare(self, current_ua: int, most_ua: int = 0) -> int:
+        """Enter the current that all boards of this process may drive together, and return the
+        sum of all runs, µA; if it rises above ``most_ua``, nothing is entered."""
+        with self._writing():
+            if current_ua <= self._run.current_ua:
+                self._enter(current_ua)
+                return current_ua
+            with _registry_lock():
+                others = [run for run in _listed() if run.id != self._run.id and not run.has_ended]
+                total_ua = current_ua + sum(
+                    run.current_ua for run in others if run.is_locked or run.is_here
+                )
+                if total_ua <= most_ua:
+                    self._enter(current_ua)
+        return total_ua
+
+    def withdraw(self, at_zero: bool) -> None:
+        """Remove the entry; a stop under way learns whether all boards have confirmed zero."""
+        with self._changing:
+            self._over.set()
+            if not at_zero:
+                with suppress(OSError):
+                    self._run.path("unconfirmed").touch(0o600)
+            self._answer(at_zero)
+            self._run.remove()
+            os.close(self._lock_number)
+
+    def close_inherited(self) -> None:
+        """Release the lock in a forked process: the entry stays the parent's."""
+        os.close(self._lock_number)
+
+    def _enter(self, current_ua: int) -> None:
+        with self._changing:
+            start_ns = _start_ns(os.getpid())
+            self._run = _Run(self._run.id, *_place(), os.getpid(), start_ns, current_ua)
+            if not self._over.is_set():
+                _write_json(self._run.path("json"), asdict(self._run))
+
+    def _announce(self) -> None:
+        with self._writing():
+            registry_folder().mkdir(mode=0o700, parents=True, exist_ok=True)
+            flags = os.O_RDWR | os.O_CREAT | O_CLOEXEC | O_NOFOLLOW
+            number = os.open(self._run.path("lock"), flags, 0o600)
+            # Where the file system has no locks, the run is asked all the same.
+            try_lock(number)
+            if self._lock_number >= 0:
+                os.close(self._lock_number)
+            self._lock_number = number
+            self._enter(self._run.current_ua)
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            path = error.filename or registry_folder()
+            raise SmartTouchError(
+                f"cannot write {path}, by which smarttouch stop finds this run: {error.strerror}; "
+                "set XDG_STATE_HOME to a folder that you can write to"
+            ) from None
+
+    def _watch(self) -> None:
+        looks = 0
+        while not self._over.wait(_LOOK_S):
+            looks += 1
+            reason = "smarttouch stop" if self.is_asked else ""
+            if looks % _LOOKS_PER_CHECK == 0:
+                reason = reason or self._check()
+            if reason:
+                self._on_stop(reason, self._answer)
+
+    def _check(self) -> str:
+        """Announce this run again if its files are gone; return why it must end, if it must."""
+        with self._changing:
+            with suppress(OSError):
+                lock, held = self._run.path("lock").stat(), os.fstat(self._lock_number)
+                if self._run.path("json").exists() and os.path.samestat(lock, held):
+                    return ""
+            if self._over.is_set():
+                return ""
+            try:
+                self._announce()
+            except SmartTouchError as error:
+                return str(error)
+        # A stop that came meanwhile did not find this run, but it left its mark.
+        return "smarttouch stop" if stopped_since_start() else ""
+
+    def _answer(self, at_zero: bool) -> None:
+        given, other = ("zero", "unconfirmed") if at_zero else ("unconfirmed", "zero")
+        with suppress(OSError):
+            # Renamed, as a full disk has no space for words.
+            self._run.path("stop").replace(self._run.path(given))
+            self._run.remove(other)
+
+
+def stop_all() -> list[Answer]:
+    """Ask every announced run of this user to put its boards at zero, and keep all programs that
+    have started by now from opening a board; return what is known of each run.
+
+    Answers are awaited for 3 s. A run that cannot be asked does not keep others from being asked.
+    """
+    problems, asked = [], []
+    # First: a run that is not listed yet finds the mark before it opens a board.
+    try:
+        _leave_mark()
+    except (OSError, SmartTouchError) as error:
+        problems.append(
+            f"runs that are just starting cannot be kept from opening a board ({error}): stop again"
+        )
+    for run in _listed():
+        if run.has_ended:
+            run.remove()
+            continue
+        try:
+            run.path("stop").touch(0o600)
+            asked.append(run)
+        except OSError as error:
+            problems.append(f"{run.name} cannot be asked ({error}): switch the board off")
+    deadline_s = time.monotonic() + ANSWER_S
+    answers = [_await_answer(run, deadline_s) for run in asked]
+    # Start times come in steps of 10 ms: programs started from now on are later than the mark.
+    time.sleep(0.02)
+    return [*answers, *map(Answer, problems)]
+
+
+def _await_answer(run: _Run, deadline_s: float) -> Answer:
+    """Wait for the answer of a run that was asked, and put into words what is known."""
+    at_zero = None
+    while at_zero is None:
+        # First: a run may answer just before it ends.
+        ended = run.has_ended
+        at_zero = _answer_of(run)
+        if at_zero is None and ended:
+            return Answer(f"{run.name} ended without confirming zero: switch the board off")
+        if at_zero is None and time.monotonic() > deadline_s:
+            return Answer(_unanswered(run))
+        time.sleep(0.01)
+    if at_zero:
+        return Answer(f"{run.name} has confirmed zero", at_zero=True)
+    return Answer(f"{run.name} could not confirm zero: switch the board off")
+
+
+def _answer_of(run: _Run) -> bool | None:
+    """Return whether a run has confirmed zero; None if it has not answered."""
+    unconfirmed, zero = run.path("unconfirmed").exists(), run.path("zero").exists()
+    # A run withdraws its file only once its boards are closed, perhaps before it was asked.
+    if run.path("json").exists() or run.is_locked or not registry_folder().exists():
+        if run.path("stop").exists():
+            return None
+        if not (zero or unconfirmed):
+            # Another stop has taken the answer.
+            with suppress(OSError):
+                run.path("stop").touch(0o600)
+            return None
+    run.remove("stop", "zero")
+    return not unconfirmed
+
+
+def _unanswered(run: _Run) -> str:
+    if run.is_here or run.is_locked:
+        return f"{run.name} did not answer: switch the board off"
+    if not run.host:
+        return f"{run.path('json')} cannot be read: remove it if no board is driven"
+    if run.host != socket.gethostname():
+        return f"1 run is on host {run.host}: stop it there"
+    # If it lives, it announces itself again within a second.
+    run.remove()
+    return (
+        f"{run.name}, from before the last start of this computer or from another container, did "
+        "not answer: if it still drives a board, switch that off"
+    )
+
+
+def registry_folder() -> Path:
+    """Return the folder of the run registry, which may not exist yet."""
+    return user_state_path("smarttouch", appauthor=False) / "runs"
+
+
+def stopped_since_start() -> bool:
+    """Return whether `stop_all` was called after this program was started."""
+    mark = _read_json(registry_folder() / "stopped")
+    try:
+        return mark["boot"] == _place()[1] and _begun_ns < int(mark["time_ns"]) <= now_ns()
+    except (KeyError, TypeError, ValueError):
+        return False
+
+
+def _leave_mark() -> None:
+    global _begun_ns
+    registry_folder().mkdir(mode=0o700, parents=True, exist_ok=True)
+    with _registry_lock():
+        time_ns = now_ns()
+        _write_json(registry_folder() / "stopped", {"boot": _place()[1], "time_ns": time_ns})
+    # The program that stops all others may itself put a board at zero.
+    _begun_ns = time_ns
+
+
+def _start_ns(pid: int) -> int:
+    """Return when a process started, by the clock of `now_ns`; 0 if it has ended or the system
+    does not say."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return 0 if fields[0] == "Z" else int(fields[19]) * 10**9 // os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return 0
+
+
+_begun_ns = _start_ns(os.getpid()) or now_ns()  # of the program: its forks count as started then
+
+
+def _place() -> tuple[str, str, str]:
+    """Return host, boot and PID namespace: within them a process id is of one process."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return socket.gethostname(), boot, str(Path("/proc/self/ns/pid").readlink())
+    except OSError:
+        return socket.gethostname(), "", ""
+
+
+def _listed() -> list[_Run]:
+    """Return all runs that are announced, or that are just announcing themselves."""
+    try:
+        paths = [*registry_folder().iterdir()]
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        message = f"cannot look for runs in {error.filename}: {error.strerror}"
+        raise SmartTouchError(message) from None
+    # By their locks too: a listing may miss a file that is just being replaced.
+    names = sorted({path.stem for path in paths if path.suffix in (".json", ".lock")})
+    runs = map(_read_run, names)
+    return [run for run in runs if run.path("json").exists() or run.is_locked]
+
+
+def _read_run(run_id: str) -> _Run:
+    with suppress(TypeError):
+        run = _Run(**_read_json(registry_folder() / f"{run_id}.json") | {"id": run_id})
+        # A file of another program would not hold what can be added.
+        if run.host and run.pid + run.start_ns + run.current_ua:
+            return run
+    return _Run(run_id)
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """Return what a file holds; an empty dict if it cannot be read."""
+    try:
+        # Nothing is read from a pipe, which might never end.
+        found = json.loads(path.read_bytes()) if path.is_file() else {}
+        return found if isinstance(found, dict) else {}
+    except (OSError, ValueError):
+        return {}
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    number, draft = tempfile.mkstemp(prefix=".", suffix=".draft", dir=path.parent)
+    try:
+        with os.fdopen(number, "w") as file:
+            json.dump(content, file)
+        Path(draft).replace(path)
+    except OSError:
+        Path(draft).unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def _registry_lock() -> Iterator[None]:
+    """Hold the lock of the registry for a block."""
+    with (registry_folder() / "lock").open("w") as file:
+        deadline_s = time.monotonic() + _LOCK_S
+        while not try_lock(file.fileno()):
+            if time.monotonic() > deadline_s:
+                raise SmartTouchError(
+                    f"another program has held {file.name} for {_LOCK_S:g} s: end it and try again"
+                )
+            time.sleep(0.01)
+        yield
