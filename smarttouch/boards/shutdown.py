@@ -61,7 +61,8 @@ class _Process:
         self.in_run = False  # whether the main thread is in a run, which ends by itself
         self.reason = ""  # for which this process drives no board any more
         self._entry: RunEntry | None = None
-        self._lost = False  # whether a board was closed that had not confirmed zero
+        self._losses = 0  # number of boards that were closed and had not confirmed zero
+        self._earlier_losses = 0  # those of earlier entries
 
     def announce(self) -> None:
         """Announce this process, and refuse what it begins if it was stopped."""
@@ -99,7 +100,7 @@ class _Process:
 
     def leave(self, board: "Board | None", run: StopRequest | None, at_zero: bool) -> None:
         with self.lock:
-            self._lost = self._lost or (board in self.boards and not at_zero)
+            self._losses += board in self.boards and not at_zero
             if board is not None and self.boards.pop(board, 0) and self._entry is not None:
                 with suppress(SmartTouchError):
                     self._entry.declare(sum(self.boards.values()))
@@ -109,8 +110,9 @@ class _Process:
             if self.boards or self.runs or (command is not None and command.opens_a_board):
                 return
             if self._entry is not None:
-                self._entry.withdraw(at_zero=not self._lost)
-                self._entry = None
+                self._entry.withdraw(at_zero=self._losses == self._earlier_losses)
+                # The next run of this process answers for its own boards.
+                self._entry, self._earlier_losses = None, self._losses
             if command is None and self.signals is not None and self.signals.close():
                 self.signals = None
 
@@ -121,6 +123,7 @@ class _Process:
             if for_good:
                 self.reason = self.reason or reason
             runs, boards, command = [*self.runs], [*self.boards], self.command
+            earlier_losses = self._earlier_losses
         for run in [*runs, *([] if command is None else [command.stop])]:
             # Before its board refuses.
             run.ask(reason, at_once=False)
@@ -144,7 +147,7 @@ class _Process:
             # The run that ends may still confirm it, when it closes its board.
             time.sleep(0.01)
         # A board that has not confirmed zero stays announced until it is closed.
-        return not self.boards and not self._lost
+        return not self.boards and self._losses == earlier_losses
 
     def forget(self) -> None:
         """Leave boards, entry and signals to the parent of this forked process."""

@@ -15,7 +15,7 @@ import pytest
 
 from smarttouch.base.clock import now_ns
 from smarttouch.base.errors import BoardError, BoardStoppedError, SmartTouchError
-from smarttouch.boards import run_registry
+from smarttouch.boards import run_registry, shutdown
 from smarttouch.boards.run_registry import registry_folder, stop_all, stopped_since_start
 
 from ..raising import raises
@@ -64,6 +64,18 @@ def test_a_run_is_announced_as_long_as_it_lasts(folder):
         assert (run["pid"], run["current_ua"]) == (os.getpid(), 10_000)
         for path in (file, lock):
             assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert entries(folder) == []
+
+
+def test_a_run_answers_for_its_own_boards_alone(folder):
+    """Whatever became of boards that this process had open before."""
+    lost = Display()
+    shutdown.enter(lost)
+    shutdown.leave(lost, at_zero=False)
+    for path in folder.glob("*.unconfirmed"):
+        path.unlink()
+    with Display():
+        pass
     assert entries(folder) == []
 
 
