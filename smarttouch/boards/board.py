@@ -112,10 +112,14 @@ class Board:
                 "remove it from the profile of this one"
             )
         self.driver = driver
-        self.on_a_finger, self._claimed_time = on_a_finger, claimed_time
-        self.acknowledged = self.refused = self.replaced = self.dropped_late = 0
+        self.on_a_finger: bool = on_a_finger
+        self._claimed_time = claimed_time
+        self.acknowledged: int = 0
+        self.refused: int = 0
+        self.replaced: int = 0
+        self.dropped_late: int = 0
         self.force_n: float | None = None
-        self.lifted = False
+        self.lifted: bool = False
         self.notes: list[str] = []
         self._output = output
         self._limits = limits.on(output)

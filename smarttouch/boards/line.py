@@ -60,7 +60,8 @@ class Line:
     """
 
     def __init__(self, board: "Board") -> None:
-        self.events, self.name = Events(board), ""
+        self.events: Events = Events(board)
+        self.name: str = ""
         self.reopened = False
         self.identity: UsbIdentity | None = None
         self._board, self._gate = board, board._gate

@@ -103,7 +103,7 @@ class SimulatedDriver(LinkHost):
     says, or at the end of the one before, and is over as soon as it has been computed."""
 
     simulated_time: ClassVar[bool] = True
-    room = Room()  # what the board has room for
+    room: Room = Room()  # what the board has room for
     _packets: _Packets
 
     def __init__(

@@ -40,8 +40,8 @@ class Recording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.about: dict[str, str] = {}
-        self.damaged_chunks = 0
-        self.broken_steps = 0
+        self.damaged_chunks: int = 0
+        self.broken_steps: int = 0
         self._ended = False
         self._last_ns = 0
         for record in self._records():

@@ -3,6 +3,7 @@
 import contextlib
 import threading
 import time
+from contextlib import AbstractContextManager
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +51,9 @@ class ETactileKitLine:
     """
 
     def __init__(self, line: Line, outputs: int, firmware: str | None) -> None:
-        self.line, self.outputs = line, outputs
-        self.lock = threading.RLock()
+        self.line: Line = line
+        self.outputs: int = outputs
+        self.lock: AbstractContextManager[bool] = threading.RLock()
         self.senses = False  # whether the board may be making sense pulses
         self._wanted = firmware
         self._echo = bytes([outputs])
