@@ -1,0 +1,152 @@
+"""Text, order and cost of pages as read, beside plain Tesseract on the same pages.
+
+Run ``python -m tests.benchmarks.page_reading --seed N --jobs 2``: eleven layouts, flat, scanned
+and photographed. With ``--folder DIR``: pages whose text is in ``PAGE.txt`` (or
+``PAGE.gold.txt``) beside them; those without it are compared with Tesseract's.
+"""
+
+import argparse
+import os
+import re
+import resource
+import subprocess
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.stats import kendalltau
+
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.pages.document import open_document
+from smarttouch.reading.legibility import character_error_rate, normalize
+from smarttouch.reading.recognition import RecognitionOptions, recognized_lines, upright_page
+from tests.benchmarks.page_layouts import LAYOUTS, MEDIA, page_of
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What was measured on a page: ours, then Tesseract's; order is NaN without known lines."""
+
+    name: str
+    medium: str
+    error: tuple[float, float]
+    order: tuple[float, float]
+    cpu_s: tuple[float, float]
+
+
+def cpu_s():
+    """Return the processor time of this process and of the programs that it started."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def ours(page):
+    """Return the text of a page."""
+    options = RecognitionOptions()
+    prepared = upright_page(1, page, options, lambda _: None)
+    return "\n".join(text for _, text in recognized_lines(prepared, options, lambda _: None))
+
+
+def tesseracts(page):
+    """Return the text of a page by plain Tesseract, on one thread as ours."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "page.png")
+        cv2.imwrite(str(path), page.grey, [cv2.IMWRITE_PNG_COMPRESSION, 0])
+        environment = {**os.environ, "OMP_THREAD_LIMIT": "1"}
+        return subprocess.run(
+            ["tesseract", path, "-", "--psm", "3"],
+            check=True, capture_output=True, text=True, env=environment,
+        ).stdout  # fmt: skip
+
+
+def plain(text):
+    """Return a text without leaders and rules."""
+    return normalize(re.sub(r"([.·…,:_]\s*){3,}", " ", text))
+
+
+def order_of(pieces, text):
+    """Return Kendall's tau of the places where most words of each line are found in a text."""
+    read = plain(text).split()
+    places = []
+    for piece in pieces:
+        words = plain(piece).split()
+        hits = np.isin(read, words).astype(float)
+        if hits.any():
+            window = np.convolve(hits, np.ones(len(words)))[len(words) - 1 :]
+            if window.max() >= max(1, len(words) / 2):
+                places.append(int(window.argmax()))
+    return float(kendalltau(range(len(places)), places).statistic) if len(places) > 1 else 0.0
+
+
+def measured(name, medium, page, truth, pieces=()):
+    """Return the figures of a page; without a truth, what Tesseract reads is it."""
+    marks, texts = [cpu_s()], []
+    for read in (ours, tesseracts):
+        texts.append(read(page))
+        marks.append(cpu_s())
+    error = [character_error_rate(plain(truth or texts[1]), plain(text)) for text in texts]
+    order = [order_of(pieces, text) if pieces else np.nan for text in texts]
+    return Figures(name, medium, tuple(error), tuple(order), tuple(np.diff(marks)))
+
+
+def typeset(task):
+    """Return the figures of a layout, medium and seed."""
+    layout, medium, seed = task
+    page, pieces = page_of(layout, medium, seed)
+    return measured(layout.__name__, medium, page, "\n".join(pieces), pieces)
+
+
+def real(path):
+    """Return the figures of a file; None if it is not a page."""
+    try:
+        with open_document(path) as document:
+            page = document.page(0)
+    except SmartTouchError:
+        return None
+    truths = [each for end in (".txt", ".gold.txt") if (each := path.with_suffix(end)).exists()]
+    truth = truths[0].read_text() if truths else None
+    return measured(path.name, "real" if truth else "compared", page, truth)
+
+
+def main():
+    """Print a line for each page, and one for each medium."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seed", type=int, nargs="+", default=[0])
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--folder", type=Path)
+    options = parser.parse_args()
+    cv2.setNumThreads(1)
+    tasks = [*product(LAYOUTS, MEDIA, options.seed)]
+    work, tasks = (real, sorted(options.folder.iterdir())) if options.folder else (typeset, tasks)
+    found = []
+    with ProcessPoolExecutor(options.jobs, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
+        for each in filter(None, pool.map(work, tasks)):
+            found.append(each)
+            print(
+                f"{each.name:18s}{each.medium:13s} error {each.error[0]:.3f} ({each.error[1]:.3f})"
+                f" order {each.order[0]:.3f} ({each.order[1]:.3f})"
+                f" time {each.cpu_s[0] / each.cpu_s[1]:.2f}",
+                flush=True,
+            )
+    for medium in dict.fromkeys(each.medium for each in found):
+        figures = [each for each in found if each.medium == medium]
+        error, order, cost = (
+            np.array([getattr(each, name) for each in figures])
+            for name in ("error", "order", "cpu_s")
+        )
+        nine = np.quantile(error, 0.9, axis=0, method="higher")
+        print(
+            f"{medium}, {len(figures)} pages (Tesseract): mean error {error[:, 0].mean():.3f} "
+            f"({error[:, 1].mean():.3f}), median {np.median(error[:, 0]):.3f}, nine of ten at "
+            f"most {nine[0]:.3f}; order {order[:, 0].mean():.3f} ({order[:, 1].mean():.3f}); "
+            f"time {np.median(cost[:, 0] / cost[:, 1]):.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()
