@@ -1,7 +1,8 @@
 """Reading order of lines: columns one after another, boxes after their column, tables by rows."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from smarttouch.pages.spots import Spots
 
 Flags = NDArray[np.bool_]
 Boxes = NDArray[np.float64]
+Indices = NDArray[np.int_]
 NO_RULES: Floats = np.empty((0, 3))
 
 _LEAST_SHARED = 0.2  # least overlap of lines, one above the other, of the shorter one's length
@@ -33,7 +35,7 @@ class ReadingOrder:
     0; and whether some rows may be those of a table or of columns."""
 
     indices: list[int]
-    cell: NDArray[np.int_]
+    cell: Indices
     doubtful: bool
 
 
@@ -45,22 +47,27 @@ def reading_order(
     boxes: Boxes = NO_BOXES,
     rules: Floats = NO_RULES,
     leftward: bool = False,
+    blocks: Callable[[], Indices | None] = lambda: None,
 ) -> ReadingOrder:
     """Return the reading order of lines from their ends, baselines and heights, (N,).
 
     Lines in ``boxes``, (B, 4) left, top, right, bottom, come after the column in which they stand;
     ``rules``, (R, 3) left, right, y, part what is above from what is below; ``leftward`` scripts
-    are read from the right.
+    are read from the right. Where level lines may be rows, ``blocks`` is called for the block of
+    each line, (N,), 0 for none: those of one block are a row, wide ones of several are not.
     """
     if leftward:
         left, right = -right, -left
         boxes = boxes[:, [2, 1, 0, 3]] * (-1, 1, -1, 1)
         rules = rules[:, [1, 0, 2]] * (-1, -1, 1)
+    known = cache(lambda: _known_blocks(left, right, y, height, blocks))
+
+    def order_of(slip: Indices) -> ReadingOrder:
+        sizes = (left[slip], right[slip], y[slip], height[slip])
+        return _order_of_one(*sizes, boxes, rules, lambda: known()[slip])
+
     slips = _slips(left, right, y, height)
-    orders = [
-        _order_of_one(left[slip], right[slip], y[slip], height[slip], boxes, rules)
-        for slip in slips
-    ]
+    orders = [order_of(slip) for slip in slips]
     cell = np.zeros(len(left), np.int_)
     for slip, order in zip(slips, orders, strict=True):
         cell[slip] = order.cell
@@ -75,7 +82,7 @@ _APART, _FEWEST_SLIPS, _LINES, _MOSTLY_LEVEL = 3.0, 4, 3, 0.85
 by side and below each other, and of their lines; and most part of lines level with others."""
 
 
-def _slips(left: Floats, right: Floats, y: Floats, height: Floats) -> list[NDArray[np.int_]]:
+def _slips(left: Floats, right: Floats, y: Floats, height: Floats) -> list[Indices]:
     """Return the lines of each slip of paper on a sheet, from the top down and left to right; those
     of a page are one."""
     whole = [np.arange(len(left))]
@@ -95,7 +102,7 @@ def _slips(left: Floats, right: Floats, y: Floats, height: Floats) -> list[NDArr
     if other.any(axis=1).mean() > _MOSTLY_LEVEL:
         return whole
     slips.sort(key=lambda slip: float(y[slip].min()))
-    rows: list[list[NDArray[np.int_]]] = []
+    rows: list[list[Indices]] = []
     for slip in slips:
         if not rows or y[slip].min() > y[rows[-1][-1]].mean():
             rows.append([])
@@ -106,14 +113,20 @@ def _slips(left: Floats, right: Floats, y: Floats, height: Floats) -> list[NDArr
 
 
 def _order_of_one(
-    left: Floats, right: Floats, y: Floats, height: Floats, boxes: Boxes, rules: Floats
+    left: Floats,
+    right: Floats,
+    y: Floats,
+    height: Floats,
+    boxes: Boxes,
+    rules: Floats,
+    blocks: Callable[[], Indices],
 ) -> ReadingOrder:
     """Return the reading order of the lines of one page or slip of paper."""
-    rows, doubtful = _rows(left, right, y, height)
+    tables, others, doubtful = _rows(left, right, y, height, blocks)
     cell = np.zeros(len(left), np.int_)
-    for row in rows:
-        if len(row) > 1:
-            cell[row] = np.arange(1, len(row) + 1)
+    for row in tables:
+        cell[row] = np.arange(1, len(row) + 1)
+    rows = tables + others
     left = np.array([left[row].min() for row in rows])
     right = np.array([right[row].max() for row in rows])
     y, height = (np.array([each[row].mean() for row in rows]) for each in (y, height))
@@ -126,7 +139,7 @@ def _order_of_one(
     return ReadingOrder([int(k) for item in found for k in rows[item]], cell, doubtful)
 
 
-def _boxes_of(x: Floats, y: Floats, boxes: Boxes) -> NDArray[np.int_]:
+def _boxes_of(x: Floats, y: Floats, boxes: Boxes) -> Indices:
     """Return the index of the smallest box around each line, (N,); -1 for none."""
     box_of = np.full(len(x), -1)
     area = (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
@@ -135,11 +148,14 @@ def _boxes_of(x: Floats, y: Floats, boxes: Boxes) -> NDArray[np.int_]:
         inside = (x > left) & (x < right) & (y > top) & (y < bottom)
         if inside.sum() <= _MOST_INSIDE * len(x):
             box_of[inside] = k
+    for k, (left, _, right, _) in enumerate(boxes):
+        if not ((box_of < 0) & (x > left) & (x < right)).any():
+            box_of[box_of == k] = -1  # no column passes it: it is one
     return box_of
 
 
 def _in_columns(
-    left: Floats, right: Floats, y: Floats, height: Floats, lines: NDArray[np.int_], rules: Floats
+    left: Floats, right: Floats, y: Floats, height: Floats, lines: Indices, rules: Floats
 ) -> list[int]:
     """Return some of the lines in order, columns one after another.
 
@@ -239,17 +255,18 @@ and the factor to that of what may be cells."""
 _TEXT_STEP, _TEXT_WIDTH, _MOSTLY_WIDE, _GOES_ON = 1.9, 9.0, 0.6, 3
 """Farthest next line of a column of text and its usual width, in heights; least part of such lines;
 and fewest of them that have no table beside them."""
+_PROSE = 13.0  # median width of level lines, in heights, from which they are columns of prose
 _STEP = 3.0  # most distance of its rows, in heights
 _IN_LINE = 0.7  # offset of cells below each other, at one of their sides or their middles
 
 
 def _rows(
-    left: Floats, right: Floats, y: Floats, height: Floats
-) -> tuple[list[NDArray[np.int_]], bool]:
-    """Return rows of tables, and other lines alone; and whether some rows may be cells or not."""
+    left: Floats, right: Floats, y: Floats, height: Floats, blocks: Callable[[], Indices]
+) -> tuple[list[Indices], list[Indices], bool]:
+    """Return rows of tables, other rows and lines alone, and whether some rows may be cells."""
     beside = _beside_a_table(left, right, y, height)
-    rows = [np.array([k]) for k in np.flatnonzero(beside)]
-    found: list[NDArray[np.int_]] = rows
+    tables: list[Indices] = []
+    others = [np.array([k]) for k in np.flatnonzero(beside)]
     rest = np.flatnonzero(~beside)
     rows = [rest[row] for row in _levels(left[rest], right[rest], y[rest], height[rest])]
     doubtful = False
@@ -257,15 +274,66 @@ def _rows(
         group = [rows.pop(0)]
         while rows and _goes_on(left, right, y, height, group[-1], rows[0]):
             group.append(rows.pop(0))
-        widths = np.concatenate([(right - left)[row[1:]] / height[row[1:]] for row in group])
+        if len(group[0]) == 1:
+            others += group
+            continue
+        cells = np.concatenate([row[1:] for row in group])
+        width = float(((right - left)[cells] / height[cells]).mean())
         wide = _CELLS if max(map(len, group)) < 3 else _WIDE_CELLS
-        width = float(widths.mean()) if len(widths) else np.inf
+        block = np.zeros(len(left), np.int_)
+        others_below = (left > left[cells].min() - height[cells].min()).sum() > 2 * len(cells)
+        if len(group) < _ROWS or width > _CELLS or others_below:
+            block = blocks()
+            wide = _widest(group, block, wide)
         if len(group) >= _ROWS and width <= wide:
-            found += group
+            tables += group
             continue
         doubtful |= len(group) > _ROWS and width <= _MAYBE * wide
-        found += [np.array([k]) for row in group for k in row]
-    return found, doubtful
+        others += [part for row in group for part in _by_block(row, block, left, right)]
+    return tables, others, doubtful
+
+
+def _widest(group: list[Indices], block: Indices, wide: float) -> float:
+    """Return the most mean width of cells in rows of some blocks, in heights; ``wide`` if most
+    blocks are unknown."""
+    known = [row for row in group if (block[row] > 0).all()]
+    if 2 * len(known) <= len(group):
+        return wide
+    several = [row for row in known if len(set(block[row])) > 1]
+    if 2 * len(several) <= len(known):
+        return np.inf
+    # Blocks of a table have few other lines.
+    inside = np.isin(block, block[np.concatenate(known)]).sum()
+    return _CELLS if 2 * sum(map(len, known)) > inside else 0.0
+
+
+def _known_blocks(
+    left: Floats, right: Floats, y: Floats, height: Floats, blocks: Callable[[], Indices | None]
+) -> Indices:
+    """Return the block of each line, (N,); 0 where it is unknown, and in columns taken for a block:
+    lines stand alone below the later parts of its rows."""
+    none = np.zeros(len(left), np.int_)
+    later = [k for row in _levels(left, right, y, height) for k in row[1:]]
+    width = (right - left)[later] / height[later]
+    found = blocks() if later and np.median(width) < _PROSE else None
+    block = none if found is None else found.copy()
+    for number in np.unique(block[block > 0]):
+        inside = np.flatnonzero(block == number)
+        levels = _levels(left[inside], right[inside], y[inside], height[inside])
+        rows = [inside[row] for row in levels]
+        later = [k for row in rows for k in row[1:]]
+        alone = [row[0] for row in rows if len(row) == 1]
+        if later and alone and left[alone].max() > left[later].min() - height[later].max():
+            block[inside] = 0
+    return block
+
+
+def _by_block(row: Indices, block: Indices, left: Floats, right: Floats) -> list[Indices]:
+    """Return parts of a row, each of one block; lines alone that have none or overlap others."""
+    if (left[row[1:]] < right[row[:-1]]).any():
+        return [np.array([k]) for k in row]
+    parts = [np.array([k]) for k in row[block[row] == 0]]
+    return parts + [row[block[row] == number] for number in np.unique(block[row]) if number]
 
 
 def _beside_a_table(left: Floats, right: Floats, y: Floats, height: Floats) -> Flags:
@@ -288,7 +356,7 @@ def _beside_a_table(left: Floats, right: Floats, y: Floats, height: Floats) -> F
     return beside
 
 
-def _chains(follows: Flags, order: NDArray[np.int_]) -> list[NDArray[np.int_]]:
+def _chains(follows: Flags, order: Indices) -> list[Indices]:
     """Return chains of lines, from the top down, each next one the first that follows."""
     after = {int(k): int(order[follows[k][order].argmax()]) for k in order if follows[k].any()}
     ends = set(after.values())
@@ -303,7 +371,7 @@ def _chains(follows: Flags, order: NDArray[np.int_]) -> list[NDArray[np.int_]]:
     return chains
 
 
-def _levels(left: Floats, right: Floats, y: Floats, height: Floats) -> Iterator[NDArray[np.int_]]:
+def _levels(left: Floats, right: Floats, y: Floats, height: Floats) -> Iterator[Indices]:
     """Yield the lines on each level, from the top down, left to right."""
     level: list[int] = []
     for k in np.argsort(y, kind="stable").tolist():
@@ -319,8 +387,8 @@ def _goes_on(
     right: Floats,
     y: Floats,
     height: Floats,
-    row: NDArray[np.int_],
-    following: NDArray[np.int_],
+    row: Indices,
+    following: Indices,
 ) -> bool:
     """Return whether the rows of a table may go on: most cells are below others."""
     if min(len(row), len(following)) < 2:
@@ -388,7 +456,7 @@ def _left_column(left: Floats, y: Floats, height: Floats, over: Flags, is_line: 
     return first
 
 
-def _sorted(first: Flags, usual: NDArray[np.int_]) -> list[int]:
+def _sorted(first: Flags, usual: Indices) -> list[int]:
     """Return an order that keeps the given precedence, and otherwise the usual one."""
     waiting = list(map(int, usual))
     order = []

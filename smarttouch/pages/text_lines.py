@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -25,6 +26,7 @@ from smarttouch.pages.spots import (
     like_letters,
     part_lines,
 )
+from smarttouch.pages.text_blocks import blocks_of_lines
 from smarttouch.pages.text_tests import credible_lines, is_text, is_too_small, outside_pictures
 
 ASCENT, DESCENT = 1.5, 0.45
@@ -109,6 +111,7 @@ _SMALL_PX, _MOST_PIXELS = 9.0, 40_000_000
 _ENOUGH_PX, _WORTH_HALVING, _MOST_HALVED = 10.0, 1_000_000, 3
 """Usual height of letters at which lines are found as well as at a larger one, least pixels of a
 page that is halved for that, and most of its sizes."""
+_PLACES = 20  # along a line, at which its block is looked up
 _PARTING = 12.0  # least length of a printed rule that parts a page, in letter heights
 _TERMS = 4  # coefficients of a baseline at most
 _LONG_ROW = 10.0  # least length of a row, in letter heights, that determines its slope
@@ -193,7 +196,8 @@ def page_lines(
         coarse = turn_panels(coarse)
         boxes = [[scale * side for side in panel] for panel in coarse.panels]
         paper = turn_boxes(paper, boxes, scale * (coarse.letter_height or 0))
-        return page, paper, _lines_in_ink(coarse, scale * page.mm_per_pixel, leftward)
+        found = _lines_in_ink(coarse, scale * page.mm_per_pixel, leftward, coarser[-2].cleaned)
+        return page, paper, found
     height = paper.letter_height
     factor = 1 if height is None else math.ceil(_SMALL_PX / height)
     if 1 < factor**2 <= _MOST_PIXELS / page.grey.size:
@@ -201,10 +205,12 @@ def page_lines(
         page = Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
         paper = separate_ink(page.grey, paper.light_on_dark)
     paper = turn_panels(paper)
-    return page, paper, _lines_in_ink(paper, page.mm_per_pixel, leftward)
+    return page, paper, _lines_in_ink(paper, page.mm_per_pixel, leftward, paper.cleaned)
 
 
-def _lines_in_ink(paper: Paper, mm_per_pixel: float, leftward: bool) -> PageLines:
+def _lines_in_ink(
+    paper: Paper, mm_per_pixel: float, leftward: bool, finer: NDArray[np.uint8]
+) -> PageLines:
     spots, height = paper.spots, paper.letter_height
     if height is None:
         return PageLines([])
@@ -231,7 +237,11 @@ def _lines_in_ink(paper: Paper, mm_per_pixel: float, leftward: bool) -> PageLine
     parting = np.column_stack([long.left, long.right, long.bottom]).astype(np.float64)
     for _, top, _, bottom in frames:
         parting = parting[np.abs(parting[:, 2:] - (top, bottom)).min(axis=1) > height]
-    order = reading_order(left, right, y, high, boxes, parting, leftward)
+    x = np.linspace(left, right, _PLACES, axis=1)
+    middles = [each.at(x[k]) - each.x_height / 2 for k, each in enumerate(baselines)]
+    ratio = finer.shape[1] / paper.ink.shape[1]
+    blocks = partial(blocks_of_lines, finer, ratio * height, *ratio * np.stack([x, middles]))
+    order = reading_order(left, right, y, high, boxes, parting, leftward, blocks)
     lines = [
         _line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel, int(order.cell[k]))
         for k in order.indices

@@ -109,6 +109,13 @@ def test_a_box_comes_after_the_column_in_which_it_stands():
     assert order(*column, *box, *right, boxes=boxes) == list(range(14))
 
 
+def test_a_box_beside_a_column_comes_after_all_of_it():
+    column = [(LEFT, y) for y in range(20, 160, 10)]
+    box = [((55, 85), y) for y in (30, 40, 50)]
+    boxes = np.array([[52.0, 18, 88, 56]]) * (WIDER, 1, WIDER, 1)
+    assert order(*column, *box, boxes=boxes) == list(range(17))
+
+
 def test_a_printed_rule_parts_what_is_above_from_what_is_below():
     lines = [*columns([(LEFT, 20), (RIGHT, 20)]), *columns([(LEFT, 60), (RIGHT, 60)])]
     rule = np.array([[0.0, WIDER * 90, 55]])
@@ -139,6 +146,43 @@ def test_rows_that_may_be_columns_are_doubtful():
     found = reading_order(left, right, np.repeat(10.0 * np.arange(5), 3), np.full(15, 8.0))
     assert found.doubtful
     assert found.indices == [*range(0, 15, 3), *range(1, 15, 3), *range(2, 15, 3)]
+
+
+CELLS = [(0, 50), (100, 150)]
+
+
+@pytest.mark.parametrize(
+    ("cells", "step", "rows", "lower", "block", "by_rows"),
+    [
+        (CELLS, 30, 5, [], [1, 1], True),  # too far below each other for a table
+        (CELLS, 30, 5, [], [1, 2], False),
+        (CELLS, 30, 5, [], [0, 0], False),
+        (CELLS, 30, 5, [(100, 150)], [1, 1], False),  # columns taken for a block
+        (CELLS, 30, 2, [(0, 50)], [1, 1], True),
+        ([(0, 50), (100, 150), (200, 250)], 10, 5, [], [1, 2, 3], False),  # wide for cells
+        ([(0, 50), (100, 150), (200, 250)], 10, 5, [], [0, 0, 0], True),
+        ([(0, 30), (100, 130)], 10, 5, [], [1, 2], True),
+        ([(0, 90), (100, 190)], 10, 5, [], [1, 1], True),
+        ([(0, 130), (140, 270)], 30, 5, [], [1, 1], False),  # prose
+    ],
+)
+def test_blocks_tell_rows_from_columns(cells, step, rows, lower, block, by_rows):
+    left, right = np.array([*cells * rows, *lower], float).T
+    y = step * np.array([*np.repeat(np.arange(rows), len(cells)), *[rows] * len(lower)], float)
+    known = np.array([*block * rows, *block[:1] * len(lower)])
+    found = reading_order(left, right, y, np.full(len(y), 8.0), blocks=lambda: known).indices
+    assert (found == list(range(len(y)))) == by_rows
+
+
+@pytest.mark.parametrize("shift", [0, 4])
+def test_narrow_columns_that_go_on_below_level_lines_are_no_table(shift):
+    y = 10.0 * np.arange(20)
+    y = np.concatenate([y, np.where(y < 50, y, y + shift)])
+    left = np.repeat([0.0, 100], 20)
+    known = np.repeat([1, 2], 20)
+    found = reading_order(left, left + 30, y, np.full(40, 8.0), blocks=lambda: known).indices
+    # Where all lines are level, it is a table.
+    assert (found == list(range(40))) == (shift > 0)
 
 
 def test_a_caption_is_what_stands_right_below_a_picture():

@@ -14,6 +14,10 @@ from smarttouch.reading.recognition import RecognitionOptions, upright_page
 from . import typeset
 from .photographed import photographs
 
+needs_tesseract = pytest.mark.skipif(
+    shutil.which("tesseract") is None, reason="needs Tesseract: apt install tesseract-ocr"
+)
+
 
 @pytest.mark.parametrize(
     "layout", [typeset.box, typeset.caption, typeset.table_beside, typeset.leftward]
@@ -27,6 +31,20 @@ def test_pieces_of_a_layout_are_in_order(layout):
     # Narrow cells may be found as one; a word of two letters alone may be lost.
     assert (np.diff(found) >= 0).all()
     assert len(order) - len(found) <= 1
+
+
+@needs_tesseract
+@pytest.mark.parametrize("layout", [typeset.cast, typeset.index])
+def test_tesseracts_blocks_tell_rows_from_columns(monkeypatch, layout):
+    sheet = typeset.typeset(layout, 0)
+    page = Page(sheet.grey, typeset.MM_PER_PIXEL)
+    order = typeset.prepared_order(sheet, prepare_page(page))
+    assert order.tolist() == sorted(order)
+    assert order.min() == 0
+    # Without Tesseract every line is found, in another order.
+    monkeypatch.setenv("PATH", "")
+    alone = typeset.prepared_order(sheet, prepare_page(page))
+    assert sorted(alone) == order.tolist() != alone.tolist()
 
 
 def test_an_initial_stands_before_its_first_line():
@@ -49,9 +67,7 @@ def test_an_initial_stands_before_its_first_line():
         assert 22 < np.ptp(high) < 34
 
 
-@pytest.mark.skipif(
-    shutil.which("tesseract") is None, reason="needs Tesseract: apt install tesseract-ocr"
-)
+@needs_tesseract
 def test_a_photograph_is_read_as_the_flat_page():
     _, flat, photo = next(photographs(1))
     options = RecognitionOptions()

@@ -188,6 +188,28 @@ def leftward(sheet):
         sheet.column(x, 150, _HALF, 20, leftward=True)
 
 
+def cast(sheet):
+    """Roles and names, joined by leaders, under a headline."""
+    _headline(sheet)
+    face = _font(sheet.font, _SIZE)
+    for row in range(12):
+        y = 300 + 1.4 * _STEP * row
+        role, name = (f"{sheet.random.choice(WORDS).strip(',;()')} of Hands" for _ in range(2))
+        start, end = _MARGIN + face.getlength(role), _WIDTH - _MARGIN - face.getlength(name)
+        for x in range(round(start) // 16 * 16 + 32, round(end) - 16, 16):
+            sheet.draw.text((x, y), ".", fill=INK, font=face, anchor="ls")
+        sheet.line(role, _MARGIN, y)
+        sheet.line(name, end, y)
+
+
+def index(sheet):
+    """Three columns of short entries."""
+    for x in (_MARGIN, _MARGIN + _FULL // 3, _MARGIN + 2 * _FULL // 3):
+        for row in range(30):
+            word = str(sheet.random.choice(WORDS)).strip(",;()").capitalize()
+            sheet.line(f"{word}, {'12, 134, 270'[: 12 - 4 * (row % 3 > 1)]}", x, 150 + _STEP * row)
+
+
 LAYOUTS = (
     plain, two_columns, three_columns, box, caption, rule, table_below, table_beside, drop_caps,
     leftward,
