@@ -117,9 +117,9 @@ def lists_at(electrodes, step, table, rng):
     )  # fmt: skip
 
 
-def sent_at(times, write, *given):
+def sent_at(times, write, *given, **named):
     times.append(time.perf_counter())
-    return write(*given)
+    return write(*given, **named)
 
 
 @pytest.mark.parametrize("board", ["emulator", "C"])
