@@ -59,14 +59,11 @@ class Relief(Texture):
         # way between two pulses on wide high ground; the dominant pitch if not given, and 2 mm if
         # there is none
         grain_mm: float | None = None,
-        tiled: bool = False,  # repeat it without end
         inverted: bool = False,  # turn high and low
     ) -> None:
         rows, columns = heights.height.shape
         wide_mm, high_mm = columns * heights.mm_per_pixel, rows * heights.mm_per_pixel
-        size_mm = None if tiled else (wide_mm, high_mm)
-        super().__init__(heights.title, size_mm, (wide_mm / 2, high_mm / 2))
-        self.tiled = tiled
+        super().__init__(heights.title, (wide_mm, high_mm), (wide_mm / 2, high_mm / 2))
         height = 1 - heights.height if inverted else heights.height
         pitch_mm = dominant_pitch_mm(height, heights.mm_per_pixel) if heights.photo else None
         self.woven: bool = pitch_mm is not None
@@ -88,7 +85,6 @@ class Relief(Texture):
             max(wide_mm, high_mm) / _LONGEST_SIDE,
         )
         size = (max(2, round(wide_mm / pixel_mm)), max(2, round(high_mm / pixel_mm)))
-        # Where a tile is no whole number of pixels, it is stretched a little.
         self.scale_mm: tuple[float, float] = (wide_mm / size[0], high_mm / size[1])
         self.pixel_mm: float = max(self.scale_mm)
         method = cv2.INTER_AREA if size[0] <= columns else cv2.INTER_LINEAR
@@ -109,15 +105,13 @@ class Relief(Texture):
         """Return a part of it as ink on paper, (H, W) uint8."""
         by_x, by_y = pixel_mm / self.scale_mm[0], pixel_mm / self.scale_mm[1]
         left, top = left_mm / self.scale_mm[0], top_mm / self.scale_mm[1]
-        if self.tiled:
-            left, top = left % self._surface.shape[1], top % self._surface.shape[0]
         to_map = np.array([[by_x, 0, left + by_x / 2 - 0.5], [0, by_y, top + by_y / 2 - 0.5]])
         drawn = cv2.warpAffine(
             self._surface,
             to_map,
             shape[::-1],
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_WRAP if self.tiled else cv2.BORDER_CONSTANT,
+            borderMode=cv2.BORDER_CONSTANT,
             borderValue=255,
         )
         return np.asarray(drawn, np.uint8)
@@ -126,9 +120,8 @@ class Relief(Texture):
         """Return the depth of each place within high ground, mm, at most half a grain."""
         half = self.grain_mm / 2
         margin = math.ceil(_AROUND * self.grain_mm / self.pixel_mm)
-        mode = cv2.BORDER_WRAP if self.tiled else cv2.BORDER_REPLICATE
         # What is beyond an edge is low, but the surroundings there are as at the edge.
-        wide = cv2.copyMakeBorder(self.height, *(margin,) * 4, mode)
+        wide = cv2.copyMakeBorder(self.height, *(margin,) * 4, cv2.BORDER_REPLICATE)
         # Twice a mean over a square is nearly a Gaussian, and takes no longer where it is wide.
         side = 2 * round(_AROUND * self.grain_mm / self.pixel_mm / 2) + 1
         around = cv2.blur(cv2.blur(wide, (side, side)), (side, side))
@@ -138,15 +131,12 @@ class Relief(Texture):
             threshold = np.minimum(around + _FAINT, _HIGHEST)
         else:
             threshold = np.clip(around, _LOWEST, _HIGHEST)
-        high = np.asarray(wide > threshold, np.uint8)
-        if not self.tiled:
-            kept = np.zeros_like(high)
-            inside = (slice(margin, -margin), slice(margin, -margin))
-            kept[inside] = high[inside]
-            high = kept
+        high = np.zeros(wide.shape, np.uint8)
+        inside = (slice(margin, -margin), slice(margin, -margin))
+        high[inside] = (wide > threshold)[inside]
         depth = cv2.distanceTransform(high, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * self.pixel_mm
         depth = cv2.GaussianBlur(np.minimum(depth, half), (0, 0), 1.0)
-        return np.asarray(depth[margin:-margin, margin:-margin].copy(), np.float32)
+        return np.asarray(depth[inside].copy(), np.float32)
 
 
 _STROKE = 0.15  # depth of the thinnest stroke that pulses along itself, in grains
@@ -274,10 +264,6 @@ class ReliefFeeler:
         """Return the electrodes' places on the map for places of the array, (N, E) pixels each."""
         x_mm, y_mm = self._relief.scale_mm
         x, y = places.real / x_mm, places.imag / y_mm
-        if self._relief.tiled:
-            # All by the same whole tiles, so that what lies between places stays between them.
-            rows, columns = self._relief.height.shape
-            x, y = x - columns * np.floor(x[0] / columns), y - rows * np.floor(y[0] / rows)
         return (
             x.astype(np.float32)[:, None] + self._own_x,
             y.astype(np.float32)[:, None] + self._own_y,
@@ -290,8 +276,8 @@ class ReliefFeeler:
     def _sample(
         self, values: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        mode = cv2.BORDER_WRAP if self._relief.tiled else cv2.BORDER_CONSTANT
-        sampled = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=mode, borderValue=0)
+        constant = cv2.BORDER_CONSTANT
+        sampled = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=constant, borderValue=0)
         return np.asarray(sampled, np.float32)
 
 
@@ -306,18 +292,16 @@ def open_texture(
     width_mm: float | None = None,
     # way between two pulses on what is high and wide; measured if not given
     grain_mm: float | None = None,
-    tiled: bool = False,  # repeat it without end
     light_on_dark: bool = False,  # whether bright parts are high
 ) -> Texture:
-    """Open a texture: a grating, a text, an image or a height map.
+    """Open a texture: a grating, a text or an image, whose ink is high.
 
-    ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file: an image (ink is high), or a
-    height map (16 bits or floating point, or .npy: bright is high). Options may stand behind it, as
-    in ``wood.png?dpi=300&tiled``.
+    ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file. Options may stand behind it,
+    as in ``wood.png?dpi=300``.
     """
     place, in_url = read_options(open_texture, spec, PageError)
     given = {
-        "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm, "tiled": tiled or None,
+        "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm,
         "light_on_dark": light_on_dark or None,
     }  # fmt: skip
     given = {name: value for name, value in given.items() if value is not None}
@@ -336,7 +320,7 @@ def open_texture(
         heights = print_heights(rest, width_mm)
     else:
         heights = load_heights(Path(spec), dpi, width_mm)
-    return Relief(heights, grain_mm, tiled, light_on_dark)
+    return Relief(heights, grain_mm, light_on_dark)
 
 
 def _grating(spec: str, rest: str) -> Texture:

@@ -1,4 +1,4 @@
-"""Heights of images, height maps and texts, and the pitch that dominates them."""
+"""Heights of images and texts, and the pitch that dominates them."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError, UnknownSizeError
-from smarttouch.base.files import MOST_ARRAY_BYTES, open_file
-from smarttouch.pages.grey_image import read_pixels
 from smarttouch.pages.page_image import (
     check_scale_options,
     open_image,
     read_grey,
-    require_pixels,
     require_size_mm,
 )
 from smarttouch.pages.prepared_page import print_text
@@ -65,8 +62,7 @@ LETTER_MM = 12.0  # height of printed letters: wide enough strokes for electrode
 _PRINTED_MM = 4.2  # height of the letters of `print_text`, ascender to descender
 _MARGIN_MM = 4.0
 _SCALE = "dpi or width_mm"
-_LEAST_RANGE = 0.03
-"""Least range of heights, as a part of the file's range; with less, nothing is shown."""
+_LEAST_RANGE = 7.65  # least range of grey levels; with less, nothing is shown
 
 
 class Heights(NamedTuple):
@@ -79,31 +75,15 @@ class Heights(NamedTuple):
 
 
 def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:
-    """Load an image, whose ink is high, or a height map, whose bright parts are high.
-
-    An image of 16 bits or of floating point, or a .npy file of two axes, is a height map. The scale
-    is needed where the file has none.
-    """
+    """Load an image, whose ink is high; the scale is needed where the file has none."""
     check_scale_options(dpi, width_mm, "width_mm")
-    if path.suffix.lower() == ".npy":
-        values, mm_per_pixel = _load_array(path, dpi, width_mm)
-        height = _stretched(path.name, values, 0.0)
-    else:
-        with open_image(path) as image:
-            grey, scale = read_grey(path, image, dpi, width_mm)
-            deep = image.mode.startswith("I") or image.mode == "F"
-            if deep:
-                values = np.atleast_3d(read_pixels(image))[:, :, 0].astype(np.float64)
-        if scale is None:
-            raise _unscaled(path)
-        mm_per_pixel = scale
-        if deep:
-            height = _stretched(path.name, _like(values, grey.shape), 0.0)
-        else:
-            height = _stretched(path.name, 255 - grey.astype(np.float64), 255 * _LEAST_RANGE)
-    rows, columns = height.shape
+    with open_image(path) as image:
+        grey, mm_per_pixel = read_grey(path, image, dpi, width_mm)
+    if mm_per_pixel is None:
+        raise UnknownSizeError(f"{path} does not say how large it is: give {_SCALE}")
+    rows, columns = grey.shape
     require_size_mm(str(path), columns * mm_per_pixel, rows * mm_per_pixel, _SCALE)
-    return Heights(path.name, height, mm_per_pixel)
+    return Heights(path.name, _stretched(path.name, 255 - grey.astype(np.float64)), mm_per_pixel)
 
 
 def print_heights(text: str, width_mm: float | None = None) -> Heights:
@@ -123,45 +103,12 @@ def print_heights(text: str, width_mm: float | None = None) -> Heights:
     return Heights(f"“{text}”", np.asarray(1 - grey / 255, np.float32), mm_per_pixel, photo=False)
 
 
-def _load_array(
-    path: Path, dpi: float | None, width_mm: float | None
-) -> tuple[NDArray[np.float64], float]:
-    with open_file(path, PageError, MOST_ARRAY_BYTES) as file:
-        try:
-            heights = np.asarray(np.lib.format.read_array(file, allow_pickle=False), np.float64)
-        except (OSError, ValueError, TypeError) as error:
-            message = f"cannot read the height map {path}: it is not an array of numbers ({error})"
-            raise PageError(message) from None
-    if heights.ndim != 2:
-        message = f"{path} has {heights.ndim} axes: a height map has two, rows and columns"
-        raise PageError(message)
-    require_pixels(str(path), heights.shape[1], heights.shape[0])
-    if dpi is not None:
-        return heights, 25.4 / dpi
-    if width_mm is None:
-        raise _unscaled(path)
-    return heights, width_mm / heights.shape[1]
-
-
-def _unscaled(path: Path) -> UnknownSizeError:
-    message = f"{path} does not say how large it is: give {_SCALE}"
-    return UnknownSizeError(message)
-
-
-def _like(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return values at the size of an image whose pixels were made square."""
-    if values.shape == shape:
-        return values
-    return np.asarray(cv2.resize(values, shape[::-1], interpolation=cv2.INTER_LINEAR))
-
-
-def _stretched(name: str, values: NDArray[np.float64], least: float) -> NDArray[np.float32]:
+def _stretched(name: str, values: NDArray[np.float64]) -> NDArray[np.float32]:
     """Return values stretched to 0 to 1, without the few outliers."""
-    values = np.nan_to_num(values, posinf=0.0, neginf=0.0)
     low, high = np.percentile(values, (0.5, 99.5))
-    if high - low <= max(least, 1e-12):
+    if high - low <= _LEAST_RANGE:
         low, high = values.min(), values.max()
-    if high - low <= max(least, 1e-12):
+    if high - low <= _LEAST_RANGE:
         message = f"{name} is flat: there is nothing on it that could be felt"
         raise PageError(message)
     return np.asarray(np.clip((values - low) / (high - low), 0, 1), np.float32)

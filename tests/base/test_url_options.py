@@ -123,8 +123,8 @@ def test_a_motion_with_its_options():
 def test_a_texture_with_its_options(tmp_path):
     path = tmp_path / "wood.png"
     Image.fromarray(np.tile(np.arange(64, dtype=np.uint8), (32, 1))).save(path)
-    told = open_texture(f"{path}?dpi=254&tiled&light_on_dark")
-    given = open_texture(str(path), dpi=254.0, tiled=True, light_on_dark=True)
+    told = open_texture(f"{path}?dpi=254&light_on_dark")
+    given = open_texture(str(path), dpi=254.0, light_on_dark=True)
     assert told.size_mm == given.size_mm
     assert open_texture(f"{path}?width_mm=5").size_mm == pytest.approx((5.0, 2.5))
     with raises(PageError, names="dpi", value="dpi=254"):
