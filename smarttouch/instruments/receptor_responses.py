@@ -15,7 +15,6 @@ firing of SAI afferents is in compressive stress (rat: Ge and Khalsa, J. Neuroph
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,16 +55,6 @@ class ReceptorResponse:
     rate_hz: Array  # (N,) float64, Hz: firing rate of its afferents
     spike_s: Array  # (K,) float64, s: when
 
-    @property
-    def mean_drive(self) -> float:
-        return float(self.drive.mean())
-
-    @property
-    def mean_rate_hz(self) -> float:
-        """Mean rate while it fires; 0 if it never does."""
-        firing = self.rate_hz[self.drive > 0]
-        return float(firing.mean()) if len(firing) else 0.0
-
 
 def split_trace(
     trace: Trace,
@@ -82,15 +71,6 @@ def split_trace(
         Afferent.RA: _vibration(trace, Afferent.RA),
         Afferent.SAI: pressed(trace, sai_full_n, sai_rate_hz),
         Afferent.PC: _vibration(trace, Afferent.PC),
-    }
-
-
-def shares(answers: Mapping[Afferent, ReceptorResponse]) -> dict[Afferent, float]:
-    """Return each class's part of the mean drive of all; zeros if none is driven."""
-    total = sum(each.mean_drive for each in answers.values())
-    return {
-        afferent: each.mean_drive / total if total > 0 else 0.0
-        for afferent, each in answers.items()
     }
 
 

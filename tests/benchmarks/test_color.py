@@ -46,8 +46,8 @@ def test_what_comes_back(profile, bank, row, quick, seconds):
                 {
                     "felt": spec,
                     "class": afferent.name,
-                    "answered, Hz": f"{answer.mean_rate_hz:.1f}",
-                    "drive": f"{answer.mean_drive:.2f}",
+                    "answered, Hz": f"{len(answer.spike_s) / seconds:.1f}",
+                    "drive": f"{answer.drive.mean():.2f}",
                     "delivered, Hz": f"{found.rate_hz:.1f}",
                     "drive delivered": f"{found.drive.mean():.2f}",
                     "off by, ms, p50 / max": f"{np.median(off_ms):.2f} / {off_ms.max():.2f}",
