@@ -13,7 +13,7 @@ from smarttouch.emulator.firmware import DeviceClock, Firmware
 from smarttouch.profile import Profile
 from smarttouch.sources import open_source
 from smarttouch.sources.force import RecordedForce
-from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
+from smarttouch.sources.sensor_protocol import encode_force, encode_frame
 from smarttouch.sources.source_contract import Frame
 
 GRAVITY_N_PER_G = 9.80665e-3
@@ -71,17 +71,12 @@ class SensorArray(SensorFirmware):
     def __init__(self, look: Look, rate_hz: float) -> None:
         super().__init__(rate_hz)
         self._look = look
-        self._every = max(1, round(rate_hz))
         self._image: NDArray[np.uint8] | None = None
 
     def packet(self, number: int, time_s: float) -> bytes:
-        """Return a frame, once a second with the device's description."""
         if "freeze" not in self.wrong or self._image is None:
             self._image = self._look(time_s)
-        data = encode_frame(number, round(time_s * 1e6), self._image)
-        if number % self._every:
-            return data
-        return encode_info(number // self._every, "emulated sensor array") + data
+        return encode_frame(number, round(time_s * 1e6), self._image)
 
 
 class EmulatedLoadCell(SensorFirmware):

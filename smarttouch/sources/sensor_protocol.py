@@ -18,8 +18,6 @@ type name  payload
            by row from the top left, 0 black to 255 white, as seen on the page
 0x42 FORCE i32 reading of the load cell, u32 device time µs; the reading
            −2147483648 means none
-0x43 INFO  name of the device and its firmware in UTF-8, at most 255 bytes;
-           once a second is enough, and none is needed
 ==== ===== ==================================================================
 
 What a device does:
@@ -28,7 +26,8 @@ What a device does:
   be sent in time is dropped, and its number with it.
 - Device time is when the frame or reading was taken, on any clock that does not
   stop; it wraps after 71.6 minutes. The host counts age from the arrival.
-- A device with a patch and a load cell may send both over one line.
+- A device with a patch and a load cell may send both over one line. Packets of other
+  types are ignored.
 
 A FRAME of 64 × 64 is up to 4,130 bytes on the line, so 200 a second need 826 kB/s: USB.
 921,600 baud carry 22 of them a second, 88 of 32 × 32, 335 of 16 × 16 and 2,700 of 4 × 4.
@@ -46,7 +45,6 @@ from smarttouch.base.wire.framing import Deframer, WirePacket, frame_packet
 
 VERSION = 1
 MOST_PIXELS_A_SIDE = 255
-LARGEST_NAME = 255  # most bytes of the name in INFO
 NO_READING = -(2**31)
 LARGEST_BODY = MOST_PIXELS_A_SIDE**2 + 16  # most bytes of a packet, with head and CRC
 NUMBERS = 2**32
@@ -60,7 +58,6 @@ class PacketKind(IntEnum):
 
     FRAME = 0x41
     FORCE = 0x42
-    INFO = 0x43
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,15 +78,7 @@ class CellReading:
     reading: int | None
 
 
-@dataclass(frozen=True)
-class Info:
-    """Description of a device by itself."""
-
-    number: int
-    name: str
-
-
-Message = ArrayFrame | CellReading | Info
+Message = ArrayFrame | CellReading
 
 
 def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
@@ -117,29 +106,15 @@ def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
     return frame_packet(VERSION, PacketKind.FORCE, number % NUMBERS, payload)
 
 
-def encode_info(number: int, name: str) -> bytes:
-    """Return a device's description in its wire format; a name that is too long is cut."""
-    text = name.encode("utf-8", "replace")[:LARGEST_NAME].decode("utf-8", "ignore")
-    return frame_packet(VERSION, PacketKind.INFO, number % NUMBERS, text.encode())
-
-
 def decode(packet: WirePacket) -> Message | None:
     """Return a packet's message; None if it is malformed or of an unknown kind or version."""
     if packet.version != VERSION:
         return None
-    payload = packet.payload
-    match packet.kind:
-        case PacketKind.FRAME:
-            return _decode_frame(packet.number, payload)
-        case PacketKind.FORCE:
-            if len(payload) != _FORCE.size:
-                return None
-            value, time_us = _FORCE.unpack(payload)
-            return CellReading(packet.number, time_us, None if value == NO_READING else value)
-        case PacketKind.INFO:
-            if len(payload) > LARGEST_NAME:
-                return None
-            return Info(packet.number, payload.decode("utf-8", "replace"))
+    if packet.kind == PacketKind.FRAME:
+        return _decode_frame(packet.number, packet.payload)
+    if packet.kind == PacketKind.FORCE and len(packet.payload) == _FORCE.size:
+        value, time_us = _FORCE.unpack(packet.payload)
+        return CellReading(packet.number, time_us, None if value == NO_READING else value)
     return None
 
 
@@ -165,8 +140,8 @@ def gap(before: int, number: int) -> int:
 class MessageStream:
     """Parser of messages in a stream that may start in the middle of one.
 
-    ``broken`` counts pieces between zeros that were no packet or an unknown one, but not the first,
-    which may have lost its start.
+    ``broken`` counts pieces between zeros that were no packet or a malformed one, but not the
+    first, which may have lost its start. Packets of other kinds are ignored.
     """
 
     def __init__(self) -> None:
@@ -181,10 +156,10 @@ class MessageStream:
         for packet in self._deframer.feed(data):
             self._begin()
             message = decode(packet)
-            if message is None:
-                self.broken += 1
-            else:
+            if message is not None:
                 messages.append(message)
+            elif packet.version != VERSION or packet.kind in set(PacketKind):
+                self.broken += 1
         if self._deframer.errors > before:
             self._begin()
         self.broken += self._deframer.errors - before

@@ -12,7 +12,7 @@ from smarttouch.base.errors import SourceError
 from smarttouch.base.wire.port import LINE_ERRORS, Port, open_port
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
-from smarttouch.sources.sensor_protocol import ArrayFrame, Info, MessageStream, gap
+from smarttouch.sources.sensor_protocol import ArrayFrame, MessageStream, gap
 from smarttouch.sources.serial_input import read_available
 from smarttouch.sources.source_contract import DeviceWarnings
 
@@ -39,7 +39,6 @@ class SerialArrayDevice(ImageDevice):
         self.frames: int = 0
         self.lost: int = 0
         self.garbled: int = 0
-        self.device: str = ""
         self._name, self._baud = port, baud
         self._port: Port | None = None
         self._stream = MessageStream()
@@ -93,8 +92,6 @@ class SerialArrayDevice(ImageDevice):
                 newest = message
                 frames += 1
                 self._count_lost(message.number)
-            elif isinstance(message, Info):
-                self.device = message.name
             # Force readings on the same line are ignored here.
         self._count_garbled(self._stream.broken - broken)
         if newest is None:

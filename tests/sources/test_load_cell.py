@@ -12,7 +12,7 @@ from smarttouch.base.errors import SourceError
 from smarttouch.sources import load_cell
 from smarttouch.sources.force import open_force
 from smarttouch.sources.load_cell import FRESH_S, CellWatch, open_cell
-from smarttouch.sources.sensor_protocol import encode_force, encode_info
+from smarttouch.sources.sensor_protocol import encode_force
 from smarttouch.sources.serial_input import LONGEST_LINE, PacketReadings, TextReadings, parse_line
 from smarttouch.sources.source_contract import DeviceWarnings, OutageTracker
 
@@ -91,8 +91,6 @@ def test_packets_that_are_no_readings():
     readings = PacketReadings()
     good = encode_force(0, 0, None)
     assert math.isnan(readings.feed(good)[0])
-    assert readings.feed(encode_info(0, "cell")) == []
-    assert readings.garbled == 0
     assert readings.feed(good[4:]) == []
     assert (readings.garbled, readings.last_garbled) == (1, "a broken packet")
 

@@ -17,13 +17,11 @@ from smarttouch.sources.sensor_protocol import (
     VERSION,
     ArrayFrame,
     CellReading,
-    Info,
     MessageStream,
     PacketKind,
     decode,
     encode_force,
     encode_frame,
-    encode_info,
     gap,
 )
 
@@ -60,16 +58,6 @@ def test_the_largest_frame_comes_back():
 def test_readings_come_back(number, time_us, reading):
     expected = CellReading(number, time_us, reading)
     assert parse(encode_force(number, time_us, reading)) == expected
-
-
-@given(NUMBER, st.text(max_size=400))
-def test_names_come_back_as_far_as_they_fit(number, name):
-    info = parse(encode_info(number, name))
-    assert isinstance(info, Info)
-    assert info.number == number
-    whole = name.encode("utf-8", "replace").decode()
-    assert whole.startswith(info.name)
-    assert info.name == whole or len(info.name.encode()) > 251
 
 
 def test_the_page_in_the_docstring_is_what_is_sent():
@@ -110,7 +98,7 @@ HEAD = bytes([2, 3, 0, 0, 0, 0])
     (PacketKind.FRAME, b""), (PacketKind.FRAME, HEAD[:5]), (PacketKind.FRAME, HEAD + bytes(5)),
     (PacketKind.FRAME, HEAD + bytes(7)), (PacketKind.FRAME, bytes([0, 3, 0, 0, 0, 0])),
     (PacketKind.FRAME, bytes([3, 0, 0, 0, 0, 0])), (PacketKind.FORCE, bytes(7)),
-    (PacketKind.FORCE, bytes(9)), (PacketKind.INFO, bytes(256)), (0x44, b""),
+    (PacketKind.FORCE, bytes(9)), (0x44, b""),
 ])  # fmt: skip
 def test_malformed_payloads_give_nothing(kind, payload):
     assert decode(WirePacket(kind, 0, payload, VERSION)) is None
@@ -135,8 +123,11 @@ def test_the_piece_one_joins_in_is_not_broken_but_later_ones_are():
     assert stream.broken == 0
     assert len(stream.feed(good[3:] + good)) == 1
     assert stream.broken == 1
-    stream.feed(frame_packet(VERSION, 0x66, 0, b"unknown"))
-    assert stream.broken == 2
+    stream.feed(frame_packet(VERSION, 0x66, 0, b"of a later firmware"))
+    assert stream.broken == 1
+    stream.feed(frame_packet(VERSION, PacketKind.FORCE, 0, b"cut"))
+    stream.feed(frame_packet(VERSION + 1, PacketKind.FORCE, 0, bytes(8)))
+    assert stream.broken == 3
 
 
 @pytest.mark.parametrize(("before", "number", "missing"), [

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.sources import open_source, serial_array
-from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
+from smarttouch.sources.sensor_protocol import encode_force, encode_frame
 from smarttouch.sources.serial_array import SerialArrayDevice
 
 from ..raising import raises
@@ -124,10 +124,9 @@ def test_a_device_that_restarts_has_lost_nothing(line, source):
     assert source.notes == []
 
 
-def test_a_load_cell_on_the_same_line_and_a_name(line, source):
-    line.send(encode_info(0, "patch µ") + encode_force(0, 0, 1) + frame(0) + encode_force(1, 0, 2))
+def test_a_load_cell_on_the_same_line(line, source):
+    line.send(encode_force(0, 0, 1) + frame(0) + encode_force(1, 0, 2))
     assert books(grab_all(source, line.sent)) == 1
-    assert source.device == "patch µ"
     assert source.notes == []
 
 
