@@ -44,20 +44,17 @@ class CellWatch:
         self._last_ns: int | None = None
         self._same_since_ns = 0
         self._same = 0
-        self._empty = self._saturated = 0
+        self._invalid = 0
         self._warnings = DeviceWarnings(notes)
         self._silence = OutageTracker(
             self._warnings,
             f"{title}: no reading",
-            f"a reading is valid for {FRESH_S:g} s, so ten a second or more are needed",
+            f"check its cable; a reading is valid for {FRESH_S:g} s, so ten a second are needed",
         )
         self._freeze = OutageTracker(
             self._warnings,
             f"{title}: readings were constant under pressure",
             "it is frozen, or prints too few decimals",
-        )
-        self._absence = OutageTracker(
-            self._warnings, f"{title} was disconnected", "check the cable"
         )
 
     def take(self, readings: list[float], now_ns: int) -> None:
@@ -70,7 +67,6 @@ class CellWatch:
                 self._value, self._same, self._same_since_ns = known, 1, now_ns
         if readings:
             self._silence.update(False, now_ns)
-            self._absence.update(False, now_ns)
             self._last_ns = now_ns
             self._freeze.update(self._frozen(now_ns), now_ns, self._same_since_ns)
 
@@ -80,8 +76,6 @@ class CellWatch:
         if last_ns is not None and now_ns - last_ns > FRESH_S * 1e9:
             self._silence.update(True, now_ns, last_ns)
             self._freeze.update(False, last_ns)
-        if self._absence.is_on:
-            self._absence.update(True, now_ns)
         if garbled:
             times = "once" if garbled == 1 else f"{garbled} times"
             self._warnings.put(
@@ -89,12 +83,10 @@ class CellWatch:
             )
 
     def lose(self, now_ns: int) -> None:
-        """Report that the port is lost, and discard earlier readings."""
-        self._absence.update(True, now_ns)
-        # A lost port explains the missing readings: no note on silence besides.
-        self._silence.update(False, now_ns)
+        """Discard earlier readings at once: the port is lost."""
+        self._silence.update(True, now_ns, self._last_ns)
         self._freeze.update(False, now_ns)
-        self._last_ns, self._value, self._same = None, math.nan, 0
+        self._value, self._same = math.nan, 0
 
     def reading(self, now_ns: int) -> float:
         """Return the newest reading; NaN if it is unknown."""
@@ -111,20 +103,15 @@ class CellWatch:
 
     def _count(self, value: float) -> float:
         """Return a reading, or NaN for an invalid one, with a note."""
-        if value in SATURATED:
-            self._saturated += 1
-            self._warnings.put(
-                "saturated",
-                f"{self._title}: at the end of its range, {value:.0f}, in {self._saturated} "
-                "readings: overloaded, or not connected",
-            )
-            return math.nan
-        if math.isnan(value):
-            self._empty += 1
-            self._warnings.put(
-                "none", f"{self._title}: {self._empty} of its packets had no reading"
-            )
-        return value
+        if value not in SATURATED and not math.isnan(value):
+            return value
+        self._invalid += 1
+        self._warnings.put(
+            "invalid",
+            f"{self._title}: {self._invalid} times without a value or at the end of its range: "
+            "overloaded, or not connected",
+        )
+        return math.nan
 
 
 FIRST_READING_S = 5.0
