@@ -162,62 +162,50 @@ def mix_colors(
     sites: Collection[int] | None = None,  # electrodes that pulse; those of `disc` if not given
     timing: ScanTiming | None = None,  # scan timing fixed by the board
     vibrated: bool = False,  # whether a mechanical vibrator drives PC
-    pc_rate_hz: float = PC_RATE_HZ,  # most pulses of PC a second
 ) -> Mixture:
     """Return the pulses that reproduce a trace.
 
     Examples
     --------
+    >>> import smarttouch as st
     >>> from smarttouch.instruments.color_mix import mix_colors
     >>> from smarttouch.instruments.skin_trace import open_trace
     >>> from smarttouch.kernels.bank import load_bank
-    >>> from smarttouch.base.afferent import Afferent
-    >>> from smarttouch.profile import load_profile
-    >>> profile = load_profile("electric-mouse")
+    >>> profile = st.load_profile("electric-mouse")
     >>> trace = open_trace("tone:30Hz,8um+press:0.45N", seconds=1.0)
     >>> mixture = mix_colors(trace, profile, load_bank(profile))
-    >>> [mixture.pulses(each) for each in Afferent]  # RA, SAI, PC
+    >>> [mixture.pulses(each) for each in st.Afferent]  # RA, SAI, PC
     [27, 24, 0]
-    >>> mixture.stimuli[0].activation.shape
-    (3, 64)
     """
-    duration_s = trace.duration_s
-    answers = split_trace(
-        trace, sai_full_n=profile.force.full_n, sai_rate_hz=profile.pulse.sai_rate_hz
-    )
-    timing = ScanTiming() if timing is None else timing
+    timing = timing or ScanTiming()
+    answers = split_trace(trace, profile.force.full_n, profile.pulse.sai_rate_hz)
     places = (
         disc(profile) if sites is None else require_driven(profile, sites, ScheduleError, "site")
     )
     pulsing, left_out = _drivable(answers, profile, bank, places, vibrated)
     shaking = vibrated and Afferent.PC in pulsing
     electrical = [each for each in pulsing if not (shaking and each is Afferent.PC)]
-    least_us = shortest_us(profile, len(places) * max(1, len(electrical)), timing)
-    apart_us = dict.fromkeys(Afferent, least_us)
-    apart_us[Afferent.PC] = max(least_us, math.ceil(1e6 / pc_rate_hz))
-    ideal = {
-        each: thinned(np.rint(answers[each].spike_s * 1e6).astype(np.int64), apart_us[each])
-        for each in electrical
-    }
     if len(electrical) > 1 and (timing.whole_hz or timing.every_electrode or timing.in_index_order):
         raise ScheduleError(
             f"{' and '.join(each.name for each in electrical)} respond to this, each at a rate of "
             "its own, and this board scans all electrodes at one rate: choose another board, or "
             "a stimulus that one class alone responds to"
         )
-    trains = list(ideal.values())
-    if shaking:
-        step_us = max(VIBRATION_US, least_us)
-        trains.append(np.arange(0, round(duration_s * 1e6), step_us))
-    time_us, given = merged(trains, least_us)
-    carried = dict(zip(ideal, given, strict=False))
+    least_us = shortest_us(profile, len(places) * max(1, len(electrical)), timing)
+    ideal = {}
+    for each in electrical:
+        apart_us = max(least_us, math.ceil(1e6 / PC_RATE_HZ) if each is Afferent.PC else 0)
+        ideal[each] = thinned(np.rint(answers[each].spike_s * 1e6).astype(np.int64), apart_us)
+    lasts_us = round(trace.duration_s * 1e6)
+    vibration = [np.arange(0, lasts_us, max(VIBRATION_US, least_us))] if shaking else []
+    time_us, stimuli = merged([*ideal.values(), *vibration], least_us)
+    carried = dict(zip(ideal, stimuli, strict=False))
     drive = np.zeros((len(time_us), len(Afferent)), np.float32)
     for each, which in carried.items():
-        drive[which, each] = _drive_at(answers[each], ideal[each], duration_s)
+        drive[which, each] = _drive_at(answers[each], ideal[each], trace.duration_s)
     if shaking:
-        drive[:, Afferent.PC] = _drive_at(answers[Afferent.PC], time_us, duration_s)
-    over_us = int(time_us[-1]) + least_us if len(time_us) else 0
-    end_us = max(over_us, round(duration_s * 1e6))
+        drive[:, Afferent.PC] = _drive_at(answers[Afferent.PC], time_us, trace.duration_s)
+    end_us = max(int(time_us[-1]) + least_us if len(time_us) else 0, lasts_us)
     return Mixture(
         time_us, drive, places, len(profile.electrodes), end_us, least_us, ideal, carried, left_out,
         shaking, answers,

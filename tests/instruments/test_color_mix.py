@@ -151,4 +151,4 @@ def test_masked_sites_are_not_in_the_disc(profile, changed):
 
 
 def test_the_example_runs():
-    assert doctest.testmod(smarttouch.instruments.color_mix) == (0, 10)
+    assert doctest.testmod(smarttouch.instruments.color_mix) == (0, 8)
