@@ -24,7 +24,6 @@ feeling = finger.feel(strongest)
 for name, count in feeling.quality.afferents.items():
     print(f"{name.name}: {count} fired")
 print(f"silent points: {feeling.quality.silent_points:.2f}")
-feeling
 
 # %%
 # The receptors that fired, among the electrodes.

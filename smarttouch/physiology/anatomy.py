@@ -134,14 +134,9 @@ class Anatomy(Table):
         return {each: anatomy for each, anatomy in given if anatomy is not None}
 
 
-def list_anatomies() -> list[str]:
-    """Return the names of the shipped anatomies."""
-    return sorted(path.stem for path in _SHIPPED.glob("*.toml"))
-
-
 def load_anatomy(name: str | Path) -> Anatomy:
     """Load a shipped anatomy by name, or any by its TOML file; ProfileError if it is not valid."""
-    known = list_anatomies()
+    known = sorted(path.stem for path in _SHIPPED.glob("*.toml"))
     if str(name) in known:
         return load_model(_SHIPPED / f"{name}.toml", Anatomy, name=str(name))
     path = Path(name)

@@ -1,9 +1,9 @@
-"""A finger under an array: the response of its afferents to a scan sequence, and its picture."""
+"""A finger under an array: the response of its afferents to a scan sequence."""
 
 from typing import Any
 
 from smarttouch.physiology.finger_afferents import FingerAfferents
-from smarttouch.physiology.response import Feeling, feel, finger_svg
+from smarttouch.physiology.response import Feeling, feel
 
 
 class Finger(FingerAfferents):
@@ -47,7 +47,3 @@ class Finger(FingerAfferents):
             Of the noise from pulse to pulse.
         """
         return feel(self, given, seed)
-
-    def _repr_html_(self) -> str:
-        """Return its receptors among the electrodes, for notebooks."""
-        return finger_svg(self)

@@ -1,4 +1,4 @@
-"""Response of one finger to scan sequences: spikes, their picture, and measures of them."""
+"""Response of one finger to scan sequences: spikes, and measures of them."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import CLASS_COLORS, Afferent
-from smarttouch.base.array_picture import titled
 from smarttouch.physiology.finger_afferents import FingerAfferents
 from smarttouch.physiology.spikes import SlotCurrents, SpikeModel, Spikes
 
@@ -99,9 +98,6 @@ def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
     return np.clip(image, 0, 1)
 
 
-_PX_PER_MM = 16
-
-
 @dataclass(frozen=True, eq=False)
 class Feeling:
     """Spikes of a finger under scan sequences that follow each other."""
@@ -124,12 +120,6 @@ class Feeling:
     def quality(self) -> ResponseQuality:
         """Afferents that fired, silent points, and spikes of other classes and elsewhere."""
         return response_quality(self.finger, self.counts, self.active, self.wanted)
-
-    def _repr_html_(self) -> str:
-        """Return the receptors that fired, by class, among the electrodes, for notebooks."""
-        fired = ", ".join(f"{count} {each.name}" for each, count in self.quality.afferents.items())
-        title = f"{self.quality.spikes} spikes of {fired} afferents"
-        return titled(title, finger_svg(self.finger, self.counts, self.active))
 
 
 def feel(finger: FingerAfferents, given: Any, seed: int = 1) -> Feeling:
@@ -162,38 +152,3 @@ def fire_all(model: SpikeModel, sequences: Sequence[SlotCurrents]) -> Iterator[S
         end = begin + len(each.width_us)
         yield model.fire(each, above[:, begin:end])
         begin = end
-
-
-def finger_svg(
-    finger: FingerAfferents,
-    counts: NDArray[np.intp] | None = None,
-    active: NDArray[np.bool_] | None = None,
-) -> str:
-    """Return a finger from above: receptors by class, larger with spikes, (A,), and electrodes,
-    (E,) active ones filled."""
-    reach = finger.reach_mm
-    wide, high = np.ceil(2 * reach * _PX_PER_MM).astype(int)
-
-    def dot(place_mm: NDArray[Any], radius_mm: float, style: str) -> str:
-        x, y = (place_mm + reach) * _PX_PER_MM
-        return f'<circle cx="{x:.0f}" cy="{y:.0f}" r="{radius_mm * _PX_PER_MM:.1f}" {style}/>'
-
-    electrodes = finger.profile.electrodes
-    lit = np.zeros(len(electrodes), np.bool_) if active is None else active
-    drawn = [
-        dot(
-            place, electrodes.pitch_mm / 4, f'fill="{"#c8c8c8" if on else "none"}" stroke="#707070"'
-        )
-        for place, on in zip(electrodes.position_mm, lit, strict=True)
-    ]
-    colors = [CLASS_COLORS[Afferent(each)] for each in finger.classes]
-    fires = np.zeros(len(colors), np.intp) if counts is None else counts
-    order = np.argsort(fires, kind="stable")
-    drawn += [
-        dot(finger.receptor_mm[each], 0.25 if fires[each] else 0.08, f'fill="{colors[each]}"')
-        for each in order
-    ]
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}" height="{high}" '
-        f'style="max-width:100%">{"".join(drawn)}</svg>'
-    )

@@ -227,8 +227,3 @@ def margins(others: Bystanders, shown: Sequence[SlotCurrents]) -> dict[Bystander
             1 / most if most else np.inf, float((mine >= 1).sum() / max(1, mine.size))
         )
     return found
-
-
-def nociceptive_margin(found: dict[Bystander, Margin]) -> float:
-    """Return the smaller margin of Aδ and C; infinite if there are none."""
-    return min((found[each].margin for each in NOCICEPTORS if each in found), default=np.inf)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ProfileError
-from smarttouch.physiology.anatomy import list_anatomies, load_anatomy
+from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import load_profile
@@ -38,10 +38,6 @@ def patterns(profile, seed, slots=8):
     if limits.total_ma is not None:
         most = np.minimum(most, 2000 * limits.total_ma / np.abs(raw).sum(axis=1))
     return raw * most[:, None]
-
-
-def test_the_shipped_anatomies():
-    assert list_anatomies() == sorted(ANATOMIES)
 
 
 @pytest.mark.parametrize("anatomy", ANATOMIES)

@@ -1,10 +1,10 @@
-"""Feelings of steps and sequences, and their pictures in notebooks."""
+"""Feelings of steps and sequences."""
 
 import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.base.afferent import CLASS_COLORS, Afferent
+from smarttouch.base.afferent import Afferent
 from smarttouch.physiology.response import fire_all
 from smarttouch.physiology.spikes import SpikeModel
 
@@ -57,12 +57,3 @@ def test_nothing_is_felt_of_nothing(finger):
     assert feeling.spikes == ()
     assert feeling.quality.spikes == 0
     assert list(fire_all(SpikeModel(finger), [])) == []
-
-
-def test_it_shows_itself_in_notebooks(finger, steps):
-    strong = strongest(steps)
-    shown, quiet = finger.feel(strong)._repr_html_(), finger._repr_html_()
-    for picture in (shown, quiet):
-        assert all(color in picture for color in CLASS_COLORS.values())
-        assert picture.count("<circle") == len(finger.classes) + len(finger.profile.electrodes)
-    assert str(finger.feel(strong).quality.spikes) in shown
