@@ -42,8 +42,7 @@ def checked_input(given: Any, who: object, electrodes: int) -> Input:
             f"{who} returned {kind_in_words(given)}: a source returns a Frame or a Stimulus, or "
             "None at its end"
         )
-    activation = checked_activation(given.activation, who, electrodes)
-    return given if activation is given.activation else replace(given, activation=activation)
+    return replace(given, activation=checked_activation(given.activation, who, electrodes))
 
 
 def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
@@ -52,37 +51,32 @@ def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
     The ground under transparent print is chosen so that it is seen. Raises a SourceError for other
     types and shapes: which number is white would be a guess.
     """
-    wanted = "give gray levels (H, W) uint8, 0 black and 255 white"
-    if not isinstance(image, np.ndarray):
-        raise SourceError(f"{who} gave an image that is {kind_in_words(image)}: {wanted}")
-    channels = image.shape[2] if image.ndim == 3 else 1
-    if (
-        image.dtype not in (np.uint8, np.bool_)
-        or image.ndim not in (2, 3)
-        or channels not in (1, 3, 4)
+    if not (
+        isinstance(image, np.ndarray)
+        and image.dtype in (np.uint8, np.bool_)
+        and image.size
+        and (image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3, 4)))
     ):
         raise SourceError(
-            f"{who} gave an image of {image.dtype} {image.shape}: {wanted}, or RGB (H, W, 3)"
+            f"{who} gave an image that is {kind_in_words(image)}: give gray levels (H, W) uint8, "
+            "0 black and 255 white, or RGB (H, W, 3)"
         )
-    if not image.size:
-        raise SourceError(f"{who} gave an image without pixels {image.shape}: {wanted}")
     return to_grey(image)
 
 
 def checked_activation(activation: Any, who: object, electrodes: int) -> NDArray[np.float32]:
     """Return the activation of (3, E) electrodes as float32, of numbers in [0, 1] alone."""
     shape = len(Afferent), electrodes
-    if not isinstance(activation, np.ndarray) or activation.dtype.kind not in "fbiu":
+    if (
+        not isinstance(activation, np.ndarray)
+        or activation.dtype.kind not in "fbiu"
+        or activation.shape != shape
+    ):
         raise SourceError(
-            f"{who} gave an activation that is {kind_in_words(activation)}: give an array of "
-            f"{shape}, in [0, 1]"
+            f"{who} gave an activation that is {kind_in_words(activation)}: give an array "
+            f"of {shape}, in [0, 1], a row for each of RA, SAI and PC"
         )
-    if activation.shape != shape:
-        raise SourceError(
-            f"{who} gave an activation of {activation.shape}: this array has {shape}, a row for "
-            "each of RA, SAI and PC"
-        )
-    # Nothing is above NaN.
+    # Reject NaN: every comparison with it is false.
     lowest, highest = float(activation.min()), float(activation.max())
     if not 0 <= lowest <= highest <= 1:
         raise SourceError(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import CalibrationError, SourceError
-from smarttouch.base.files import MOST_ARRAY_BYTES, open_file, write_bytes
+from smarttouch.base.files import MOST_ARRAY_BYTES, open_file
 from smarttouch.profile import Optics, Profile
 from smarttouch.sources.image_match import Matcher
 from smarttouch.sources.source_contract import Pose
@@ -31,18 +31,13 @@ class FlatField:
     """
 
     def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:
-        if dark.ndim != 2 or dark.shape != gain.shape or not dark.size:
+        fits = dark.ndim == 2 and dark.shape == gain.shape and gain.any()
+        if not (fits and np.isfinite([dark, gain]).all() and (gain >= 0).all()):
             raise SourceError(
-                f"the dark level of shape {dark.shape} and the gain of shape {gain.shape} are no "
-                "flat field: calibrate the optics again"
+                f"a dark level of shape {dark.shape} and a gain of shape {gain.shape} are no flat "
+                "field, or hold no good pixel, or numbers that are negative or not finite: "
+                "calibrate the optics again"
             )
-        if not (np.isfinite(dark).all() and np.isfinite(gain).all() and (gain >= 0).all()):
-            raise SourceError(
-                "the flat field has values that are negative or not finite: calibrate the optics "
-                "again"
-            )
-        if not gain.any():
-            raise SourceError("every pixel is dead in the flat field: calibrate the optics again")
         self.dark: NDArray[np.float32] = np.ascontiguousarray(dark, np.float32)
         self.gain: NDArray[np.float32] = np.ascontiguousarray(gain, np.float32)
 
@@ -125,10 +120,6 @@ class FlatField:
         file = BytesIO()
         np.savez_compressed(file, dark=self.dark, gain=self.gain)
         return file.getvalue()
-
-    def save(self, path: str | Path) -> None:
-        """Write the flat field to an ``.npz`` file."""
-        write_bytes(Path(path), self.to_bytes(), SourceError)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:

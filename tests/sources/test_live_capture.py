@@ -310,7 +310,7 @@ def test_what_happened_during_a_loss_is_no_motion(profile, page_patch):
 def test_the_flat_field_of_the_profile_is_applied(profile, changed, tmp_path):
     path = tmp_path / "flat.npz"
     dark = np.full((8, 8), 10, np.float32)
-    FlatField(dark, np.full((8, 8), 2, np.float32)).save(path)
+    path.write_bytes(FlatField(dark, np.full((8, 8), 2, np.float32)).to_bytes())
     corrected = changed(profile, {"optics.flat_field": str(path)})
     with LiveSource(Script(shot(60)), corrected) as sensor:
         assert (sensor.read(0).image == 100).all()
