@@ -70,9 +70,6 @@ class Frame:
     period_us: int | None = None
 
 
-_ORIGIN = Pose(0.0, 0.0)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Stimulus(TactileImage):
     """Tactile image of a source, with an optional period of its own: see `TactileImage`.
@@ -81,22 +78,13 @@ class Stimulus(TactileImage):
     ----------
     activation, time_ns, force_n, level
         See `TactileImage`; the force is NaN if unknown.
-    period_us : int, µs, optional
-        Time to the next read, in which every active class pulses once. None: the mode's
-        classes pulse at the profile's rates.
-    pose : Pose
-        Pose of the finger.
-    number : int
-        Number at its source, from 0; equal numbers mean the same place or part.
-    age_ns : int
-        Age when it was read.
-    stale : bool
-        Whether the source has gone silent; such a stimulus makes no current.
+    pose, number, age_ns, stale, period_us
+        See `Frame`; equal numbers mean the same place or part.
     image : ndarray, (H, W) uint8, optional
         Grey levels under the finger, for display.
     """
 
-    pose: Pose = _ORIGIN
+    pose: Pose = Pose(0.0, 0.0)
     number: int = 0
     age_ns: int = 0
     stale: bool = False

@@ -108,12 +108,11 @@ def _at(table: Floats, time_s: float) -> Iterator[float]:
 
 def _printed(page: Page, light_on_dark: bool) -> TextLine:
     """Return all print of a page without lines as one line; all of a page without print."""
-    width_mm, height_mm = page.size_mm
-    y, x = separate_ink(page.grey, light_on_dark).ink.nonzero()
-    left, right, top, bottom = 0.0, width_mm, 0.0, height_mm
-    if len(x):
-        ends = (x.min(), x.max() + 1, y.min(), y.max() + 1)
-        left, right, top, bottom = (float(end) * page.mm_per_pixel for end in ends)
+    ink = separate_ink(page.grey, light_on_dark).ink
+    x, y, width, height = cv2.boundingRect(ink.view(np.uint8))
+    if not width:
+        height, width = page.grey.shape
+    left, right, top, bottom = np.multiply((x, x + width, y, y + height), page.mm_per_pixel)
     return TextLine(left, right, (bottom,), bottom - top, bottom - top, 0.0)
 
 
@@ -306,13 +305,10 @@ class PageSource(OpticalSource):
         self._seed = seed
         optics = profile.optics
         self._shape = (optics.sensor_rows, optics.sensor_columns)
-        pixel_mm = (
-            optics.field_width_mm / optics.sensor_columns / OVERSAMPLING,
-            optics.field_height_mm / optics.sensor_rows / OVERSAMPLING,
-        )
+        fine = (self._shape[0] * OVERSAMPLING, self._shape[1] * OVERSAMPLING)
+        pixel_mm = optics.field_width_mm / fine[1], optics.field_height_mm / fine[0]
         self._surface, self._surface_mm, self._margin = _surface(page, min(pixel_mm))
         self._step = pixel_mm[0] / self._surface_mm, pixel_mm[1] / self._surface_mm
-        fine = (self._shape[0] * OVERSAMPLING, self._shape[1] * OVERSAMPLING)
         self._fine = np.empty(fine, np.uint8)
         self._coarse = np.empty(self._shape, np.uint8)
         self._light = _light(self._shape)
@@ -349,12 +345,10 @@ class PageSource(OpticalSource):
         cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
         step_x, step_y = self._step
         rows, columns = self._fine.shape
-        to_page = np.array(
-            [
-                [cos * step_x, -sin * step_y, pose.x_mm / self._surface_mm + self._margin - 0.5],
-                [sin * step_x, cos * step_y, pose.y_mm / self._surface_mm + self._margin - 0.5],
-            ]
-        )
+        to_page = np.array([
+            [cos * step_x, -sin * step_y, pose.x_mm / self._surface_mm + self._margin - 0.5],
+            [sin * step_x, cos * step_y, pose.y_mm / self._surface_mm + self._margin - 0.5],
+        ])  # fmt: skip
         to_page[:, 2] -= to_page[:, :2] @ [(columns - 1) / 2, (rows - 1) / 2]
         cv2.warpAffine(
             self._surface, to_page, (columns, rows), dst=self._fine,
