@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from importlib import import_module
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +17,9 @@ from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
 from smarttouch.sources import open_source
 from smarttouch.sources.source_contract import Device, Pose, Source
 
-_OPENERS = {
-    "evdev": ("smarttouch.instruments.evdev_motion", "open_evdev"),
-    "path": ("smarttouch.instruments.hand_motion", "open_path"),
-    "sweep": ("smarttouch.instruments.hand_motion", "open_sweep"),
-}
-"""Module and function ``(rest, **options)`` of each kind; imported when one is opened."""
+_KINDS = ("evdev", "path", "sweep")
 _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
 """Options of a sweep that follow from the texture."""
-_ANY_SOURCE = ("smarttouch.instruments.hand_motion", "open_posed_source")
 
 
 class HandMotion(Device, ABC):
@@ -57,18 +51,23 @@ def open_motion(url: str, **options: Any) -> HandMotion:
     Options may stand in the URL, as in ``sweep:?speed_mm_s=20``; None is an option not given.
     """
     kind, colon, rest = url.partition(":")
-    sources = known_names("smarttouch.sources")
-    if not colon or kind not in {*_OPENERS, *sources}:
-        raise unknown("motion", url, (*_OPENERS, *sources), SourceError)
-    module, function = _OPENERS.get(kind, _ANY_SOURCE)
-    opener = getattr(import_module(module), function)
+    known = (*_KINDS, *known_names("smarttouch.sources"))
+    if not colon or kind not in known:
+        raise unknown("motion", url, known, SourceError)
+    if kind not in _KINDS:
+        return open_posed_source(url, **given_options(open_posed_source, url, options, SourceError))
+    opener = _opener(kind)
     given = given_options(opener, url, options, SourceError)
-    if kind not in _OPENERS:
-        motion: HandMotion = opener(url, **given)
-    else:
-        rest, in_url = read_options(opener, rest, SourceError, _NOT_IN_URLS)
-        motion = opener(rest, **joined_options(url, given, in_url, SourceError))
-    return motion
+    rest, in_url = read_options(opener, rest, SourceError, _NOT_IN_URLS)
+    return opener(rest, **joined_options(url, given, in_url, SourceError))
+
+
+def _opener(kind: str) -> Callable[..., HandMotion]:
+    if kind == "evdev":
+        from smarttouch.instruments.evdev_motion import open_evdev
+
+        return open_evdev
+    return open_path if kind == "path" else open_sweep
 
 
 _PATH_RESOLUTION_MM = 0.01  # resolution of recorded paths; an estimate of ours

@@ -115,24 +115,21 @@ def folder_clip(path: Path, rate_hz: float) -> Clip:
     files, converter = _images(path), GreyConverter()
     shape = _load(files[0], converter).shape
 
-    def require_shape(file: Path, height: int, width: int) -> None:
-        if (height, width) != shape:
-            raise SourceError(
-                f"{file} has {width} x {height} pixels, {files[0].name} has {shape[1]} x "
-                f"{shape[0]}: all images of a folder must be of one size"
-            )
-
     def load(file: Path) -> Image:
         image = _load(file, converter)
-        require_shape(file, *image.shape)
+        if image.shape != shape:
+            raise SourceError(
+                f"{file} has {image.shape[1]} x {image.shape[0]} pixels, {files[0].name} has "
+                f"{shape[1]} x {shape[0]}: all images of a folder must be of one size"
+            )
         return image
 
     for file in files[1:]:
         with _reading(file) as image:
-            width, height = image.size
+            size = image.size
         # Some formats state at their end how they lie, so either way is possible here.
-        if (width, height) != shape:
-            require_shape(file, height, width)
+        if size not in (shape, shape[::-1]):
+            load(file)
     return Clip(path.name, rate_hz, len(files), (partial(load, file) for file in files))
 
 
