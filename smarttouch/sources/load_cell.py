@@ -57,8 +57,10 @@ class CellWatch:
             "it is frozen, or prints too few decimals",
         )
 
-    def take(self, readings: list[float], now_ns: int) -> None:
-        """Take new readings, oldest first."""
+    def take(
+        self, readings: list[float], now_ns: int, garbled: int = 0, last_garbled: str = ""
+    ) -> None:
+        """Take new readings, oldest first, or none; ``garbled`` counts input without a reading."""
         for value in readings:
             known = self._count(value)
             if known == self._value:
@@ -69,13 +71,9 @@ class CellWatch:
             self._silence.update(False, now_ns)
             self._last_ns = now_ns
             self._freeze.update(self._frozen(now_ns), now_ns, self._same_since_ns)
-
-    def check(self, now_ns: int, garbled: int, last_garbled: str) -> None:
-        """Update the state between readings; ``garbled`` is input without a reading."""
-        last_ns = self._last_ns
-        if last_ns is not None and now_ns - last_ns > FRESH_S * 1e9:
-            self._silence.update(True, now_ns, last_ns)
-            self._freeze.update(False, last_ns)
+        elif self._last_ns is not None and now_ns - self._last_ns > FRESH_S * 1e9:
+            self._silence.update(True, now_ns, self._last_ns)
+            self._freeze.update(False, self._last_ns)
         if garbled:
             times = "once" if garbled == 1 else f"{garbled} times"
             self._warnings.put(
@@ -231,8 +229,8 @@ class LoadCell(Closing):
         now_ns = time.perf_counter_ns()
         with self._news:
             self._received = self._received or bool(data)
-            self._watch.take(came, now_ns)
-            self._watch.check(now_ns, self._readings.garbled, self._readings.last_garbled)
+            garbled, last_garbled = self._readings.garbled, self._readings.last_garbled
+            self._watch.take(came, now_ns, garbled, last_garbled)
             if came:
                 self._any = True
                 if self._collected is not None:

@@ -158,9 +158,7 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
 _SQUARE = 1.03  # ratio of the sides of pixels below which they are square
 
 
-def page_per_pixel(
-    optics: Optics, shape: tuple[int, int]
-) -> tuple[tuple[float, float], tuple[float, float]]:
+def page_per_pixel(optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64]:
     """Return the motion on the page that shifts the image by one pixel, (2, 2) mm.
 
     ``shape`` is that of the image that spans the field of view; a homography counts as in its
@@ -169,21 +167,20 @@ def page_per_pixel(
     rows, columns = shape
     if optics.homography is None:
         turn = math.radians(optics.rotation_deg)
-        x_mm, y_mm = optics.field_width_mm / columns, optics.field_height_mm / rows
-        # From image to page: the transpose of the turn in imaging.registration.
         cos, sin = math.cos(turn), math.sin(turn)
-        return (cos * x_mm, sin * y_mm), (-sin * x_mm, cos * y_mm)
+        pixel_mm = optics.field_width_mm / columns, optics.field_height_mm / rows
+        # From image to page: the transpose of the turn in imaging.registration.
+        return np.array([[cos, sin], [-sin, cos]]) * pixel_mm
     to_pixel = np.reshape(optics.homography, (3, 3))
     middle = to_pixel[:2, 2] / to_pixel[2, 2]
     slope = (to_pixel[:2, :2] - np.outer(middle, to_pixel[2, :2])) / to_pixel[2, 2]
     slope *= np.array([[columns / optics.sensor_columns], [rows / optics.sensor_rows]])
-    (a, b), (c, d) = np.linalg.inv(slope).tolist()
-    return (a, b), (c, d)
+    return np.asarray(np.linalg.inv(slope))
 
 
-def _is_even(page_mm: tuple[tuple[float, float], tuple[float, float]]) -> bool:
+def _is_even(page_mm: NDArray[np.float64]) -> bool:
     """Return whether pixels are square on the page, so that a turn of it is one of the image."""
-    across, down = np.array(page_mm).T
+    across, down = page_mm.T
     lengths = math.hypot(*across), math.hypot(*down)
     askew = abs(float(across @ down)) / (lengths[0] * lengths[1])
     return max(lengths) < _SQUARE * min(lengths) and askew < _SQUARE - 1
@@ -231,9 +228,8 @@ class FramePreprocessor:
         if self._matcher is None or image.shape != self._shape:
             self._shape = image.shape
             self._matcher = Matcher((image.shape[0], image.shape[1]))
-            page_mm = page_per_pixel(self._optics, self._matcher.shape)
-            self._matcher.turns = _is_even(page_mm)
-            self._page_mm = np.array(page_mm)
+            self._page_mm = page_per_pixel(self._optics, self._matcher.shape)
+            self._matcher.turns = _is_even(self._page_mm)
             self._is_first = True
         x, y, turn_rad = self._matcher.match(image, self._is_first)
         self._is_first = False

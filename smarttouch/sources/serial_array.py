@@ -91,28 +91,20 @@ class SerialArrayDevice(ImageDevice):
             if isinstance(message, ArrayFrame):
                 newest = message
                 frames += 1
-                self._count_lost(message.number)
+                self.lost += 0 if self._before is None else gap(self._before, message.number)
+                self._before = message.number
             # Force readings on the same line are ignored here.
-        self._count_garbled(self._stream.broken - broken)
+        self.frames += frames
+        self.garbled += self._stream.broken - broken
+        self._note("lost", self.lost, "frames lost on the line")
+        self._note("garbled", self.garbled * bool(self.frames), "unreadable pieces of the input")
         if newest is None:
             return None
-        self.frames += frames
         return Shot(newest.image, time.perf_counter_ns(), frames - 1)
 
-    def _count_lost(self, number: int) -> None:
-        missing = 0 if self._before is None else gap(self._before, number)
-        self._before = number
-        if missing:
-            self.lost += missing
-            self._warnings.put(
-                "lost", f"{self.title}: {_count(self.lost, 'frame')} lost on the line"
-            )
-
-    def _count_garbled(self, pieces: int) -> None:
-        self.garbled += pieces
-        if pieces and self.frames:
-            what = _count(self.garbled, "piece")
-            self._warnings.put("garbled", f"{self.title}: {what} of the input could not be read")
+    def _note(self, cause: str, count: int, words: str) -> None:
+        if count:
+            self._warnings.put(cause, f"{self.title}: {words}: {count}")
 
     def _require_frames(self) -> None:
         """Raise if bytes have arrived for a while, and never a frame."""
@@ -124,7 +116,3 @@ class SerialArrayDevice(ImageDevice):
                 f"{self._baud} baud) and that the device sends the format of "
                 "smarttouch/sources/sensor_protocol.py"
             )
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" + ("" if number == 1 else "s")

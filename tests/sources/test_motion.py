@@ -89,7 +89,7 @@ def test_the_scale_is_the_inverse_of_the_registration(profile, changed, degrees,
     # As imaging.registration puts a point of the page into the image.
     column = (x_mm * math.cos(turn) - y_mm * math.sin(turn)) * 80 / optics.field_width_mm
     row = (x_mm * math.sin(turn) + y_mm * math.cos(turn)) * 50 / optics.field_height_mm
-    back = np.array(page_per_pixel(optics, (50, 80))) @ [column, row]
+    back = page_per_pixel(optics, (50, 80)) @ [column, row]
     assert back == pytest.approx([x_mm, y_mm], abs=1e-9)
 
 
@@ -103,7 +103,7 @@ def test_the_scale_of_a_tilted_camera_is_that_of_its_middle(profile, changed):
 
     middle = pixel(0, 0)
     for x_mm, y_mm in [(1e-4, 0), (0, 1e-4)]:
-        back = np.array(page_per_pixel(optics, (32, 32))) @ (pixel(x_mm, y_mm) - middle)
+        back = page_per_pixel(optics, (32, 32)) @ (pixel(x_mm, y_mm) - middle)
         assert back == pytest.approx([x_mm, y_mm], abs=1e-8)
 
 
