@@ -155,7 +155,7 @@ class LoadCell(Closing):
         self._readings = _KINDS[kind][1]()
         self._watch = CellWatch(self.title, self.notes, presses)
         self._news = threading.Condition()  # guards the watch and the collected readings
-        self._any = self._received = False
+        self._any = False
         self._collected: list[float] | None = None
         self._closing = threading.Event()
         port = open_port(name, self._baud, _WAIT_S, SourceError)
@@ -199,14 +199,10 @@ class LoadCell(Closing):
         with self._news:
             if self._news.wait_for(lambda: self._any, FIRST_READING_S):
                 return
-        if self._received:
-            raise SourceError(
-                f"the {self.title} sends no readings: check its speed (now {self._baud}; set "
-                "another by ?baud=N after the port) and what it sends"
-            )
         raise SourceError(
-            f"the {self.title} sent no reading within {FIRST_READING_S:g} s: check that it is on "
-            "and streams its readings"
+            f"the {self.title} sent no reading within {FIRST_READING_S:g} s: check that it is on, "
+            f"what it sends, and its speed (now {self._baud}; set another by ?baud=N after the "
+            "port)"
         )
 
     def _listen(self, port: Port | None) -> None:
@@ -228,7 +224,6 @@ class LoadCell(Closing):
         came = self._readings.feed(data)
         now_ns = time.perf_counter_ns()
         with self._news:
-            self._received = self._received or bool(data)
             garbled, last_garbled = self._readings.garbled, self._readings.last_garbled
             self._watch.take(came, now_ns, garbled, last_garbled)
             if came:
