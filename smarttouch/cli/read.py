@@ -1,6 +1,6 @@
 """``smarttouch read``, ``braille`` and ``braille-display``: text under a finger."""
 
-from contextlib import closing, nullcontext
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -42,9 +42,6 @@ def read(
     pause_s: Annotated[
         float, option("Rest this long after each line; inf waits for a key.", "S", "--pause")
     ] = 1.0,
-    follow: Annotated[
-        str | None, option("Take the position of the finger from this source.", "URL")
-    ] = None,
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
 ) -> None:
@@ -55,9 +52,8 @@ def read(
     from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
     from smarttouch.reading.line_feed import LineFeed
-    from smarttouch.reading.line_source import FollowingCursor, ReadingSource, SweepingCursor
+    from smarttouch.reading.line_source import ReadingSource, SweepingCursor
     from smarttouch.reading.material import ReadingMaterial
-    from smarttouch.sources import open_source
     from smarttouch.views.progress import first_line_awaited
 
     own = run.load_profile()
@@ -68,19 +64,12 @@ def read(
     )
     motion = presentation.motion(chosen, speed_mm_s, rate_hz)
     notes: list[str] = []
-    text = ReadingMaterial(
-        *document.recognition(source, scale_matters=follow is not None), notes.append
-    )
+    text = ReadingMaterial(*document.recognition(source), notes.append)
     config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=presentation.tone)
-    followed = nullcontext() if follow is None else open_source(follow, own)
-    with closing(LineFeed(presentation.lines(text, chosen))) as feed, followed as finger:
+    with closing(LineFeed(presentation.lines(text, chosen))) as feed:
         feed.start()
         first_line_awaited(lambda: feed.wait_for(0), run.quiet)
-        cursor = (
-            SweepingCursor(feed, motion, reading_force_n(chosen), pause_s)
-            if finger is None
-            else FollowingCursor(feed, finger)
-        )
+        cursor = SweepingCursor(feed, motion, reading_force_n(chosen), pause_s)
         reading = ReadingSource(text.title, chosen, feed, cursor)
         reading.url, reading.notes = source, notes
         run.start(

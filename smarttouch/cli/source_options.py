@@ -81,7 +81,7 @@ class DocumentOptions(OptionGroup):
         option("Name the language of the text, such as en or fr.", "TAG", "--language"),
     ] = None
 
-    def recognition(self, source: str, **more: Any) -> "tuple[str, RecognitionOptions]":
+    def recognition(self, source: str) -> "tuple[str, RecognitionOptions]":
         """Return the document, and its options: these, and those that follow its name."""
         from smarttouch.base.errors import BrailleError, PageError
         from smarttouch.base.url_options import joined_options, read_options
@@ -92,9 +92,7 @@ class DocumentOptions(OptionGroup):
         source = source.removeprefix("page:")
         place, in_name = source, dict[str, Any]()
         if Path(source.rpartition("?")[0]).is_file():
-            place, in_name = read_options(
-                RecognitionOptions, source, PageError, but=("password", *more)
-            )
+            place, in_name = read_options(RecognitionOptions, source, PageError, but=("password",))
         if not place.startswith("text:") and named_file(place, BrailleError) is None:
             place = f"text:{place}"
         given = dict[str, Any]()
@@ -105,7 +103,7 @@ class DocumentOptions(OptionGroup):
         if not place.startswith("text:") and file_kind(Path(place)) is FileKind.PAGES:
             given["password"] = password_of(Path(place), self.password_file)
         given = joined_options(source, given, in_name, PageError)
-        return place, RecognitionOptions(**given, **more)
+        return place, RecognitionOptions(**given)
 
 
 TableOption = Annotated[

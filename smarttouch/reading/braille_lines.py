@@ -21,17 +21,16 @@ from smarttouch.braille.code_tables import DEFAULT_TABLE, BrailleTable, open_tab
 from smarttouch.imaging.array_window import pixel_pitch_mm, usual_speed_mm_s
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.text_lines import TextLine
 from smarttouch.profile import Profile
 from smarttouch.reading.document_cells import document_cells
-from smarttouch.reading.line_feed import Place, TouchLine
+from smarttouch.reading.line_feed import TouchLine
 from smarttouch.reading.line_source import LineMotion
 from smarttouch.reading.material import ReadingMaterial, report_empty_pages
 from smarttouch.reading.recognition import recognized_lines, upright_page
 from smarttouch.running.delivered import LinePicture
 
-DOT_MM, CELL_MM, LINE_MM = 2.34, 6.2, 10.0
-"""Distances from dot to dot, cell to cell and line to line (NLS Specification 800)."""
+DOT_MM, CELL_MM = 2.34, 6.2
+"""Distances from dot to dot and cell to cell (NLS Specification 800)."""
 TONE = Tone(0.5, 0.5, prepared=True)  # tone curve of dots: one electrode each, on or off
 
 
@@ -74,11 +73,11 @@ class CellLayout:
         """Number of columns of the array to the left of a cell in its middle."""
         return (self.columns - self.dot_x - 1) // 2
 
-    def moving(self, cells: str, text: str = "", place: Place | None = None) -> TouchLine:
+    def moving(self, cells: str, text: str = "") -> TouchLine:
         """Return cells at their true distances, to be moved under the finger gradually."""
         image = self._draw(*self.dots_of(cells, self.cell), len(cells) * self.cell)
         half_mm, length_mm = self.width_mm / 2, len(cells) * self.cell_mm
-        return TouchLine(image, -half_mm, length_mm + half_mm, text, cells, place)
+        return TouchLine(image, -half_mm, length_mm + half_mm, text, cells)
 
     def one_by_one(self, cells: str, text: str = "") -> TouchLine:
         """Return cells so far apart that the array shows one at a time, in its middle."""
@@ -142,7 +141,7 @@ def _grid_of(electrodes: ElectrodeArray, name: str) -> tuple[int, int]:
     return len(y), len(x)
 
 
-Cells = tuple[str, str, Place]  # a line of cells, its text if known, and its place
+Cells = tuple[str, str]  # a line of cells, and its text if known
 
 
 class Presentation(StrEnum):
@@ -184,12 +183,12 @@ class Braille:
     def lines(self, source: ReadingMaterial, profile: Profile) -> Iterator[TouchLine]:
         """Yield lines of cells."""
         self.layout(profile)
-        for cells, text, place in self._cells_of(source):
+        for cells, text in self._cells_of(source):
             layout = self.layout(profile, cells)
             if self.presentation is Presentation.CELL:
                 yield layout.one_by_one(cells, text)
             else:
-                yield layout.moving(cells, text, place)
+                yield layout.moving(cells, text)
 
     def _cells_of(self, source: ReadingMaterial) -> Iterator[Cells]:
         table = open_table(self.table)
@@ -201,7 +200,7 @@ class Braille:
             for index, cells in enumerate(paragraphs):
                 if cells.strip(BLANK):
                     text = texts[index] if len(texts) == len(paragraphs) else ""
-                    yield cells, text, _place_on_paper(index, cells)
+                    yield cells, text
             return
         found: dict[int, bool] = {}
         for number, page in source.pages():
@@ -217,22 +216,10 @@ class Braille:
         """Yield the cells of a page of print."""
         prepared = upright_page(number, page, source.options, source.note)
         signs: dict[str, None] = {}
-        for index, text in recognized_lines(prepared, source.options, source.note):
+        for _, text in recognized_lines(prepared, source.options, source.note):
             signs |= dict.fromkeys(text)
             cells = table.to_cells(text, leave_out=True)
             if cells.strip(BLANK):
-                yield cells, text, _place_on_page(prepared.lines[index], cells)
+                yield cells, text
         if losses := table.losses("".join(signs)):
             source.note(f"page {number}: {losses}")
-
-
-def _place_on_page(line: TextLine, cells: str) -> Place:
-    """Return the place of a line of print that became cells: its letters are narrower."""
-    width_mm = max(line.right_mm - line.left_mm, 1.0)
-    middle_mm = (line.top_mm + line.bottom_mm) / 2
-    return Place(line.left_mm, line.right_mm, middle_mm, len(cells) * CELL_MM / width_mm)
-
-
-def _place_on_paper(index: int, cells: str) -> Place:
-    """Return the place of a line of cells on paper."""
-    return Place(0.0, len(cells) * CELL_MM, index * LINE_MM, 1.0)

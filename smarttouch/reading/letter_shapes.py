@@ -19,9 +19,9 @@ from smarttouch.imaging.array_window import (
 )
 from smarttouch.imaging.registration import PIXELS_PER_CELL, Registration
 from smarttouch.imaging.tactile_mapper import Tone
-from smarttouch.pages.prepared_page import SIDES, PreparedPage
+from smarttouch.pages.prepared_page import PreparedPage
 from smarttouch.profile import Profile
-from smarttouch.reading.line_feed import Place, TouchLine
+from smarttouch.reading.line_feed import TouchLine
 from smarttouch.reading.line_source import LineMotion
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import Note, recognized_lines
@@ -102,20 +102,10 @@ def require_rows(profile: Profile, note: Note) -> None:
 
 def shape_line(prepared: PreparedPage, index: int, profile: Profile) -> TouchLine:
     """Return a line of print, magnified so that ascender to descender fills the array."""
-    line = prepared.lines[index]
-    rows = profile.optics.sensor_rows
-    strip = prepared.strip(index, rows)
+    strip = prepared.strip(index, profile.optics.sensor_rows)
     pixel_mm = pixel_pitch_mm(profile)
     half_mm = profile.optics.field_width_mm / 2
-    # A strip begins and ends with some paper.
-    margin_mm = SIDES * line.height_mm
-    place = Place(
-        line.left_mm - margin_mm,
-        line.right_mm + margin_mm,
-        (line.top_mm + line.bottom_mm) / 2,
-        rows * pixel_mm / line.height_mm,
-    )
-    return TouchLine(strip, -half_mm, strip.shape[1] * pixel_mm + half_mm, place=place)
+    return TouchLine(strip, -half_mm, strip.shape[1] * pixel_mm + half_mm)
 
 
 def thin(strip: NDArray[np.uint8]) -> NDArray[np.uint8]:

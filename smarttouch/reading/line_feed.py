@@ -10,16 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-@dataclass(frozen=True)
-class Place:
-    """Place of a line from the page's top left corner, for a finger that moves over the page."""
-
-    left_mm: float
-    right_mm: float
-    middle_mm: float
-    scale: float  # millimeters under the array for one on the page
-
-
 @dataclass(frozen=True, eq=False)
 class TouchLine:
     """A line of letter shapes or Braille cells, at the size of the array."""
@@ -29,7 +19,6 @@ class TouchLine:
     end_mm: float
     text: str = ""
     cells: str = ""
-    place: Place | None = None
 
 
 AHEAD = 30  # lines prepared in advance

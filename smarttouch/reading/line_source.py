@@ -4,7 +4,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -14,8 +13,8 @@ from smarttouch.base.events import Note
 from smarttouch.imaging.array_window import pixel_pitch_mm
 from smarttouch.pages.page_image import Page
 from smarttouch.profile import Profile
-from smarttouch.reading.line_feed import LineFeed, Place, TouchLine
-from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet, Source
+from smarttouch.reading.line_feed import LineFeed, TouchLine
+from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 
 LAND_S = 0.15  # time of landing on a line, when intensity begins to rise
 SETTLE_S = 0.75
@@ -33,8 +32,7 @@ class Spot:
     index: int
     line: TouchLine | None  # None where there is nothing under the finger
     x_mm: float = 0.0  # of the array's middle, from the line's left end
-    y_mm: float = 0.0  # from the line's middle
-    force_n: float = 0.0  # NaN if it has another source
+    force_n: float = 0.0
     marked: bool = False
     """Whether a point in the middle of the array marks the line's start: intensity rises with
     delivered pulses alone, and with these before those of the text."""
@@ -54,28 +52,11 @@ class LineMotion:
         require_within(ReadingError, "speed_mm_s", self.speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
 
 
-class Cursor(Protocol):
-    """Interface of cursors over the lines of a feed."""
-
-    knows_force: bool
-    measures_force: bool
-
-    def at(self, time_ns: int) -> Spot | None:
-        """Return the position of the finger; None at the end. Times rise from call to call."""
-
-    @property
-    def keys(self) -> dict[str, Callable[[], None]]:
-        """Return the actions of keys, callable from any thread."""
-
-
 class SweepingCursor:
     """Cursor that sweeps line after line, pressing with ``press_n``, with a pause after each.
 
     After an infinite pause the next line comes only when a key asks for it.
     """
-
-    knows_force = True
-    measures_force = False
 
     def __init__(
         self,
@@ -149,56 +130,7 @@ class SweepingCursor:
                 shown, way_mm = None, -step_mm
         press_n = self._press_n if self._line_s >= LAND_S else 0.0
         marked = self._line_s < SETTLE_S
-        return Spot(self._index, shown, line.start_mm + way_mm, 0.0, press_n, marked)
-
-
-class FollowingCursor:
-    """Cursor at the pose of a live source, counted from the beginning of the first line."""
-
-    def __init__(self, feed: LineFeed, source: Source) -> None:
-        self._feed, self._source = feed, source
-        self._origin: Place | None = None
-        self.knows_force: bool = source.knows_force
-        self.measures_force: bool = source.measures_force
-
-    @property
-    def keys(self) -> dict[str, Callable[[], None]]:
-        """No keys: the finger moves by itself."""
-        return {}
-
-    def at(self, time_ns: int) -> Spot | None:
-        """Return what lies under the finger, on the line nearest to it."""
-        frame = self._source.read(time_ns)
-        if frame is None:
-            return None
-        if self._origin is None:
-            first = self._feed.wait_for(0)
-            if first is None or first.place is None:
-                return None
-            self._origin = first.place
-        x_mm = self._origin.left_mm + frame.pose.x_mm
-        y_mm = self._origin.middle_mm + frame.pose.y_mm
-        index, line = self._nearest(x_mm, y_mm)
-        assert line.place is not None
-        force_n = math.nan if frame.stale else frame.force_n
-        across_mm = (x_mm - line.place.left_mm) * line.place.scale
-        down_mm = (y_mm - line.place.middle_mm) * line.place.scale
-        return Spot(index, line, across_mm, down_mm, force_n)
-
-    def _nearest(self, x_mm: float, y_mm: float) -> tuple[int, TouchLine]:
-        best: tuple[float, int, TouchLine] | None = None
-        index = self._feed.earliest
-        while (line := self._feed.line(index)) is not None:
-            place = line.place
-            assert place is not None
-            beside_mm = max(place.left_mm - x_mm, x_mm - place.right_mm, 0.0)
-            apart_mm = math.hypot(beside_mm, place.middle_mm - y_mm)
-            if best is None or apart_mm < best[0]:
-                best = (apart_mm, index, line)
-            index += 1
-        assert best is not None
-        self._feed.reach(best[1])
-        return best[1], best[2]
+        return Spot(self._index, shown, line.start_mm + way_mm, press_n, marked)
 
 
 LINE_GAP_MM = 4.0
@@ -214,13 +146,14 @@ class ReadingSource(OpticalSource):
 
     frames: int
 
+    knows_force = True
     ended = "end of the text"
 
-    def __init__(self, title: str, profile: Profile, feed: LineFeed, cursor: Cursor) -> None:
+    def __init__(
+        self, title: str, profile: Profile, feed: LineFeed, cursor: SweepingCursor
+    ) -> None:
         super().__init__(title)
         self._name = title
-        self.knows_force: bool = cursor.knows_force
-        self.measures_force: bool = cursor.measures_force
         self.index: int = -1  # index of the line under the finger
         self._feed, self._cursor = feed, cursor
         self._titled = self._marked = self._announced = False
@@ -291,7 +224,7 @@ class ReadingSource(OpticalSource):
             rows, columns = self._shape
             # Of the window's top left pixel in the line's image.
             left = spot.x_mm / self._pixel_mm - columns / 2
-            top = spot.y_mm / self._pixel_mm + (spot.line.image.shape[0] - rows) / 2
+            top = (spot.line.image.shape[0] - rows) / 2
             cv2.warpAffine(
                 spot.line.image, np.array([[1.0, 0.0, left], [0.0, 1.0, top]]), (columns, rows),
                 dst=image, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
@@ -301,7 +234,7 @@ class ReadingSource(OpticalSource):
             (top, left), (high, wide) = (each // 2 for each in self._shape), self._cell_px
             image[top : top + high, left : left + wide] = 0
         self.frames += 1
-        pose = Pose(spot.x_mm, spot.index * self.line_step_mm + spot.y_mm)
+        pose = Pose(spot.x_mm, spot.index * self.line_step_mm)
         return Frame(image, time_ns, pose, spot.force_n, number=self.frames - 1)
 
     def close(self) -> None:

@@ -22,12 +22,10 @@ from smarttouch.reading.recognition import (
 TEXT = "text:"  # prefix of words that are not a file name
 
 
-def document_pages(
-    path: Path, options: RecognitionOptions, note: Note
-) -> Iterator[tuple[int, Page]]:
+def document_pages(path: Path, options: RecognitionOptions) -> Iterator[tuple[int, Page]]:
     """Yield numbers and pages of a document, one in memory at a time.
 
-    An assumed scale is reported only where it matters: every line is made as high as the array.
+    A scale that the document assumes is not reported: every line is made as high as the array.
     """
     with open_document(
         path, dpi=options.dpi, page_width_mm=options.page_width_mm, password=options.password
@@ -36,12 +34,7 @@ def document_pages(
             parse_pages(options.pages, len(document)) if options.pages else range(len(document))
         )
         for index in wanted:
-            before = len(document.notes)
-            page = document.page(index)
-            if options.scale_matters:
-                for words in document.notes[before:]:
-                    note(words)
-            yield index + 1, page
+            yield index + 1, document.page(index)
 
 
 def report_empty_pages(found: dict[int, bool], note: Note) -> None:
@@ -121,7 +114,7 @@ class ReadingMaterial:
 
     def pages(self) -> Iterator[tuple[int, Page]]:
         """Yield numbers and pages of a document."""
-        return document_pages(Path(self.name), self.options, self.note)
+        return document_pages(Path(self.name), self.options)
 
     def prepared(self) -> Iterator[PreparedPage]:
         """Yield pages with print on them: of a document, or of a text as it is printed."""

@@ -33,7 +33,6 @@ class RecognitionOptions:
     light_on_dark: bool | None = None
     languages: str = "eng"
     keep_headers: bool = False  # running heads and page numbers stay in a text
-    scale_matters: bool = False  # millimeters on the page count
 
 
 def upright_page(number: int, page: Page, options: RecognitionOptions, note: Note) -> PreparedPage:

@@ -148,16 +148,6 @@ def test_without_tesseract_the_error_says_how_to_install_it(program_here, page_f
         says(ReadingError, "apt install tesseract-ocr")(refused(program_here(command, page_file)))
 
 
-def test_a_finger_that_moves_by_itself(figures_of, tmp_path, page_file):
-    """The pose of another sensor, here a finger over a page of its own, picks what is felt."""
-    (tmp_path / "path.csv").write_text(
-        "time_s,x_mm,y_mm,angle_deg,force_n\n0,0,0,0,1\n1,40,0,0,1\n2,40,0,0,1\n"
-    )
-    Image.fromarray(np.full((300, 600), 255, np.uint8)).save(tmp_path / "pad.png", dpi=(150, 150))
-    follow = f"--follow page:{tmp_path / 'pad.png'} --board simulated: --seconds 2"
-    assert figures_of(f"read {page_file} {follow}")["slots"] > 0
-
-
 @pytest.mark.parametrize(("arguments", "wrong"), [
     ("nofile.png", says(BrailleError, value=Path("nofile.png"))),
     ("'text: '", says(PageError, "text:")),

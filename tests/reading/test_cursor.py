@@ -9,16 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import ReadingError
-from smarttouch.reading.line_feed import LineFeed, Place, TouchLine
+from smarttouch.reading.line_feed import LineFeed, TouchLine
 from smarttouch.reading.line_source import (
     GAP,
     LAND_S,
     SETTLE_S,
-    FollowingCursor,
     LineMotion,
     SweepingCursor,
 )
-from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 
 from ..raising import raises
 
@@ -161,44 +159,3 @@ def test_impossible_speeds_are_named(speed):
 def test_impossible_pauses_are_named(pause, feed_of, make_line):
     with raises(ReadingError, names="pause_s", value=pause):
         SweepingCursor(feed_of(make_line()), LineMotion(25.0), 1.0, pause)
-
-
-class Follows(OpticalSource):
-    """A sensor at the place that the test sets."""
-
-    def __init__(self, *poses, stale=False):
-        super().__init__("a mouse")
-        self.poses, self.stale = list(poses), stale
-
-    def read(self, time_ns):
-        if not self.poses:
-            return None
-        return Frame(None, time_ns, Pose(*self.poses.pop(0)), 0.7, stale=self.stale)
-
-
-def test_a_live_pose_picks_the_line_below_it(feed_of, make_line):
-    feed = feed_of(
-        make_line(place=Place(20.0, 80.0, 30.0, 4.0)),
-        make_line(place=Place(20.0, 80.0, 40.0, 4.0)),
-        make_line(place=Place(100.0, 160.0, 30.0, 2.0)),
-    )
-    cursor = FollowingCursor(feed, Follows((0, 0), (10, 1), (10, 9), (85, 1)))
-    spots = [cursor.at(step) for step in range(4)]
-    assert [spot.index for spot in spots] == [0, 0, 1, 2]
-    assert [(spot.x_mm, spot.y_mm) for spot in spots] == [(0, 0), (40, 4), (40, -4), (10, 2)]
-    assert {spot.force_n for spot in spots} == {0.7}
-    assert cursor.at(5) is None
-
-
-def test_following_leads_on_through_a_long_text(make_line):
-    lines = [make_line(place=Place(0.0, 50.0, 10.0 * number, 1.0)) for number in range(200)]
-    feed = LineFeed(iter(lines)).start()
-    cursor = FollowingCursor(feed, Follows(*((5.0, 10.0 * number) for number in range(200))))
-    for number in range(200):
-        feed.wait_for(number, 10)
-        assert cursor.at(number).index == number
-
-
-def test_a_stale_pose_has_an_unknown_force(feed_of, make_line):
-    feed = feed_of(make_line(place=Place(20.0, 80.0, 30.0, 4.0)))
-    assert math.isnan(FollowingCursor(feed, Follows((0, 0), stale=True)).at(0).force_n)

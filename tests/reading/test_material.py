@@ -63,17 +63,6 @@ def test_a_printed_line_fills_the_array_from_ascender_to_descender(source_of, re
     assert rows[-1] >= reading.optics.sensor_rows - 4
 
 
-def test_a_line_has_its_magnification_from_its_page(source_of, reading):
-    source = source_of("text:dp and more")
-    (line,) = Shapes().lines(source, reading)
-    (page,) = source.prepared()
-    array_mm = reading.electrodes.extent_mm[1]
-    assert line.place.scale == pytest.approx(array_mm / page.lines[0].height_mm)
-    on_page_mm = line.place.right_mm - line.place.left_mm
-    width_mm = line.end_mm - line.start_mm - reading.optics.field_width_mm
-    assert width_mm / line.place.scale == pytest.approx(on_page_mm, rel=0.02)
-
-
 def test_optics_and_their_registration_play_no_part(profile):
     optics = profile.optics.model_copy(
         update={"rotation_deg": 30.0, "offset_x_mm": 1.0, "offset_y_mm": 2.0, "flat_field": "x",
@@ -148,8 +137,6 @@ def test_words_and_cells_are_distinguished(tmp_path, reading):
 def test_lines_of_braille_have_their_words(source_of, reading):
     lines = list(Braille().lines(source_of("text:ab\n\nc"), reading))
     assert [(line.cells, line.text) for line in lines] == [("⠁⠃", "ab"), ("⠉", "c")]
-    # On paper they would be a centimeter apart.
-    assert lines[1].place.middle_mm - lines[0].place.middle_mm == 20.0
 
 
 def test_eight_dots_where_they_are_needed(source_of, reading):

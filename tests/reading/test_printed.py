@@ -5,13 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import prepare_text, print_text
 from smarttouch.reading import recognition
 from smarttouch.reading.legibility import character_error_rate
-from smarttouch.reading.material import document_pages, recognized_text
+from smarttouch.reading.material import recognized_text
 from smarttouch.reading.ocr import RecognizedLine
 from smarttouch.reading.recognition import RecognitionOptions, recognized_lines, upright_page
 
@@ -108,14 +107,6 @@ def test_a_turn_after_which_less_is_recognized_is_not_kept(monkeypatch, notes):
     prepared = upright_page(1, page, RecognitionOptions(), notes.append)
     np.testing.assert_array_equal(prepared.page.grey, page.grey)
     assert notes == []
-
-
-@pytest.mark.parametrize("matters", [False, True])
-def test_a_guessed_size_is_reported_where_it_matters(tmp_path, notes, matters):
-    Image.fromarray(print_text("words").grey).save(tmp_path / "page.png")
-    options = RecognitionOptions(scale_matters=matters)
-    list(document_pages(tmp_path / "page.png", options, notes.append))
-    assert [("210 mm" in note) for note in notes] == [True] * matters
 
 
 def test_without_tesseract_a_page_stays_as_it_is(monkeypatch, notes, tmp_path):
