@@ -115,14 +115,6 @@ ForceOption = Annotated[
     str | None,
     option("Measure finger force by hx711:PORT or loadcell:PORT, or state it by fixed:N.", "URL"),
 ]
-AnatomyOption = Annotated[
-    str,
-    option(
-        "Choose the fingers: branched, paper, or a file.",
-        "NAME|FILE",
-        show_default=False,
-    ),
-]
 QuietOption = Annotated[bool, option("Print errors only.", None, "--quiet")]
 
 

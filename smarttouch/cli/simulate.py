@@ -7,7 +7,6 @@ import typer
 
 from smarttouch.base.command_options import argument, option
 from smarttouch.cli.options import (
-    AnatomyOption,
     ArrayOption,
     Commands,
     JsonOption,
@@ -43,10 +42,6 @@ def simulate_page(
         ),
     ] = None,
     mode: ModeOption = "RA",
-    fingers: Annotated[
-        int, option("Let this many simulated fingers read it, too.", "N", min=0, max=1000)
-    ] = 0,
-    anatomy: AnatomyOption = "branched",
     json_file: JsonOption = None,
 ) -> None:
     """Run a page on a simulated board and read the result with Tesseract."""
@@ -73,7 +68,7 @@ def simulate_page(
     sharing = RunConfig().sharing(chosen)
     reading = LineDelivery(chosen, bank, presentation.tone, motion, parse_mode(mode), sharing)
     with lines_progress(quiet=False) as advance:
-        found = measure_legibility(text, reading, presentation, truth, advance, fingers, anatomy)
+        found = measure_legibility(text, reading, presentation, truth, advance)
     figures = {"source": source, "profile": chosen.name, "notes": notes, **found.figures}
     if json_file is not None:
         write_json(json_file, figures)

@@ -69,11 +69,6 @@ def middle_90(values: Iterable[float]) -> tuple[float, float, float]:
     return float(middle), float(low), float(high)
 
 
-def worst_tenth(values: Collection[float]) -> float:
-    """Return the mean of the largest tenth of the values, of one at least."""
-    return float(np.mean(sorted(values)[-max(1, len(values) // 10) :]))
-
-
 def response_map(
     finger: FingerAfferents,
     counts: NDArray[np.intp],

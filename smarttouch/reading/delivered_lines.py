@@ -3,7 +3,6 @@
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import fmean
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +17,7 @@ from smarttouch.imaging.registration import Registration
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import ignore_nan, middle_90, response_quality, worst_tenth
+from smarttouch.physiology.response import ignore_nan, response_quality
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile
 from smarttouch.reading.line_feed import LineFeed, TouchLine
@@ -187,16 +186,3 @@ def read_at_nerve(
         for name in ("silent_points", "wrong_class", "misplaced")
     )
     return NerveReading(pictures, shown, *measures)
-
-
-def nerve_figures(readings: Sequence[NerveReading], errors: Sequence[float]) -> dict[str, Any]:
-    """Return medians over fingers with the middle 90 % of them, and error rates at the nerve, for a
-    JSON file."""
-    names = ("wrong_class", "misplaced", "silent_points")
-    every = {name: [getattr(each, name) for each in readings] for name in names}
-    found = {name: middle_90(each) for name, each in (every | {"median": list(errors)}).items()}
-    return {
-        "at_nerve": {"median": found["median"][0], "worst_tenth": worst_tenth(errors)},
-        **{name: found[name][0] for name in names},
-        "middle_90": {name: each[1:] for name, each in found.items()},
-    }

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from smarttouch.base.errors import ReadingError
 from smarttouch.base.lazy_names import import_extra
 from smarttouch.braille.code_tables import open_table
 from smarttouch.imaging.array_window import rows_of
 from smarttouch.pages.file_kinds import read_plain_text
-from smarttouch.physiology.anatomy import Anatomy, load_anatomy
+from smarttouch.physiology.anatomy import Anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.reading.braille_lines import Braille
 from smarttouch.reading.delivered_lines import (
@@ -23,7 +22,6 @@ from smarttouch.reading.delivered_lines import (
     NerveReading,
     deliver_lines,
     ideal_picture,
-    nerve_figures,
     read_at_nerve,
 )
 from smarttouch.reading.letter_shapes import Shapes, require_rows, shape_line
@@ -121,7 +119,7 @@ def legibility_of_braille(
 
 
 def collect(lines: Iterable[_Item], before: int, total: int, progress: Progress) -> list[_Item]:
-    """Return all lines, or fingers, and report each as it comes."""
+    """Return all lines, and report each as it comes."""
     found: list[_Item] = []
     for line in lines:
         found.append(line)
@@ -198,24 +196,6 @@ def legibility_of_shapes(
     )
 
 
-def legibility_at_nerve(
-    found: Legibility,
-    reading: LineDelivery,
-    fingers: int,
-    anatomy: str | Anatomy,
-    progress: Progress = no_progress,
-) -> dict[str, Any]:
-    """Return error rates at the board and at the nerves of simulated fingers, by seeds from 1 on.
-
-    See `nerve_figures`, and ``at_board``.
-    """
-    work = Parallel(n_jobs=-1 if fingers > 1 else 1, return_as="generator", max_nbytes=None)
-    seeds = range(1, fingers + 1)
-    each = work(delayed(legibility_on_finger)(found, reading, seed, anatomy) for seed in seeds)
-    readings, errors = zip(*collect(each, 0, fingers, progress), strict=True)
-    return {"at_board": found.character_error_rate, **nerve_figures(readings, errors)}
-
-
 def legibility_on_finger(
     found: Legibility, reading: LineDelivery, seed: int, anatomy: str | Anatomy
 ) -> tuple[NerveReading, float]:
@@ -265,10 +245,8 @@ def measure_legibility(
     presented: Shapes | Braille,
     truth: Path | None = None,
     progress: Progress = no_progress,
-    fingers: int = 0,
-    anatomy: str = "branched",
 ) -> Measured:
-    """Deliver a text as shapes or Braille, and read it back; shapes at the nerves of fingers, too.
+    """Deliver a text as shapes or Braille, and read it back.
 
     ``truth`` is a file of the true text of shapes.
     """
@@ -283,7 +261,6 @@ def measure_legibility(
         ]
         text = cells.delivered if cells.text is None else cells.text
         return Measured({**how, **speed, **asdict(cells)}, rows, text)
-    paths = load_anatomy(anatomy)
     require_rows(reading.profile, source.note)
     true_text = source.words if truth is None else read_plain_text(truth)
     found = legibility_of_shapes(source, reading, presented, true_text, progress)
@@ -297,13 +274,4 @@ def measure_legibility(
     ]
     shape = {"as": "shapes", "rows": rows_of(reading.profile)}
     figures = {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}
-    if fingers:
-        nerve = legibility_at_nerve(found, reading, fingers, paths, progress)
-        figures |= {"fingers": fingers, "anatomy": anatomy, **nerve}
-        middle, worst = nerve["at_nerve"]["median"], nerve["at_nerve"]["worst_tenth"]
-        low, high = nerve["middle_90"]["median"]
-        rows += [
-            ("error rate, nerve, median", f"{middle:.3f} ({low:.3f} to {high:.3f} of 90 %)"),
-            ("error rate, nerve, worst tenth", f"{worst:.3f}"),
-        ]
     return Measured({**shape, **speed, **figures}, rows, found.text)

@@ -38,7 +38,6 @@ BASES = {
     "read": f"read text:i {SMALL} {PAGE}",
     "braille": "braille hello",
     "braille-display": f"braille-display listen:{free_port()} {SMALL} {PAGE}",
-    "simulate page": "simulate page text:it --as braille",
     "replay": f"replay {{golden}} {PAGE}",
     "design": "design --profile line-7",
     "profiles new": "profiles new mine.toml --grid 2x2 --overwrite",

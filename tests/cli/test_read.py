@@ -3,7 +3,6 @@
 import itertools
 import json
 import os
-import pickle
 import shutil
 import time
 from pathlib import Path
@@ -16,7 +15,6 @@ from PIL import Image
 from smarttouch.base.errors import (
     BrailleError,
     PageError,
-    ProfileError,
     ReadingError,
     SmartTouchError,
 )
@@ -94,46 +92,6 @@ def test_legibility_of_a_page(program_here, tmp_path, page_file):
     assert figures["character_error_rate"] <= figures["sampling_limit"] + 0.15
     assert (figures["rows"], figures["lines"]) == (8, 2)
     assert figures["text"] in done.stdout
-
-
-@pytest.fixture
-def sent_to_workers(monkeypatch):
-    """Let fingers be sent to processes, and what they felt back, as far as pickling goes."""
-
-    def sent(what):
-        return pickle.loads(pickle.dumps(what))
-
-    monkeypatch.setattr(
-        "smarttouch.reading.legibility.delayed",
-        lambda work: joblib.delayed(lambda *given: sent(sent(work)(*sent(given)))),
-    )
-
-
-@needs_tesseract
-@pytest.mark.usefixtures("sent_to_workers")
-def test_legibility_at_the_nerve_of_fingers(program_here):
-    found = {}
-    small = "--profile smarttouch-4x4 --fingers 2 --json f.json"
-    for anatomy in ("paper", "branched"):
-        done = program_here(f"simulate page 'text:touch it' {small} --anatomy {anatomy}").fine()
-        found[anatomy] = figures = done.figures
-        assert (figures["fingers"], figures["anatomy"]) == (2, anatomy)
-        assert figures["at_board"] == figures["character_error_rate"]
-        assert set(figures["at_nerve"]) == {"median", "worst_tenth"}
-        assert 0 <= figures["at_nerve"]["median"] <= figures["at_nerve"]["worst_tenth"]
-        for name in ("wrong_class", "misplaced", "silent_points"):
-            assert 0 <= figures[name] <= 1
-        assert f"{figures['at_nerve']['worst_tenth']:.3f}" in done.stdout
-    # Axons that branch are reached more often, and further from their receptors.
-    paper, branched = found["paper"], found["branched"]
-    assert branched["silent_points"] < paper["silent_points"]
-    assert branched["misplaced"] > paper["misplaced"]
-    assert branched["wrong_class"] > paper["wrong_class"]
-
-
-def test_legibility_of_no_anatomy_is_refused_before_anything_is_read(program_here):
-    done = program_here("simulate page text:touch --fingers 2 --anatomy none")
-    says(ProfileError, key="anatomy", value="none")(refused(done))
 
 
 def test_legibility_of_braille_needs_no_tesseract(figures_of, monkeypatch):

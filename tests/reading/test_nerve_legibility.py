@@ -11,7 +11,7 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import response_quality
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import load_profile
-from smarttouch.reading.delivered_lines import DeliveredLine, nerve_figures, read_at_nerve
+from smarttouch.reading.delivered_lines import DeliveredLine, read_at_nerve
 from smarttouch.running.delivered import LinePicture, delivered_spikes
 from smarttouch.sources.source_contract import Pose
 
@@ -93,12 +93,3 @@ def test_silent_is_of_what_was_meant_and_not_of_what_was_delivered(delivered):
     quality = response_quality(finger, counts, wide.meant[2], [Afferent.RA])
     assert found.silent_points == quality.silent_points
     assert found.misplaced == pytest.approx(quality.misplaced, nan_ok=True)
-
-
-def test_figures_over_fingers(delivered):
-    profile, line = delivered
-    readings = [read_at_nerve([line], Finger(profile, s, "paper"), [Afferent.RA]) for s in (1, 2)]
-    figures = nerve_figures(readings, [0.5, 0.1])
-    assert figures["at_nerve"] == {"median": pytest.approx(0.3), "worst_tenth": 0.5}
-    assert figures["middle_90"]["median"] == pytest.approx((0.12, 0.48))
-    assert set(figures["middle_90"]) - {"median"} == set(figures) - {"at_nerve", "middle_90"}
