@@ -4,7 +4,6 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-import cv2
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
@@ -13,7 +12,6 @@ from threadpoolctl import threadpool_limits
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.imaging.array_window import pixel_pitch_mm, reading_force_n
-from smarttouch.imaging.registration import Registration
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.finger import Finger
@@ -88,7 +86,7 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
         assert isinstance(driver, SimulatedDriver)
         pulses = driver.take_pulses()
         answers.deliver(*pulses)
-    length_mm = _length_mm(line, profile)
+    length_mm = int(line.image.shape[1]) * pixel_pitch_mm(profile)
     picture = LinePicture(profile.electrodes, length_mm)
     for pose, answer in answers:
         picture.add(pose.x_mm, answer)
@@ -100,32 +98,6 @@ def deliver_lines(lines: Sequence[TouchLine], reading: LineDelivery) -> Iterator
     # A process takes longer to start than one line to deliver.
     work = Parallel(n_jobs=-1 if len(lines) > 1 else 1, return_as="generator", max_nbytes=None)
     yield from work(delayed(deliver_pulses)(line, reading) for line in lines)
-
-
-def ideal_picture(line: TouchLine, profile: Profile, step_mm: float) -> LinePicture:
-    """Return the best that an array could deliver of a line: the ink in each electrode's cell.
-
-    Nothing is lost to kernels, thresholds or whole microamperes; what is left
-    is the pitch of the electrodes and the distance between two pulses.
-    """
-    optics, pixel_mm = profile.optics, pixel_pitch_mm(profile)
-    shape = (optics.sensor_rows, optics.sensor_columns)
-    registration = Registration(profile.electrodes, optics, shape)
-    picture = LinePicture(profile.electrodes, _length_mm(line, profile))
-    paper = cv2.copyMakeBorder(
-        line.image, 0, 0, shape[1] + 1, shape[1] + 1, cv2.BORDER_CONSTANT, value=255
-    )
-    for x_mm in np.arange(line.start_mm, line.end_mm + step_mm, step_mm):
-        left = round(float(x_mm) / pixel_mm - shape[1] / 2) + shape[1] + 1
-        window = paper[:, max(0, left) : max(0, left) + shape[1]]
-        if window.shape == shape:
-            ink = np.asarray(cv2.bitwise_not(np.ascontiguousarray(window)), np.uint8)
-            picture.add(float(x_mm), registration.sample(ink))
-    return picture
-
-
-def _length_mm(line: TouchLine, profile: Profile) -> float:
-    return int(line.image.shape[1]) * pixel_pitch_mm(profile)
 
 
 _FULL_QUANTILE = 0.99

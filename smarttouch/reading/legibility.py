@@ -21,7 +21,6 @@ from smarttouch.reading.delivered_lines import (
     LineDelivery,
     NerveReading,
     deliver_lines,
-    ideal_picture,
     read_at_nerve,
 )
 from smarttouch.reading.letter_shapes import Shapes, require_rows, shape_line
@@ -135,17 +134,13 @@ _GAP = 0.45  # gap between lines for recognition, relative to their height
 class Legibility:
     """Legibility of letter shapes: error rates of what Tesseract read, and its texts.
 
-    ``sampling_limit`` is the character error rate for the ideal of the array: the ink in the cell
-    of each electrode, at the same pitch and sweep; ``page_error_rate`` that for the page itself,
-    None where the others are compared with its text. ``delivered`` has the lines and languages of
-    each page.
+    ``page_error_rate`` is that of the page itself, None where the other is compared with its text.
+    ``delivered`` has the lines and languages of each page.
     """
 
     character_error_rate: float
-    sampling_limit: float
     page_error_rate: float | None
     text: str
-    limit_text: str
     page_text: str
     truth: str
     lines: int
@@ -164,31 +159,25 @@ def legibility_of_shapes(
     The truth is Tesseract's text of the page itself if not given.
     """
     _levenshtein()  # before a long run that would end without it
-    options, profile = source.options, reading.profile
-    step_mm = reading.motion.speed_mm_s / profile.pulse.rate_hz
+    options = source.options
     page_texts: list[str] = []
     texts: list[str] = []
-    limit_texts: list[str] = []
     total = 0
     delivered: list[tuple[list[DeliveredLine], str]] = []
     for page in source.prepared():
         indices = range(len(page.lines))
         page_texts += [text for _, text in recognized_lines(page, options, source.note)]
-        lines = [shape_line(page, index, profile) for index in indices]
+        lines = [shape_line(page, index, reading.profile) for index in indices]
         shown = collect(deliver_lines(lines, reading), total, total + len(indices), progress)
-        ideal = [ideal_picture(line, profile, step_mm) for line in lines]
         delivered.append((shown, options.languages))
         texts.append(read_pictures([each.picture for each in shown], options.languages))
-        limit_texts.append(read_pictures(ideal, options.languages))
         total += len(indices)
-    page_text, text, limit_text = ("\n".join(each) for each in (page_texts, texts, limit_texts))
+    page_text, text = "\n".join(page_texts), "\n".join(texts)
     compared = page_text if truth is None else truth
     return Legibility(
         character_error_rate=character_error_rate(compared, text),
-        sampling_limit=character_error_rate(compared, limit_text),
         page_error_rate=None if truth is None else character_error_rate(compared, page_text),
         text=text,
-        limit_text=limit_text,
         page_text=page_text,
         truth=compared,
         lines=total,
@@ -269,7 +258,6 @@ def measure_legibility(
         ("characters", str(len(found.truth))),
         ("lines", str(found.lines)),
         ("error rate, page", "-" if rate is None else f"{rate:.3f}"),
-        ("error rate, sampling limit", f"{found.sampling_limit:.3f}"),
         ("error rate, delivered", f"{found.character_error_rate:.3f}"),
     ]
     shape = {"as": "shapes", "rows": rows_of(reading.profile)}

@@ -88,8 +88,7 @@ def test_legibility_of_a_page(program_here, tmp_path, page_file):
     done = program_here(f"simulate page {page_file} {graded}").fine()
     figures = done.figures
     assert figures["page_error_rate"] <= 0.05
-    assert figures["sampling_limit"] <= 0.1
-    assert figures["character_error_rate"] <= figures["sampling_limit"] + 0.15
+    assert figures["character_error_rate"] <= 0.2
     assert (figures["rows"], figures["lines"]) == (8, 2)
     assert figures["text"] in done.stdout
 

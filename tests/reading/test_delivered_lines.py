@@ -14,7 +14,6 @@ from smarttouch.reading.delivered_lines import (
     LineDelivery,
     deliver_lines,
     deliver_pulses,
-    ideal_picture,
 )
 from smarttouch.reading.letter_shapes import Shapes
 from smarttouch.reading.line_source import LineMotion
@@ -51,22 +50,6 @@ def test_many_points_in_a_slot_are_felt_as_they_are_one_by_one(way, make_line):
     # Plans may fall short of the fullest activation by 4 %, which is 8 % above the threshold.
     assert np.abs(at_once - by_points).max() < 0.12
     assert not np.array_equal(at_once, by_points)
-
-
-def test_what_is_felt_is_close_to_the_ideal(way, make_line, reading):
-    line = make_line(30.0, (10.0, 16.0))
-    ideal = ideal_picture(line, reading, 0.5).values()
-    felt = deliver_pulses(line, way).picture.values()
-    assert np.abs(felt - ideal).mean() < 0.05
-
-
-def test_the_ideal_is_the_ink_in_each_cell(reading, make_line):
-    """With a step of a whole cell each electrode sees each cell of the line as it is."""
-    line = make_line(32.0, (8.0, 11.0))
-    picture = ideal_picture(line, reading, 2.0)
-    x_mm = np.arange(0.5, 16) * 2.0
-    values = picture.at(x_mm, np.full(16, 1.0))
-    assert values == pytest.approx([0] * 4 + [1, 0.5] + [0] * 10, abs=0.01)
 
 
 def test_several_lines_come_in_their_order(way, make_line):
