@@ -1,10 +1,10 @@
 """Legibility: the part of a text or of cells that can be read from the delivered pulses."""
 
 import unicodedata
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from smarttouch.reading.delivered_lines import (
     read_at_nerve,
 )
 from smarttouch.reading.letter_shapes import Shapes, require_rows, shape_line
+from smarttouch.reading.line_feed import TouchLine
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.ocr import Layout, recognize
 from smarttouch.reading.recognition import recognized_lines
@@ -70,7 +71,6 @@ def _levenshtein() -> Any:
     ).distance
 
 
-_Item = TypeVar("_Item")
 Progress = Callable[[int, int], None]  # callback with the number of finished lines and of all
 
 
@@ -78,52 +78,15 @@ def no_progress(_done: int, _total: int) -> None:
     """Report nothing."""
 
 
-@dataclass(frozen=True)
-class BrailleLegibility:
-    """Legibility of Braille: wanted and delivered cells, a line each, and the part that differs."""
-
-    cell_error_rate: float
-    cells: int
-    lines: int
-    wanted: str
-    delivered: str
-    text: str | None
-
-
-def legibility_of_braille(
-    source: ReadingMaterial,
-    reading: LineDelivery,
-    braille: Braille,
-    progress: Progress = no_progress,
-) -> BrailleLegibility:
-    """Deliver cells, and decode the delivered dots."""
-    profile = reading.profile
-    lines = list(braille.lines(source, profile))
-    pictures = [
-        each.picture for each in collect(deliver_lines(lines, reading), 0, len(lines), progress)
-    ]
-    wanted = [line.cells for line in lines]
-    delivered = [
-        braille.layout(profile, cells).decode(picture, cells, apart=reading.motion.gaps)
-        for cells, picture in zip(wanted, pictures, strict=True)
-    ]
-    pairs = list(zip("".join(wanted), "".join(delivered), strict=True))
-    wrong, count = sum(one != other for one, other in pairs), len(pairs)
-    table = open_table(braille.table)
-    shown = "\n".join(delivered)
-    return BrailleLegibility(
-        cell_error_rate=wrong / count, cells=count, lines=len(wanted), wanted="\n".join(wanted),
-        delivered=shown, text=table.to_text(shown) if table.code.goes_back else None,
-    )  # fmt: skip
-
-
-def collect(lines: Iterable[_Item], before: int, total: int, progress: Progress) -> list[_Item]:
-    """Return all lines, and report each as it comes."""
-    found: list[_Item] = []
-    for line in lines:
-        found.append(line)
-        progress(before + len(found), total)
-    return found
+def _deliver(
+    lines: Sequence[TouchLine], reading: LineDelivery, before: int, total: int, progress: Progress
+) -> list[DeliveredLine]:
+    """Return all lines as delivered, and report each as it comes."""
+    delivered: list[DeliveredLine] = []
+    for line in deliver_lines(lines, reading):
+        delivered.append(line)
+        progress(before + len(delivered), total)
+    return delivered
 
 
 _LINE_PIXELS = 56  # height of delivered lines for recognition: ascender to descender
@@ -168,7 +131,7 @@ def legibility_of_shapes(
         indices = range(len(page.lines))
         page_texts += [text for _, text in recognized_lines(page, options, source.note)]
         lines = [shape_line(page, index, reading.profile) for index in indices]
-        shown = collect(deliver_lines(lines, reading), total, total + len(indices), progress)
+        shown = _deliver(lines, reading, total, total + len(indices), progress)
         delivered.append((shown, options.languages))
         texts.append(read_pictures([each.picture for each in shown], options.languages))
         total += len(indices)
@@ -239,17 +202,8 @@ def measure_legibility(
 
     ``truth`` is a file of the true text of shapes.
     """
-    speed = {"speed_mm_s": reading.motion.speed_mm_s}
     if isinstance(presented, Braille):
-        cells = legibility_of_braille(source, reading, presented, progress)
-        how = {"as": "braille", "table": presented.table, "cells_as": presented.presentation.value}
-        rows = [
-            ("cells", str(cells.cells)),
-            ("lines", str(cells.lines)),
-            ("error rate, delivered", f"{cells.cell_error_rate:.3f}"),
-        ]
-        text = cells.delivered if cells.text is None else cells.text
-        return Measured({**how, **speed, **asdict(cells)}, rows, text)
+        return _measured_braille(source, reading, presented, progress)
     require_rows(reading.profile, source.note)
     true_text = source.words if truth is None else read_plain_text(truth)
     found = legibility_of_shapes(source, reading, presented, true_text, progress)
@@ -260,6 +214,48 @@ def measure_legibility(
         ("error rate, page", "-" if rate is None else f"{rate:.3f}"),
         ("error rate, delivered", f"{found.character_error_rate:.3f}"),
     ]
-    shape = {"as": "shapes", "rows": rows_of(reading.profile)}
-    figures = {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}
-    return Measured({**shape, **speed, **figures}, rows, found.text)
+    figures = {
+        "as": "shapes",
+        "rows": rows_of(reading.profile),
+        "speed_mm_s": reading.motion.speed_mm_s,
+    }
+    figures |= {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}
+    return Measured(figures, rows, found.text)
+
+
+def _measured_braille(
+    source: ReadingMaterial, reading: LineDelivery, braille: Braille, progress: Progress
+) -> Measured:
+    """Deliver cells, and decode the delivered dots."""
+    lines = list(braille.lines(source, reading.profile))
+    wanted = [line.cells for line in lines]
+    delivered = [
+        braille.layout(reading.profile, cells).decode(
+            line.picture, cells, apart=reading.motion.gaps
+        )
+        for cells, line in zip(
+            wanted, _deliver(lines, reading, 0, len(lines), progress), strict=True
+        )
+    ]
+    pairs = list(zip("".join(wanted), "".join(delivered), strict=True))
+    rate = sum(one != other for one, other in pairs) / len(pairs)
+    table, shown = open_table(braille.table), "\n".join(delivered)
+    text = table.to_text(shown) if table.code.goes_back else None
+    figures = {
+        "as": "braille",
+        "table": braille.table,
+        "cells_as": braille.presentation.value,
+        "speed_mm_s": reading.motion.speed_mm_s,
+        "cell_error_rate": rate,
+        "cells": len(pairs),
+        "lines": len(lines),
+        "wanted": "\n".join(wanted),
+        "delivered": shown,
+        "text": text,
+    }
+    rows = [
+        ("cells", str(len(pairs))),
+        ("lines", str(len(lines))),
+        ("error rate, delivered", f"{rate:.3f}"),
+    ]
+    return Measured(figures, rows, shown if text is None else text)
