@@ -226,10 +226,9 @@ def _gaps(words: Row) -> list[_Gap]:
     """Return the gaps of a row that may part columns: not a space of the file, nor after the mark
     of an item, nor the even ones of justified prose."""
     found = []
-    wide = [after.left - word.right for word, after in itertools.pairwise(words)]
-    if len(wide) > 2 and sum(word.text.isalpha() for word in words) > 2:
-        size = words[0].size
-        if max(wide) < _CERTAIN * size and max(wide) - min(wide) < _EVEN * size:
+    if len(words) > 3 and sum(word.text.isalpha() for word in words) > 2 and _are_even(words):
+        first, second = words[:2]
+        if second.left - first.right < _CERTAIN * first.size:
             return []
     right = -math.inf
     for number, (before, word) in enumerate(itertools.pairwise(words)):
@@ -303,7 +302,18 @@ def _cell_gaps(band: list[Row], gaps: list[_Gap]) -> list[_Gap]:
     used = [column for row in cells for column in row]
     found = [gap for k, gap in enumerate(found, 1) if used.count(k) > gap.is_closed]
     prose = sum(_is_prose(_column(band, found, k)) for k in range(len(found) + 1))
-    return found if prose < 2 and sum(len(row) > 1 for row in cells) > 1 else []
+    cells = [_cells(row, [gap.middle for gap in found]) for row in band]
+    rows = zip(band, map(len, cells), strict=True)
+    parted = [(row, count) for row, count in rows if count > 1]
+    # In justified prose, words within a cell are as far apart as the cells.
+    even = sum(len(row) > count and _are_even(row) for row, count in parted)
+    return found if prose < 2 and len(parted) > 1 and 2 * even < len(parted) else []
+
+
+def _are_even(row: Row) -> bool:
+    """Return whether the words of a row are equally far apart."""
+    gaps = [word.left - before.right for before, word in itertools.pairwise(row)]
+    return max(gaps) - min(gaps) < _EVEN * row[0].size
 
 
 def _table(band: list[Row], middles: list[float]) -> list[Line]:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from smarttouch.pages.document import open_document
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.pdf_layout import SPACE, Word, reading_order
+from smarttouch.pages.pdf_layout import MADE_SPACE, SPACE, Word, reading_order
 from smarttouch.reading.material import ReadingMaterial, recognized_text
 from smarttouch.reading.recognition import RecognitionOptions, upright_page
 
@@ -154,6 +154,20 @@ def test_no_word_is_lost_or_read_twice(placed):
     assert sorted(map(id, words)) == sorted(id(word) for line in lines for word in line.words)
     signs = "".join(line.text for line in lines).translate(dict.fromkeys(map(ord, "-; ")))
     assert sorted(signs) == sorted("".join(word.text for word in words).replace(" ", ""))
+
+
+def test_justified_prose_is_no_table():
+    texts = ["stood bread window considerations", "window night the a house house",
+             "considerations stood notwithstanding", "extraordinarily night garden morning a",
+             "under extraordinarily extraordinarily"]  # fmt: skip
+    words = []
+    for k, text in enumerate(texts):
+        parts, x = text.split(), 0.0
+        gap = (190 - 5 * len("".join(parts))) / (len(parts) - 1)
+        for part in parts:
+            words.append(Word(part, x, x + 5 * len(part), 14 * k, 10, len(words), MADE_SPACE))
+            x = words[-1].right + gap
+    assert [line.text for line in reading_order(words, 800)] == texts
 
 
 @pytest.mark.parametrize("page", [
