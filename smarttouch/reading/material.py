@@ -22,21 +22,6 @@ from smarttouch.reading.recognition import (
 TEXT = "text:"  # prefix of words that are not a file name
 
 
-def document_pages(path: Path, options: RecognitionOptions) -> Iterator[tuple[int, Page]]:
-    """Yield numbers and pages of a document, one in memory at a time.
-
-    A scale that the document assumes is not reported: every line is made as high as the array.
-    """
-    with open_document(
-        path, dpi=options.dpi, page_width_mm=options.page_width_mm, password=options.password
-    ) as document:
-        wanted = (
-            parse_pages(options.pages, len(document)) if options.pages else range(len(document))
-        )
-        for index in wanted:
-            yield index + 1, document.page(index)
-
-
 def report_empty_pages(found: dict[int, bool], note: Note) -> None:
     """Report pages by number on which no text was found; raise if it was found on none."""
     if not any(found.values()):
@@ -46,19 +31,6 @@ def report_empty_pages(found: dict[int, bool], note: Note) -> None:
         )
     if empty := [str(number) for number, has_text in found.items() if not has_text]:
         note(f"no line of text on page {', '.join(empty)}")
-
-
-def prepared_pages(
-    pages: Iterator[tuple[int, Page]], options: RecognitionOptions, note: Note
-) -> Iterator[PreparedPage]:
-    """Yield the pages that carry text, see `upright_page`; raise if none does."""
-    found: dict[int, bool] = {}
-    for number, page in pages:
-        prepared = upright_page(number, page, options, note)
-        found[number] = bool(prepared.lines)
-        if prepared.lines:
-            yield prepared
-    report_empty_pages(found, note)
 
 
 def recognized_text(prepared: PreparedPage, options: RecognitionOptions, note: Note) -> str:
@@ -107,22 +79,41 @@ class ReadingMaterial:
     def numbers(self) -> list[int]:
         """Return the numbers of the pages of a document that are asked for."""
         with open_document(Path(self.name), password=self.options.password) as document:
-            count = len(document)
-        if not self.options.pages:
-            return list(range(1, count + 1))
-        return [index + 1 for index in parse_pages(self.options.pages, count)]
+            return self._wanted(len(document))
+
+    def _wanted(self, count: int) -> list[int]:
+        pages = self.options.pages
+        indices = parse_pages(pages, count) if pages else range(count)
+        return [index + 1 for index in indices]
 
     def pages(self) -> Iterator[tuple[int, Page]]:
-        """Yield numbers and pages of a document."""
-        return document_pages(Path(self.name), self.options)
+        """Yield numbers and pages of a document, one in memory at a time.
+
+        A scale that the document assumes is not reported: every line is made as high as the array.
+        """
+        options = self.options
+        with open_document(
+            Path(self.name),
+            dpi=options.dpi,
+            page_width_mm=options.page_width_mm,
+            password=options.password,
+        ) as document:
+            for number in self._wanted(len(document)):
+                yield number, document.page(number - 1)
 
     def prepared(self) -> Iterator[PreparedPage]:
-        """Yield pages with print on them: of a document, or of a text as it is printed."""
-        words = self.words
-        if words is None:
-            yield from prepared_pages(self.pages(), self.options, self.note)
+        """Yield pages with print on them, see `upright_page`: of a document, or of a text as it is
+        printed. Raise if no page has any."""
+        if self.words is None:
+            found: dict[int, bool] = {}
+            for number, page in self.pages():
+                prepared = upright_page(number, page, self.options, self.note)
+                found[number] = bool(prepared.lines)
+                if prepared.lines:
+                    yield prepared
+            report_empty_pages(found, self.note)
             return
-        lines = words.splitlines()
+        lines = self.words.splitlines()
         parts = [
             "\n".join(lines[start : start + _PRINTED_AT_ONCE])
             for start in range(0, len(lines), _PRINTED_AT_ONCE)
