@@ -307,7 +307,7 @@ class ShownPage:
     def delivered(self) -> Legibility:
         """Delivered lines, and the truth: the text that Tesseract reads of the page itself."""
         source = ReadingMaterial(str(self.grid.file(self.page)))
-        return legibility_of_shapes(source, self.reading, _SHAPES, source.words)
+        return legibility_of_shapes(source, self.reading, source.words)
 
     def digest(self) -> str:
         """Return a hash of all that its rows depend on, but for the finger."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import SourceError
+from smarttouch.base.errors import SourceError, require_within
 from smarttouch.imaging.array_window import reading_force_n, usual_speed_mm_s
 from smarttouch.profile import Profile
 from smarttouch.reading.braille_lines import CellLayout, Presentation, cell_layout
@@ -66,10 +66,7 @@ class BrailleDisplaySource(StimulusSource):
     ) -> None:
         super().__init__(f"BRLTTY at {connection.address}")
         speed_mm_s = usual_speed_mm_s(profile) if speed_mm_s is None else speed_mm_s
-        if not SLOWEST_MM_S <= speed_mm_s <= FASTEST_MM_S:
-            raise SourceError(
-                f"{speed_mm_s:g} mm/s must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}"
-            )
+        require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
         self.connection = connection
         self.layout: CellLayout = cell_layout(profile, eight=True)
         self.apart: bool = presentation is Presentation.CELL

@@ -113,7 +113,6 @@ class Legibility:
 def legibility_of_shapes(
     source: ReadingMaterial,
     reading: LineDelivery,
-    shapes: Shapes,
     truth: str | None = None,
     progress: Progress = no_progress,
 ) -> Legibility:
@@ -206,7 +205,7 @@ def measure_legibility(
         return _measured_braille(source, reading, presented, progress)
     require_rows(reading.profile, source.note)
     true_text = source.words if truth is None else read_plain_text(truth)
-    found = legibility_of_shapes(source, reading, presented, true_text, progress)
+    found = legibility_of_shapes(source, reading, true_text, progress)
     rate = found.page_error_rate
     rows = [
         ("characters", str(len(found.truth))),

@@ -86,7 +86,7 @@ def test_legibility(rows, tmp_path, row, quick):
             shapes = Shapes(graded)
             motion = shapes.motion(profile)
             reading = LineDelivery(profile, bank, shapes.tone, motion, Mode.RA, SlotPolicy(shared))
-            found = legibility_of_shapes(ReadingMaterial(str(path)), reading, shapes, truth)
+            found = legibility_of_shapes(ReadingMaterial(str(path)), reading, truth)
             name_of_way = f"{'graded' if graded else 'plain'}{', shared slots' * bool(shared)}"
             cells[name_of_way] = f"{found.character_error_rate:.3f}"
         known = {"rows": rows, "page": name, "itself": f"{found.page_error_rate:.3f}"}
