@@ -200,8 +200,7 @@ def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Gap]]]:
         near = [word for word in around if abs(word.y - row[0].y) < _BESIDE * word.size]
         own = _gaps(sorted(near, key=lambda word: word.left))
         after = [gap if gap.is_closed else gap.after(row) for gap in gaps]
-        is_single = len(band) == 1 and not own and _is_in_order(band[0])
-        if is_single or all(gap.is_closed for gap in after):
+        if all(gap.is_closed for gap in after):
             if band:
                 yield band, gaps
             band, gaps = [row], own
@@ -216,10 +215,6 @@ def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Gap]]]:
         gaps = after
     if band:
         yield band, gaps
-
-
-def _is_in_order(row: Row) -> bool:
-    return all(word.place == before.place + 1 for before, word in itertools.pairwise(row))
 
 
 def _gaps(words: Row) -> list[_Gap]:
