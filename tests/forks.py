@@ -86,6 +86,11 @@ class _Itself:
         return _run_and_end(import_module(request["module"]).main)
 
 
+def emulator(device, *options):
+    """Return the command that emulates a device with options of its URL."""
+    return [*EMULATOR, f"{device}?{'&'.join(options)}"]
+
+
 def forked_boards():
     """Return what a driver has in place of subprocess, so that its board is a fork."""
     return SimpleNamespace(**vars(subprocess) | {"Popen": Forked})

@@ -9,7 +9,6 @@ from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import Commands, ForceOption, JsonOption, ProfileOption
-from smarttouch.emulator.commands import emulate_board, emulate_sensor
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
 
 if TYPE_CHECKING:
@@ -62,19 +61,9 @@ def emulate(
     ],
 ) -> None:
     """Emulate a board on skin, or a sensor, at a port until Ctrl-C."""
-    from smarttouch.base.errors import not_offered
-    from smarttouch.base.url_options import options_of, read_options
-    from smarttouch.emulator.commands import BOARDS, SENSORS
+    from smarttouch.emulator.commands import emulate as emulate_device
 
-    name = device.partition("?")[0]
-    if name not in (*BOARDS, *SENSORS):
-        raise not_offered("emulator", name, (*BOARDS, *SENSORS))
-    command = emulate_board if name in BOARDS else emulate_sensor
-    place, options = read_options(command, device, SmartTouchError)
-    if place != name:
-        known = ", ".join(sorted(options_of(command)))
-        raise SmartTouchError(f"{device!r} has an option that {name} has not: choose {known}")
-    command(name, **options)
+    emulate_device(device, advise=True)
 
 
 _Url = Annotated[str, argument("kajimoto61:PORT, etactilekit:PORT, link:PORT", "URL")]

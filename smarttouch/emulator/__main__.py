@@ -1,23 +1,18 @@
-"""``python -m smarttouch.emulator``: ``smarttouch devices emulate``, with options."""
+"""``python -m smarttouch.emulator URL``: ``smarttouch devices emulate`` for programs, which prints
+the port's name alone."""
 
 import sys
-from collections.abc import Sequence
-
-import typer
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.emulator.commands import emulate_board, emulate_sensor
-
-app: typer.Typer = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
-app.command("board")(emulate_board)
-app.command("sensor")(emulate_sensor)
+from smarttouch.emulator.commands import emulate
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run an emulated device until its host is gone, with the command line's arguments if none are
-    given."""
+def main() -> None:
+    """Run the device of the URL in the command line until its host is gone."""
     try:
-        app(arguments)
+        if len(sys.argv) != 2:
+            raise SmartTouchError("give the URL of one device, for example link?electrodes=16")
+        emulate(sys.argv[1])
     except SmartTouchError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,32 +207,26 @@ def open_emulator(
     an existing folder for its delivery log, and ``events`` of the finger are as ``smarttouch
     devices emulate`` takes them."""
     refuse_rest("emulator:", rest, BoardError)
-    process = EmulatorProcess(limits.electrodes, "weighted" if output is None else output.kind)
-    process.add(*(f"--event={event}" for event in events))
-    if books is not None:
-        process.keep_books(books)
+    kind = "weighted" if output is None else output.kind
+    process = EmulatorProcess(limits.electrodes, kind, books, events)
     driver = LinkDriver("", limits, output, process=process)
     driver.answer_within(_SPEAKS_WITHIN_S)
     return driver
 
 
 class EmulatorProcess:
-    """Process that emulates a ``link`` board as long as it is open."""
+    """Process that emulates a ``link`` board as long as it is open; ``books`` is the existing
+    folder of its delivery log, from its next start on."""
 
-    def __init__(self, electrodes: int, kind: str) -> None:
-        self._command = [sys.executable, "-m", "smarttouch.emulator", "board", "link"]
-        self.add(f"--electrodes={electrodes}", f"--output={kind}", "--linger=0.2", "--port-only")
-        self.add(f"--ramp-ms={rules_over_time.RAMP_MS}")
+    def __init__(
+        self, electrodes: int, kind: str, books: Path | None, events: Sequence[str]
+    ) -> None:
+        self.books = books
+        ramp_ms = rules_over_time.RAMP_MS
+        self._url = f"link?electrodes={electrodes}&output={kind}&linger=0.2&ramp_ms={ramp_ms}"
+        self._url += "".join(f"&event={quote(event)}" for event in events)
         self._process: subprocess.Popen[bytes] | None = None
         self._port = ""
-
-    def add(self, *options: str) -> None:
-        """Give it more options, from its next start on."""
-        self._command += options
-
-    def keep_books(self, folder: Path) -> None:
-        """Set the existing folder of its delivery log, from its next start on."""
-        self.add(f"--books={folder}")
 
     @property
     def process_id(self) -> int:
@@ -248,20 +243,19 @@ class EmulatorProcess:
             if self.has_ended:
                 raise BoardError("the emulator's process has ended")
             return self._port
-        self._process = self._started()
+        url = self._url if self.books is None else f"{self._url}&books={quote(str(self.books))}"
+        command = [sys.executable, "-m", "smarttouch.emulator", url]
+        # A session of its own: the terminal's Ctrl-C must not reach the board.
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+        self._process = process
         try:
-            self._port = self._printed_port(self._process, line)
+            self._port = self._printed_port(process, line)
         except BaseException:
             # No host will come.
-            self._process.terminate()
+            process.terminate()
             self.end()
             raise
         return self._port
-
-    def _started(self) -> "subprocess.Popen[bytes]":
-        # A session of its own: the terminal's Ctrl-C must not reach the board.
-        command = [*self._command]
-        return subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
 
     def _printed_port(self, process: "subprocess.Popen[bytes]", line: Line) -> str:
         assert process.stdout is not None

@@ -74,20 +74,18 @@ class Orders:
 
 
 class Server:
-    """Serves one host after another; after ``count`` messages nothing passes any more. ``orders``
-    are for the device, or are events without their time, such as ``garbage 0.5``."""
+    """Serves one host after another. ``orders`` are for the device, or are events without their
+    time, such as ``garbage 0.5``."""
 
     def __init__(
         self,
         firmware: Firmware,
         line: PtyLine | TcpLine,
         faults: Iterable[DeviceEvent] = (),
-        count: int | None = None,
         orders: Orders | None = None,
     ) -> None:
         self.statistics: LineStatistics = LineStatistics()
         self._firmware, self._line, self._faults = firmware, line, list(faults)
-        self._count = math.inf if count is None else count
         self._orders = orders
         self._first_host_ns: int | None = None
         self._hosted = False
@@ -95,20 +93,18 @@ class Server:
         """Messages that wait for the line, and whether they are garbage."""
         self._random = random.Random(0)
 
-    def serve(
-        self, linger_s: float = 2.0, parent: int | None = None, describe: Callable[[str], str] = str
-    ) -> None:
-        """Print the port's name, as ``describe`` words it, and run until SIGTERM, ``linger_s``
-        without a host, or the end of the process ``parent``.
+    def serve(self, linger_s: float = 2.0, describe: Callable[[str], str] = str) -> None:
+        """Print the port's name, as ``describe`` words it, and run until SIGTERM, or ``linger_s``
+        without a host.
 
         While there is a host, Ctrl-C is meant for the host, which ends with a stop and a closed
         port. It ends the device only if that would linger for ever.
         """
-        ended: list[str] = []
+        ended = False
 
         def end(number: int, _frame: FrameType | None) -> None:
-            if number == signal.SIGTERM or math.isinf(linger_s) or not self._hosted:
-                ended.append("signal")
+            nonlocal ended
+            ended |= number == signal.SIGTERM or math.isinf(linger_s) or not self._hosted
 
         signal.signal(signal.SIGTERM, end)
         signal.signal(signal.SIGINT, end)
@@ -118,9 +114,6 @@ class Server:
         clock = DeviceClock(self._firmware.longest_step_ns)
         host_ns, written_ns = FIRST_HOST_S * 1e9, 0
         while not ended:
-            if parent not in (None, os.getppid()):
-                ended.append("parent gone")
-                break
             data = self._line.read(_FULL_WAIT_S if self._waiting else self._firmware.wait_s(clock))
             now_ns = clock.now_ns()
             if self._firmware.books is not None:
@@ -134,7 +127,7 @@ class Server:
                 self._write_books()
                 written_ns = now_ns
         if ended:
-            self._firmware.zero(ended[0], clock.now_ns())
+            self._firmware.zero("signal", clock.now_ns())
         self._write_books()
 
     def step(self, data: bytes | None, now_ns: int) -> None:
@@ -152,7 +145,7 @@ class Server:
                 self._firmware.hang_up(now_ns)
                 self._write_books()
         self._push()
-        if data is None or "silent" in wrong or self.statistics.sent >= self._count:
+        if data is None or "silent" in wrong:
             self._firmware.idle(now_ns)
             return
         self._firmware.wrong = wrong
@@ -186,15 +179,16 @@ class Server:
             with contextlib.suppress(BrokenPipeError):
                 try:
                     if not self._firmware.take_order(line.split()):
-                        self._add(parse(f"{time_s:.6f} {line}", FAULTS, SourceError))
+                        self._faults.append(self._fault(f"{time_s:.6f} {line}"))
                 except SourceError as error:
                     print(error, file=sys.stderr, flush=True)
         return frozenset() if self._first_host_ns is None else faults_at(self._faults, time_s)
 
-    def _add(self, fault: DeviceEvent) -> None:
+    def _fault(self, order: str) -> DeviceEvent:
+        fault = parse(order, FAULTS, SourceError)
         if fault.kind == "unplug" and not self._line.keeps_name:
             raise SourceError("the port's name would change: start it with the event '0 unplug 0'")
-        self._faults.append(fault)
+        return fault
 
     def _write_books(self) -> None:
         if self._firmware.books is not None:

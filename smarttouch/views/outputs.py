@@ -47,7 +47,7 @@ class DeliveredPicture(Listener):
             from smarttouch.emulator.firmware import read_delivered
 
             folder = Path(self._open.enter_context(TemporaryDirectory(prefix="smarttouch-")))
-            process.keep_books(folder)
+            process.books = folder
             self._pulses = partial(read_delivered, folder)
         elif isinstance(driver, SimulatedDriver):
             self._pulses = driver.take_pulses

@@ -47,8 +47,7 @@ def make_video(path, seconds, rate_hz):
 @contextlib.contextmanager
 def array():
     """A process that plays a 64 x 64 serial array at 200 frames/s; its port."""
-    command = [sys.executable, "-m", "smarttouch.emulator", "sensor", "serial-array"]
-    command += ["--port-only", "--linger=2"]
+    command = [sys.executable, "-m", "smarttouch.emulator", "serial-array?linger=2"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             yield process.stdout.readline().strip()

@@ -25,7 +25,7 @@ from tests.boards.fresh import fresh_state, starter
 from tests.firmware.build import WHOLE
 from tests.firmware.conftest import start_cortex_m3, start_firmware
 
-from ..forks import EMULATOR
+from ..forks import emulator
 from ..safety.bounds import WHOLE as WHOLE_RISE
 from ..safety.bounds import Bounds
 
@@ -98,11 +98,11 @@ def start_emulator():
 
         def start_one(*arguments, electrodes=8, output="weighted", protocol="link"):
             # Time is what sequences claim, see above: of a board, too.
-            arguments = ("--ramp-ms=0", *arguments) if protocol == "link" else arguments
-            process = start([
-                *EMULATOR, "board", protocol, "--port-only", f"--electrodes={electrodes}",
-                f"--output={output}", "--linger=2", *arguments,
-            ], start_new_session=True)  # fmt: skip
+            arguments = ("ramp_ms=0", *arguments) if protocol == "link" else arguments
+            if not any(option.startswith("linger=") for option in arguments):
+                arguments = ("linger=2", *arguments)
+            options = (f"electrodes={electrodes}", f"output={output}", *arguments)
+            process = start(emulator(protocol, *options), start_new_session=True)
             assert select.select([process.stdout], [], [], 60)[0], "the emulator prints no port"
             return process, process.stdout.readline().strip()
 
@@ -286,9 +286,9 @@ class Hosted:
         elif firmware == "M3":
             port = start_cortex_m3(electrodes=8, ramp_ms=0, counts=True).name
         else:
-            more = [f"--firmware={firmware}"] if firmware else []
+            more = [f"firmware={firmware}"] if firmware else []
             _, port = start_emulator(
-                f"--books={folder}", "--linger=2", *more, protocol=kind, electrodes=self.electrodes
+                f"books={folder}", *more, protocol=kind, electrodes=self.electrodes
             )
         self.line, self.folder, self.kind = faulty_line(port), folder, kind
         self.limits = SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.8)

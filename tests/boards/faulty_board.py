@@ -1,4 +1,4 @@
-"""An emulated board with a fault: ``faulty_board.py FAULT ARGUMENTS-OF-THE-EMULATOR``.
+"""An emulated board with a fault: ``faulty_board.py FAULT URL-FOR-THE-EMULATOR``.
 
 It delivers what was not sent, or reports that it has.
 """

@@ -174,7 +174,7 @@ class TestLink(Contract):
         def url(kind):
             # Books of its own: the board before may still be writing in its.
             self.folder = Path(tempfile.mkdtemp(dir=tmp_path))
-            return "link:" + start_emulator(f"--books={self.folder}", output=kind)[1]
+            return "link:" + start_emulator(f"books={self.folder}", output=kind)[1]
 
         return url
 
@@ -203,7 +203,7 @@ class TestKajimoto61(OneAgainstAll):
     @pytest.fixture
     def url(self, start_emulator, tmp_path):
         options = {"protocol": "kajimoto61", "electrodes": 61}
-        return "kajimoto61:" + start_emulator(f"--books={tmp_path}", **options)[1]
+        return "kajimoto61:" + start_emulator(f"books={tmp_path}", **options)[1]
 
 
 class TestETactileKit(OneAgainstAll):
@@ -214,7 +214,7 @@ class TestETactileKit(OneAgainstAll):
 
     @pytest.fixture
     def url(self, start_emulator, tmp_path):
-        arguments = (f"--books={tmp_path}", f"--firmware={self.firmware}", *self.more)
+        arguments = (f"books={tmp_path}", f"firmware={self.firmware}", *self.more)
         port = start_emulator(*arguments, protocol="etactilekit")[1]
         # To find out which it is takes longer than all else; only one test asks for that.
         return f"etactilekit:{port}?firmware={self.firmware}"
@@ -243,7 +243,7 @@ class TestETactileKit(OneAgainstAll):
     "test_a_newer_sequence_ends_a_repetition",
 )  # fmt: skip
 class TestNewestETactileKitOverTcp(TestETactileKit):
-    more = ("--tcp",)
+    more = ("tcp",)
     # On a busy computer it passes for the one before it.
     firmware, taken_for = "newest", ("newest", "71adee2")
 

@@ -100,7 +100,7 @@ def test_a_board_that_hangs_is_reported(make_limits, make_sequence):
 
 
 def test_sigterm_and_no_ctrl_c_ends_a_board_that_has_a_host(tmp_path, make_limits, start_emulator):
-    process, port = start_emulator(f"--books={tmp_path}")
+    process, port = start_emulator(f"books={tmp_path}")
     with make_board(f"link:{port}", make_limits()):
         process.send_signal(signal.SIGINT)
         time.sleep(0.2)
@@ -111,7 +111,7 @@ def test_sigterm_and_no_ctrl_c_ends_a_board_that_has_a_host(tmp_path, make_limit
 
 
 def test_a_board_without_a_host_ends_by_itself(make_limits, start_emulator):
-    process, port = start_emulator("--linger=0.1")
+    process, port = start_emulator("linger=0.1")
     with make_board(f"link:{port}", make_limits()):
         pass
     assert process.wait(60) == 0

@@ -153,9 +153,7 @@ def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch,
     monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
     # On a machine that stands still what waits would give way to what is newer.
     monkeypatch.setattr(ETactileKitDriver, "waits_s", 60.0)
-    _, port = start_emulator(
-        f"--books={tmp_path}", f"--firmware={firmware}", protocol="etactilekit"
-    )
+    _, port = start_emulator(f"books={tmp_path}", f"firmware={firmware}", protocol="etactilekit")
     # Neighbors drive different electrodes, so that each scan tells which pattern it was of.
     sequences = [pulses(900, [], intensity=0.0, width_us=50)] + [
         pulses(900, [step % 8, (step + 3) % 8], step, width_us=50, intensity=1.0)

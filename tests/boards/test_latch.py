@@ -31,11 +31,9 @@ def start_faulty():
     with starter() as start:
 
         def start_one(fault, protocol, electrodes):
-            ramp = ["--ramp-ms=0"] if protocol == "link" else []
-            process = start([
-                sys.executable, FAULTY, fault, "board", protocol, "--port-only",
-                f"--electrodes={electrodes}", "--linger=5", *ramp,
-            ], start_new_session=True)  # fmt: skip
+            ramp = "&ramp_ms=0" * (protocol == "link")
+            url = f"{protocol}?electrodes={electrodes}&linger=5{ramp}"
+            process = start([sys.executable, FAULTY, fault, url], start_new_session=True)
             return process.stdout.readline().strip()
 
         yield start_one
@@ -96,7 +94,7 @@ def test_a_record_outlives_its_process_and_is_private(tmp_path, make_limits):
 
 
 def test_the_command_line_refuses_and_clears(start_emulator):
-    _, port = start_emulator("--linger=30", electrodes=64)
+    _, port = start_emulator("linger=30", electrodes=64)
     latch(str(Path(port).resolve()), "a fault")
 
     def run(*arguments):

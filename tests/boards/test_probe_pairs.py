@@ -71,7 +71,7 @@ def test_a_good_reference_is_enough():
 
 
 def test_an_emulated_board_of_weighted_outputs(start_emulator):
-    _, port = start_emulator("--event=0 open 7", "--event=0 open 40", electrodes=64)
+    _, port = start_emulator("event=0 open 7", "event=0 open 40", electrodes=64)
     profile = load_profile("electric-mouse")
     with make_board(f"link:{port}", SafetyLimits.of(profile), profile.output) as board:
         found = board.measure()

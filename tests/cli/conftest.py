@@ -22,7 +22,7 @@ from smarttouch import cli
 from smarttouch.base.errors import SmartTouchError
 
 from ..boards.fresh import starter
-from ..forks import EMULATOR, PROGRAM, Forked
+from ..forks import PROGRAM, Forked, emulator
 from ..raising import assert_says
 
 PRESSED = ("--force", "fixed:1")
@@ -189,10 +189,10 @@ def start_emulator(tmp_path):
 
         def start_one(electrodes=64, protocol="link", *more):
             books = tempfile.mkdtemp(prefix="books", dir=tmp_path)
-            process = start([
-                *EMULATOR, "board", protocol, "--port-only", f"--electrodes={electrodes}",
-                f"--books={books}", "--linger=30", *more,
-            ])  # fmt: skip
+            if not any(option.startswith("linger=") for option in more):
+                more = ("linger=30", *more)
+            options = (f"electrodes={electrodes}", f"books={books}", *more)
+            process = start(emulator(protocol, *options))
             return process, process.stdout.readline().strip(), Path(books)
 
         yield start_one

@@ -22,7 +22,7 @@ FULL = "--force fixed:1 --intensity 1"
 KITS = {
     "kajimoto61": (61, "kajimoto61"),
     "etactilekit": (32, "etactilekit"),
-    "etactilekit over TCP": (32, "etactilekit", "--tcp"),
+    "etactilekit over TCP": (32, "etactilekit", "tcp"),
 }
 
 
@@ -122,7 +122,7 @@ def test_a_killed_host(start_program, kit):
 
 
 def test_info_of_the_newest_kit_has_how_long_it_goes_on(program_here, start_emulator):
-    _, port, _ = start_emulator(32, "etactilekit", "--firmware=newest")
+    _, port, _ = start_emulator(32, "etactilekit", "firmware=newest")
     # On a busy computer it may pass for the one before it: then once more.
     for _ in range(10):
         done = program_here("devices show", f"etactilekit:{port}").fine()
@@ -148,7 +148,7 @@ def test_info(program_here, kit):
 
 
 def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(program_here, start_emulator):
-    events = ("--event=0 open 5", "--event=0 short 9")
+    events = ("event=0 open 5", "event=0 short 9")
     _, port, books = start_emulator(32, "etactilekit", *events)
     url = f"etactilekit:{port}"
     done = program_here(f"devices measure {url} --json found.json").fine()
@@ -170,7 +170,7 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(program_here
 
 
 def test_measuring_without_a_finger_is_reported(program_here, start_emulator):
-    _, port, _ = start_emulator(16, "link", "--output=three-state", "--event=0 lift")
+    _, port, _ = start_emulator(16, "link", "output=three-state", "event=0 lift")
     small = f"link:{port} --profile smarttouch-4x4"
     found = program_here(f"devices measure {small} --json found.json").fine().figures
     assert found["condition"] == ["open"] * 16

@@ -25,7 +25,7 @@ from smarttouch.profile import load_profile
 from smarttouch.sources.preprocess import FlatField
 
 from ..boards.fresh import fresh_state, until
-from ..forks import EMULATOR, Forked
+from ..forks import Forked, emulator
 from ..whole import WHOLE
 from .conftest import PRESSED, says
 
@@ -143,7 +143,7 @@ def unread(pipe):
 def load_cell(monkeypatch):
     """An emulated cell on a serial line; who is asked for a weight lays it on."""
     with Forked(
-        [*EMULATOR, "sensor", "loadcell", "--rate=400", "--port-only", "--linger=2"],
+        emulator("loadcell", "rate=400", "linger=2"),
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
         port = process.stdout.readline().strip()
@@ -217,7 +217,7 @@ def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
 
 def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
-    events = ("--event=0 open 5", "--event=0 short 9")
+    events = ("event=0 open 5", "event=0 short 9")
     _, port, _ = start_emulator(32, "etactilekit", *events)
     shown = done(run(f"contact --board etactilekit:{port} --repeats 2 --output mine.toml"))
     profile = load_profile(tmp_path / "mine.toml")
@@ -232,7 +232,7 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
 
 
 def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
-    _, port, _ = start_emulator(16, "link", "--output=three-state", "--event=0 lift")
+    _, port, _ = start_emulator(16, "link", "output=three-state", "event=0 lift")
     small = f"contact --board link:{port} --profile smarttouch-4x4"
     lifted = run(f"{small} --repeats 1 --output mine.toml")
     wrong("electrode")(lifted.exception)

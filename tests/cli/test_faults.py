@@ -20,7 +20,7 @@ PATIENCE_S = 60
 @pytest.fixture
 def running(start_program, start_emulator):
     """A run that delivers pulses to an emulator of its own."""
-    emulator, port, books = start_emulator(64, "link", "--linger=0.2")
+    emulator, port, books = start_emulator(64, "link", "linger=0.2")
     host = start_program(
         "live", "--board", f"link:{port}", *PRESSED, "--intensity", "1", "--json", "run.json"
     )
@@ -63,7 +63,7 @@ def test_the_host_hangs(running):
 def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_path, monkeypatch):
     # How long it waits for the port to come back is another test's.
     monkeypatch.setattr(Forked, "changes", {"smarttouch.boards.line.RECOVER_S": 0.3})
-    emulator, port, books = start_emulator(64, "link", "--linger=0.2")
+    emulator, port, books = start_emulator(64, "link", "linger=0.2")
     # A name of its own: that of the system goes to whoever opens the next port.
     name = tmp_path / "port"
     name.symlink_to(port)
@@ -85,7 +85,7 @@ def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_
 @pytest.mark.realtime
 @pytest.mark.parametrize("stage", ["pipeline", "screen"])
 def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
-    emulator, port, books = start_emulator(64, "link", "--linger=0.2")
+    emulator, port, books = start_emulator(64, "link", "linger=0.2")
     calls = []
 
     def broken(*_):

@@ -109,7 +109,7 @@ def forge_a_strong_one(path, comfort_ma):
 @pytest.mark.parametrize(
     ("comfort_ma", "events", "most_ma"),
     # Above what the user's profile allows, below it, and on a board that measures no force.
-    [(4.998, (), 2.4), (1.2, (), 1.2), (4.998, ("--event=0 force 0",), 0.0)],
+    [(4.998, (), 2.4), (1.2, (), 1.2), (4.998, ("event=0 force 0",), 0.0)],
 )
 def test_a_recording_brings_to_a_finger_neither_limits_nor_force(
     program_here, start_emulator, tmp_path, comfort_ma, events, most_ma

@@ -106,7 +106,7 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
     start_emulator, stuck_terminal, tmp_path, end
 ):
     keys, terminal = stuck_terminal
-    emulator, port, books = start_emulator(64, "link", "--linger=0.2")
+    emulator, port, books = start_emulator(64, "link", "linger=0.2")
     process = Forked(
         [PROGRAM, "live", "--board", f"link:{port}", *PRESSED, "--json", "run.json"],
         cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=terminal,

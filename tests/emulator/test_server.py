@@ -8,17 +8,9 @@ import pytest
 
 from smarttouch.base.errors import SourceError
 from smarttouch.base.wire.device_lines import PtyLine
-from smarttouch.emulator import sensors
 from smarttouch.emulator.finger_events import DeviceEvent, parse
 from smarttouch.emulator.firmware import Firmware
-from smarttouch.emulator.sensors import (
-    EmulatedLoadCell,
-    SensorArray,
-    SensorFirmware,
-    look_at_page,
-    look_at_pattern,
-    press,
-)
+from smarttouch.emulator.sensors import EmulatedLoadCell, SensorArray, SensorFirmware
 from smarttouch.emulator.server import FAULTS, Server, faults_at
 from smarttouch.sources.sensor_protocol import ArrayFrame, CellReading, MessageStream
 from smarttouch.sources.serial_input import TextReadings
@@ -67,10 +59,10 @@ def parse_fault(text):
     return parse(text, FAULTS, SourceError)
 
 
-def make_server(device=None, line=None, faults=(), count=None, orders=()):
+def make_server(device=None, line=None, faults=(), orders=()):
     line = line or FakeLine()
     wrong = [parse_fault(text) for text in faults]
-    server = Server(device or Counter(100.0), line, wrong, count, FakeOrders(*orders))
+    server = Server(device or Counter(100.0), line, wrong, FakeOrders(*orders))
     return server, line
 
 
@@ -118,12 +110,6 @@ def test_a_host_that_goes_takes_its_half_packet_along():
     assert server.statistics.sent == 1
 
 
-def test_after_the_count_it_is_silent():
-    server, line = make_server(count=3)
-    step(server, *range(0, 100))
-    assert line.taken == b"000;001;002;"
-
-
 def test_faults_of_the_line():
     server, line = make_server(faults=["0.0625 silent 0.0625", "0.25 unplug 0.125"])
     present = []
@@ -138,11 +124,11 @@ def test_faults_of_the_line():
 
 
 def test_orders(capsys):
-    cell = EmulatedLoadCell(press(0.0, None), counts_per_n=1000, zero=0, noise=0)
+    cell = EmulatedLoadCell(0.0, noise=0)
     orders = ("weight 100", "force x", "silent 0.02", "unplug", "dance")
     server, line = make_server(cell, orders=orders)
     step(server, *range(0, 60))
-    assert line.taken == b"HX711 reading: 981\r\n" * server.statistics.sent
+    assert line.taken == b"HX711 reading: 129033\r\n" * server.statistics.sent
     assert server.statistics.sent == 4
     number, unplugged, dance = capsys.readouterr().err.splitlines()
     assert "'x'" in number
@@ -171,15 +157,6 @@ def test_what_is_no_event(text, words):
         parse_fault(text)
 
 
-def test_orders_that_cannot_be():
-    cell = EmulatedLoadCell(press(0.0, None))
-    with raises(SourceError, value="x"):
-        cell.take_order(["force", "x"])
-    server, _ = make_server()
-    with raises(SourceError, names="event", value="unplug"):
-        server._add(DeviceEvent(0, "unplug"))
-
-
 def test_what_is_wrong_at_a_time():
     faults = [DeviceEvent(1, "nan", values=(1,)), DeviceEvent(1.5, "silent")]
     assert faults_at(faults, 0.99) == frozenset()
@@ -189,8 +166,7 @@ def test_what_is_wrong_at_a_time():
 
 
 def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
-    array = SensorArray(sensors.look_at_pattern(8, 8), rate_hz=100.0)
-    cell = EmulatedLoadCell(press(1.0, None), framed=True, rate_hz=100.0)
+    array, cell = SensorArray(100.0), EmulatedLoadCell(1.0, framed=True, rate_hz=100.0)
     for device in (array, cell):
         server, line = make_server(device, faults=["0 garbage 0.05"])
         step(server, *range(0, 50))
@@ -201,7 +177,7 @@ def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
         line.taken = b""
         step(server, 50)
         assert [each.number for each in stream.feed(line.taken)] == [5]
-    text, line = make_server(EmulatedLoadCell(press(1.0, None)), faults=["0 garbage"])
+    text, line = make_server(EmulatedLoadCell(1.0), faults=["0 garbage"])
     step(text, 0)
     assert line.taken.endswith(b"\r\n")
     assert TextReadings().feed(b"\n" + line.taken) == []
@@ -273,21 +249,20 @@ def packet(device, number, time_s, *wrong):
 
 
 def test_an_array_sends_frames():
-    device = SensorArray(look_at_pattern(6, 9), rate_hz=4)
+    device = SensorArray(4)
     stream, messages = MessageStream(), []
     for number in range(5):
         messages += stream.feed(packet(device, number, number / 4))
     frames = [each for each in messages if isinstance(each, ArrayFrame)]
     assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
     assert [frame.time_us for frame in frames] == [0, 250_000, 500_000, 750_000, 1_000_000]
-    assert frames[0].image.shape == (6, 9)
+    assert frames[0].image.shape == (64, 64)
     # 40 pixels a second from right to left.
-    first, later = frames[0].image, look_at_pattern(6, 9)(3 / 40)
-    np.testing.assert_array_equal(first[:, 3:], later[:, :-3])
+    np.testing.assert_array_equal(frames[0].image[:, 10:], frames[1].image[:, :-10])
 
 
 def test_an_array_that_freezes():
-    device = SensorArray(look_at_pattern(8, 8), rate_hz=100)
+    device = SensorArray(100)
     stream = MessageStream()
     (before,) = stream.feed(packet(device, 0, 0))
     (frozen,) = stream.feed(packet(device, 1, 10, "freeze"))
@@ -296,24 +271,13 @@ def test_an_array_that_freezes():
     assert (after.image != frozen.image).any()
 
 
-def test_an_array_reads_a_page_again_and_again(profile):
-    look = look_at_page("text:o", profile, 16, 24)
-    assert look(0.0).shape == look(1000.0).shape == (16, 24)
-    assert max(np.ptp(look(time_s)) for time_s in np.arange(0, 3, 0.02)) > 100
-    allowed = ("page", "text")
-    with raises(SourceError, value="camera:0", allowed=allowed):
-        look_at_page("camera:0", profile, 16, 16)
-
-
 @pytest.mark.parametrize("framed", [False, True])
-def test_a_cell_follows_its_line(tmp_path, framed):
-    record = tmp_path / "force.csv"
-    record.write_text("time_s,force_n\n0,0\n1,2\n")
-    force = press(9.0, record)
-    device = EmulatedLoadCell(force, counts_per_n=1000, zero=-200, noise=0, framed=framed)
+def test_a_cell_follows_its_line(framed):
+    device = EmulatedLoadCell(0.5, noise=0, framed=framed)
 
-    def at(time_s, *wrong):
-        data = packet(device, 0, time_s, *wrong)
+    def at(force_n, *wrong):
+        device.take_order(["force", str(force_n)])
+        data = packet(device, 0, 0.0, *wrong)
         if framed:
             (message,) = MessageStream().feed(data)
             assert isinstance(message, CellReading)
@@ -321,16 +285,15 @@ def test_a_cell_follows_its_line(tmp_path, framed):
         (reading,) = TextReadings().feed(b"\n" + data)
         return None if math.isnan(reading) else reading
 
-    assert [at(0.5), at(1), at(9)] == [800, 1800, -200]
-    assert at(0.5, "freeze") == -200
+    assert [at(0.5), at(1), at(-2)] == [105_000, 130_000, -20_000]
+    assert at(0.5, "freeze") == -20_000
     assert at(0.5, "nan") is None
-    device.take_order(["force", "1e9"])
-    assert at(0) == 2**23 - 1
+    assert at(1e9) == 2**23 - 1
 
 
 def test_a_cells_noise():
-    device = EmulatedLoadCell(press(1.0, None), 1000, 0, noise=50, framed=True)
+    device = EmulatedLoadCell(-1.6, noise=50, framed=True)
     stream = MessageStream()
     readings = [stream.feed(packet(device, 0, 0))[0].reading for _ in range(2000)]
-    assert np.mean(readings) == pytest.approx(1000, abs=5)
+    assert np.mean(readings) == pytest.approx(0, abs=5)
     assert np.std(readings) == pytest.approx(50, rel=0.1)

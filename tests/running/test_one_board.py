@@ -44,7 +44,7 @@ def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path):
         source = st.open_source("text:no?speed_mm_s=25", profile)
         display, kept = st.open_display(url, profile), Kept()
         if url == "emulator:":
-            display.board.driver.process.keep_books(tmp_path)
+            display.board.driver.process.books = tmp_path
         statistics = st.run(
             source, display, mode=mode, scan=scan, balance=balance, seed=1, intensity=1.0,
             listeners=[kept],
