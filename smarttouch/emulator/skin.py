@@ -10,7 +10,7 @@ Currents and voltages are positive cathodic, each electrode against the tissue.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ CAPACITANCE_F = 1.0e-9
 needs about 125 V, what displays of this kind supply."""
 SPREAD = 0.15  # largest relative difference of electrodes of one array. An estimate of ours.
 COMPLIANCE_V = 300.0
+_CONSTANT = (1, 1.0, 1.0)
 _SHARED = (6, 1.3, 0.6)
 _CAPPED = (24, 1.15, 1.0)
 """Steps of a pulse, their growth ratio, and the place in each at which its current fits: the
@@ -59,16 +60,6 @@ class _Steps(NamedTuple):
     admittance: NDArray[np.float64]
 
 
-class _Short(NamedTuple):
-    """A short circuit as K steps, in each of which the node has one voltage, (K, E) and (E,)."""
-
-    to_node: NDArray[np.float64]  # from voltages to those of the node
-    keep: NDArray[np.float64]  # part of an electrode's own voltage that is left
-    lift: NDArray[np.float64]  # what each of the node's adds to it
-    out: NDArray[np.float64]  # charge that leaves by its own voltage
-    back: NDArray[np.float64]  # charge that comes by each of the node's
-
-
 class _Modes(NamedTuple):
     """The shorted circuit as E independent exponentials."""
 
@@ -79,17 +70,12 @@ class _Modes(NamedTuple):
 
 class SkinCircuit:
     """Charge on the E electrodes, updated pulse by pulse. Impedances differ between electrodes by
-    the share ``spread`` at most, drawn by ``seed``."""
+    the share ``spread`` at most, always in the same way."""
 
     def __init__(
-        self,
-        electrodes: int,
-        *,
-        compliance_v: float = COMPLIANCE_V,
-        spread: float = SPREAD,
-        seed: int = 0,
+        self, electrodes: int, *, compliance_v: float = COMPLIANCE_V, spread: float = SPREAD
     ) -> None:
-        differ = np.random.default_rng(seed).uniform(1 - spread, 1 + spread, (3, electrodes))
+        differ = np.random.default_rng(0).uniform(1 - spread, 1 + spread, (3, electrodes))
         self._healthy = differ * np.array([[SERIES_OHM], [PARALLEL_OHM], [CAPACITANCE_F]])
         self.electrodes: int = electrodes
         self.compliance_v: float = compliance_v
@@ -106,9 +92,7 @@ class SkinCircuit:
         self.parallel_ohm: NDArray[np.float64] = parallel * resistance
         self.capacitance_f: NDArray[np.float64] = capacity * capacitance
         self._steps: dict[tuple[float, int], _Steps] = {}
-        self._decay: tuple[float, Any, Any] = (-1.0, None, None)
-        """Of the last pulse: its width, and each electrode's decay and rise in it."""
-        self._shorts: dict[float, _Short] = {}
+        self._shorts: dict[float, tuple[NDArray[np.float64], ...]] = {}
         self._modes: _Modes | None = None
 
     @property
@@ -116,21 +100,13 @@ class SkinCircuit:
         """Charge left on each electrode's capacitance, (E,) µC."""
         return np.asarray(1e6 * self.capacitance_f * self._volts)
 
-    @property
-    def worst_uc(self) -> float:
-        """Largest charge left on an electrode, of either sign."""
-        return float(np.abs(self.residual_uc).max(initial=0))
-
     def pulse(self, current_ua: NDArray[np.float64], width_us: float) -> Delivered:
         """Drive the current (E,) of each electrode's own source for a time. Where that would exceed
         the compliance, less flows; poles that differ in total carry the smaller one."""
         asked_ua = _balance(np.asarray(current_ua, np.float64))
         amps = asked_ua * 1e-6
-        if self._decay[0] != width_us:
-            decay = np.exp(-width_us * 1e-6 / (self.parallel_ohm * self.capacitance_f))
-            self._decay = width_us, decay, self.parallel_ohm * (1 - decay)
-        _, decay, rise_ohm = self._decay
-        end = self._volts * decay + amps * rise_ohm
+        steps = self._steps_of(width_us, *_CONSTANT)
+        end = self._volts * steps.decay[0] + amps * steps.rise_ohm[0]
         drop = amps * self.series_ohm
         # Between its ends the voltage of a constant current is monotonic.
         need = max(np.abs(drop + self._volts).max(), np.abs(drop + end).max())
@@ -216,38 +192,25 @@ class SkinCircuit:
     def _short_in_steps(self, duration_us: float) -> None:
         """Short all electrodes, the node's voltage held in each step such that no charge is lost or
         made."""
-        short = self._short_of(duration_us)
-        node_v = short.to_node @ self._volts
-        self.charge_uc += 1e6 * (node_v @ short.back - short.out * self._volts)
-        self._volts = short.keep * self._volts + node_v @ short.lift
-
-    def _short_of(self, duration_us: float) -> _Short:
-        """Return the steps of a short circuit, added up."""
         # What is left after many of the slowest time constants is nothing.
         duration_us = min(duration_us, _LONGEST_SHORT_US)
-        if duration_us in self._shorts:
-            return self._shorts[duration_us]
-        if len(self._shorts) >= _MOST_WIDTHS:
-            self._shorts.clear()
         series = 1 / self.series_ohm
         rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
         level = series / (rate * self.capacitance_f)
-        share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
-        to_node, lift, back = np.zeros((3, _SHORT_STEPS, self.electrodes))
-        keep, out = np.ones(self.electrodes), np.zeros(self.electrodes)
-        for step, length in enumerate((share * (duration_us * 1e-6 / share.sum())).tolist()):
+        if duration_us not in self._shorts:
+            if len(self._shorts) >= _MOST_WIDTHS:
+                self._shorts.clear()
+            share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
+            length = (share * (duration_us * 1e-6 / share.sum()))[:, None]
             lost = -np.expm1(-rate * length)
-            own = series * lost / rate
-            per_node = series * length * (1 - level) + level * own
-            to_node[step] = (own * keep + (lift @ own) @ to_node) / per_node.sum()
-            out += own * keep
-            back -= own * lift
-            back[step] = per_node
-            keep -= lost * keep
-            lift -= lost * lift
-            lift[step] = lost * level
-        self._shorts[duration_us] = _Short(to_node, keep, lift, out, back)
-        return self._shorts[duration_us]
+            # Charge that leaves by an electrode's own volt, and that comes by the node's.
+            out = series * lost / rate
+            back = series * length * (1 - level) + level * out
+            self._shorts[duration_us] = lost, out, back
+        for lost, out, back in zip(*self._shorts[duration_us], strict=True):
+            node_v = (out @ self._volts) / back.sum()
+            self.charge_uc += 1e6 * (node_v * back - out * self._volts)
+            self._volts = self._volts + lost * (level * node_v - self._volts)
 
     def _find_modes(self) -> _Modes:
         # C dv/dt = -(1/R_s + 1/R_p) v + (1/R_s) v_node, the node at the mean weighted by 1/R_s;

@@ -116,12 +116,12 @@ def test_a_short_circuit_is_solved_exactly():
 def test_charge_of_equal_electrodes_goes_with_their_time_constant():
     skin = SkinCircuit(4, spread=0)
     skin.pulse(np.array([300.0, -100, -100, -100]), 100)
-    before = skin.worst_uc
+    before = np.abs(skin.residual_uc).max()
     parallel = 1 / (1 / SERIES_OHM + 1 / PARALLEL_OHM)
     skin.short(parallel * CAPACITANCE_F * 1e6)
-    assert skin.worst_uc == pytest.approx(before / np.e, rel=1e-3)
+    assert np.abs(skin.residual_uc).max() == pytest.approx(before / np.e, rel=1e-3)
     skin.short(1000)
-    assert skin.worst_uc < 1e-9
+    assert np.abs(skin.residual_uc).max() < 1e-9
 
 
 def test_without_a_leak_what_passed_is_what_is_left():
@@ -171,7 +171,6 @@ def test_electrodes_differ_a_little_and_always_in_the_same_way():
     assert np.abs(skin.series_ohm / SERIES_OHM - 1).max() <= 0.15
     assert np.ptp(skin.series_ohm) > 0.2 * SERIES_OHM
     np.testing.assert_array_equal(skin.series_ohm, SkinCircuit(64).series_ohm)
-    assert (SkinCircuit(64, seed=1).series_ohm != skin.series_ohm).any()
 
 
 PULSES = st.lists(
@@ -213,7 +212,7 @@ def test_one_source_gives_no_more_than_asked(state, source_ua):
 @pytest.mark.parametrize("seed", range(3))
 def test_large_arrays_are_shorted_in_steps(seed, monkeypatch):
     """The charge on electrodes is nearly that of the circuit's modes, and none is lost or made."""
-    exact, stepped = SkinCircuit(20, seed=seed), SkinCircuit(20, seed=seed)
+    exact, stepped = SkinCircuit(20), SkinCircuit(20)
     random = np.random.default_rng(seed)
     for duration_us in random.choice([0, 20, 100, 5000], 40).tolist():
         current_ua = random.normal(0, 1000, 20)
