@@ -25,14 +25,19 @@ from smarttouch.boards.link.protocol import (
 )
 from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, Firmware
-from smarttouch.emulator.link_limits import MAX_CURRENT_UA, Load, SessionLimits
 from smarttouch.emulator.link_packets import (
     BoardSession,
     KernelStore,
     ReceivedSequence,
     decode_lists,
 )
-from smarttouch.emulator.link_rules import BrokenRule, complaint
+from smarttouch.emulator.link_rules import (
+    MAX_CURRENT_UA,
+    BrokenRule,
+    Load,
+    SessionLimits,
+    complaint,
+)
 from smarttouch.emulator.rules_over_time import (
     RAMP_MS,
     LastSecond,
@@ -433,14 +438,6 @@ class LinkFirmware(Firmware):
                 self._room.kernel_bytes, self._room.packet_bytes, self._room.kernels
             )
             + NAME.encode()
-        )  # fmt: skip
-
-    def account(self) -> tuple[int, int, int, int, float, float, float, int]:
-        """Return the counts of delivered and refused packets, as in `BoardReport`."""
-        books = self.books
-        return (
-            books.sequences, books.slots, books.pulses, books.violations, books.max_current_ma,
-            books.max_charge_uc, books.max_net_charge_uc, self._session.old + self._session.foreign,
         )  # fmt: skip
 
     def _report(self) -> bytes:

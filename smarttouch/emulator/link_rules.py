@@ -1,24 +1,14 @@
-"""Rules of the ``link`` board for one sequence, in whole numbers and in the order of the page."""
+"""Rules of the ``link`` board for one sequence, in whole numbers and in the order of the page, with
+the limits of a session, those of the firmware, and loads."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.link.protocol import NOTHING, Output, Rule, WireSequence
-from smarttouch.emulator.link_limits import (
-    BURST_US,
-    FULL,
-    MAX_MEAN_UA,
-    MAX_PULSES_HZ,
-    MAX_RECHARGE_PC,
-    MAX_RECHARGE_UA,
-    MAX_RECHARGE_US,
-    MIN_DISCHARGE_US,
-    Load,
-    SessionLimits,
-)
+from smarttouch.boards.link.protocol import LIMITS, NOTHING, Output, Rule, WireSequence
 from smarttouch.emulator.link_packets import (
     MOST_AMPLITUDE,
     KernelStore,
@@ -26,8 +16,112 @@ from smarttouch.emulator.link_packets import (
     rounded,
 )
 
+MAX_CURRENT_UA = 5000
+MAX_TOTAL_UA = 10_000
+MAX_WIDTH_US = 200
+MAX_CHARGE_PC = 500_000
+MIN_PERIOD_US = 5000
+MAX_SLOTS = 4096
+MIN_DISCHARGE_US = 20
+MAX_DUTY_PERCENT = 80
+MAX_MEAN_UA = 500
+MAX_FELT_UA = 2500
+MAX_PULSES_HZ = 1500
+BURST_US = 40_000
+MIN_RAMP_MS, MAX_RAMP_MS = 500, 10_000
+MAX_SESSION_S, MAX_SESSION_UC = 3600, 1_800_000
+MAX_RECHARGE_UA = 500
+"""Limit of a recharge phase, a tenth of the strongest pulse, as the board has no thresholds."""
+MAX_RECHARGE_US = 20_000
+MAX_RECHARGE_PC = 2_000_000
+FULL = 0xFFFF
+STRENGTH = 4  # multiple of a pulse's share of a full one that its strength is at most
 _BLOCK = 1 << 13
 """Currents judged at a time, which stay in a processor's own cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class SessionLimits:
+    """Limits of a session: the host's, or the board's own where these are stricter."""
+
+    period_us: int
+    total_ua: int
+    width_us: int
+    full_ua: int
+    rounding_ua: int
+    full_us: int
+    ramp_ms: int
+    session_us: int
+    session_pc: int
+    duty_percent: int
+    full_pc: int
+    current_ua: NDArray[np.int64]
+    felt_ua: NDArray[np.int64]
+    charge_pc: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, payload: bytes, electrodes: int, output: Output) -> "SessionLimits | None":
+        """Return the limits in a payload; None if it is invalid."""
+        if len(payload) != LIMITS.size + 8 * electrodes:
+            return None
+        (
+            period, total, width, full, rounding, full_us, ramp, session_s, session_uc, duty,
+            _, usual,
+        ) = LIMITS.unpack_from(payload)  # fmt: skip
+        at = LIMITS.size
+        current = np.frombuffer(payload, "<u2", electrodes, at).astype(np.int64)
+        felt = np.frombuffer(payload, "<u2", electrodes, at + 2 * electrodes).astype(np.int64)
+        charge = np.frombuffer(payload, "<u4", electrodes, at + 4 * electrodes).astype(np.int64)
+        most = MAX_TOTAL_UA if output == "weighted" else MAX_CURRENT_UA
+        return cls(
+            max(period, MIN_PERIOD_US), min(total, most), min(width, MAX_WIDTH_US),
+            min(full, MAX_CURRENT_UA), min(rounding, -(-electrodes // 2) + 1),
+            min(full_us, MAX_WIDTH_US), max(ramp or MAX_RAMP_MS, MIN_RAMP_MS),
+            10**6 * min(session_s, MAX_SESSION_S), 10**6 * min(session_uc, MAX_SESSION_UC),
+            min(duty, MAX_DUTY_PERCENT), min(full, MAX_CURRENT_UA) * min(usual, MAX_WIDTH_US),
+            np.minimum(current, MAX_CURRENT_UA),
+            np.minimum(felt, MAX_FELT_UA), np.minimum(charge, MAX_CHARGE_PC),
+        )  # fmt: skip
+
+    def strength(self, intensity: int, peak_pc: int) -> int:
+        """Return what an intensity amounts to with pulses of such a charge, of `FULL`."""
+        share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
+        return min(FULL, max(share, min(intensity, STRENGTH * share)))
+
+
+@dataclass(eq=False)
+class Load:
+    """What one pass of a sequence brings to each electrode, (E,) int64."""
+
+    felt: NDArray[np.int64]  # pulses that count as felt
+    # charge_pc, net_pc: of either sign, and signed, positive cathodic; with the recharge phase
+    charge_pc: NDArray[np.int64]
+    net_pc: NDArray[np.int64]
+    peak_pc: int = 0  # largest charge of one pulse; 0 if no current flows
+    # busy_us, pulses_us: time of its slots and recharge phase, and of their current
+    busy_us: int = 0
+    pulses_us: int = 0
+
+    @classmethod
+    def none(cls, electrodes: int) -> "Load":
+        return cls(*np.zeros((3, electrodes), np.int64))
+
+    def plus(self, other: "Load") -> "Load":
+        """Return the load of both one after the other."""
+        return Load(
+            self.felt + other.felt, self.charge_pc + other.charge_pc, self.net_pc + other.net_pc,
+            max(self.peak_pc, other.peak_pc), self.busy_us + other.busy_us,
+            self.pulses_us + other.pulses_us,
+        )  # fmt: skip
+
+    def add(
+        self, signed_ua: NDArray[np.int64], width_us: NDArray[np.int64], felt_ua: NDArray[np.int64]
+    ) -> None:
+        """Add slots: currents (S, E) µA and widths (S,) µs."""
+        each = np.abs(signed_ua)
+        self.felt += ((each >= felt_ua) & (each > 0)).sum(axis=0)
+        self.charge_pc += width_us @ each
+        self.net_pc += width_us @ signed_ua
 
 
 class BrokenRule(NamedTuple):
@@ -140,10 +234,10 @@ def _slots(
                 return BrokenRule(Rule.STATES, slot), (0, 0)
             if odd[row]:
                 return BrokenRule(Rule.BALANCE, slot, value=int(odd[row])), (0, 0)
-            found = _above(Rule.CURRENT, slot, each_ua[row], limits.current_ua)
+            found = first_above(Rule.CURRENT, slot, each_ua[row], limits.current_ua)
             if found is None and total > limits.total_ua:
                 found = BrokenRule(Rule.TOTAL, slot, value=total, allowed=limits.total_ua)
-            return found or _above(Rule.CHARGE, slot, charge_pc[row], limits.charge_pc), (0, 0)
+            return found or first_above(Rule.CHARGE, slot, charge_pc[row], limits.charge_pc), (0, 0)
         load.add(signed, width[rows], limits.felt_ua)
         strongest_ua = each_ua.max(axis=1, initial=0)
         peak_ua = max(peak_ua, int(strongest_ua.max(initial=0)))
@@ -208,9 +302,9 @@ def _whole(
         load.net_pc += recharge_pc
     burst_us = min(sequence.period_us, BURST_US)
     charge_pc, felt = before.charge_pc + load.charge_pc, before.felt + load.felt
-    if found := _above(Rule.MEAN, NOTHING, charge_pc, MAX_MEAN_UA * burst_us):
+    if found := first_above(Rule.MEAN, NOTHING, charge_pc, MAX_MEAN_UA * burst_us):
         return found
-    if found := _above(Rule.FELT, NOTHING, felt, MAX_PULSES_HZ * burst_us // 10**6):
+    if found := first_above(Rule.FELT, NOTHING, felt, MAX_PULSES_HZ * burst_us // 10**6):
         return found
     strongest_ua = limits.full_ua + limits.rounding_ua
     if limits.full_us:
@@ -271,7 +365,7 @@ def _recharged(
     if net := int(signed.sum()):
         return BrokenRule(Rule.BALANCE, value=net)
     allowed = np.minimum(min(MAX_RECHARGE_UA, MAX_RECHARGE_PC // width_us), limits.current_ua)
-    if found := _above(Rule.CURRENT, NOTHING, each, allowed):
+    if found := first_above(Rule.CURRENT, NOTHING, each, allowed):
         return found
     if (total := int(each.sum()) // 2) > limits.total_ua:
         return BrokenRule(Rule.TOTAL, value=total, allowed=limits.total_ua)
@@ -280,12 +374,12 @@ def _recharged(
         before_pc = carried_pc + passes * (load.net_pc + phase_pc) + load.net_pc
         after = np.abs(before_pc + phase_pc)
         most_pc = np.maximum(np.abs(before_pc), MAX_RECHARGE_PC)
-        if found := _above(Rule.RECHARGE, NOTHING, after, most_pc):
+        if found := first_above(Rule.RECHARGE, NOTHING, after, most_pc):
             return found
     return None
 
 
-def _above(
+def first_above(
     rule: Rule, slot: int, value: NDArray[np.int64], allowed: NDArray[np.int64] | int
 ) -> BrokenRule | None:
     """Return a rule as broken at the first electrode whose value, (E,), is above the allowed."""

@@ -11,9 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.link.protocol import NOTHING, Rule, WireSequence
-from smarttouch.emulator.link_limits import FULL, MAX_PULSES_HZ, MAX_SLOTS, Load, SessionLimits
 from smarttouch.emulator.link_packets import ReceivedSequence
-from smarttouch.emulator.link_rules import BrokenRule
+from smarttouch.emulator.link_rules import (
+    FULL,
+    MAX_PULSES_HZ,
+    MAX_SLOTS,
+    BrokenRule,
+    Load,
+    SessionLimits,
+    first_above,
+)
 
 BUCKET_US = 50_000
 BUCKETS = 20  # whole buckets before the one at hand: a second, and up to a twentieth of one more
@@ -24,7 +31,6 @@ RAMP_MS = 500  # least time from zero to full
 CATCH_UP_US = 150_000  # time by which a rise may be ahead of that, as packets may be late
 KEPT_US = 15_000_000  # time without current after which a level is closed
 _LEEWAY = 2  # of an intensity in 1/65,535, for its rounding
-_I32_MAX = 2**31 - 1
 
 
 class LastSecond:
@@ -106,13 +112,8 @@ class LastSecond:
         if session_us > limits.session_us:
             seconds, allowed = -(-session_us // 10**6), limits.session_us // 10**6
             return BrokenRule(Rule.SESSION_TIME, value=seconds, allowed=allowed)
-        session_pc = self.session_pc + times * load.charge_pc
-        over = np.flatnonzero(session_pc > limits.session_pc)
-        if len(over):
-            electrode = int(over[0])
-            value, most = -(-int(session_pc[electrode]) // 10**6), limits.session_pc // 10**6
-            return BrokenRule(Rule.SESSION_CHARGE, NOTHING, electrode, value, most)
-        return None
+        session_uc = -(-(self.session_pc + times * load.charge_pc) // 10**6)
+        return first_above(Rule.SESSION_CHARGE, NOTHING, session_uc, limits.session_pc // 10**6)
 
     def _second(
         self, start_us: int, period_us: int, passes: range, load: Load
@@ -132,11 +133,8 @@ class LastSecond:
             (Rule.CHARGE_IN_SECOND, charge, MOST_CHARGE_PC),
             (Rule.NET_IN_SECOND, net, MOST_NET_PC),
         ):
-            over = np.flatnonzero(most > allowed)
-            if len(over):
-                electrode = int(over[0])
-                value = min(int(most[electrode]), _I32_MAX)
-                return BrokenRule(rule, NOTHING, electrode, value, allowed)
+            if found := first_above(rule, NOTHING, most, allowed):
+                return found
         return None
 
 

@@ -16,8 +16,7 @@ from smarttouch.boards.probe_scans import probe_sequences
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
-from smarttouch.emulator.link_limits import Load
-from smarttouch.emulator.link_rules import BrokenRule
+from smarttouch.emulator.link_rules import BrokenRule, Load
 from smarttouch.profile.device import Output
 from smarttouch.testing.driver_contract import DriverContract
 from smarttouch.testing.pulses import SentPulse, planned_pulses
