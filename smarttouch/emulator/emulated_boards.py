@@ -215,16 +215,15 @@ def open_emulator(
 
 
 class EmulatorProcess:
-    """Process that emulates a ``link`` board as long as it is open; ``books`` is the existing
-    folder of its delivery log, from its next start on."""
+    """Process that emulates a ``link`` board as long as it is open."""
 
     def __init__(
         self, electrodes: int, kind: str, books: Path | None, events: Sequence[str]
     ) -> None:
-        self.books = books
         ramp_ms = rules_over_time.RAMP_MS
         self._url = f"link?electrodes={electrodes}&output={kind}&linger=0.2&ramp_ms={ramp_ms}"
         self._url += "".join(f"&event={quote(event)}" for event in events)
+        self._url += "" if books is None else f"&books={quote(str(books))}"
         self._process: subprocess.Popen[bytes] | None = None
         self._port = ""
 
@@ -243,8 +242,7 @@ class EmulatorProcess:
             if self.has_ended:
                 raise BoardError("the emulator's process has ended")
             return self._port
-        url = self._url if self.books is None else f"{self._url}&books={quote(str(self.books))}"
-        command = [sys.executable, "-m", "smarttouch.emulator", url]
+        command = [sys.executable, "-m", "smarttouch.emulator", self._url]
         # A session of its own: the terminal's Ctrl-C must not reach the board.
         process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
         self._process = process

@@ -168,19 +168,6 @@ def _records(folder: Path, recharges: bool) -> NDArray[Any]:
     return np.asarray(records[(records["slot"] == _RECHARGE) == recharges])
 
 
-def read_delivered(
-    folder: Path,
-) -> tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]:
-    """Return every pulse an emulator delivered: sequence number (N,), width (N,) µs and current (N,
-    E) int16 µA, positive cathodic and clipped."""
-    table = read_slots(folder)
-    limit = np.iinfo(np.int16)
-    current = np.clip(table["current_ua"], limit.min, limit.max).astype(np.int16)
-    peak_pc = 1e6 * np.abs(table["charge_uc"]).max(axis=1, initial=0)
-    peak_ua = np.abs(table["current_ua"]).max(axis=1, initial=0)
-    return table["number"], (peak_pc / np.maximum(peak_ua, 1)).astype(np.float32), current
-
-
 @cache
 def _record(electrodes: int) -> np.dtype[np.void]:
     each = (electrodes,)

@@ -1,19 +1,14 @@
 """The picture of a run: what was delivered, and what a simulated finger makes of it."""
 
-import contextlib
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from smarttouch.base.errors import DesignError, SmartTouchError
-from smarttouch.emulator.emulated_boards import EmulatorProcess, SimulatedDriver
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 
 if TYPE_CHECKING:
-    from smarttouch.emulator.emulated_boards import Pulses
     from smarttouch.physiology.finger import Finger
     from smarttouch.profile import Profile
     from smarttouch.views.delivered_drawing import DeliveredDrawing
@@ -22,7 +17,7 @@ if TYPE_CHECKING:
 class DeliveredPicture(Listener):
     """Draws what was delivered, and the response of a finger, below what the finger passed over.
 
-    The board must report every pulse: ``emulator:`` or ``simulated:``. Where no finger can be made
+    The board must report every pulse: ``simulated:``. Where no finger can be made
     of a profile, a note says so, and what was delivered is drawn alone.
     """
 
@@ -30,9 +25,8 @@ class DeliveredPicture(Listener):
         super().__init__()
         self.path = path
         self._seed, self._anatomy = finger, anatomy
-        self._open = contextlib.ExitStack()
         self._drawing: DeliveredDrawing | None = None
-        self._pulses: Callable[[], Pulses] | None = None
+        self._driver: SimulatedDriver | None = None
 
     def prepare(self, run: RunContext) -> None:
         """Begin the picture, and make the board log its pulses."""
@@ -41,21 +35,12 @@ class DeliveredPicture(Listener):
         if self.path.suffix.lower() not in ("", ".png"):
             raise SmartTouchError(f"{self.path} cannot be drawn: name a .png")
         load_anatomy(self._anatomy)
-        driver = run.board.driver
-        process = getattr(driver, "process", None)
-        if isinstance(process, EmulatorProcess):
-            from smarttouch.emulator.firmware import read_delivered
-
-            folder = Path(self._open.enter_context(TemporaryDirectory(prefix="smarttouch-")))
-            process.books = folder
-            self._pulses = partial(read_delivered, folder)
-        elif isinstance(driver, SimulatedDriver):
-            self._pulses = driver.take_pulses
-        else:
+        if not isinstance(run.board.driver, SimulatedDriver):
             raise SmartTouchError(
                 "this picture needs a board that reports every pulse, and this one "
                 "does not: use the board simulated:"
             )
+        self._driver = run.board.driver
         own = getattr(run.source, "drawing", None)
         if own is not None:
             self._drawing = own(run.profile, run.bank)
@@ -74,8 +59,8 @@ class DeliveredPicture(Listener):
     def finish(self, run: RunContext) -> None:
         """Draw the delivered pulses."""
         assert self._drawing is not None
-        assert self._pulses is not None
-        self._drawing.deliver(*self._pulses(), self._finger(run.profile))
+        assert self._driver is not None
+        self._drawing.deliver(*self._driver.take_pulses(), self._finger(run.profile))
         self._drawing.save(self.path)
 
     def _finger(self, profile: "Profile") -> "Finger | None":
@@ -88,7 +73,3 @@ class DeliveredPicture(Listener):
             self.notes.append(f"the picture shows what was delivered, and no finger: {error}")
             return None
         return finger
-
-    def close(self) -> None:
-        """Remove the log."""
-        self._open.close()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smarttouch.emulator.firmware import DeliveryLog, read_delivered, read_slots, read_state
+from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
 from smarttouch.emulator.skin import Delivered
 
 
@@ -26,10 +26,6 @@ def test_what_is_read_is_what_was_entered(tmp_path):
     assert slots["current_ua"].tolist() == [[300, -100, -200], [40_000, -20_000, -20_000]]
     np.testing.assert_allclose(slots["volts"][0], [6, -2, -4], rtol=0.01)
     np.testing.assert_allclose(slots["residual_uc"][0], -0.001, rtol=0.001)
-    numbers, width_us, current = read_delivered(tmp_path)
-    assert (numbers.tolist(), current.dtype) == ([7, 7], np.int16)
-    np.testing.assert_allclose(width_us, 100, rtol=0.002)
-    assert current.tolist() == [[300, -100, -200], [32_767, -20_000, -20_000]]
     state = read_state(tmp_path)
     assert (state["slots"], state["pulses"], state["unsafe"]) == (2, 6, 1)
     assert state["max_volts"] == pytest.approx(1200)

@@ -5,7 +5,7 @@ import pytest
 
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import Feature, MessageKind, Refusal, Rule
-from smarttouch.emulator.firmware import DeliveryLog, read_delivered, read_recharges, read_slots
+from smarttouch.emulator.firmware import DeliveryLog, read_recharges, read_slots
 from smarttouch.emulator.skin import Delivered
 
 from .rig import LinkRig
@@ -50,9 +50,8 @@ def test_it_takes_back_what_the_slots_have_passed(tmp_path):
     (phase,) = read_recharges(tmp_path)
     assert (phase["number"], phase["time_us"]) == (1, 300)
     assert phase["current_ua"].tolist() == BACK
-    # What is felt is made of slots alone.
-    assert read_slots(tmp_path)["slot"].tolist() == [0, 1]
-    assert read_delivered(tmp_path)[2].tolist() == SLOTS
+    slots = read_slots(tmp_path)
+    assert (slots["slot"].tolist(), slots["current_ua"].tolist()) == ([0, 1], SLOTS)
 
 
 @pytest.mark.parametrize(("at_ms", "share"), [(0.2, 0), (0.3, 0), (0.55, 0.25), (1.3, 1), (9, 1)])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.emulator.firmware import read_delivered, read_state
+from smarttouch.emulator.firmware import read_slots, read_state
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
@@ -40,11 +40,9 @@ class Kept(st.Listener):
 ])  # fmt: skip
 def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path):
     profile, found = st.load_profile(name), {}
-    for url in ("simulated:", "emulator:"):
+    for url, options in (("simulated:", {}), ("emulator:", {"books": tmp_path})):
         source = st.open_source("text:no?speed_mm_s=25", profile)
-        display, kept = st.open_display(url, profile), Kept()
-        if url == "emulator:":
-            display.board.driver.process.books = tmp_path
+        display, kept = st.open_display(url, profile, **options), Kept()
         statistics = st.run(
             source, display, mode=mode, scan=scan, balance=balance, seed=1, intensity=1.0,
             listeners=[kept],
@@ -58,11 +56,13 @@ def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path):
     assert set(kept.volts) >= set(its.volts)
     assert [kept.volts[time_ns] for time_ns in its.volts] == list(its.volts.values())
     assert len(its.volts) > 10
-    (number, width_us, current_ua), delivered = board.driver.take_pulses(), read_delivered(tmp_path)
+    (number, width_us, current_ua), slots = board.driver.take_pulses(), read_slots(tmp_path)
     assert len(number) > 50
-    np.testing.assert_array_equal(number, delivered[0])
-    np.testing.assert_allclose(width_us, delivered[1], rtol=1e-6)
-    np.testing.assert_array_equal(current_ua, delivered[2])
+    np.testing.assert_array_equal(number, slots["number"])
+    np.testing.assert_array_equal(current_ua, slots["current_ua"])
+    peak_ua = np.abs(current_ua.astype(int)).max(axis=1)
+    peak_uc = np.abs(slots["charge_uc"]).max(axis=1)
+    np.testing.assert_allclose(width_us, 1e6 * peak_uc / peak_ua, rtol=1e-6)
     books, state = vars(board.driver._firmware.books), read_state(tmp_path)
     assert {name: state[name] for name in BOOKS} == {
         name: pytest.approx(books[name]) for name in BOOKS
