@@ -11,7 +11,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import SmartTouchError, SourceError, not_offered, require_within
+from smarttouch.base.errors import SmartTouchError, not_offered, require_within
 from smarttouch.base.url_options import options_of, read_options
 from smarttouch.base.wire.device_lines import PtyLine, TcpLine
 from smarttouch.boards.link.protocol import OUTPUTS
@@ -119,7 +119,7 @@ def emulate_sensor(
     rate_hz = SENSORS[name] if rate is None else rate
     require_within(SmartTouchError, "rate", rate_hz, 0.01, 2000.0)
     require_within(SmartTouchError, "force", force, -_LARGEST_N, _LARGEST_N)
-    faults = [parse(text, FAULTS, SourceError) for text in event]
+    faults = [parse(text, FAULTS) for text in event]
     kinds = {fault.kind for fault in faults}
     if name == "serial-array" and "nan" in kinds:
         raise SmartTouchError("a pixel is always a number: event nan is for load cells")

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.base.errors import BoardError, SmartTouchError
+from smarttouch.base.errors import BoardError
 from smarttouch.emulator.skin import SkinCircuit
 
 
@@ -35,36 +35,27 @@ class DeviceEvent:
     values: tuple[float, ...] = ()
 
 
-def parse(text: str, forms: Mapping[str, str], error: type[SmartTouchError]) -> DeviceEvent:
+def parse(text: str, forms: Mapping[str, str]) -> DeviceEvent:
     """Return the event of a text. ``forms`` maps each kind to the names of its numbers:
-    ``ELECTRODE`` comes first, one in brackets may be left out. Where the text cannot be understood,
-    ``error`` is raised."""
+    ``ELECTRODE`` comes first, one in brackets may be left out."""
     words = text.split()
-    kind = next((each for each in forms if words[1:2] == [each]), None)
-    if kind is None:
-        what = f" is none: write a time in s and one of {', '.join(forms)}"
-        raise bad_event(error, text, what)
-    form = f"TIME {kind} {forms[kind]}".strip()
+    kind = "".join(words[1:2])
+    if kind not in forms:
+        known = ", ".join(forms)
+        raise BoardError(f"event {text!r} is unknown: write a time in s and one of {known}")
+    names, words = ["TIME", *forms[kind].split()], [words[0], *words[2:]]
+    if len(words) < len(names):
+        names = [name for name in names if not name.startswith("[")]
     try:
-        electrode = int(words.pop(2)) if "ELECTRODE" in form else 0
-        time_s, *values = (float(word) for word in (words[0], *words[2:]))
-    except (IndexError, ValueError):
-        what = f" has no number where one belongs: write {form}"
-        raise bad_event(error, text, what) from None
-    names = [name for name in forms[kind].split() if name != "ELECTRODE"]
-    if not len(names) - form.count("[") <= len(values) <= len(names):
-        what = f" has {len(values)} values after its name: write {form}"
-        raise bad_event(error, text, what)
-    if not all(0 <= value < math.inf for value in (time_s, *values)) or electrode < 0:
-        what = " has a number that is negative or not finite"
-        raise bad_event(error, text, what)
-    return DeviceEvent(time_s, kind, electrode, tuple(values))
-
-
-def bad_event(error: type[SmartTouchError], text: str, what: str) -> SmartTouchError:
-    """Return the error of an event's text."""
-    message = f"event {text!r}{what}"
-    return error(message)
+        pairs = zip(names, words, strict=True)
+        numbers = [int(word) if name == "ELECTRODE" else float(word) for name, word in pairs]
+    except ValueError:
+        form = f"TIME {kind} {forms[kind]}".strip()
+        raise BoardError(f"event {text!r} has another form: write {form}") from None
+    if not all(0 <= number < math.inf for number in numbers):
+        raise BoardError(f"event {text!r} has a number that is negative or not finite")
+    electrode = int(numbers.pop(1)) if "ELECTRODE" in names else 0
+    return DeviceEvent(numbers[0], kind, electrode, tuple(numbers[1:]))
 
 
 FORCE_N = 1.0  # default force: a firm reading pressure, which does not reduce the current
@@ -102,12 +93,11 @@ class _Drift:
 
 
 def parse_event(text: str) -> DeviceEvent:
-    event = parse(text, FORMS, BoardError)
-    kind, values = event.kind, event.values
-    if (kind == "drift" and values[0] == 0) or (kind == "peel" and not 0 < values[0] <= 1):
-        limit = "above 0" if kind == "drift" else "above 0 and at most 1"
-        what = f": {values[0]:g} is out of range, it must be {limit}"
-        raise bad_event(BoardError, text, what)
+    event = parse(text, FORMS)
+    most = {"drift": math.inf, "peel": 1.0}.get(event.kind)
+    if most is not None and not 0 < event.values[0] <= most:
+        limit = "above 0" if most == math.inf else f"above 0 and at most {most:g}"
+        raise BoardError(f"event {text!r}: {event.values[0]:g} is out of range, it must be {limit}")
     return event
 
 
@@ -141,11 +131,8 @@ class EmulatedFinger:
 
     def opens_switch(self, now_s: float) -> bool:
         """Return whether the emergency switch is open at a time."""
-        opened = False
-        for time_s, is_open in self._switched:
-            if time_s <= now_s:
-                opened = is_open
-        return opened
+        before = [is_open for time_s, is_open in self._switched if time_s <= now_s]
+        return bool(before) and before[-1]
 
     def at(self, now_s: float, skin: SkinCircuit) -> None:
         """Apply all events to the skin that are due; times must not decrease."""

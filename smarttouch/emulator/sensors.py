@@ -6,7 +6,7 @@ from abc import abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import SourceError
+from smarttouch.base.errors import BoardError
 from smarttouch.emulator.firmware import DeviceClock, Firmware
 from smarttouch.sources.sensor_protocol import encode_force, encode_frame
 
@@ -114,4 +114,4 @@ def _number(word: str) -> float:
     try:
         return float(np.nan_to_num(float(word)))
     except ValueError:
-        raise SourceError(f"{word!r} is no number") from None
+        raise BoardError(f"{word!r} is not a number") from None

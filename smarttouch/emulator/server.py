@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import FrameType
 
-from smarttouch.base.errors import SourceError
+from smarttouch.base.errors import BoardError
 from smarttouch.base.wire.device_lines import PtyLine, TcpLine
 from smarttouch.emulator.finger_events import DeviceEvent, parse
 from smarttouch.emulator.firmware import DeviceClock, Firmware
@@ -180,14 +180,14 @@ class Server:
                 try:
                     if not self._firmware.take_order(line.split()):
                         self._faults.append(self._fault(f"{time_s:.6f} {line}"))
-                except SourceError as error:
+                except BoardError as error:
                     print(error, file=sys.stderr, flush=True)
         return frozenset() if self._first_host_ns is None else faults_at(self._faults, time_s)
 
     def _fault(self, order: str) -> DeviceEvent:
-        fault = parse(order, FAULTS, SourceError)
+        fault = parse(order, FAULTS)
         if fault.kind == "unplug" and not self._line.keeps_name:
-            raise SourceError("the port's name would change: start it with the event '0 unplug 0'")
+            raise BoardError("the port's name would change: start it with the event '0 unplug 0'")
         return fault
 
     def _write_books(self) -> None:

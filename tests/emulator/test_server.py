@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smarttouch.base.errors import SourceError
+from smarttouch.base.errors import BoardError
 from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.emulator.finger_events import DeviceEvent, parse
 from smarttouch.emulator.firmware import Firmware
@@ -56,7 +56,7 @@ class Counter(SensorFirmware):
 
 
 def parse_fault(text):
-    return parse(text, FAULTS, SourceError)
+    return parse(text, FAULTS)
 
 
 def make_server(device=None, line=None, faults=(), orders=()):
@@ -147,13 +147,13 @@ def test_events(text, fault):
 
 
 @pytest.mark.parametrize(("text", "words"), [
-    *((text, "is none") for text in ("", "2", "nan", "2 dance")),
-    *((text, "has no number") for text in ("x nan", "2 nan x")),
+    *((text, "is unknown") for text in ("", "2", "nan", "2 dance")),
+    *((text, "write TIME nan [SECONDS]") for text in ("x nan", "2 nan x")),
     *((text, "negative or not finite") for text in ("-1 nan", "inf nan", "2 nan -1", "2 nan inf")),
-    ("2 nan 1 1", "has 2 values"),
+    ("2 nan 1 1", "write TIME nan [SECONDS]"),
 ])  # fmt: skip
 def test_what_is_no_event(text, words):
-    with raises(SourceError, names="event", value=(text, words)):
+    with raises(BoardError, names="event", value=(text, words)):
         parse_fault(text)
 
 
