@@ -202,7 +202,7 @@ class LinkFirmware(Firmware):
     def _end_ns(self, table: SequenceAtHand) -> int:
         """Return when the pass at hand is over: with its slots, if the next part waits."""
         waiting = self._waiting
-        if waiting is None or not waiting.goes_on:
+        if waiting is None or not waiting.sequence.goes_on:
             return table.end_ns
         return max(table.over_ns, waiting.came_ns)
 
@@ -216,7 +216,7 @@ class LinkFirmware(Firmware):
         if table.left and self._waiting is None:
             self._begin_pass(table, table.end_ns)
             return
-        self.books.sequences += not table.more
+        self.books.sequences += not table.sequence.more
         self._scan_end_ns = table.end_ns
         self._running, waiting = None, self._waiting
         self._waiting = None
@@ -227,8 +227,8 @@ class LinkFirmware(Firmware):
 
     def _begin_pass(self, table: SequenceAtHand, start_ns: int) -> None:
         table.begin(start_ns, self._scan_end_ns)
-        period_us = table.sequence.period_us
-        self._second.begin(start_ns // 1000, period_us, table.load, table.goes_on)
+        sequence = table.sequence
+        self._second.begin(start_ns // 1000, sequence.period_us, table.load, sequence.goes_on)
 
     def _begin(self, table: SequenceAtHand, start_ns: int) -> None:
         self._begin_pass(table, start_ns)
@@ -358,31 +358,31 @@ class LinkFirmware(Firmware):
     def _judged(self, number: int, payload: bytes, now_ns: int) -> SequenceAtHand | None:
         """Return what a payload asks for, or refuse it."""
         try:
-            lists = decode_lists(payload, self._electrodes, self._output != "weighted")
+            sequence = decode_lists(payload, self._electrodes, self._output != "weighted")
         except ValueError:
             self._refuse(number, Refusal.MALFORMED)
             return None
-        sequence, load = lists.sequence, None
-        start_ns = self._start_ns(lists.goes_on, now_ns)
+        load: Load | None = None
+        start_ns = self._start_ns(sequence.goes_on, now_ns)
         # Time that stood still with this process has passed on the skin.
         rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
         if self._limits is None:
             found: BrokenRule | None = BrokenRule(Rule.LIMITS)
-        elif lists.goes_on and (self._scan is None or not self._scan.goes_on_in(lists)):
+        elif sequence.goes_on and (self._scan is None or not self._scan.goes_on_in(sequence)):
             found = BrokenRule(Rule.PART)
         else:
-            scan = self._scan_of(lists, rise_us)
+            scan = self._scan_of(sequence, rise_us)
             found, load = complaint(
-                lists, self._limits, self._keep, self._output, self._second.net_pc, scan.load,
+                sequence, self._limits, self._keep, self._output, self._second.net_pc, scan.load,
                 self._room.slots,
             )  # fmt: skip
             allowed = scan.rise.allowed(scan.rise_us)
             peak_pc = max(scan.load.peak_pc, load.peak_pc)
-            strength = self._limits.strength(lists.intensity, peak_pc)
+            strength = self._limits.strength(sequence.intensity, peak_pc)
             if found is None and strength > allowed:
                 found = BrokenRule(Rule.RISE, value=strength, allowed=allowed)
             found = found or self._second.complaint(
-                start_ns // 1000, lists, load if lists.slots else None, self._limits
+                start_ns // 1000, sequence, load if sequence.slots else None, self._limits
             )
         if found is not None:
             self._say(MessageKind.NAK, number, protocol.NAK.pack(Refusal.UNSAFE, *found))
@@ -390,11 +390,10 @@ class LinkFirmware(Firmware):
         assert load is not None
         span_us = sequence.times * sequence.period_us if peak_pc else 0
         self._scan, self._ramp = scan, copy(scan.rise)
-        scan.load, scan.more = scan.load.plus(load), lists.more
-        self._ramp.note(lists.intensity, strength, scan.rise_us, span_us)
-        flowing = load if lists.slots else None
-        times, parts = sequence.times, (lists.more, lists.goes_on)
-        return SequenceAtHand(number, sequence, flowing, times, *parts, came_ns=now_ns)
+        scan.load, scan.last = scan.load.plus(load), sequence
+        self._ramp.note(sequence.intensity, strength, scan.rise_us, span_us)
+        flowing = load if sequence.slots else None
+        return SequenceAtHand(number, sequence, flowing, sequence.times, came_ns=now_ns)
 
     def _start_ns(self, goes_on: bool, now_ns: int) -> int:
         """Return when a sequence would begin: after the pass at hand; a further part of a scan
@@ -404,12 +403,11 @@ class LinkFirmware(Firmware):
             return now_ns
         return max(now_ns, running.over_ns if goes_on else running.end_ns)
 
-    def _scan_of(self, lists: ReceivedSequence, rise_us: int) -> ScanSoFar:
+    def _scan_of(self, sequence: ReceivedSequence, rise_us: int) -> ScanSoFar:
         """Return what the parts before a sequence amount to; of most there are none."""
-        if lists.goes_on and self._scan is not None:
+        if sequence.goes_on and self._scan is not None:
             return self._scan
-        period_us, nothing = lists.sequence.period_us, Load.none(self._electrodes)
-        return ScanSoFar(period_us, lists.intensity, rise_us, copy(self._ramp), nothing)
+        return ScanSoFar(sequence, rise_us, copy(self._ramp), Load.none(self._electrodes))
 
     def _acknowledge(self) -> None:
         """Report that the last sequence has begun, and when."""

@@ -24,7 +24,6 @@ from smarttouch.boards.link.protocol import (
     MessageKind,
     Refusal,
     Rule,
-    WireSequence,
     decode_head,
     draw_half,
     encode,
@@ -152,28 +151,38 @@ MOST_AMPLITUDE = 0xFFFF  # largest sum of a slot's amplitudes
 
 
 @dataclass(frozen=True, eq=False)
-class SlotGroup:
-    """Slots of one kind and one pulse shape."""
-
-    kind: int  # 0 points, 1 one sum, 2 currents, 3 states
-    slots: int
-    kernel: NDArray[np.int64]  # (N,) of points and sums
-    amplitude: NDArray[np.int64]  # (N,)
-
-
-@dataclass(frozen=True, eq=False)
 class ReceivedSequence:
-    """Sequence as received, before kernels are looked up."""
+    """Sequence of S slots as received, with P pairs of a kernel and its amplitude.
 
+    ``current_ua``, (S, E) int16 and positive cathodic, is of weighted boards, and zero in slots of
+    kernels until these are looked up. ``state``, (S, E) int8 (1 cathode, −1 anode, 0 insulated, 2
+    not a state), and ``source_ua``, (S,) uint16, are of switched ones. ``recharge_ua`` is (E,)
+    int16, None without a recharge phase.
+    """
+
+    electrodes: int
+    period_us: int
+    times: int
     intensity: int
-    groups: list[SlotGroup]
-    sequence: WireSequence  # currents of points and sums are zero until kernels are looked up
-    more: bool = False  # whether the scan goes on in the next sequence
-    goes_on: bool = False  # whether it is a further part of the scan before it
+    measure: bool
+    more: bool  # whether the scan goes on in the next sequence
+    goes_on: bool  # whether it is a further part of the scan before it
+    kind: NDArray[np.int64]  # (S,): 0 a point, 1 one sum, 2 currents, 3 states
+    pairs: NDArray[np.int64]  # (K,): number of pairs of each slot of kernels
+    kernel: NDArray[np.int64]  # (P,)
+    amplitude: NDArray[np.int64]  # (P,)
+    width_us: NDArray[np.uint16]
+    discharge_us: NDArray[np.uint16]
+    site: NDArray[np.uint16]
+    current_ua: NDArray[np.int16] | None
+    source_ua: NDArray[np.uint16] | None
+    state: NDArray[np.int8] | None
+    recharge_ua: NDArray[np.int16] | None = None
+    recharge_us: int = 0
 
     @property
     def slots(self) -> int:
-        return len(self.sequence.width_us)
+        return len(self.width_us)
 
 
 def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSequence:
@@ -192,10 +201,13 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
         recharge_us = int.from_bytes(_part(payload, at, at + 2), "little")
         recharge = np.frombuffer(_part(payload, at + 2, at + 2 + 2 * electrodes), "<i2")
         at += 2 + 2 * electrodes
-    groups, shape = [], []
-    site, current, source, state = [], [], [], []
-    packed = -(-electrodes // 4)
+    kinds: list[int] = []
+    shape: list[int] = []
+    pairs: list[int] = []
     nothing = np.empty(0, np.int64)
+    kernel, amplitude, site, source = [nothing], [nothing], [nothing], [nothing]
+    current, state = [np.empty((0, electrodes), np.int16)], [np.empty((0, electrodes), np.int8)]
+    packed = -(-electrodes // 4)
     while at < len(payload):
         kind, index, number = _GROUP.unpack(_part(payload, at, at + _GROUP.size))
         at += _GROUP.size
@@ -204,32 +216,30 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
         row = (4, 4, 2 + 2 * electrodes, 4 + packed)[kind]
         body = np.frombuffer(_part(payload, at, at + row * number), np.uint8).reshape(number, row)
         at += row * number
-        slots, kernel, amplitude = 1 if kind == 1 else number, nothing, nothing
-        empty = np.zeros((slots, electrodes), np.int16)
+        slots = 1 if kind == 1 else number
         if kind < 2:
-            kernel, amplitude = _u16(body[:, :2]), _u16(body[:, 2:])
-            site.append(np.zeros(slots, np.int64))
-        else:
-            site.append(_u16(body[:, :2]))
+            kernel.append(_u16(body[:, :2]))
+            amplitude.append(_u16(body[:, 2:]))
+            pairs += [number] if kind else [1] * number
+        site.append(_u16(body[:, :2]) if kind > 1 else np.zeros(slots, np.int64))
+        empty = np.zeros((slots, electrodes), np.int8)
         current.append(np.ascontiguousarray(body[:, 2:]).view("<i2") if kind == 2 else empty)
         source.append(_u16(body[:, 2:4]) if kind == 3 else np.zeros(slots, np.int64))
         state.append(unpack_states(body[:, 4:], electrodes) if kind == 3 else empty)
-        groups.append(SlotGroup(kind, slots, kernel, amplitude))
+        kinds += [kind] * slots
         shape += [index] * slots
-    if not groups and (more or goes_on):
+    if not kinds and (more or goes_on):
         raise ValueError("a part without slots")
-    if not groups:
-        current, state = [np.zeros((0, electrodes), np.int16)], [np.zeros((0, electrodes))]
-        site = source = [nothing]
-    sequence = WireSequence(
-        period_us, times, bool(flags & 1), electrodes,
-        shapes[shape, 0], shapes[shape, 1], np.concatenate(site).astype(np.uint16),
+    return ReceivedSequence(
+        electrodes, period_us, times, intensity, bool(flags & 1), more, goes_on,
+        np.array(kinds, np.int64), np.array(pairs, np.int64), np.concatenate(kernel),
+        np.concatenate(amplitude), shapes[shape, 0], shapes[shape, 1],
+        np.concatenate(site).astype(np.uint16),
         None if switched else np.concatenate(current),
         np.concatenate(source).astype(np.uint16) if switched else None,
-        np.concatenate(state).astype(np.int8) if switched else None,
+        np.concatenate(state) if switched else None,
         recharge, recharge_us,
     )  # fmt: skip
-    return ReceivedSequence(intensity, groups, sequence, more, goes_on)
 
 
 def _part(payload: bytes, start: int, end: int) -> bytes:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.link.protocol import LIMITS, NOTHING, Output, Rule, WireSequence
+from smarttouch.boards.link.protocol import LIMITS, NOTHING, Output, Rule
 from smarttouch.emulator.link_packets import (
     MOST_AMPLITUDE,
     KernelStore,
@@ -97,7 +97,8 @@ class Load:
     # charge_pc, net_pc: of either sign, and signed, positive cathodic; with the recharge phase
     charge_pc: NDArray[np.int64]
     net_pc: NDArray[np.int64]
-    peak_pc: int = 0  # largest charge of one pulse; 0 if no current flows
+    peak_ua: int = 0  # strongest current, and largest charge of one pulse; 0 if no current flows
+    peak_pc: int = 0
     # busy_us, pulses_us: time of its slots and recharge phase, and of their current
     busy_us: int = 0
     pulses_us: int = 0
@@ -110,8 +111,8 @@ class Load:
         """Return the load of both one after the other."""
         return Load(
             self.felt + other.felt, self.charge_pc + other.charge_pc, self.net_pc + other.net_pc,
-            max(self.peak_pc, other.peak_pc), self.busy_us + other.busy_us,
-            self.pulses_us + other.pulses_us,
+            max(self.peak_ua, other.peak_ua), max(self.peak_pc, other.peak_pc),
+            self.busy_us + other.busy_us, self.pulses_us + other.pulses_us,
         )  # fmt: skip
 
     def add(
@@ -122,6 +123,9 @@ class Load:
         self.felt += ((each >= felt_ua) & (each > 0)).sum(axis=0)
         self.charge_pc += width_us @ each
         self.net_pc += width_us @ signed_ua
+        strongest_ua = each.max(axis=1, initial=0)
+        self.peak_ua = max(self.peak_ua, int(strongest_ua.max(initial=0)))
+        self.peak_pc = max(self.peak_pc, int((strongest_ua * width_us).max(initial=0)))
 
 
 class BrokenRule(NamedTuple):
@@ -135,7 +139,7 @@ class BrokenRule(NamedTuple):
 
 
 def complaint(
-    lists: ReceivedSequence,
+    sequence: ReceivedSequence,
     limits: SessionLimits,
     keep: KernelStore,
     output: Output,
@@ -148,34 +152,27 @@ def complaint(
     ``carried_pc``, (E,) int64, is the net charge of the session so far, positive cathodic;
     ``before`` the load of the parts of the same scan before this one.
     """
-    sequence = lists.sequence
     load = Load.none(sequence.electrodes)
-    width = sequence.width_us.astype(np.int64)
-    if lists.slots > most_slots:
-        return BrokenRule(Rule.SLOTS, value=lists.slots, allowed=most_slots), load
-    if found := _times(lists, limits, width, load, before):
-        return found, load
-    found, peaks = _slots(lists, limits, keep, output, width, load)
-    if found:
-        return found, load
-    load.peak_pc = peaks[1]
-    return _whole(lists, limits, load, peaks, carried_pc, before), load
+    if sequence.slots > most_slots:
+        return BrokenRule(Rule.SLOTS, value=sequence.slots, allowed=most_slots), load
+    found = (
+        _times(sequence, limits, load, before)
+        or _slots(sequence, limits, keep, output, load)
+        or _whole(sequence, limits, load, carried_pc, before)
+    )
+    return found, load
 
 
 def _times(
-    lists: ReceivedSequence,
-    limits: SessionLimits,
-    width: NDArray[np.int64],
-    load: Load,
-    before: Load,
+    sequence: ReceivedSequence, limits: SessionLimits, load: Load, before: Load
 ) -> BrokenRule | None:
     """Return the first broken rule about times; enter them into the load."""
-    sequence, slots = lists.sequence, lists.slots
     period_us = sequence.period_us
     if period_us < limits.period_us:
         return BrokenRule(Rule.PERIOD, value=_i32(period_us), allowed=_i32(limits.period_us))
+    width = sequence.width_us.astype(np.int64)
     discharge = sequence.discharge_us.astype(np.int64)
-    for slot in range(slots):
+    for slot in range(sequence.slots):
         if not 0 < width[slot] <= limits.width_us:
             return BrokenRule(Rule.WIDTH, slot, value=int(width[slot]), allowed=limits.width_us)
         if discharge[slot] < MIN_DISCHARGE_US:
@@ -196,20 +193,18 @@ def _times(
 
 
 def _slots(
-    lists: ReceivedSequence,
+    sequence: ReceivedSequence,
     limits: SessionLimits,
     keep: KernelStore,
     output: Output,
-    width: NDArray[np.int64],
     load: Load,
-) -> tuple[BrokenRule | None, tuple[int, int]]:
-    """Return the first broken rule of a slot, and the strongest current and charge; fill in what
-    kernels make, and enter the slots into the load."""
-    sequence, switched = lists.sequence, output != "weighted"
-    peak_ua = peak_pc = 0
-    kind = np.repeat([group.kind for group in lists.groups], [g.slots for g in lists.groups])
-    other, unkept = (kind == 3) != switched, _filled_in(lists, keep, kind < 2)
-    for rows in _blocks(lists.slots, sequence.electrodes):
+) -> BrokenRule | None:
+    """Return the first broken rule of a slot; fill in what kernels make, and enter the slots into
+    the load."""
+    kind, switched = sequence.kind, output != "weighted"
+    other, unkept = (kind == 3) != switched, _filled_in(sequence, keep)
+    width = sequence.width_us.astype(np.int64)
+    for rows in _blocks(sequence.slots, sequence.electrodes):
         if switched:
             odd, signed, each_ua, total_ua = _switched(sequence, rows, output)
         else:
@@ -227,22 +222,18 @@ def _slots(
             row = int(broken.argmax())
             slot, total = rows.start + row, int(total_ua[row])
             if other[slot]:
-                return BrokenRule(Rule.KIND, slot, value=int(kind[slot])), (0, 0)
+                return BrokenRule(Rule.KIND, slot, value=int(kind[slot]))
             if unkept[slot]:
-                return _unkept(lists, keep, slot), (0, 0)
-            if odd[row] and switched:
-                return BrokenRule(Rule.STATES, slot), (0, 0)
+                return _unkept(sequence, keep, slot)
             if odd[row]:
-                return BrokenRule(Rule.BALANCE, slot, value=int(odd[row])), (0, 0)
+                rule = Rule.STATES if switched else Rule.BALANCE
+                return BrokenRule(rule, slot, value=0 if switched else int(odd[row]))
             found = first_above(Rule.CURRENT, slot, each_ua[row], limits.current_ua)
             if found is None and total > limits.total_ua:
                 found = BrokenRule(Rule.TOTAL, slot, value=total, allowed=limits.total_ua)
-            return found or first_above(Rule.CHARGE, slot, charge_pc[row], limits.charge_pc), (0, 0)
+            return found or first_above(Rule.CHARGE, slot, charge_pc[row], limits.charge_pc)
         load.add(signed, width[rows], limits.felt_ua)
-        strongest_ua = each_ua.max(axis=1, initial=0)
-        peak_ua = max(peak_ua, int(strongest_ua.max(initial=0)))
-        peak_pc = max(peak_pc, int((strongest_ua * width[rows]).max(initial=0)))
-    return None, (peak_ua, peak_pc)
+    return None
 
 
 def _blocks(rows: int, electrodes: int) -> Iterator[slice]:
@@ -251,20 +242,15 @@ def _blocks(rows: int, electrodes: int) -> Iterator[slice]:
     return (slice(start, min(start + step, rows)) for start in range(0, rows, step))
 
 
-def _filled_in(
-    lists: ReceivedSequence, keep: KernelStore, slot: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _filled_in(sequence: ReceivedSequence, keep: KernelStore) -> NDArray[np.bool_]:
     """Return the slots whose kernels are not kept or sum to too much, and fill in what the others
-    make; ``slot`` says which are of kernels, (S,)."""
-    unkept, current_ua = np.zeros(len(slot), np.bool_), lists.sequence.current_ua
-    if not slot.any() or current_ua is None:
+    make."""
+    unkept, current_ua = np.zeros(sequence.slots, np.bool_), sequence.current_ua
+    if not len(sequence.pairs) or current_ua is None:
         return unkept
-    of_kernels = [group for group in lists.groups if group.kind < 2]
-    kernel = np.concatenate([group.kernel for group in of_kernels])
-    amplitude = np.concatenate([group.amplitude for group in of_kernels])
-    size = [[len(group.kernel)] if group.kind else [1] * group.slots for group in of_kernels]
-    end = np.cumsum(np.concatenate(size))
-    first, places = np.append(0, end[:-1]), slot.nonzero()[0]
+    kernel, amplitude = sequence.kernel, sequence.amplitude
+    end, places = np.cumsum(sequence.pairs), np.flatnonzero(sequence.kind < 2)
+    first = end - sequence.pairs
     weights = np.zeros((0, current_ua.shape[1]), np.int16) if keep.weights is None else keep.weights
     unkept[places] = np.maximum.reduceat(kernel, first) >= len(weights)
     unkept[places] |= np.add.reduceat(amplitude, first) > MOST_AMPLITUDE
@@ -280,22 +266,20 @@ def _filled_in(
         current_ua[places[rows]] = rounded(
             np.add.reduceat(every, first[rows] - pairs.start, axis=0)
         )
-    lists.sequence.site[slot] = keep.site[kernel[first]]
+    sequence.site[places] = keep.site[kernel[first]]
     return unkept
 
 
 def _whole(
-    lists: ReceivedSequence,
+    sequence: ReceivedSequence,
     limits: SessionLimits,
     load: Load,
-    peaks: tuple[int, int],
     carried_pc: NDArray[np.int64],
     before: Load,
 ) -> BrokenRule | None:
     """Return the first broken rule of those about the whole sequence, by itself."""
-    sequence, (peak_ua, peak_pc) = lists.sequence, peaks
     if sequence.recharge_ua is not None:
-        if found := _recharged(lists, limits, load, carried_pc):
+        if found := _recharged(sequence, limits, load, carried_pc):
             return found
         recharge_pc = sequence.recharge_ua.astype(np.int64) * sequence.recharge_us
         load.charge_pc += np.abs(recharge_pc)
@@ -308,26 +292,24 @@ def _whole(
         return found
     strongest_ua = limits.full_ua + limits.rounding_ua
     if limits.full_us:
-        allowed = strongest_ua * limits.full_us * 1001 * lists.intensity // (1000 * FULL)
-        if peak_pc > allowed:
-            return BrokenRule(Rule.INTENSITY, value=peak_pc, allowed=_i32(allowed))
+        allowed = strongest_ua * limits.full_us * 1001 * sequence.intensity // (1000 * FULL)
+        if load.peak_pc > allowed:
+            return BrokenRule(Rule.INTENSITY, value=load.peak_pc, allowed=_i32(allowed))
         allowed = strongest_ua
     else:
-        allowed = limits.full_ua * lists.intensity // FULL + limits.rounding_ua
-    if peak_ua > allowed:
-        return BrokenRule(Rule.INTENSITY, value=peak_ua, allowed=allowed)
+        allowed = limits.full_ua * sequence.intensity // FULL + limits.rounding_ua
+    if load.peak_ua > allowed:
+        return BrokenRule(Rule.INTENSITY, value=load.peak_ua, allowed=allowed)
     return None
 
 
-def _unkept(lists: ReceivedSequence, keep: KernelStore, slot: int) -> BrokenRule:
+def _unkept(sequence: ReceivedSequence, keep: KernelStore, slot: int) -> BrokenRule:
     """Return the rule that a slot breaks by its kernels."""
-    at, count = 0, 0 if keep.weights is None else len(keep.weights)
-    for group in lists.groups:
-        if slot < at + group.slots:
-            break
-        at += group.slots
-    every = slice(None) if group.kind else slice(slot - at, slot - at + 1)
-    kernel, total = group.kernel[every], int(group.amplitude[every].sum())
+    count = 0 if keep.weights is None else len(keep.weights)
+    at = int(np.count_nonzero(sequence.kind[:slot] < 2))
+    end = int(sequence.pairs[: at + 1].sum())
+    own = slice(end - int(sequence.pairs[at]), end)
+    kernel, total = sequence.kernel[own], int(sequence.amplitude[own].sum())
     beyond = np.flatnonzero(kernel >= count)
     if len(beyond):
         return BrokenRule(Rule.KERNEL, slot, value=int(kernel[beyond[0]]), allowed=count)
@@ -335,7 +317,7 @@ def _unkept(lists: ReceivedSequence, keep: KernelStore, slot: int) -> BrokenRule
 
 
 def _switched(
-    sequence: WireSequence, rows: slice, output: Output
+    sequence: ReceivedSequence, rows: slice, output: Output
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return which slots make no circuit, the currents of some, (N, E), rounded away from 0, their
     magnitudes and those of the source, (N,)."""
@@ -352,13 +334,12 @@ def _switched(
 
 
 def _recharged(
-    lists: ReceivedSequence, limits: SessionLimits, load: Load, carried_pc: NDArray[np.int64]
+    sequence: ReceivedSequence, limits: SessionLimits, load: Load, carried_pc: NDArray[np.int64]
 ) -> BrokenRule | None:
     """Return the first broken rule of a recharge phase after slots of a load."""
-    sequence = lists.sequence
     current_ua, width_us = sequence.recharge_ua, sequence.recharge_us
     assert current_ua is not None
-    if not lists.slots or not 0 < width_us <= MAX_RECHARGE_US:
+    if not sequence.slots or not 0 < width_us <= MAX_RECHARGE_US:
         return BrokenRule(Rule.RECHARGE, value=width_us, allowed=MAX_RECHARGE_US)
     signed = current_ua.astype(np.int64)
     each = np.abs(signed)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.link.protocol import NOTHING, Rule, WireSequence
+from smarttouch.boards.link.protocol import NOTHING, Rule
 from smarttouch.emulator.link_packets import ReceivedSequence
 from smarttouch.emulator.link_rules import (
     FULL,
@@ -89,17 +89,17 @@ class LastSecond:
         return np.cumsum([np.zeros(self._electrodes, np.int64), *nets], axis=0)
 
     def complaint(
-        self, start_us: int, lists: ReceivedSequence, load: Load | None, limits: SessionLimits
+        self, start_us: int, sequence: ReceivedSequence, load: Load | None, limits: SessionLimits
     ) -> BrokenRule | None:
         """Return the first rule that a sequence whose first pass begins at ``start_us`` breaks with
         what was before it, if any."""
-        period_us, times = lists.sequence.period_us, lists.sequence.times
+        period_us, times = sequence.period_us, sequence.times
         passes = range(min(times, -(-SECOND_US // period_us)))
         if load is not None and (found := self._second(start_us, period_us, passes, load)):
             return found
         allowed = -(-SECOND_US // limits.period_us) + 1
         most = 0
-        for index in passes if not lists.goes_on else ():
+        for index in passes if not sequence.goes_on else ():
             at_us = start_us + index * period_us
             before = sum(each >= at_us - SECOND_US for each in self._starts_us)
             own = min(index, SECOND_US // period_us) + 1
@@ -108,7 +108,7 @@ class LastSecond:
             return BrokenRule(Rule.OFTEN, value=most, allowed=allowed)
         if load is None:
             return None
-        session_us = self.session_us + times * period_us * (not lists.goes_on)
+        session_us = self.session_us + times * period_us * (not sequence.goes_on)
         if session_us > limits.session_us:
             seconds, allowed = -(-session_us // 10**6), limits.session_us // 10**6
             return BrokenRule(Rule.SESSION_TIME, value=seconds, allowed=allowed)
@@ -208,16 +208,14 @@ class Room:
 class ScanSoFar:
     """Parts of a scan that were accepted: to the rules they are one sequence with those to come."""
 
-    period_us: int
-    intensity: int
+    last: ReceivedSequence  # the last of these parts
     rise_us: int  # when it was to begin, on the skin
     rise: Ramp  # as it was before the scan
     load: Load
-    more: bool = True
 
-    def goes_on_in(self, lists: ReceivedSequence) -> bool:
-        same = (self.period_us, self.intensity) == (lists.sequence.period_us, lists.intensity)
-        return self.more and same
+    def goes_on_in(self, part: ReceivedSequence) -> bool:
+        same = (self.last.period_us, self.last.intensity) == (part.period_us, part.intensity)
+        return self.last.more and same
 
 
 @dataclass
@@ -225,11 +223,9 @@ class SequenceAtHand:
     """Sequence that executes, or waits to."""
 
     number: int
-    sequence: WireSequence
+    sequence: ReceivedSequence
     load: Load | None  # of a pass; None without slots
     left: int  # number of remaining scans, with the current one
-    more: bool = False  # whether it is a part of a scan that goes on
-    goes_on: bool = False
     came_ns: int = 0
     start_ns: int = 0
     starts_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -254,7 +250,7 @@ class SequenceAtHand:
         self.start_ns, self.done = start_ns, 0
         self.starts_ns = start_ns + 1000 * (np.cumsum(lengths) - lengths)
         self.end_ns = start_ns + 1000 * sequence.period_us
-        if self.goes_on:
+        if sequence.goes_on:
             self.end_ns = max(scan_end_ns, self.over_ns)
         recharges = sequence.recharge_ua is not None
         self.recharge_ns = start_ns + 1000 * int(lengths.sum()) if recharges else None

@@ -42,7 +42,7 @@ def only(packets):
 
 
 def decode_sequence(payload, electrodes, output="weighted"):
-    return decode_lists(payload, electrodes, output != "weighted").sequence
+    return decode_lists(payload, electrodes, output != "weighted")
 
 
 def columns(current, seed=0):

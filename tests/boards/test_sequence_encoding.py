@@ -77,10 +77,8 @@ def test_parts_are_small_enough_and_make_up_the_scan(seed):
         lists = decode_lists(part.payload, 8, False)
         assert (lists.goes_on, lists.more) == (at > 0, part is not parts[-1])
         assert (part.first, lists.slots) == (at, part.slots)
-        assert (lists.sequence.recharge_ua is not None) == (
-            scan.recharge_ua is not None and not lists.more
-        )
-        np.testing.assert_array_equal(lists.sequence.width_us, scan.width_us[at:][: part.slots])
+        assert (lists.recharge_ua is not None) == (scan.recharge_ua is not None and not lists.more)
+        np.testing.assert_array_equal(lists.width_us, scan.width_us[at:][: part.slots])
         at += part.slots
     assert at == scan.slots
 

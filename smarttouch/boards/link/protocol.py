@@ -142,29 +142,6 @@ _VOLT = 100
 _U16_MAX = 0xFFFF
 
 
-@dataclass(frozen=True, eq=False)
-class WireSequence:
-    """Sequence received by a board.
-
-    ``current_ua`` is (S, E) int16 for weighted boards; for switched ones ``state`` is (S, E) int8
-    (1 cathode, −1 anode, 0 insulated, 2 not a state) and ``source_ua`` (S,) uint16. Positive is
-    cathodic. ``recharge_ua`` is (E,) int16, None without a recharge phase.
-    """
-
-    period_us: int
-    times: int
-    measure: bool
-    electrodes: int
-    width_us: NDArray[np.uint16]
-    discharge_us: NDArray[np.uint16]
-    site: NDArray[np.uint16]
-    current_ua: NDArray[np.int16] | None
-    source_ua: NDArray[np.uint16] | None
-    state: NDArray[np.int8] | None
-    recharge_ua: NDArray[np.int16] | None = None
-    recharge_us: int = 0
-
-
 def encode_volts(volts: NDArray[np.float64]) -> bytes:
     """Return the payload of VOLTAGES: the source's voltage in each slot, (S,) V."""
     return np.clip(np.rint(volts * _VOLT), 0, _U16_MAX).astype("<u2", copy=False).tobytes()
