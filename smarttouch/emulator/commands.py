@@ -20,7 +20,7 @@ from smarttouch.emulator.finger_events import EmulatedFinger, parse
 from smarttouch.emulator.firmware import DeliveryLog, Firmware
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.rules_over_time import MOST_KERNELS, Room
+from smarttouch.emulator.rules_over_time import Room
 from smarttouch.emulator.server import FAULTS, Orders, Server
 
 BOARDS = {"link": (64, 1, 4096), "kajimoto61": (61, 61, 61), "etactilekit": (32, 1, 255)}
@@ -86,7 +86,7 @@ def emulate_board(
         device = ETactileKitFirmware(log, finger, firmware=firmware or FIRMWARES[0])
     else:
         # Kernels of all classes, however many electrodes there are.
-        room = Room(kernels=max(MOST_KERNELS, len(Afferent) * electrodes))
+        room = Room(kernels=max(Room.kernels, len(Afferent) * electrodes))
         device = LinkFirmware(electrodes, kind, log, finger, ramp_ms=ramp_ms, room=room)
     with closing(_opened(TcpLine if tcp else PtyLine)) as line:
         _serve(Server(device, line), linger, partial(_board_advice, name) if advise else str)

@@ -66,8 +66,8 @@ class LastSecond:
             return
         while self._over and self._over[0][0] < start_us // BUCKET_US - BUCKETS:
             self._over.popleft()
-        before = self._nets(start_us)
-        self.most_net_pc = max(self.most_net_pc, int(_largest_net(before, load, 1).max()))
+        nets_pc = np.abs(self._nets(start_us) + load.net_pc)
+        self.most_net_pc = max(self.most_net_pc, int(nets_pc.max()))
         self._running = load
         self.session_pc += load.charge_pc
         self.net_pc += load.net_pc
@@ -127,7 +127,8 @@ class LastSecond:
             charge = np.maximum(
                 charge, sum(each.charge_pc for each in window) + own * load.charge_pc
             )
-            net = np.maximum(net, _largest_net(self._nets(at_us), load, own))
+            nets = np.abs(self._nets(at_us) + own * load.net_pc)
+            net = np.maximum(net, nets.max(axis=0))
         for rule, most, allowed in (
             (Rule.FELT_IN_SECOND, felt, MAX_PULSES_HZ),
             (Rule.CHARGE_IN_SECOND, charge, MOST_CHARGE_PC),
@@ -136,12 +137,6 @@ class LastSecond:
             if found := first_above(rule, NOTHING, most, allowed):
                 return found
         return None
-
-
-def _largest_net(before: NDArray[np.int64], load: Load, own: int) -> NDArray[np.int64]:
-    """Return the largest magnitude of any run that ends with so many passes of a load, (E,) pC."""
-    whole = np.abs(before + own * load.net_pc).max(axis=0)
-    return np.asarray(np.maximum(whole, np.abs(own * load.net_pc)))
 
 
 class Ramp:
@@ -189,19 +184,14 @@ class Ramp:
         self._span_us = span_us
 
 
-PACKET_BYTES = 1 << 20
-KERNEL_BYTES = 1 << 23
-MOST_KERNELS = 4096
-
-
 @dataclass(frozen=True)
 class Room:
     """What a board has room for: a small one gets a scan in parts."""
 
     slots: int = MAX_SLOTS
-    packet_bytes: int = PACKET_BYTES
-    kernel_bytes: int = KERNEL_BYTES
-    kernels: int = MOST_KERNELS
+    packet_bytes: int = 1 << 20
+    kernel_bytes: int = 1 << 23
+    kernels: int = 4096
 
 
 @dataclass
@@ -227,31 +217,23 @@ class SequenceAtHand:
     load: Load | None  # of a pass; None without slots
     left: int  # number of remaining scans, with the current one
     came_ns: int = 0
-    start_ns: int = 0
     starts_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    over_ns: int = 0  # end of the last slot or recharge phase of the pass at hand
     end_ns: int = 0
     done: int = 0
     volts: list[float] = field(default_factory=list)
     recharge_ns: int | None = None  # start of its recharge phase, until that has been recorded
 
-    @property
-    def over_ns(self) -> int:
-        """End of the last slot or recharge phase of the pass at hand."""
-        sequence = self.sequence
-        busy_us = int(
-            sequence.width_us.sum(dtype=np.int64) + sequence.discharge_us.sum(dtype=np.int64)
-        )
-        return self.start_ns + 1000 * (busy_us + sequence.recharge_us)
-
     def begin(self, start_ns: int, scan_end_ns: int) -> None:
         """Begin a pass; that of a scan's further part ends when the scan does."""
         sequence = self.sequence
         lengths = sequence.width_us.astype(np.int64) + sequence.discharge_us
-        self.start_ns, self.done = start_ns, 0
+        self.done = 0
         self.starts_ns = start_ns + 1000 * (np.cumsum(lengths) - lengths)
+        slots_end_ns = start_ns + 1000 * int(lengths.sum())
+        self.over_ns = slots_end_ns + 1000 * sequence.recharge_us
         self.end_ns = start_ns + 1000 * sequence.period_us
         if sequence.goes_on:
             self.end_ns = max(scan_end_ns, self.over_ns)
-        recharges = sequence.recharge_ua is not None
-        self.recharge_ns = start_ns + 1000 * int(lengths.sum()) if recharges else None
+        self.recharge_ns = None if sequence.recharge_ua is None else slots_end_ns
         self.volts.clear()
