@@ -46,7 +46,7 @@ from smarttouch.emulator.rules_over_time import (
     ScanSoFar,
     SequenceAtHand,
 )
-from smarttouch.emulator.skin import COMPLIANCE_V, SkinCircuit
+from smarttouch.emulator.skin import SkinCircuit
 
 NAME = "SmartTouch board emulator 1"
 
@@ -65,7 +65,6 @@ class LinkFirmware(Firmware):
         output: Output,
         books: DeliveryLog,
         finger: EmulatedFinger | None = None,  # events of the skin while it runs
-        compliance_v: float = COMPLIANCE_V,  # the most its sources can give, V
         session: BoardSession | None = None,
         # least time from zero to full intensity; 0 for tests whose time is what they claim
         ramp_ms: int = RAMP_MS,
@@ -79,10 +78,8 @@ class LinkFirmware(Firmware):
         self._ramp, self._second = Ramp(ramp_ms), LastSecond(electrodes)
         self._limits: SessionLimits | None = None
         self.switch_open = False
-        self._skin = SkinCircuit(electrodes, compliance_v=compliance_v)
+        self._skin = SkinCircuit(electrodes)
         self._finger = finger or EmulatedFinger(electrodes)
-        self._compliance_v = compliance_v
-        self._recharging = Feature.RECHARGE if output == "weighted" else Feature(0)
         self._deframer = Deframer(room.packet_bytes)
         self._session = session or BoardSession()
         self._running: SequenceAtHand | None = None
@@ -281,14 +278,12 @@ class LinkFirmware(Firmware):
             else:
                 self._turn_away(Refusal.FOREIGN)
             return None
-        if (
-            message.kind == MessageKind.BEGIN
-            and self._session.state
-            and self._session.would_begin(message)
-        ):
+        begins = message.kind == MessageKind.BEGIN and self._session.would_begin(message)
+        if begins and self._session.state:
             self._answers.append(self._session.refuse_begin(message))
             return None
-        if message.kind == MessageKind.BEGIN and self._session.begin(message):
+        if begins:
+            self._session.begin(message)
             # A new host starts from zero, whatever the one before left.
             if self._running is not None:
                 self.zero("begin", now_ns)
@@ -425,12 +420,13 @@ class LinkFirmware(Firmware):
         self._answers.append(self._session.encode(kind, about, payload))
 
     def _capabilities(self) -> bytes:
-        able = Feature.VOLTAGE | Feature.FORCE | self._recharging
-        able |= Feature.KERNELS | Feature.EMERGENCY
+        able = Feature.VOLTAGE | Feature.FORCE | Feature.KERNELS | Feature.EMERGENCY
+        if self._output == "weighted":
+            able |= Feature.RECHARGE
         return (
             protocol.CAPABILITIES.pack(
                 self._electrodes, protocol.OUTPUTS.index(self._output), able, MAX_CURRENT_UA,
-                self._room.slots, protocol.SILENCE_MS, round(self._compliance_v),
+                self._room.slots, protocol.SILENCE_MS, round(self._skin.compliance_v),
             )
             + protocol.KEEPING.pack(
                 self._room.kernel_bytes, self._room.packet_bytes, self._room.kernels
