@@ -28,7 +28,6 @@ from smarttouch.emulator.firmware import DeliveryLog, Firmware
 from smarttouch.emulator.link_packets import (
     BoardSession,
     KernelStore,
-    ReceivedSequence,
     decode_lists,
 )
 from smarttouch.emulator.link_rules import (
@@ -357,52 +356,42 @@ class LinkFirmware(Firmware):
         except ValueError:
             self._refuse(number, Refusal.MALFORMED)
             return None
-        load: Load | None = None
-        start_ns = self._start_ns(sequence.goes_on, now_ns)
+        start_ns, running = now_ns, self._running
+        if running is not None:
+            # A further part of a scan begins after the slots of the part before.
+            start_ns = max(now_ns, running.over_ns if sequence.goes_on else running.end_ns)
         # Time that stood still with this process has passed on the skin.
         rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
+        scan = self._scan
+        if not sequence.goes_on:
+            scan = ScanSoFar(sequence, rise_us, copy(self._ramp), Load.none(self._electrodes))
+        found: BrokenRule | None
         if self._limits is None:
-            found: BrokenRule | None = BrokenRule(Rule.LIMITS)
-        elif sequence.goes_on and (self._scan is None or not self._scan.goes_on_in(sequence)):
+            found = BrokenRule(Rule.LIMITS)
+        elif scan is None or (sequence.goes_on and not scan.goes_on_in(sequence)):
             found = BrokenRule(Rule.PART)
         else:
-            scan = self._scan_of(sequence, rise_us)
             found, load = complaint(
                 sequence, self._limits, self._keep, self._output, self._second.net_pc, scan.load,
                 self._room.slots,
             )  # fmt: skip
+            flowing = load if sequence.slots else None
             allowed = scan.rise.allowed(scan.rise_us)
             peak_pc = max(scan.load.peak_pc, load.peak_pc)
             strength = self._limits.strength(sequence.intensity, peak_pc)
             if found is None and strength > allowed:
                 found = BrokenRule(Rule.RISE, value=strength, allowed=allowed)
             found = found or self._second.complaint(
-                start_ns // 1000, sequence, load if sequence.slots else None, self._limits
+                start_ns // 1000, sequence, flowing, self._limits
             )
-        if found is not None:
-            self._say(MessageKind.NAK, number, protocol.NAK.pack(Refusal.UNSAFE, *found))
-            return None
-        assert load is not None
-        span_us = sequence.times * sequence.period_us if peak_pc else 0
-        self._scan, self._ramp = scan, copy(scan.rise)
-        scan.load, scan.last = scan.load.plus(load), sequence
-        self._ramp.note(sequence.intensity, strength, scan.rise_us, span_us)
-        flowing = load if sequence.slots else None
-        return SequenceAtHand(number, sequence, flowing, sequence.times, came_ns=now_ns)
-
-    def _start_ns(self, goes_on: bool, now_ns: int) -> int:
-        """Return when a sequence would begin: after the pass at hand; a further part of a scan
-        after the slots of the part before."""
-        running = self._running
-        if running is None:
-            return now_ns
-        return max(now_ns, running.over_ns if goes_on else running.end_ns)
-
-    def _scan_of(self, sequence: ReceivedSequence, rise_us: int) -> ScanSoFar:
-        """Return what the parts before a sequence amount to; of most there are none."""
-        if sequence.goes_on and self._scan is not None:
-            return self._scan
-        return ScanSoFar(sequence, rise_us, copy(self._ramp), Load.none(self._electrodes))
+            if found is None:
+                span_us = sequence.times * sequence.period_us if peak_pc else 0
+                self._scan, self._ramp = scan, copy(scan.rise)
+                scan.load, scan.last = scan.load.plus(load), sequence
+                self._ramp.note(sequence.intensity, strength, scan.rise_us, span_us)
+                return SequenceAtHand(number, sequence, flowing, sequence.times, came_ns=now_ns)
+        self._say(MessageKind.NAK, number, protocol.NAK.pack(Refusal.UNSAFE, *found))
+        return None
 
     def _acknowledge(self) -> None:
         """Report that the last sequence has begun, and when."""
