@@ -208,22 +208,20 @@ def open_emulator(
     devices emulate`` takes them."""
     refuse_rest("emulator:", rest, BoardError)
     kind = "weighted" if output is None else output.kind
-    process = EmulatorProcess(limits.electrodes, kind, books, events)
-    driver = LinkDriver("", limits, output, process=process)
+    url = f"link?electrodes={limits.electrodes}&output={kind}&linger=0.2"
+    url += f"&ramp_ms={rules_over_time.RAMP_MS}"
+    url += "".join(f"&event={quote(event)}" for event in events)
+    url += "" if books is None else f"&books={quote(str(books))}"
+    driver = LinkDriver("", limits, output, process=EmulatorProcess(url))
     driver.answer_within(_SPEAKS_WITHIN_S)
     return driver
 
 
 class EmulatorProcess:
-    """Process that emulates a ``link`` board as long as it is open."""
+    """Process that emulates the board of a URL, see `commands`, as long as it is open."""
 
-    def __init__(
-        self, electrodes: int, kind: str, books: Path | None, events: Sequence[str]
-    ) -> None:
-        ramp_ms = rules_over_time.RAMP_MS
-        self._url = f"link?electrodes={electrodes}&output={kind}&linger=0.2&ramp_ms={ramp_ms}"
-        self._url += "".join(f"&event={quote(event)}" for event in events)
-        self._url += "" if books is None else f"&books={quote(str(books))}"
+    def __init__(self, url: str) -> None:
+        self._url = url
         self._process: subprocess.Popen[bytes] | None = None
         self._port = ""
 
