@@ -68,7 +68,7 @@ def test_a_run_ends_in_order(start_at_a_terminal, tmp_path, end):
 
 
 def test_another_process_stops_all_runs(start_at_a_terminal, program_here, tmp_path):
-    first, _ = start_at_a_terminal(*RUN)
+    first, _ = start_at_a_terminal(*RUN, "--board", "emulator:")
     wait_for_the_run(first)
     (tmp_path / "state" / "left behind").mkdir()
     stopped = program_here("stop").fine()
@@ -80,7 +80,7 @@ def test_another_process_stops_all_runs(start_at_a_terminal, program_here, tmp_p
 
 
 def test_a_run_that_was_killed_is_no_run(start_at_a_terminal, program_here, tmp_path):
-    process, _ = start_at_a_terminal(*RUN)
+    process, _ = start_at_a_terminal(*RUN, "--board", "emulator:")
     wait_for_the_run(process)
     process.kill()
     process.wait()
