@@ -1,52 +1,13 @@
-"""Pictures of electrodes and arrays: one set of colors, discs for pictures, cells for notebooks."""
+"""Pictures of arrays as cells, for notebooks."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.electrodes import ElectrodeArray
-
-CATHODIC, ANODIC = (179, 88, 6), (84, 39, 136)
+CATHODIC, ANODIC = "#b35806", "#542788"
 """Orange is cathodic (positive), purple anodic: the ends of Matplotlib's PuOr, in which no class of
 afferents is drawn."""
-EDGE = (139, 152, 164)
 _CELL_PX = 8
 _MOST_CELLS = 20_000
-_RADIUS = 0.42
-
-Colors = NDArray[np.uint8]
-
-
-def hex_color(color: tuple[int, int, int]) -> str:
-    """Return a color as ``#rrggbb``."""
-    return "#{:02x}{:02x}{:02x}".format(*color)
-
-
-def disc_radius_mm(electrodes: ElectrodeArray) -> float:
-    """Return the radius with which electrodes are drawn, whatever their shape."""
-    return _RADIUS * min(*electrodes.cell_mm, electrodes.pitch_mm)
-
-
-class ElectrodePicture:
-    """Draws electrodes as discs on white, in a color of each, (E, 3)."""
-
-    def __init__(self, electrodes: ElectrodeArray, px_per_mm: float) -> None:
-        # It takes a third of a second to import, and cells need none of it.
-        from scipy.spatial import cKDTree
-
-        half = [max(1, round(each * px_per_mm / 2)) for each in electrodes.extent_mm]
-        x, y = ((np.arange(2 * each) - each + 0.5) / px_per_mm for each in half)
-        away, nearest = cKDTree(electrodes.position_mm).query(np.stack(np.meshgrid(x, y), axis=-1))
-        self._nearest = np.asarray(nearest)
-        beyond_mm = np.asarray(away, np.float32)[..., None] - disc_radius_mm(electrodes)
-        beyond_px = (beyond_mm * px_per_mm).astype(np.float32)
-        self._disc = np.clip(0.5 - beyond_px, 0, 1)
-        self._edge = np.clip(1 - np.abs(beyond_px), 0, 1)
-
-    def raster(self, colors: Colors) -> NDArray[np.uint8]:
-        """Return the picture as pixels, (H, W, 3) in RGB."""
-        image = 255 - (255 - colors.astype(np.float32))[self._nearest] * self._disc
-        image += (np.array(EDGE, np.float32) - image) * self._edge
-        return np.asarray(np.rint(image), np.uint8)
 
 
 def cells_svg(rows: NDArray[np.generic], names: tuple[str, ...] = ()) -> str:
@@ -66,10 +27,9 @@ def cells_svg(rows: NDArray[np.generic], names: tuple[str, ...] = ()) -> str:
     ]
     for row, column in np.argwhere(values):
         value = values[row, column] / most
-        red, green, blue = CATHODIC if value > 0 else ANODIC
         drawn.append(
             f'<rect x="{left + column * _CELL_PX}" y="{row * _CELL_PX}" width="{_CELL_PX}" '
-            f'height="{_CELL_PX}" fill="rgb({red},{green},{blue})" '
+            f'height="{_CELL_PX}" fill="{CATHODIC if value > 0 else ANODIC}" '
             f'fill-opacity="{abs(value):.2f}"/>'
         )
     size = f'width="{left + columns * _CELL_PX}" height="{height * _CELL_PX}"'

@@ -5,9 +5,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smarttouch.base.array_picture import ANODIC as _ANODIC_RGB
-from smarttouch.base.array_picture import CATHODIC as _CATHODIC_RGB
-from smarttouch.base.array_picture import hex_color
+from smarttouch.base.array_picture import ANODIC as ANODIC
+from smarttouch.base.array_picture import CATHODIC as CATHODIC
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import write_bytes
 from smarttouch.base.lazy_names import import_extra
@@ -15,7 +14,6 @@ from smarttouch.base.lazy_names import import_extra
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CATHODIC, ANODIC = hex_color(_CATHODIC_RGB), hex_color(_ANODIC_RGB)
 SIGNED_MAP = "PuOr_r"  # color map: orange for cathodic or depolarizing, purple for the other sign
 GREY = "#707070"
 SERIES_COLORS = ("#d55e00", "#009e73", "#0072b2", "#cc79a7", "#e69f00", "#56b4e9")

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.array_picture import disc_radius_mm
 from smarttouch.profile import Profile
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Pose, Sheet
@@ -23,12 +22,13 @@ Message = dict[str, Any]
 def array_message(profile: Profile) -> Message:
     """Return the array and limits of a profile, as a page draws them."""
     electrodes, limits = profile.electrodes, profile.limits
+    radius_mm = 0.42 * min(*electrodes.cell_mm, electrodes.pitch_mm)
     return {
         "profile": profile.title,
         "place_mm": electrodes.position_mm.round(_DIGITS).tolist(),
         "extent_mm": [round(each, _DIGITS) for each in electrodes.extent_mm],
         "field_mm": [float(profile.optics.field_width_mm), float(profile.optics.field_height_mm)],
-        "radius_mm": round(disc_radius_mm(electrodes), _DIGITS),
+        "radius_mm": round(radius_mm, _DIGITS),
         "full_ma": float(profile.full_ma.max()),
         "full_n": float(profile.force.full_n),
         "limits": {

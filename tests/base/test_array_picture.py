@@ -22,7 +22,7 @@ def cells(svg):
 
 
 def test_cells_are_where_and_what_the_values_are():
-    orange, purple = "rgb(179,88,6)", "rgb(84,39,136)"
+    orange, purple = "#b35806", "#542788"
     drawn = cells(cells_svg(np.array([[0, 2.0, np.nan], [-1.0, 0, 0]])))
     assert drawn == [(1, 0, orange, 1.0), (0, 1, purple, 0.5)]
 
