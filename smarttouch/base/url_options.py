@@ -46,6 +46,20 @@ def read_options(
     return place, found
 
 
+def given_options(
+    opener: Callable[..., Any], url: str, options: dict[str, Any], error: type[SmartTouchError]
+) -> dict[str, Any]:
+    """Return the options that are not None; raises if the opener does not take one by its name."""
+    given = {name: value for name, value in options.items() if value is not None}
+    parameters = inspect.signature(opener).parameters.values()
+    taken = [each.name for each in parameters if each.default is not each.empty]
+    for name in given:
+        if name not in taken:
+            kind, takes = url.partition(":")[0], ", ".join(taken) or "none"
+            raise error(f"{kind}: does not take {name}: leave it out (it takes {takes})")
+    return given
+
+
 def joined_options(
     url: str, given: dict[str, Any], in_url: dict[str, Any], error: type[SmartTouchError]
 ) -> dict[str, Any]:

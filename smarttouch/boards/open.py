@@ -3,14 +3,13 @@
 import contextlib
 import socket
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 from serial.tools import list_ports
 
 from smarttouch.base.errors import BoardError
-from smarttouch.base.registry import find_opener, refuse_rest, require_kind
+from smarttouch.base.registry import Registry, refuse_rest
 from smarttouch.base.url_options import read_options
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
@@ -21,6 +20,19 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
+BOARDS = Registry(
+    "smarttouch.boards",
+    Driver,
+    BoardError,
+    {
+        "emulator": "smarttouch.emulator.emulated_boards:open_emulator",
+        "etactilekit": "smarttouch.boards.kits.etactilekit:ETactileKitDriver",
+        "kajimoto61": "smarttouch.boards.kits.kajimoto61:Kajimoto61Driver",
+        "link": "smarttouch.boards.link.link_driver:LinkDriver",
+        "memory": "smarttouch.boards.open:MemoryDriver",
+        "simulated": "smarttouch.emulator.emulated_boards:SimulatedDriver",
+    },
+)
 _WITHOUT_FINGER: dict[str, dict[str, Any]] = {
     "emulator": {"on_a_finger": False},
     "memory": {"on_a_finger": False, "claimed_time": True},
@@ -43,30 +55,26 @@ def make_driver(
     url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
 ) -> Driver:
     """Return the driver for a board's URL; see `make_board`."""
-    opener, rest = _opener(url)
+    opener, rest = BOARDS.find(url)
     rest, from_url = read_options(opener, rest, BoardError, but=("output",))
     driver: Driver = opener(rest, replace(limits), output, **{**from_url, **options})
-    require_kind(driver, Driver, url, BoardError)
+    BOARDS.require_kind(driver, url)
     return driver
 
 
 def may_touch_a_finger(url: str) -> bool:
     """Return whether there may be a finger on the board of a URL."""
-    _opener(url)
+    BOARDS.find(url)
     return _name(url) not in _WITHOUT_FINGER
 
 
 def default_profile(url: str) -> str:
     """Return the name of the shipped profile that goes with a board's URL."""
-    return str(getattr(_opener(url)[0], "default_profile", DEFAULT_PROFILE))
+    return str(getattr(BOARDS.find(url)[0], "default_profile", DEFAULT_PROFILE))
 
 
 def _name(url: str) -> str:
     return url.partition(":")[0]
-
-
-def _opener(url: str) -> tuple[Callable[..., Any], str]:
-    return find_opener("smarttouch.boards", url, BoardError)
 
 
 class MemoryDriver(Driver):

@@ -30,8 +30,7 @@ def list_devices(
     # Nothing is opened, and no unknown device gets a byte.
     if context.invoked_subcommand is not None:
         return
-    from smarttouch.base.registry import known_names
-    from smarttouch.boards.open import network_boards, serial_ports
+    from smarttouch.boards.open import BOARDS, network_boards, serial_ports
     from smarttouch.sources.camera import cameras
 
     rows = [(port.device, port.description) for port in serial_ports()]
@@ -42,7 +41,7 @@ def list_devices(
         print_table(rows, ("port", "what the system says of it"), left=2)
     else:
         typer.echo("No serial port, no camera, and no board answers on the network.")
-    names = ", ".join(f"{each}:" for each in known_names("smarttouch.boards"))
+    names = ", ".join(f"{each}:" for each in BOARDS.names)
     typer.echo(
         f"\nDrivers: {names}. You choose which one fits what is plugged in, for example "
         "--board kajimoto61:/dev/ttyUSB0.\nWithout hardware: smarttouch devices emulate kajimoto61"
@@ -86,19 +85,19 @@ def show(
 ) -> None:
     """Show what a board is and can do, or what a sensor or load cell delivers."""
     from smarttouch.base.errors import require_within
-    from smarttouch.base.registry import known_names
+    from smarttouch.boards.open import BOARDS
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources import open_source
-    from smarttouch.sources.force import open_force
+    from smarttouch.sources.force import FORCES, open_force
     from smarttouch.sources.source_sample import sample_force, sample_source
 
     kind = url.partition(":")[0]
-    if kind in known_names("smarttouch.boards"):
+    if kind in BOARDS.names:
         _describe_board(url, profile)
         return
     require_within(SmartTouchError, "seconds", seconds, 0, 3600, above=True)
     chosen = load_profile(profile or DEFAULT_PROFILE)
-    if kind in known_names("smarttouch.forces"):
+    if kind in FORCES.names:
         with open_force(url, chosen) as pressed:
             rows = sample_force(pressed, seconds)
         print_table([*rows, *(("note", note) for note in pressed.notes)], left=2)

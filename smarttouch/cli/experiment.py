@@ -132,10 +132,9 @@ def run_listed(
 
 
 def _list_all() -> None:
-    from smarttouch.base.registry import plug_in_names
-    from smarttouch.experiments.psychophysics.catalog import CATALOG, GROUP, find_experiment
+    from smarttouch.experiments.psychophysics.catalog import CATALOG, EXPERIMENTS, find_experiment
 
-    for name in (*CATALOG, *plug_in_names(GROUP)):
+    for name in (*CATALOG, *EXPERIMENTS.plug_ins):
         entry = find_experiment(name)
         typer.echo(f"{name:13} {entry.about} [{', '.join(entry.methods)}]")
     typer.echo(f"{'free':13} turn amplitude, rate and mode by hand")

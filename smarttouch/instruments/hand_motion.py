@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SourceError, require_within
-from smarttouch.base.registry import given_options, known_names, unknown
+from smarttouch.base.registry import unknown
 from smarttouch.base.tables import read_csv
-from smarttouch.base.url_options import joined_options, read_options
+from smarttouch.base.url_options import given_options, joined_options, read_options
 from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
-from smarttouch.sources import open_source
+from smarttouch.sources import SOURCES, open_source
 from smarttouch.sources.source_contract import Device, Pose, Source
 
 _KINDS = ("evdev", "path", "sweep")
@@ -51,7 +51,7 @@ def open_motion(url: str, **options: Any) -> HandMotion:
     Options may stand in the URL, as in ``sweep:?speed_mm_s=20``; None is an option not given.
     """
     kind, colon, rest = url.partition(":")
-    known = (*_KINDS, *known_names("smarttouch.sources"))
+    known = [*_KINDS, *SOURCES.names]
     if not colon or kind not in known:
         raise unknown("motion", url, known, SourceError)
     if kind not in _KINDS:

@@ -8,11 +8,29 @@ from typing import Any
 
 from smarttouch.base.errors import SourceError
 from smarttouch.base.files import file_at, named_file
-from smarttouch.base.registry import find_opener, given_options, known_names, require_kind, unknown
-from smarttouch.base.url_options import joined_options, read_options
+from smarttouch.base.registry import Registry, unknown
+from smarttouch.base.url_options import given_options, joined_options, read_options
 from smarttouch.profile import Profile, load_profile
 from smarttouch.sources.source_contract import Source
 
+SOURCES = Registry(
+    "smarttouch.sources",
+    Source,
+    SourceError,
+    {
+        "brltty": "smarttouch.reading.brltty_source:open_brltty",
+        "camera": "smarttouch.sources.camera:open_camera",
+        "frames": "smarttouch.sources.video:open_frames",
+        "page": "smarttouch.sources.virtual_finger:open_page",
+        "recording": "smarttouch.running.recorded_source:open_recording",
+        "serial-array": "smarttouch.sources.serial_array:open_serial_array",
+        "socket": "smarttouch.instruments.socket_source:SocketSource",
+        "text": "smarttouch.sources.virtual_finger:open_text",
+        "texture": "smarttouch.instruments.electric_mouse:open_texture_source",
+        "vibration": "smarttouch.instruments.color_source:open_vibration",
+        "video": "smarttouch.sources.video:open_video",
+    },
+)
 _NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display", "vibrated")  # of the whole run
 _SUFFIXES = {"recording": (".mcap",), "video": (".avi", ".mkv", ".mov", ".mp4", ".webm")}
 
@@ -34,7 +52,7 @@ def source_url(name: str) -> str:
     Raises a SourceError for what may be a misspelt kind of source or a missing file.
     """
     kind, colon, rest = name.partition(":")
-    known = known_names("smarttouch.sources")
+    known = SOURCES.names
     # "Note: this" and "3:30 p.m." are words.
     if colon and _KIND.fullmatch(kind) and not (rest[:1].isspace() or kind.isdecimal()):
         return name
@@ -49,7 +67,7 @@ def source_url(name: str) -> str:
 
 def options_taken(url: str) -> set[str]:
     """Return the options that a source takes beside those in its URL, by name."""
-    opener, rest = find_opener("smarttouch.sources", source_url(url), SourceError)
+    opener, rest = SOURCES.find(source_url(url))
     in_url = read_options(opener, rest, SourceError, but=_NOT_IN_URLS)[1]
     return inspect.signature(opener).parameters.keys() - in_url
 
@@ -85,13 +103,13 @@ def open_source(
     (64, 64)
     """
     url, profile = source_url(url), load_profile(profile)
-    opener, rest = find_opener("smarttouch.sources", url, SourceError)
+    opener, rest = SOURCES.find(url)
     rest, in_url = read_options(opener, rest, SourceError, but=_NOT_IN_URLS)
     given = given_options(opener, url, options, SourceError)
     given = joined_options(url, given, in_url, SourceError)
     if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:
         given["light_on_dark"] = True
     source: Source = opener(rest, profile, **given)
-    require_kind(source, Source, url, SourceError)
+    SOURCES.require_kind(source, url)
     source.url = url
     return source

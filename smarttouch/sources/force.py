@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from smarttouch.base.errors import SourceError
-from smarttouch.base.registry import find_opener, require_kind
+from smarttouch.base.registry import Registry
 from smarttouch.base.tables import read_csv
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Device
@@ -33,11 +33,24 @@ class ForceSource(Device, ABC):
         """
 
 
+FORCES = Registry(
+    "smarttouch.forces",
+    ForceSource,
+    SourceError,
+    {
+        "fixed": "smarttouch.sources.force:FixedForce",
+        "hx711": "smarttouch.sources.load_cell:open_hx711",
+        "loadcell": "smarttouch.sources.load_cell:open_load_cell",
+        "recorded": "smarttouch.sources.force:RecordedForce",
+    },
+)
+
+
 def open_force(url: str, profile: Profile) -> ForceSource:
     """Open a source of finger force by its URL."""
-    opener, rest = find_opener("smarttouch.forces", url, SourceError)
+    opener, rest = FORCES.find(url)
     source: ForceSource = opener(rest, profile)
-    require_kind(source, ForceSource, url, SourceError)
+    FORCES.require_kind(source, url)
     return source
 
 

@@ -5,13 +5,18 @@ from importlib.metadata import entry_points
 import pytest
 
 from smarttouch.base.clock import MonotonicClock
-from smarttouch.base.errors import BoardClosedError, BoardError, SmartTouchError, SourceError
-from smarttouch.base.registry import find_opener, known_names
-from smarttouch.boards.open import MemoryDriver, default_profile, make_board, may_touch_a_finger
+from smarttouch.base.errors import BoardClosedError, BoardError, SourceError
+from smarttouch.boards.open import (
+    BOARDS,
+    MemoryDriver,
+    default_profile,
+    make_board,
+    may_touch_a_finger,
+)
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.running.display import open_display
-from smarttouch.sources import open_source
-from smarttouch.sources.force import open_force
+from smarttouch.sources import SOURCES, open_source
+from smarttouch.sources.force import FORCES, open_force
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..installed import install
@@ -71,7 +76,7 @@ def test_a_board_of_others(installed, limits):
         assert board.capabilities.firmware == "mine"
     assert may_touch_a_finger("mine:")
     assert default_profile("mine:") == DEFAULT_PROFILE
-    assert "mine" in known_names("smarttouch.boards")
+    assert "mine" in BOARDS.names
 
 
 def test_a_source_of_others(installed, profile):
@@ -86,7 +91,7 @@ def test_no_other_package_takes_a_name_of_ours(installed, limits):
     installed(BOARD, name="memory")
     assert entry_points(group="smarttouch.boards", name="memory")
     assert type(make_board("memory:", limits).driver) is MemoryDriver
-    assert known_names("smarttouch.boards").count("memory") == 1
+    assert BOARDS.names.count("memory") == 1
 
 
 def test_two_packages_with_one_name(installed, limits):
@@ -147,10 +152,10 @@ def test_a_driver_without_capabilities(installed, limits):
         board.send(None)
 
 
-@pytest.mark.parametrize("group", ["smarttouch.sources", "smarttouch.forces", "smarttouch.boards"])
-def test_ours_are_where_they_are_registered(group):
-    for name in known_names(group):
-        opener, rest = find_opener(group, f"{name}:rest", SmartTouchError)
+@pytest.mark.parametrize("registry", [SOURCES, FORCES, BOARDS])
+def test_ours_are_where_they_are_registered(registry):
+    for name in registry.names:
+        opener, rest = registry.find(f"{name}:rest")
         assert callable(opener)
         assert rest == "rest"
 
@@ -166,4 +171,4 @@ def test_a_display_may_be_of_a_drivers_class(profile):
 ])  # fmt: skip
 def test_what_was_meant(url, meant):
     with raises(BoardError, names=meant):
-        find_opener("smarttouch.boards", url, BoardError)
+        BOARDS.find(url)

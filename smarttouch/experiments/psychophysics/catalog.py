@@ -14,7 +14,7 @@ import numpy as np
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError, SmartTouchError
 from smarttouch.base.files import require_file
-from smarttouch.base.registry import load_plug_in, plug_in_names
+from smarttouch.base.registry import Registry
 from smarttouch.experiments.psychophysics.procedures import (
     REPETITIONS,
     STANDARDS_HZ,
@@ -36,24 +36,8 @@ from smarttouch.experiments.psychophysics.trials import Stimuli, Task, Trial
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import require_driven
 
-GROUP = "smarttouch.experiments"  # entry points of other packages: each names an `Experiment`
 _MOST_BYTES = 10_000_000
 _T = TypeVar("_T")
-
-
-def load_own(name: str, kind: type[_T]) -> _T | None:
-    """Return the experiment of a file ``NAME.py`` or an entry point; None if there is neither."""
-    if not name.endswith(".py"):
-        return load_plug_in(GROUP, name, ExperimentError, kind)
-    require_file(Path(name), ExperimentError, _MOST_BYTES)
-    found = called(name, runpy.run_path, dict, name)
-    made = {id(each): each for each in found.values() if isinstance(each, kind)}
-    if len(made) != 1:
-        raise ExperimentError(
-            f"{name} has {len(made) or 'no'} {kind.__name__}{'s' * (len(made) > 1)}: make one, as "
-            "in experiment = Experiment('what it asks', make)"
-        )
-    return next(iter(made.values()))
 
 
 def called(name: str, function: Callable[..., object], kind: type[_T], *arguments: object) -> _T:
@@ -154,18 +138,37 @@ class Experiment:
     train_s: float = 0.5  # default length of a train
 
 
+EXPERIMENTS = Registry("smarttouch.experiments", Experiment, ExperimentError, {})
+"""Entry points of other packages; each names an `Experiment`."""
+
+
 def find_experiment(name: str) -> Experiment:
     """Return an experiment by its name in the catalog, by its file, or of another package."""
     if name in CATALOG:
         return CATALOG[name]
-    found = load_own(name, Experiment)
-    if found is None:
-        known = [*CATALOG, *plug_in_names(GROUP)]
+    if name.endswith(".py"):
+        return _experiment_of_file(name)
+    known = [*CATALOG, *EXPERIMENTS.plug_ins]
+    if name not in known:
         raise ExperimentError(
             f"there is no experiment {name!r}: choose {' or '.join(known)}, or give a file of "
             "your own, as in mine.py"
         )
+    found: Experiment = EXPERIMENTS.load(name)
+    EXPERIMENTS.require_kind(found, name)
     return found
+
+
+def _experiment_of_file(name: str) -> Experiment:
+    require_file(Path(name), ExperimentError, _MOST_BYTES)
+    found = called(name, runpy.run_path, dict, name)
+    made = {id(each): each for each in found.values() if isinstance(each, Experiment)}
+    if len(made) != 1:
+        raise ExperimentError(
+            f"{name} has {len(made) or 'no'} Experiment{'s' * (len(made) > 1)}: make one, as in "
+            "experiment = Experiment('what it asks', make)"
+        )
+    return next(iter(made.values()))
 
 
 def new_experiment(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
