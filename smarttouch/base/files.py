@@ -10,18 +10,18 @@ import math
 import os
 import re
 import stat
+import tempfile
 import tomllib
 from pathlib import Path
-from typing import Any, BinaryIO, TypeGuard
+from typing import Any, BinaryIO
 
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.posix import (
     O_BINARY,
-    O_CLOEXEC,
-    O_DIRECTORY,
     O_NOCTTY,
     O_NONBLOCK,
     fcntl,
+    try_lock,
     user_number,
 )
 
@@ -34,14 +34,6 @@ MOST_BANK_BYTES = 700_000_000
 """The same of a bank of kernels: that of 4,096 electrodes has 605 million, nearly all zero."""
 MOST_DOCUMENT_BYTES = 2_000_000_000  # largest image, PDF or video; only the needed parts are read
 
-_KINDS = (
-    (stat.S_ISDIR, "folder"),
-    (stat.S_ISFIFO, "pipe"),
-    (stat.S_ISSOCK, "socket"),
-    (stat.S_ISCHR, "device"),
-    (stat.S_ISBLK, "device"),
-)
-
 
 def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> None:
     """Raise unless a path leads to a regular file of at most so many bytes."""
@@ -51,9 +43,9 @@ def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> N
         raise error(f"no file {path}: check its name") from None
     except OSError as failure:
         raise unreadable(error, path, failure) from None
-    for is_kind, name in _KINDS:
-        if is_kind(found.st_mode):
-            raise error(f"{path} is a {name}: give a file")
+    if not stat.S_ISREG(found.st_mode):
+        kind = "folder" if stat.S_ISDIR(found.st_mode) else "pipe or device"
+        raise error(f"{path} is a {kind}: give a file")
     if found.st_size > most_bytes:
         size_mb, most_mb = found.st_size / 1e6, most_bytes / 1e6
         message = f"{path} has {size_mb:,.1f} MB, above the limit of {most_mb:,.0f} MB"
@@ -139,40 +131,8 @@ def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
 
 
 def owner_only(path: str, flags: int) -> int:
-    """Open a file that its owner alone may read, whatever the umask is: an opener for `open`.
-
-    An existing file loses the rights of all others. One that they could read is replaced where all
-    of it is written again, as they may have it open.
-    """
-    cut = flags & os.O_TRUNC
-    if cut and _is_shared(found := _found(path)) and found.st_uid == user_number():
-        with contextlib.suppress(OSError):
-            Path(path).resolve().unlink()
-    number = os.open(path, (flags & ~cut) | O_CLOEXEC | O_NOCTTY | O_BINARY, 0o600)
-    try:
-        found = os.fstat(number)
-        if _is_shared(found) and user_number() is not None:
-            # Some file systems have no rights; another user's file must not get our data.
-            with contextlib.suppress(*([OSError] if found.st_uid == user_number() else [])):
-                os.fchmod(number, 0o600)
-        if cut and stat.S_ISREG(found.st_mode):
-            os.ftruncate(number, 0)
-    except BaseException:
-        os.close(number)
-        raise
-    return number
-
-
-def _found(path: str) -> os.stat_result | None:
-    try:
-        return Path(path).stat()
-    except (OSError, ValueError):
-        return None
-
-
-def _is_shared(found: os.stat_result | None) -> TypeGuard[os.stat_result]:
-    """Return whether it is a file on which others than its owner have rights."""
-    return found is not None and stat.S_ISREG(found.st_mode) and bool(found.st_mode & 0o077)
+    """Open a file that only its owner may read if this creates it: an opener for `open`."""
+    return os.open(path, flags | O_NOCTTY | O_BINARY, 0o600)
 
 
 def make_folder(path: Path) -> None:
@@ -186,65 +146,67 @@ def make_folder(path: Path) -> None:
 
 
 def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
-    """Write a file, or into a device or a pipe with a reader; raises the given type of error."""
+    """Write a file, which is complete on the disk before it replaces an earlier one.
+
+    Also writes into a device, or a pipe with a reader. Raises the given type of error.
+    """
     try:
-        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | O_NONBLOCK
-        with os.fdopen(owner_only(os.fspath(path), flags), "wb") as file:
-            if fcntl is not None:
-                fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) & ~O_NONBLOCK)
-            file.write(data)
+        if path.exists() and not path.is_file():
+            _write_into(path, data)
+        else:
+            _replace(path.resolve(), data)
     except ValueError:
         raise error(f"cannot write {path}: no file has such a name") from None
     except OSError as failure:
         raise unwritable(error, path, failure) from None
 
 
+def _write_into(path: Path, data: bytes) -> None:
+    # Without O_NONBLOCK, a pipe that nobody reads would be waited for.
+    with os.fdopen(owner_only(os.fspath(path), os.O_WRONLY | O_NONBLOCK), "wb") as file:
+        os.set_blocking(file.fileno(), True)
+        file.write(data)
+
+
+def _replace(path: Path, data: bytes) -> None:
+    number, draft = tempfile.mkstemp(prefix=".", suffix=".draft", dir=path.parent)
+    try:
+        with os.fdopen(number, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(number)
+        Path(draft).replace(path)
+    except BaseException:
+        Path(draft).unlink(missing_ok=True)
+        raise
+
+
 def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
     """Open a file for reading and writing, created if missing, locked for this program.
 
-    Another program that asks for the same is refused until this one closes the file or ends,
-    however it ends. File systems without locks let both in.
+    Only its owner may read it from then on. Another program that asks for the same is refused until
+    this one closes the file or ends, however it ends. File systems without locks let both in.
     """
-    flags = os.O_RDWR | os.O_CREAT | O_NONBLOCK
     while True:
         try:
+            flags = os.O_RDWR | os.O_CREAT | O_NONBLOCK
             file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
+            status = os.fstat(file.fileno())
+            if user_number() is not None and status.st_mode & 0o077:
+                # Some file systems have no rights; another user's file must not get our data.
+                with contextlib.suppress(*[OSError] * (status.st_uid == user_number())):
+                    os.fchmod(file.fileno(), 0o600)
         except OSError as failure:
             raise unwritable(error, path, failure) from None
-        if fcntl is None:
-            return file
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if fcntl is not None and not try_lock(file.fileno()):
             file.close()
-            message = (
+            raise error(
                 f"{path} is in use by another run: wait until that has ended, or give another file"
             )
-            raise error(message) from None
-        except OSError:
-            return file
         # Its owner may have removed it just now: that lock then excludes no one.
         if path.exists() and os.path.samestat(path.stat(), os.fstat(file.fileno())):
             return file
         file.close()
-
-
-def write_through(path: Path, data: bytes) -> None:
-    """Write a file that is on the disk before this returns; raises what the system raises."""
-    with open(path, "wb", opener=owner_only) as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def sync_folder(folder: Path) -> None:
-    """Sync the names of a folder's files to the disk, if its file system offers that."""
-    with contextlib.suppress(OSError):
-        number = os.open(folder, os.O_RDONLY | O_DIRECTORY | O_CLOEXEC)
-        try:
-            os.fsync(number)
-        finally:
-            os.close(number)
 
 
 def unreadable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:

@@ -27,9 +27,9 @@ else:
 
 __all__ = ["fcntl", "pty", "resource", "termios", "tty"]
 
-O_NOCTTY, O_NONBLOCK, O_NOFOLLOW, O_CLOEXEC, O_DIRECTORY, O_BINARY = (
+O_NOCTTY, O_NONBLOCK, O_NOFOLLOW, O_CLOEXEC, O_BINARY = (
     getattr(os, name, 0)
-    for name in ("O_NOCTTY", "O_NONBLOCK", "O_NOFOLLOW", "O_CLOEXEC", "O_DIRECTORY", "O_BINARY")
+    for name in ("O_NOCTTY", "O_NONBLOCK", "O_NOFOLLOW", "O_CLOEXEC", "O_BINARY")
 )
 
 

@@ -3,7 +3,6 @@
 import csv
 import hashlib
 import json
-import os
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -82,10 +81,7 @@ def run_study(
     with closing(_made(missing)) as made:
         for index, rows in made:
             path = missing[index].file
-            # Two runs may share a folder.
-            half = path.with_suffix(f".{os.getpid()}.part")
-            write_bytes(half, as_csv(rows).encode())
-            half.replace(path)
+            write_bytes(path, as_csv(rows).encode())
             kept[path] = rows
             done += 1
             if progress is not None:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import shutil
 import time
 import warnings
@@ -159,9 +158,7 @@ def _files(source: ReadingMaterial, numbers: Sequence[int], folder: Path) -> dic
 
 def _keep(page: RecognizedPage, path: Path) -> None:
     # A run that is killed leaves no half a page.
-    half = path.with_suffix(f".{os.getpid()}.part")
-    write_bytes(half, json.dumps(asdict(page)).encode(), ReadingError)
-    half.replace(path)
+    write_bytes(path, json.dumps(asdict(page)).encode(), ReadingError)
 
 
 def _kept(path: Path) -> RecognizedPage | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import RecordingError
 from smarttouch.base.events import Event
-from smarttouch.base.files import owner_only, sync_folder, unwritable
+from smarttouch.base.files import owner_only, unwritable
 from smarttouch.base.version import __version__
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.recording_format import METADATA, SCHEMAS, about_run
@@ -67,7 +67,6 @@ class RecordingWriter:
             )
             self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
         self._end_chunk()
-        sync_folder(self._path.absolute().parent)
 
     def record(self, result: StepResult) -> None:
         """Queue one step for writing; RecordingError if the disk is full, broken or too slow."""

@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import resource
 import socket
 import stat
 import subprocess
@@ -23,7 +24,6 @@ from smarttouch.base.files import (
     require_file,
     require_replaceable,
     write_bytes,
-    write_through,
 )
 
 from ..raising import raises
@@ -111,6 +111,19 @@ def test_what_cannot_be_written(tmp_path, pipe):
         assert number is None or os.strerror(number) in str(error.value)
 
 
+def test_what_could_not_be_written_whole_replaces_nothing(tmp_path):
+    path, before = tmp_path / "a", resource.getrlimit(resource.RLIMIT_FSIZE)
+    write_bytes(path, b"old")
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
+    try:
+        with raises(PageError, value=path):
+            write_bytes(path, b"new, and too long", PageError)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_a_device_is_not_replaced_by_a_file(tmp_path, pipe):
     (tmp_path / "a").touch()
     require_replaceable(tmp_path / "a", PageError)
@@ -128,17 +141,12 @@ def umask():
     os.umask(before)
 
 
-def through_a_draft(path, data):
-    write_through(path.with_name("draft"), data)
-    path.with_name("draft").replace(path)
-
-
 def alone(path, data):
     with open_alone(path, PageError) as file:
         file.write(data)
 
 
-@pytest.mark.parametrize("write", [write_bytes, write_through, through_a_draft, alone])
+@pytest.mark.parametrize("write", [write_bytes, alone])
 @pytest.mark.parametrize("before", [None, 0o600, 0o644, 0o666])
 def test_what_is_written_is_for_its_owner_alone(tmp_path, umask, write, before):
     path = tmp_path / "a"
@@ -146,7 +154,7 @@ def test_what_is_written_is_for_its_owner_alone(tmp_path, umask, write, before):
         path.write_bytes(b"old, and longer")
         path.chmod(before)
         (tmp_path / "link").symlink_to(path)
-        path = path if write is through_a_draft else tmp_path / "link"
+        path = tmp_path / "link"
     write(path, b"new")
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert path.read_bytes().startswith(b"new")

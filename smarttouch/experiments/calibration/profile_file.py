@@ -1,6 +1,7 @@
-"""Editing of a profile: some keys changed, written beside the original in one atomic step."""
+"""Editing of a profile: some keys changed, written in one atomic step."""
 
 import os
+import tomllib
 from collections.abc import Mapping, MutableMapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -15,8 +16,7 @@ from smarttouch.base.files import (
     read_text,
     read_toml,
     require_replaceable,
-    unwritable,
-    write_through,
+    write_bytes,
 )
 from smarttouch.base.version import __version__
 from smarttouch.profile import Profile, load_profile
@@ -78,30 +78,20 @@ class ProfileFile:
 
     def write(self, others: Mapping[Path, bytes] | None = None) -> Profile:
         """Write the profile and the files that go with it; return it as it loads."""
-        files = dict(others or {})
-        for path in (self.output, *files):
+        for path in (self.output, *(others or {})):
             self._require_free(path)
+        text = tomlkit.dumps(self._document)
+        self._prove(text)
         # The profile comes last: the files it names are there before it is.
-        files[self.output] = tomlkit.dumps(self._document).encode()
-        drafts = {path: path.with_name(f".{path.stem}-draft{path.suffix}") for path in files}
-        try:
-            for path, content in files.items():
-                write_through(drafts[path], content)
-            self._prove(drafts[self.output])
-            for path, draft in drafts.items():
-                draft.replace(path)
-        except OSError as error:
-            raise unwritable(CalibrationError, self.output, error) from None
-        finally:
-            for draft in drafts.values():
-                draft.unlink(missing_ok=True)
+        for path, data in {**(others or {}), self.output: text.encode()}.items():
+            write_bytes(path, data, CalibrationError)
         return load_profile(self.output)
 
-    def _prove(self, draft: Path) -> None:
+    def _prove(self, text: str) -> None:
         try:
-            load_profile(draft)
+            profile_of(tomllib.loads(text), self.output)
         except ProfileError as error:
-            said = str(error).removeprefix(f"{draft}: ")
+            said = str(error).removeprefix(f"{self.output}: ")
             raise CalibrationError(
                 f"what was measured is no valid profile, so nothing was written: {said}",
                 electrode=error.electrode,

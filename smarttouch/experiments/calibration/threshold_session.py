@@ -15,7 +15,6 @@ from smarttouch.base.errors import CalibrationError
 from smarttouch.base.files import (
     open_alone,
     read_bytes,
-    sync_folder,
     unwritable,
 )
 from smarttouch.base.stopping import Closing
@@ -93,7 +92,6 @@ class Progress(Closing):
         self._file.seek(len(whole))
         if not whole:
             self._write(settings)
-            sync_folder(self.path.absolute().parent)
 
     def _write(self, value: object) -> None:
         try:

@@ -1,5 +1,6 @@
 """A profile with some keys changed is the profile it was, else; and never half."""
 
+import os
 import tomllib
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -119,7 +120,7 @@ def test_a_disk_that_is_full(tmp_path, monkeypatch):
     def fail(_number):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("smarttouch.experiments.calibration.profile_file.os.fsync", fail)
+    monkeypatch.setattr(os, "fsync", fail)
     with raises(CalibrationError, value=tmp_path / "mine.toml"):
         file.write()
     assert list(tmp_path.iterdir()) == []
