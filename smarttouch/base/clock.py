@@ -1,134 +1,72 @@
 """Clocks, waiting for a time, and real-time priority, so that packets leave on time.
 
-Processes that only compute do not hold up a thread of real-time priority (``SCHED_FIFO``), and
-what is locked in memory is never waited for from a disk. Linux gives both to root, and to users
-whose limits ``rtprio`` and ``memlock`` allow it.
+Processes that only compute do not hold up a thread of real-time priority (``SCHED_FIFO``). Linux
+gives it to root, and to users whose limit ``rtprio`` allows it.
 """
 
 import contextlib
-import ctypes
 import os
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Protocol
 
-from smarttouch.base.posix import resource, user_number
+from smarttouch.base.posix import resource
 
-LOOP: Final = 1  # priority of the threads that pace and send: the lowest above all ordinary ones
-
-_LOCK_NOW, _LOCK_LATER, _LOCK_TOUCHED = 1, 2, 4
+PRIORITY = 1  # priority of the threads that pace and send: the lowest above all ordinary ones
 _FIFO: int | None = getattr(os, "SCHED_FIFO", None)
 _RESET: int = getattr(os, "SCHED_RESET_ON_FORK", 0)
 _LIMIT: int | None = getattr(resource, "RLIMIT_RTPRIO", None)
 
 
-@dataclass(frozen=True)
-class Pace:
-    """Real-time resources granted to a run: the thread's priority, and locked memory."""
-
-    real_time: bool = False
-    locked: bool = False
-
-    @property
-    def notes(self) -> list[str]:
-        """One sentence on what is missing and how to allow it; empty if nothing is."""
-        if self.real_time:
-            return []
-        if _FIFO is None:
-            return ["this system has no real-time priority: packets may be late while it is busy"]
-        return [
-            "without real-time priority packets may be some ms late while the machine is busy: to "
-            "allow it, write '* - rtprio 5' into /etc/security/limits.d/smarttouch.conf and log "
-            "in again"
-        ]
-
-
-@contextmanager
-def paced() -> Iterator[Pace]:
-    """Give this thread real-time priority and lock the memory, as long as the block runs.
-
-    Both are given back at the end. Threads and processes that begin meanwhile have the usual
-    priority. Where the system does not allow one of them, the block runs without it.
-    """
-    with prioritized(LOOP) as real_time, _locked_memory() as locked:
-        yield Pace(real_time, locked)
-
-
-@contextmanager
-def prioritized(level: int = LOOP) -> Iterator[bool]:
-    """Give this thread real-time priority, 1 to 99, in the block; yield whether that is allowed."""
-    before = _scheduling()
-    given = before is not None and _give(level)
-    try:
-        yield given
-    finally:
-        if given and before is not None:
-            policy, parameters = before
-            # Without this flag only root may set it: it stays, whatever this thread does.
-            os.sched_setscheduler(0, policy | _RESET, parameters)
-
-
-def is_prioritized() -> bool:
-    """Return whether the calling thread has real-time priority."""
-    return _FIFO is not None and os.sched_getscheduler(0) & ~_RESET == _FIFO
-
-
-def _scheduling() -> "tuple[int, os.sched_param] | None":
+def priority_advice() -> str:
+    """Return a sentence on how to allow real-time priority."""
     if _FIFO is None:
-        return None
-    return os.sched_getscheduler(0) & ~_RESET, os.sched_getparam(0)
+        return "this system has no real-time priority: packets may be late while it is busy"
+    return (
+        "without real-time priority packets may be some ms late while the machine is busy: to "
+        "allow it, write '* - rtprio 5' into /etc/security/limits.d/smarttouch.conf and log in "
+        "again"
+    )
 
 
-def _give(level: int) -> bool:
-    return _set(level) or (_raise_own_limit(level) and _set(level))
+@contextmanager
+def prioritized() -> Iterator[bool]:
+    """Give this thread real-time priority in the block; yield whether that is allowed.
 
-
-def _set(level: int) -> bool:
-    assert _FIFO is not None
+    Threads and processes that begin meanwhile have the usual priority.
+    """
+    if _FIFO is None:
+        yield False
+        return
+    before = os.sched_getscheduler(0) & ~_RESET, os.sched_getparam(0)
+    allowed = _take_priority(_FIFO)
     try:
-        os.sched_setscheduler(0, _FIFO | _RESET, os.sched_param(level))
+        yield allowed
+    finally:
+        if allowed:
+            # Without this flag only root may set it: it stays, whatever this thread does.
+            os.sched_setscheduler(0, before[0] | _RESET, before[1])
+
+
+def _take_priority(policy: int) -> bool:
+    if _LIMIT is not None:
+        # An administrator may allow more than the session has by itself.
+        soft, most = resource.getrlimit(_LIMIT)
+        if soft < PRIORITY <= most:
+            with contextlib.suppress(OSError, ValueError):
+                resource.setrlimit(_LIMIT, (PRIORITY, most))
+    try:
+        os.sched_setscheduler(0, policy | _RESET, os.sched_param(PRIORITY))
     except OSError:
         return False
     return True
 
 
-def _raise_own_limit(level: int) -> bool:
-    """Raise the limit to what an administrator allows, if the session has not."""
-    if _LIMIT is None:
-        return False
-    soft, most = resource.getrlimit(_LIMIT)
-    if not soft < level <= most:
-        return False
-    with contextlib.suppress(OSError, ValueError):
-        resource.setrlimit(_LIMIT, (level, most))
-    return True
-
-
-@contextmanager
-def _locked_memory() -> Iterator[bool]:
-    """Lock present memory, and later memory once it is used.
-
-    Not where only a part may be locked: memory asked for later would be refused.
-    """
-    library = ctypes.CDLL(None, use_errno=True)
-    locked = (
-        hasattr(library, "mlockall")
-        and _may_lock_all()
-        and library.mlockall(_LOCK_NOW | _LOCK_LATER | _LOCK_TOUCHED) == 0
-    )
-    try:
-        yield locked
-    finally:
-        if locked:
-            library.munlockall()
-
-
-def _may_lock_all() -> bool:
-    unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
-    return unlimited or user_number() == 0
+def is_prioritized() -> bool:
+    """Return whether the calling thread has real-time priority."""
+    return _FIFO is not None and os.sched_getscheduler(0) & ~_RESET == _FIFO
 
 
 SPIN_NS = 300_000  # spun end of each wait at real-time priority: a sleep alone wakes .1 ms late

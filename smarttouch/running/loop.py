@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 
-from smarttouch.base.clock import LATE_NS, Clock, Pace, SimulatedClock, paced
+from smarttouch.base.clock import LATE_NS, Clock, SimulatedClock, prioritized, priority_advice
 from smarttouch.base.errors import (
     BoardError,
     BoardRestartedError,
@@ -116,10 +116,10 @@ def run_loop(
     regulates = None if regulator.is_idle(board) else regulator
     phase = PhaseLock(board, statistics)
     loop = _Loop(inputs, regulates, stop, steps, clock or board.clock, phase)
-    with contextlib.nullcontext(Pace()) if board.simulated_time else paced() as pace:
-        statistics.real_time = pace.real_time
-        for note in pace.notes if board.on_a_finger else ():
-            emit(Note(0, note))
+    with contextlib.nullcontext(False) if board.simulated_time else prioritized() as real_time:
+        statistics.real_time = real_time
+        if board.on_a_finger and not real_time:
+            emit(Note(0, priority_advice()))
         loop.run(seconds)
     emit(RunEnded(loop.elapsed_ns, stop.reason or source.ended))
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.clock import Pace, SimulatedClock
+from smarttouch.base.clock import SimulatedClock, priority_advice
 from smarttouch.base.errors import (
     BoardStoppedError,
     SmartTouchError,
@@ -200,7 +200,9 @@ class Runner:
             report = board.report()
         board.notes += [*regulator.notes(), *pipeline.notes(), *_refused_packets(board, report)]
         if self.display.on_a_finger:
-            board.notes += [*_density(profile), *Pace(self.statistics.real_time).notes]
+            board.notes += _density(profile)
+            if not self.statistics.real_time:
+                board.notes.append(priority_advice())
         return report
 
     def _settings(self, profile: Profile) -> dict[str, Any]:

@@ -5,21 +5,11 @@ import resource
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import pytest
 
 from smarttouch.base import clock
-from smarttouch.base import clock as clock_module
-from smarttouch.base.clock import (
-    LOOP,
-    SPIN_NS,
-    MonotonicClock,
-    Pace,
-    is_prioritized,
-    paced,
-    prioritized,
-)
+from smarttouch.base.clock import PRIORITY, SPIN_NS, MonotonicClock, is_prioritized, prioritized
 
 
 def in_a_thread(work):
@@ -47,7 +37,7 @@ def test_it_is_given_and_given_back():
     def policies():
         found = [is_prioritized()]
         with prioritized() as given:
-            found += [given, is_prioritized(), os.sched_getparam(0).sched_priority == LOOP]
+            found += [given, is_prioritized(), os.sched_getparam(0).sched_priority == PRIORITY]
         return [*found, is_prioritized()]
 
     assert in_a_thread(policies) == [False, True, True, True, False]
@@ -82,11 +72,10 @@ def test_where_it_is_not_allowed_work_goes_on(monkeypatch):
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
 
     def work():
-        with paced() as pace:
-            return pace.real_time, len(pace.notes), is_prioritized()
+        with prioritized() as allowed:
+            return allowed, is_prioritized()
 
-    assert in_a_thread(work) == (False, 1, False)
-    assert Pace(real_time=True).notes == []
+    assert in_a_thread(work) == (False, False)
 
 
 def test_on_systems_without_it_work_goes_on(monkeypatch):
@@ -107,37 +96,26 @@ def test_what_an_administrator_allows_is_used(monkeypatch):
     monkeypatch.setattr(os, "sched_setscheduler", give)
     monkeypatch.setattr(resource, "getrlimit", lambda _: limits[-1])
     monkeypatch.setattr(resource, "setrlimit", lambda _, new: limits.append(new))
-    assert clock._give(LOOP)
-    assert limits[-1] == (LOOP, 5)
-    assert asked == [LOOP, LOOP]
+    with prioritized() as allowed:
+        assert allowed
+    assert limits[-1] == (PRIORITY, 5)
+    assert asked[0] == PRIORITY
     limits[:] = [(0, 0)]
-    assert not clock._give(LOOP)
+    with prioritized() as allowed:
+        assert not allowed
     assert limits == [(0, 0)]
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become nobody")
 def test_nobody_may_not_and_runs_all_the_same():
     code = (
-        "import os, resource; from smarttouch.base.clock import paced\n"
+        "import os, resource; from smarttouch.base.clock import prioritized\n"
         "resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))\n"
-        "resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))\n"
         "os.setuid(65534)\n"
-        "with paced() as pace: print(pace.real_time, pace.locked, len(bytes(2**24)))"
+        "with prioritized() as allowed: print(allowed)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "False", "16777216"]
-
-
-def locked_kib():
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmLck"))
-
-
-def test_memory_is_locked_where_all_of_it_may_be():
-    before = locked_kib()
-    with paced() as pace:
-        assert (locked_kib() > before) is pace.locked
-    assert locked_kib() == before
+    assert done.stdout == "False\n"
 
 
 class Event:
@@ -157,8 +135,8 @@ class Event:
     (None, False, 0), (None, True, SPIN_NS), (0, True, 0), (2_000_000, False, 2_000_000),
 ])  # fmt: skip
 def test_only_where_it_has_priority_a_wait_is_spun(monkeypatch, spin_ns, real_time, spun_ns):
-    monkeypatch.setattr(clock_module, "is_prioritized", lambda: real_time)
-    clock, event = MonotonicClock(spin_ns), Event()
-    monkeypatch.setattr(clock, "now_ns", lambda: 1_000_000)
-    clock.wait_until(11_000_000, event)
+    monkeypatch.setattr(clock, "is_prioritized", lambda: real_time)
+    machine, event = MonotonicClock(spin_ns), Event()
+    monkeypatch.setattr(machine, "now_ns", lambda: 1_000_000)
+    machine.wait_until(11_000_000, event)
     assert event.waited_s == pytest.approx((10_000_000 - spun_ns) / 1e9)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Mode
-from smarttouch.base.clock import Pace
+from smarttouch.base.clock import priority_advice
 from smarttouch.base.errors import (
     BoardError,
     BoardRestartedError,
@@ -602,12 +602,12 @@ def test_priority_is_for_boards_whose_time_passes(
     taken = []
 
     @contextmanager
-    def paced():
-        taken.append("paced")
-        yield Pace()
+    def prioritized():
+        taken.append("taken")
+        yield False
         taken.append("given back")
 
-    monkeypatch.setattr("smarttouch.running.loop.paced", paced)
+    monkeypatch.setattr("smarttouch.running.loop.prioritized", prioritized)
     told, tally = [], RunStatistics()
     with board:
         loop(
@@ -615,6 +615,6 @@ def test_priority_is_for_boards_whose_time_passes(
             controls=Controls(ControlState(pipeline.mode)),
             listeners=[OnEvent(lambda event: told.append(str(event)))],
         )  # fmt: skip
-    assert taken == ([] if simulated_time else ["paced", "given back"])
+    assert taken == ([] if simulated_time else ["taken", "given back"])
     assert not tally.real_time
-    assert (Pace().notes[0] in told) is bool(on_a_finger)
+    assert (priority_advice() in told) is bool(on_a_finger)
