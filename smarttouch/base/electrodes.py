@@ -1,7 +1,5 @@
 """Electrode arrays: places and shapes of the electrodes."""
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -9,14 +7,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import ProfileError, SmartTouchError
+from smarttouch.base.errors import ProfileError
 from smarttouch.base.one_line import one_line
 
 Shape = Literal["point", "disc", "annulus", "rectangle"]
 
 COINCIDENT_MM = 1e-3  # distance below which two electrodes count as one given twice
-
-KAJIMOTO_61_ROWS = (5, 6, 7, 8, 9, 8, 7, 6, 5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +47,9 @@ class ElectrodeArray:
                 key="electrodes",
             )
         # Of one shape they may overlap where a field is computed for each by itself.
-        self._refuse_overlaps(COINCIDENT_MM if self.own is None else None)
+        self.refuse_overlaps(COINCIDENT_MM if self.own is None else None)
 
-    def _refuse_overlaps(self, least_mm: float | None = None) -> None:
+    def refuse_overlaps(self, least_mm: float | None = None) -> None:
         """Raise if two electrodes overlap, or are nearer to each other than a distance."""
         apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
         touching = self._overlap(apart) if least_mm is None else apart < least_mm
@@ -111,83 +107,6 @@ class ElectrodeArray:
         return float(span[0] + self.cell_mm[0]), float(span[1] + self.cell_mm[1])
 
 
-def grid(
-    rows: int,
-    columns: int,
-    pitch_x_mm: float,
-    pitch_y_mm: float,
-    diameter_mm: float,
-    inner_diameter_mm: float = 0.0,
-) -> ElectrodeArray:
-    """Return a rectangular grid of discs or rings, numbered row by row from the top left."""
-    x, y = np.meshgrid(_centered(columns, pitch_x_mm), _centered(rows, pitch_y_mm))
-    return ElectrodeArray(
-        position_mm=np.column_stack([x.ravel(), y.ravel()]),
-        cell_mm=(pitch_x_mm, pitch_y_mm),
-        pitch_mm=_nearest(columns, pitch_x_mm, rows, pitch_y_mm),
-        shape="annulus" if inner_diameter_mm else "disc",
-        size_mm=(diameter_mm, inner_diameter_mm),
-    )
-
-
-def hexagon(pitch_mm: float, diameter_mm: float) -> ElectrodeArray:
-    """Return the 61-electrode hexagon, in its board's own order.
-
-    Rows of 5, 6, 7, 8, 9, 8, 7, 6, 5. The board counts from the far row down
-    with falling x, so electrode 0 is at the right end of the top row and 60 at
-    the left end of the bottom row.
-    """
-    height = pitch_mm * np.sqrt(3) / 2
-    top = height * (len(KAJIMOTO_61_ROWS) - 1) / 2
-    points = [
-        (x, -top + height * row)
-        for row, count in enumerate(KAJIMOTO_61_ROWS)
-        for x in _centered(count, pitch_mm)[::-1]
-    ]
-    return ElectrodeArray(
-        position_mm=np.array(points),
-        cell_mm=(pitch_mm, float(height)),
-        pitch_mm=pitch_mm,
-        size_mm=(diameter_mm, 0.0),
-    )
-
-
-def lines(count: int, pitch_mm: float, width_mm: float, length_mm: float) -> ElectrodeArray:
-    """Return parallel line electrodes, long in y (the paper's Fig. 7 and 12)."""
-    x = _centered(count, pitch_mm)
-    return ElectrodeArray(
-        position_mm=np.column_stack([x, np.zeros(count)]),
-        cell_mm=(pitch_mm, length_mm),
-        pitch_mm=pitch_mm,
-        shape="rectangle",
-        size_mm=(width_mm, length_mm),
-    )
-
-
-def free(
-    position_mm: Sequence[tuple[float, float]],
-    shape: Shape,
-    size_mm: tuple[float, float],
-    own: tuple[tuple[Shape, tuple[float, float]], ...] | None = None,
-) -> ElectrodeArray:
-    """Return electrodes at any positions, numbered as given; the origin moves to their middle."""
-    position = np.array(position_mm, np.float64).reshape(-1, 2)
-    if len(position):
-        position -= (position.max(axis=0) + position.min(axis=0)) / 2
-    apart = np.linalg.norm(position[:, None] - position[None], axis=2)
-    if own is not None:
-        # A ring is as far away as its middle line.
-        line = [sum(size) / 4 if each == "annulus" else 0.0 for each, size in own]
-        apart = np.maximum(apart, np.abs(np.subtract.outer(line, line)))
-        shape, size_mm = own[0]
-    np.fill_diagonal(apart, np.inf)
-    # Most electrodes' distance to their neighbor: one close pair must not set it for all.
-    pitch = float(np.median(apart.min(axis=1))) if len(position) > 1 else 1.0
-    array = ElectrodeArray(position, (pitch, pitch), pitch, shape, size_mm, own)
-    array._refuse_overlaps()
-    return array
-
-
 def _area_mm2(shape: Shape, size_mm: tuple[float, float]) -> float:
     first, second = size_mm
     if shape == "rectangle":
@@ -195,25 +114,3 @@ def _area_mm2(shape: Shape, size_mm: tuple[float, float]) -> float:
     if shape == "point":
         first, second = 1.0, 0.0
     return float(np.pi / 4 * (first**2 - second**2))
-
-
-def _nearest(columns: int, pitch_x_mm: float, rows: int, pitch_y_mm: float) -> float:
-    pitches = [pitch for count, pitch in ((columns, pitch_x_mm), (rows, pitch_y_mm)) if count > 1]
-    return min(pitches or [pitch_x_mm])
-
-
-def _centered(count: int, pitch: float) -> NDArray[np.float64]:
-    return np.asarray((np.arange(count) - (count - 1) / 2) * pitch, np.float64)
-
-
-def parse_ranges(
-    text: str, about: str, error: type[SmartTouchError] = SmartTouchError
-) -> list[tuple[int, int]]:
-    """Return the first and last electrode of each range in a list such as ``0-7,12``."""
-    found = [
-        re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip()) for part in text.split(",")
-    ]
-    if None in found:
-        message = f"{about} {text!r} are no list: give numbers and ranges like 0-7,12"
-        raise error(message)
-    return [(int(each[1]), int(each[2] or each[1])) for each in found if each]

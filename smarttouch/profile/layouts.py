@@ -3,9 +3,10 @@
 from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from smarttouch.base import electrodes
 from smarttouch.base.electrodes import ElectrodeArray, Shape
 from smarttouch.profile.toml_tables import Number, Positive, Table, UnfitError, raise_all
 
@@ -43,13 +44,16 @@ class GridLayout(Table):
         return f"{size} at {self.pitch_x_mm:g} mm"
 
     def build(self) -> ElectrodeArray:
-        return electrodes.grid(
-            self.rows,
-            self.columns,
-            self.pitch_x_mm,
-            self.pitch_y_mm,
-            self.diameter_mm,
-            self.inner_diameter_mm,
+        """Return the electrodes, numbered row by row from the top left."""
+        x = _centered(self.columns, self.pitch_x_mm)
+        y = _centered(self.rows, self.pitch_y_mm)
+        pitches = [self.pitch_x_mm] * (self.columns > 1) + [self.pitch_y_mm] * (self.rows > 1)
+        return ElectrodeArray(
+            position_mm=np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2),
+            cell_mm=(self.pitch_x_mm, self.pitch_y_mm),
+            pitch_mm=min(pitches or [self.pitch_x_mm]),
+            shape="annulus" if self.inner_diameter_mm else "disc",
+            size_mm=(self.diameter_mm, self.inner_diameter_mm),
         )
 
 
@@ -64,7 +68,20 @@ class HexagonLayout(Table):
     """Diameter of each electrode."""
 
     def build(self) -> ElectrodeArray:
-        return electrodes.hexagon(self.pitch_mm, self.diameter_mm)
+        """Return the electrodes as the board counts them, from the far row down with falling x:
+        electrode 0 is at the right end of the top row."""
+        height_mm = self.pitch_mm * np.sqrt(3) / 2
+        points = [
+            (x, -4 * height_mm + height_mm * row)
+            for row, count in enumerate((5, 6, 7, 8, 9, 8, 7, 6, 5))
+            for x in _centered(count, self.pitch_mm)[::-1]
+        ]
+        return ElectrodeArray(
+            position_mm=np.array(points),
+            cell_mm=(self.pitch_mm, float(height_mm)),
+            pitch_mm=self.pitch_mm,
+            size_mm=(self.diameter_mm, 0.0),
+        )
 
 
 class LineLayout(Table):
@@ -82,7 +99,15 @@ class LineLayout(Table):
     """Length of each line."""
 
     def build(self) -> ElectrodeArray:
-        return electrodes.lines(self.count, self.pitch_mm, self.width_mm, self.length_mm)
+        """Return the electrodes from left to right (the paper's Fig. 7 and 12)."""
+        x = _centered(self.count, self.pitch_mm)
+        return ElectrodeArray(
+            position_mm=np.column_stack([x, np.zeros(self.count)]),
+            cell_mm=(self.pitch_mm, self.length_mm),
+            pitch_mm=self.pitch_mm,
+            shape="rectangle",
+            size_mm=(self.width_mm, self.length_mm),
+        )
 
 
 class FreeLayout(Table):
@@ -124,10 +149,28 @@ class FreeLayout(Table):
             yield from _unsized(shape, size, "sizes_mm")
 
     def build(self) -> ElectrodeArray:
-        own = None
+        """Return the electrodes as listed; the origin moves to their middle."""
+        position = np.array(self.positions_mm, np.float64).reshape(-1, 2)
+        if len(position):
+            position -= (position.max(axis=0) + position.min(axis=0)) / 2
+        apart = np.linalg.norm(position[:, None] - position[None], axis=2)
+        own, shape, size_mm = None, self.shape, self.size_mm
         if self.shapes is not None and self.sizes_mm is not None:
             own = tuple(zip(self.shapes, self.sizes_mm, strict=True))
-        return electrodes.free(self.positions_mm, self.shape, self.size_mm, own)
+            # A ring is as far away as its middle line.
+            line = [sum(size) / 4 if each == "annulus" else 0.0 for each, size in own]
+            apart = np.maximum(apart, np.abs(np.subtract.outer(line, line)))
+            shape, size_mm = own[0]
+        np.fill_diagonal(apart, np.inf)
+        # Most electrodes' distance to their neighbor: one close pair must not set it for all.
+        pitch = float(np.median(apart.min(axis=1))) if len(position) > 1 else 1.0
+        array = ElectrodeArray(position, (pitch, pitch), pitch, shape, size_mm, own)
+        array.refuse_overlaps()
+        return array
+
+
+def _centered(count: int, pitch_mm: float) -> NDArray[np.float64]:
+    return np.asarray((np.arange(count) - (count - 1) / 2) * pitch_mm, np.float64)
 
 
 def _unsized(shape: Shape, size_mm: tuple[float, float], key: str) -> Iterator[UnfitError]:

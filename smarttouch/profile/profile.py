@@ -1,6 +1,7 @@
 """A profile: one device on one finger, checked as a whole, or narrowed to stricter limits."""
 
 import math
+import re
 from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from smarttouch.base.electrodes import ElectrodeArray, parse_ranges
+from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import ProfileError, SmartTouchError
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.profile.device import (
@@ -313,13 +314,19 @@ class Profile(Table):
         return self
 
 
+_RANGE = re.compile("([0-9]{1,6})(?:-([0-9]{1,6}))?")
+
+
 def require_driven(
     profile: Profile, sites: str | Collection[int], error: type[SmartTouchError], about: str
 ) -> NDArray[np.intp]:
     """Return the electrodes that a list such as ``0-7,12`` or numbers name, each once, ascending;
     raise the error unless all are there and not masked."""
     if isinstance(sites, str):
-        ranges = parse_ranges(sites, about, error)
+        found = [_RANGE.fullmatch(part.strip()) for part in sites.split(",")]
+        if None in found:
+            raise error(f"{about} {sites!r} are no list: give numbers and ranges like 0-7,12")
+        ranges = [(int(each[1]), int(each[2] or each[1])) for each in found if each]
     else:
         ranges = [(each, each) for each in sites]
     if not ranges:
