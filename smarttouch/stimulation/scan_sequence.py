@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.one_line import one_line
-from smarttouch.base.whole_kernels import quantized
 from smarttouch.profile import Profile
+from smarttouch.stimulation.quantized_kernels import quantized
 
 
 class SlotPolicy(NamedTuple):

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
-from smarttouch.base.whole_kernels import quantized
 from smarttouch.kernels.frame_fields import FrameBounds
 from smarttouch.kernels.frame_judges import FrameJudge, full_wish
 from smarttouch.kernels.frame_operator import FrameOperator
 from smarttouch.kernels.proved_sets import Certainty, SharedKernels, color_classes, proved_sets
 from smarttouch.profile import load_profile
+from smarttouch.stimulation.quantized_kernels import quantized
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable
 from smarttouch.stimulation.slot_sums import round_charge_balanced
 

@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.whole_kernels import PEAK, quantized
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.source_contract import Stimulus
+from smarttouch.stimulation.quantized_kernels import PEAK, quantized
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, largest_amplitude
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
-from smarttouch.base.whole_kernels import kept_kernels
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import IDENTITY_BYTES, pack_states, source_of
+from smarttouch.stimulation.quantized_kernels import kept_kernels
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, bytes_of
 from smarttouch.stimulation.slot_sums import extent_us
