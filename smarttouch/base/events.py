@@ -129,7 +129,3 @@ class TrialEvent(Note):
 
 
 Emit = Callable[[Event], None]  # sends an event to the listeners of a run
-
-
-def drop_event(_event: Event) -> None:
-    """Drop an event, for a source outside of a run."""

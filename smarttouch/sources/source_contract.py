@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.events import Advice, Emit, drop_event
+from smarttouch.base.events import Advice, Emit
 from smarttouch.base.one_line import one_line
 from smarttouch.base.stopping import Closing
 from smarttouch.base.tactile_image import TactileImage
@@ -198,7 +198,7 @@ class Source(Device, ABC):
     """Duration; None if it never ends by itself."""
     ended: ClassVar[str] = "the source has ended"
     """Message at its end."""
-    emit: Emit = staticmethod(drop_event)
+    emit: Emit = staticmethod(lambda _event: None)
     """Receives events of the source; set by the run."""
     afferents: tuple[Afferent, ...] = tuple(Afferent)
     """Classes that the next input may drive; set by the run."""

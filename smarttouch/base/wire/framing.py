@@ -81,8 +81,7 @@ class Deframer:
             end = len(body) - _CRC.size
             fits = _HEAD.size <= end <= self._largest - _CRC.size
             if fits and zlib.crc32(body[:end]) == _CRC.unpack_from(body, end)[0]:
-                version, kind, number = _HEAD.unpack_from(body)
-                packets.append(WirePacket(kind, number, body[_HEAD.size : end], version))
+                packets.append(parse_head(body[:end]))
             elif coded:
                 self.errors += 1
         self._waiting += rest
