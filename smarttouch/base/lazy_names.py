@@ -1,8 +1,7 @@
-"""Imports at first use: names of a package, modules of extras, and the cluster of one of them."""
+"""Imports at first use: names of a package, and modules of extras."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -33,29 +32,3 @@ def import_extra(
         command = f"pip install 'smarttouch[{extra}]'"
         message = f"{what} needs the extra {extra}: {command}"
         raise error(message) from None
-
-
-_ANSWERS_WITHIN_S = 10
-
-
-@contextmanager
-def on_cluster(address: str | None) -> Iterator[None]:
-    """Run what is within on the Dask cluster of a scheduler (``tcp://HOST:8786``); here if None.
-
-    Its workers need this version of SmartTouch.
-    """
-    if address is None:
-        yield
-        return
-    dask = import_extra("distributed", "a cluster", "cluster")
-    from joblib import parallel_config
-
-    try:
-        client = dask.Client(address, timeout=_ANSWERS_WITHIN_S, set_as_default=False)
-    except (OSError, ValueError, ImportError) as error:
-        raise SmartTouchError(
-            f"no Dask scheduler answers at {address!r} ({error or type(error).__name__}): give its "
-            "address as tcp://HOST:8786"
-        ) from None
-    with client, parallel_config("dask", client=client, wait_for_workers_timeout=60):
-        yield

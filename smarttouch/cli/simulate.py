@@ -93,13 +93,13 @@ def study(
     """Run a grid of fingers, profiles, modes, scans, letters and pages, or continue one."""
     from importlib.util import find_spec
 
-    from smarttouch.base.lazy_names import on_cluster
     from smarttouch.base.terminal import print_table
     from smarttouch.experiments.study_plan import load_study
     from smarttouch.experiments.study_run import (
         ROWS_FILE,
         STUDY_NAMES,
         TABLE_NOTE,
+        on_cluster,
         run_study,
         study_figure,
         study_sums,

@@ -6,7 +6,7 @@ import json
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import make_folder, read_text, write_bytes
+from smarttouch.base.lazy_names import import_extra
 from smarttouch.experiments.study_plan import (
     Advance,
     Grid,
@@ -297,3 +298,29 @@ def study_figure(found: Sequence[Summed], names: Mapping[str, str], title: str) 
     )  # fmt: skip
     figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=GREY)
     return figure
+
+
+_ANSWERS_WITHIN_S = 10
+
+
+@contextmanager
+def on_cluster(address: str | None) -> Iterator[None]:
+    """Run what is within on the Dask cluster of a scheduler (``tcp://HOST:8786``); here if None.
+
+    Its workers need this version of SmartTouch.
+    """
+    if address is None:
+        yield
+        return
+    dask = import_extra("distributed", "a cluster", "cluster")
+    from joblib import parallel_config
+
+    try:
+        client = dask.Client(address, timeout=_ANSWERS_WITHIN_S, set_as_default=False)
+    except (OSError, ValueError, ImportError) as error:
+        raise SmartTouchError(
+            f"no Dask scheduler answers at {address!r} ({error or type(error).__name__}): give its "
+            "address as tcp://HOST:8786"
+        ) from None
+    with client, parallel_config("dask", client=client, wait_for_workers_timeout=60):
+        yield

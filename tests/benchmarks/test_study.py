@@ -5,9 +5,8 @@ from pathlib import Path
 import joblib
 import pytest
 
-from smarttouch.base.lazy_names import on_cluster
 from smarttouch.experiments.study_plan import Grid, Study, rows_of_finger
-from smarttouch.experiments.study_run import run_study
+from smarttouch.experiments.study_run import on_cluster, run_study
 from smarttouch.physiology.anatomy import load_anatomy
 
 STUDY = Study(

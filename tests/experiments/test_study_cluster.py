@@ -8,9 +8,8 @@ import joblib
 import pytest
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.lazy_names import on_cluster
 from smarttouch.experiments.study_plan import Study
-from smarttouch.experiments.study_run import run_study
+from smarttouch.experiments.study_run import on_cluster, run_study
 
 from ..raising import raises
 from ..whole import WHOLE
@@ -54,7 +53,7 @@ def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
 
 
 def test_a_missing_scheduler_is_an_error(monkeypatch):
-    monkeypatch.setattr("smarttouch.base.lazy_names._ANSWERS_WITHIN_S", 0.2)
+    monkeypatch.setattr("smarttouch.experiments.study_run._ANSWERS_WITHIN_S", 0.2)
     with (
         raises(SmartTouchError, value="tcp://127.0.0.1:1"),
         on_cluster("tcp://127.0.0.1:1"),
