@@ -64,7 +64,7 @@ sphinx_gallery_conf = {
     "minigallery_sort_order": "gallery_order.position",
     "nested_sections": False,
     "abort_on_example_error": True,
-    "capture_repr": ("_repr_html_",),
+    "capture_repr": (),
     "doc_module": ("smarttouch",),
     "backreferences_dir": "gallery/uses",
     "matplotlib_animations": False,

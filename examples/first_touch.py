@@ -41,11 +41,6 @@ sent.set(title="sequence", xlabel="electrode", ylabel="slot")
 figure.colorbar(image, label="mA, cathodic positive")
 
 # %%
-# In a notebook, as here, a step shows itself: activation of each class by electrode, and below it
-# the current of each electrode in each slot.
-step
-
-# %%
 # The same on a display, which proves each sequence safe before a byte of it is sent. The board
 # ``simulated:`` has the firmware of a real protocol, in simulated time; ``emulator:`` is the same
 # board in a process of its own, behind a serial line. Its books say what reached the skin.

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.array_picture import cells_svg, titled
 from smarttouch.base.errors import DesignError
 from smarttouch.base.files import (
     MOST_BANK_BYTES,
@@ -58,13 +57,6 @@ class KernelBank:
     receptor: Column  # (E, E) float32, V/mm² per mA: AF at the target under r of electrode e
     # Classes whose kernels are one electrode against all others, by height and exact to the µA.
     discs: tuple[Afferent, ...] = ()
-
-    def _repr_html_(self) -> str:
-        """Return the off-target activation of each class and site as cells for notebooks."""
-        found = {each.name: self.off_target[each] for each in sorted(self.off_target)}
-        worst = ", ".join(f"{name} {values.max():.3g}" for name, values in found.items())
-        title = f"Kernels; largest activation of another class: {worst}"
-        return titled(title, *(cells_svg(values, (name,)) for name, values in found.items()))
 
     def kernels(self, afferent: Afferent) -> NDArray[np.float32]:
         """Return the kernels of a mode as fractions of full current, (E, E), zero where masked.

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.array_picture import cells_svg, titled
 from smarttouch.base.errors import DesignError
 from smarttouch.base.one_line import one_line
 from smarttouch.physiology.activating_function import (
@@ -120,14 +119,6 @@ class Kernel:
     def peak_normalized(self) -> Array:
         """Weights with a largest magnitude of 1, as the paper draws them (Fig. 8)."""
         return np.asarray(self.weights / np.abs(self.weights).max())
-
-    def _repr_html_(self) -> str:
-        """Return its currents as cells, electrode by electrode, for notebooks."""
-        title = (
-            f"{self.kind} kernel: {self.off_target:.3g} of the target at "
-            f"{self.off_target_class.name}, spill {self.spill:.3g}"
-        )
-        return titled(title, cells_svg(self.weights))
 
 
 _FIRST_MM = 0.5  # distance of the places at which a design looks first

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.array_picture import cells_svg, titled
+from smarttouch.base.afferent import Mode
 from smarttouch.base.one_line import one_line
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.sources.source_contract import Input
@@ -43,17 +42,6 @@ class Step:
         classes = list(self.mode.afferents)
         driven[classes] = self.tactile.activation[classes]
         return driven
-
-    def _repr_html_(self) -> str:
-        """Return its tactile image and its currents as cells, for notebooks."""
-        sequence = self.sequence
-        title = (
-            f"{self.mode} at {self.tactile.time_ns / 1e9:.3f} s: {sequence.points} points in "
-            f"{sequence.slots} slots, {sequence.period_us / 1000:g} ms, intensity "
-            f"{sequence.intensity:.2f}"
-        )
-        activation = cells_svg(self.tactile.activation, tuple(each.name for each in Afferent))
-        return titled(title, activation, cells_svg(sequence.current_ua))
 
 
 @dataclass(frozen=True)
@@ -117,9 +105,6 @@ class StepResult:
     refused: int = 0
     first_pulse: FirstPulse | None = None
     clock_ns: int = -1
-
-    def _repr_html_(self) -> str:
-        return self.step._repr_html_()
 
     @property
     def input(self) -> Input:

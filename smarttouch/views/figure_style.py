@@ -5,8 +5,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smarttouch.base.array_picture import ANODIC as ANODIC
-from smarttouch.base.array_picture import CATHODIC as CATHODIC
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import write_bytes
 from smarttouch.base.lazy_names import import_extra
@@ -14,6 +12,7 @@ from smarttouch.base.lazy_names import import_extra
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+CATHODIC, ANODIC = "#b35806", "#542788"  # ends of Matplotlib's PuOr
 SIGNED_MAP = "PuOr_r"  # color map: orange for cathodic or depolarizing, purple for the other sign
 GREY = "#707070"
 SERIES_COLORS = ("#d55e00", "#009e73", "#0072b2", "#cc79a7", "#e69f00", "#56b4e9")
