@@ -154,7 +154,7 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
         if path.exists() and not path.is_file():
             _write_into(path, data)
         else:
-            _replace(path.resolve(), data)
+            _replace(Path(os.path.realpath(path)), data)
     except ValueError:
         raise error(f"cannot write {path}: no file has such a name") from None
     except OSError as failure:
@@ -164,7 +164,8 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
 def _write_into(path: Path, data: bytes) -> None:
     # Without O_NONBLOCK, a pipe that nobody reads would be waited for.
     with os.fdopen(owner_only(os.fspath(path), os.O_WRONLY | O_NONBLOCK), "wb") as file:
-        os.set_blocking(file.fileno(), True)
+        if O_NONBLOCK:
+            os.set_blocking(file.fileno(), True)
         file.write(data)
 
 
