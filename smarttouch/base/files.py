@@ -151,7 +151,8 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
     Also writes into a device, or a pipe with a reader. Raises the given type of error.
     """
     try:
-        if path.exists() and not path.is_file():
+        # /dev/stdout may lead to a file, which others write, too.
+        if path.exists() and (not path.is_file() or path.parent == Path("/dev")):
             _write_into(path, data)
         else:
             _replace(Path(os.path.realpath(path)), data)
@@ -163,7 +164,8 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
 
 def _write_into(path: Path, data: bytes) -> None:
     # Without O_NONBLOCK, a pipe that nobody reads would be waited for.
-    with os.fdopen(owner_only(os.fspath(path), os.O_WRONLY | O_NONBLOCK), "wb") as file:
+    flags = os.O_WRONLY | os.O_APPEND | O_NONBLOCK
+    with os.fdopen(owner_only(os.fspath(path), flags), "wb") as file:
         if O_NONBLOCK:
             os.set_blocking(file.fileno(), True)
         file.write(data)

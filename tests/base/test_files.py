@@ -100,6 +100,16 @@ def test_writing(tmp_path, pipe):
     os.close(reader)
 
 
+def test_standard_output_that_is_a_file_keeps_what_it_has(tmp_path):
+    code = (
+        "from pathlib import Path; from smarttouch.base.files import write_bytes\n"
+        "print('before', flush=True)\nwrite_bytes(Path('/dev/stdout'), b'figures')"
+    )
+    with (tmp_path / "a").open("wb") as output:
+        subprocess.run([sys.executable, "-c", code], stdout=output, check=True)
+    assert (tmp_path / "a").read_bytes() == b"before\nfigures"
+
+
 def test_what_cannot_be_written(tmp_path, pipe):
     places = (
         (tmp_path, errno.EISDIR), (tmp_path / "none" / "a", errno.ENOENT),
