@@ -83,31 +83,21 @@ class PtyLine:
 
 
 class TcpLine:
-    """A TCP port of this machine, for one host at a time, never unplugged; it answers ``ETK?`` on
-    the UDP port ``discovery_port``."""
+    """A TCP port of this machine, for one host at a time, never unplugged."""
 
     keeps_name = False
     plugged_in = True
 
-    def __init__(self, discovery_port: int | None = None) -> None:
+    def __init__(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0), backlog=1)
-        self._port = int(self._listener.getsockname()[1])
-        self.name: str = f"tcp://127.0.0.1:{self._port}"
+        self.name: str = f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
         self._host: socket.socket | None = None
-        self._watched = [self._listener]
-        if discovery_port is not None:
-            self._watched.append(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            self._watched[1].bind(("127.0.0.1", discovery_port))
 
     def read(self, timeout_s: float) -> bytes | None:
         """Return what has come, empty if nothing; None while there is no host."""
-        line = self._host or self._listener
-        ready = select.select([line, *self._watched[1:]], [], [], timeout_s)[0]
-        for discovery in ready:
-            if discovery in self._watched[1:]:
-                self._answer_discovery(discovery)
+        ready = select.select([self._host or self._listener], [], [], timeout_s)[0]
         if self._host is None:
-            if line not in ready:
+            if not ready:
                 return None
             self._host = self._listener.accept()[0]
             self._host.setblocking(False)
@@ -139,17 +129,7 @@ class TcpLine:
     def pull_out(self) -> None: ...
 
     def close(self) -> None:
-        """Close all sockets."""
-        for each in (self._host, *self._watched):
-            if each is not None:
-                each.close()
-
-    def _answer_discovery(self, discovery: socket.socket) -> None:
-        question, sender = discovery.recvfrom(64)
-        if question.strip() == b"ETK?":
-            busy = int(self._host is not None)
-            answer = (
-                f"ETK!;id=A1B2C3;name=emulator;ip=127.0.0.1;port={self._port};mode=STA;"
-                f"busy={busy};fw=1.0"
-            )
-            discovery.sendto(answer.encode(), sender)
+        """Close both sockets."""
+        self._listener.close()
+        if self._host is not None:
+            self._host.close()
