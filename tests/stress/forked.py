@@ -33,7 +33,6 @@ KINDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 FLOWS_UA = 20
 ALONE_S = 0.3
 """A board that goes on without its host shows it within that time."""
-BOARD = 3
 """Its real-time priority: above those of loop and keeper."""
 AWAY_NS = 10_000_000
 """A board that did not look at its line for so long notes that: it was kept waiting."""
@@ -125,7 +124,7 @@ class Emulated:
             "etactilekit": lambda: ETactileKitFirmware(books),
         }[self.kind]()
         # A board is kept waiting by nothing: before the hosts, where that is allowed.
-        with Path(trace or os.devnull).open("wb") as file, prioritized(BOARD):
+        with Path(trace or os.devnull).open("wb") as file, prioritized():
             Server(_Noted(firmware, self._page, file), line).serve(60.0)
 
     @property
