@@ -15,7 +15,7 @@ from smarttouch.imaging.registration import Registration
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame
 
-LEAST_CONTRAST = 0.11  # of print, relative to white paper
+LEAST_CONTRAST = 0.115  # of print, relative to white paper
 LEAST_GRAINS, PALE = 4.0, 0.3
 """Least contrast of print in depths of the paper's grain, and contrast above which grain is low."""
 BLURRED = 0.3  # contrast at which blurred ink begins, unless that is above six tenths of its own
