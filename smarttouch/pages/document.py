@@ -165,7 +165,7 @@ class PdfDocument(Document):
         try:
             printed = _flatten(self._pdf[index])
             with contextlib.closing(self._pdf[index]) as sheet:
-                rotation = sheet.get_rotation()
+                rotation = _rotation_of(sheet, name)
                 turn_deg = turn_of_text(sheet)
                 sheet.set_rotation((rotation + turn_deg) % 360)
                 page = self._render(sheet, name, printed)
@@ -198,6 +198,15 @@ class PdfDocument(Document):
             grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
         page = Page(grey, mm_per_pixel)
         return with_text(sheet, page, mm, printed)
+
+
+def _rotation_of(sheet: "pypdfium2.PdfPage", name: str) -> int:
+    """Return by how much a page is turned clockwise, degrees."""
+    try:
+        return int(sheet.get_rotation())
+    except KeyError:
+        # PDFium has no rotation of a page whose description is damaged.
+        raise PageError(f"{name} cannot be read: the file is damaged") from None
 
 
 def _is_pdf(path: Path) -> bool:

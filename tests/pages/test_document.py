@@ -260,6 +260,7 @@ def test_a_truncated_document_gives_pages_or_one_sentence(tmp_path, suffix, kept
 @pytest.mark.parametrize("suffix", ["pdf", "tif"])
 @given(data=st.binary(min_size=1, max_size=20), at=st.floats(0, 1))
 @example(data=bytes(20), at=0.1)  # pages without a type, which PDFium 6462 opens
+@example(data=bytes(13), at=0.34375)  # a page without a description
 def test_no_bytes_crash_the_opener(tmp_path_factory, suffix, data, at):
     folder = tmp_path_factory.mktemp("fuzz")
     made = sheets(2, (16, 12))
