@@ -219,7 +219,7 @@ def test_the_pointer_in_a_browser_is_the_hand(browser, running, profile):
 
     grating = open_texture_source("grating:4mm?motion=page", profile)
     with running(grating) as run, opened(browser, run.address) as page:
-        page.wait_for_function("document.querySelector('#page').dataset.x === '0.00'")
+        page.wait_for_selector("#page[data-x='0.00']")
         box = page.locator("#page").bounding_box()
         middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         page.mouse.move(*middle)
