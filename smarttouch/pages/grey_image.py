@@ -159,7 +159,7 @@ def _white_level(values: Pixels, black: float = 0.0) -> float:
     Integers have at least 8 bits, unless they are 0 and 1 alone.
     """
     if values.dtype.kind == "f":
-        some = values.ravel()[:: max(1, values.size // 1_000_000)]
+        some = values.ravel()[:: max(1, values.size // 1_000_000)].astype(np.float64)
         peak = float(np.quantile(some, _BRIGHTEST)) - black if some.size else 0.0
         if black < 0 < peak:
             return peak
@@ -173,7 +173,9 @@ def _white_level(values: Pixels, black: float = 0.0) -> float:
 def _scaled(values: Pixels, black: float, white: float) -> NDArray[np.uint8]:
     if values.dtype == np.uint8 and white == 255:
         return np.asarray(values)
-    levels = (values.astype(np.float32) - np.float32(black)) * np.float32(255 / white)
+    # The span of numbers in single precision is beyond single precision.
+    kind: Any = np.float64 if values.dtype.kind == "f" else np.float32
+    levels = (values.astype(kind) - kind(black)) * kind(255 / white)
     return np.asarray(np.clip(np.rint(levels, out=levels), 0, 255), np.uint8)
 
 

@@ -6,7 +6,7 @@ import zlib
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image, TiffImagePlugin
@@ -197,6 +197,8 @@ def test_frames_stay_comparable():
         ),
     )
 )
+@example(np.float32([[1.1754944e-38]]))
+@example(np.float32([[-3e38, 3e38]]))
 def test_no_pixels_are_too_much(pixels):
     grey = to_grey(pixels)
     assert grey.dtype == np.uint8
