@@ -55,6 +55,8 @@ class GreyConverter:
         """
         if pixels.ndim == 2:
             pixels = pixels[:, :, None]
+        if pixels.dtype.kind == "f":
+            pixels = np.where(np.isfinite(pixels), pixels, 0)
         channels = pixels.shape[2]
         alpha = None
         if channels in (2, 4):
@@ -69,8 +71,6 @@ class GreyConverter:
         """Return an image of any depth in 8 bits."""
         if colors.dtype == np.uint8:
             return np.ascontiguousarray(colors)
-        if colors.dtype.kind == "f":
-            colors = np.where(np.isfinite(colors), colors, 0)
         self._black = min(self._black, float(colors.min(initial=0)))
         self._white = max(self._white, _white_level(colors, self._black))
         return _scaled(colors, self._black, self._white)
