@@ -96,10 +96,10 @@ class Driver(ABC):
             If it is not certain that all electrodes are at zero.
         """
 
-    def close(self) -> None:  # noqa: B027
+    def close(self) -> None:  # noqa: B027, optional for drivers
         """Release what `open` took, also where `open` has failed; the board closes the line."""
 
-    def check(self, proved: ProvedSequence) -> None:  # noqa: B027
+    def check(self, proved: ProvedSequence) -> None:  # noqa: B027, optional for drivers
         """Raise BoardError if the device cannot make a sequence; called before it is queued."""
 
     def idle(self) -> float | None:
@@ -116,7 +116,7 @@ class Driver(ABC):
         """Return whether the device still has sequences to deliver."""
         return False
 
-    def store_kernels(self, table: KernelTable) -> None:  # noqa: B027
+    def store_kernels(self, table: KernelTable) -> None:  # noqa: B027, optional for drivers
         """Give the device the kernels of the sequences to come."""
 
     def measuring_scans(self) -> list[tuple[ScanSequence, int]]:
