@@ -23,24 +23,19 @@ devices: Commands = Commands(
 
 
 @devices.callback()
-def list_devices(
-    context: typer.Context,
-    network: Annotated[bool, option("Find eTactileKits on the network by a broadcast.")] = True,
-) -> None:
+def list_devices(context: typer.Context) -> None:
     # Nothing is opened, and no unknown device gets a byte.
     if context.invoked_subcommand is not None:
         return
-    from smarttouch.boards.open import BOARDS, network_boards, serial_ports
+    from smarttouch.boards.open import BOARDS, serial_ports
     from smarttouch.sources.camera import cameras
 
-    rows = [(port.device, port.description) for port in serial_ports()]
+    rows = serial_ports()
     rows += [(f"camera:{number}", name) for number, name in cameras()]
-    for board in network_boards() if network else ():
-        rows.append((board.url, f"eTactileKit {board.name}" + ", in use" * board.busy))
     if rows:
         print_table(rows, ("port", "what the system says of it"), left=2)
     else:
-        typer.echo("No serial port, no camera, and no board answers on the network.")
+        typer.echo("No serial port and no camera.")
     names = ", ".join(f"{each}:" for each in BOARDS.names)
     typer.echo(
         f"\nDrivers: {names}. You choose which one fits what is plugged in, for example "

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from smarttouch.boards.link.protocol import MessageKind, decode_volts, encode
-from smarttouch.boards.open import parse_answer
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
@@ -74,7 +73,7 @@ def keep_kernels(payload):
     assert keep.weights is None or not keep.weights.sum(axis=1).any()
 
 
-@pytest.mark.parametrize("parse", [decode_volts, parse_answer, decode_sequences, keep_kernels])
+@pytest.mark.parametrize("parse", [decode_volts, decode_sequences, keep_kernels])
 def test_payloads(parse):
     for piece in pieces(1, [*SEEDS["link"], PAYLOAD, LISTS, KERNELS]):
         with contextlib.suppress(ValueError):

@@ -246,7 +246,7 @@ def test_a_scale_is_not_measured_out_of_its_band_step_by_step(program_here, tmp_
 
 
 def test_what_is_there_is_listed_and_nothing_is_opened(program_here):
-    done = program_here("devices --no-network").fine()
+    done = program_here("devices").fine()
     assert "kajimoto61:" in done.stdout
 
 
