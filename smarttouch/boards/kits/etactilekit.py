@@ -16,7 +16,6 @@ from smarttouch.base.errors import (
     SequenceLateError,
     not_offered,
 )
-from smarttouch.boards.faults import slow_line_notes
 from smarttouch.boards.kits import current_scale
 from smarttouch.boards.kits.current_scale import require_kit
 from smarttouch.boards.kits.etactilekit_line import FIRMWARES, ETactileKitLine
@@ -128,8 +127,6 @@ class ETactileKitDriver(SteppedKit):
         self._free_ns = 0
         self._put_at_zero()
         self._away = False
-        for note in slow_line_notes(lambda: kit.exchange(b"")):
-            line.events.note(note)
         return Capabilities(
             electrodes=self._limits.electrodes,
             output="one-against-all",

@@ -8,7 +8,6 @@ from smarttouch.base.errors import (
     EmergencyStopError,
     SequenceLateError,
 )
-from smarttouch.boards.faults import slow_line_notes
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.handshake import reason_of
@@ -88,8 +87,6 @@ class LinkDriver(LinkHost):
         self._set_up()
         if not line.reopened:
             self._packets_before = sum(self._account_before[OLD_PACKETS])
-        for note in slow_line_notes(self._ask_account):
-            line.events.note(note)
         return self.can
 
     def write(self, proved: ProvedSequence) -> None:
