@@ -30,18 +30,13 @@ def board_of(kind, ua_per_count, **changes):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("factor", "mistake"), [
-    (0.001, "mA where µA"), (1000, "nA where µA"), (0.5, "measure it again"),
-    (2.0, "measure it again"), (4.09, "measure it again"), (1 / 4.09, "measure it again"),
-    (1 - BAND - 0.001, "measure it again"), (1 + BAND + 0.001, "measure it again"),
-    (1e-6, "measure it again"), (1e6, "measure it again"),
-])  # fmt: skip
-def test_a_scale_beyond_the_band_is_refused_before_anything_is_opened(kind, factor, mistake):
-    other = {("kajimoto61", 4.09): "a etactilekit", ("etactilekit", 1 / 4.09): "a kajimoto61"}
-    mistake = other.get((kind, factor), mistake)
+@pytest.mark.parametrize(
+    "factor", [1e-6, 0.001, 1 / 4.09, 0.5, 1 - BAND - 0.001, 1 + BAND + 0.001, 2.0, 4.09, 1000, 1e6]
+)
+def test_a_scale_beyond_the_band_is_refused_before_anything_is_opened(kind, factor):
     scale_ua = factor * NOMINAL_UA[kind]
     # There is no such port: to open it would be another error.
-    with raises(BoardError, names="output.ua_per_count", value=(scale_ua, mistake)):
+    with raises(BoardError, names="output.ua_per_count", value=scale_ua):
         board_of(kind, scale_ua)
 
 
@@ -85,15 +80,13 @@ def test_a_scale_that_is_too_low_does_not_raise_the_largest_current(kind):
     assert ratio == pytest.approx(1 / (1 - BAND), rel=0.05)
 
 
-@pytest.mark.parametrize(("volts", "ohm", "current_ma", "about"), [
-    (0.0, 1000, 1, "volts"), (-1.0, 1000, 1, "volts"), (math.nan, 1000, 1, "volts"),
-    (math.inf, 1000, 1, "volts"), (1.0, math.nan, 1, "ohm"), (1.0, math.inf, 1, "ohm"),
-    (1.0, 0, 1, "ohm"), (1.0, 1000, math.nan, "current_ma"), (1.0, 1000, -1, "current_ma"),
-    (1000.0, 1000, 1, "volts"), (1.0, 1, 1, "volts"), (0.001, 1000, 1, "volts"),
-    (1.0, 1000, 1000, "volts"), (2.0, 1000, 1, "volts"), (1e-320, 1e308, 1, "volts"),
-    (1.31, 1000, 1, "volts"),
+@pytest.mark.parametrize(("volts", "ohm", "current_ma"), [
+    (0.0, 1000, 1), (-1.0, 1000, 1), (math.nan, 1000, 1), (math.inf, 1000, 1), (1.0, math.nan, 1),
+    (1.0, math.inf, 1), (1.0, 0, 1), (1.0, 1000, math.nan), (1.0, 1000, -1), (1000.0, 1000, 1),
+    (1.0, 1, 1), (0.001, 1000, 1), (1.0, 1000, 1000), (2.0, 1000, 1), (1e-320, 1e308, 1),
+    (1.31, 1000, 1),
 ])  # fmt: skip
-def test_impossible_readings_are_refused(volts, ohm, current_ma, about):
+def test_impossible_readings_are_refused(volts, ohm, current_ma):
     with raises(BoardError):
         check_reading(volts, ohm, current_ma)
 

@@ -1,10 +1,8 @@
 """Scale of a board's current, and sequences for boards that have a single source.
 
-A measured scale may differ from the board's nominal one by 30 %. That covers how boards of one
-kind differ (converter and reference, some 10 % in an ESP32; resistors of the current source and the
-measuring one, 1 to 10 %; reading of an oscilloscope, 3 %) and excludes mistakes: boards of the
-family lie a factor of 1.77 or more apart (2.44, 5.66 and 9.99 µA), peak to peak for peak is a
-factor of 2, 10 bits for 12 one of 4, and mA for µA one of 1,000.
+A measured scale may differ from the board's nominal one by 30 %. That covers how boards of one kind
+differ, and excludes mistakes: boards of the family lie a factor of 1.77 or more apart, peak to peak
+for peak is a factor of 2, and mA for µA one of 1,000.
 """
 
 import math
@@ -48,17 +46,15 @@ class Scale:
 
 
 def scale_of(kind: str, measured_ua: float | None) -> Scale:
-    """Return the scale of a kind of board; raise, with the likely mistake, if a measured one is out
-    of band."""
+    """Return the scale of a kind of board; raise if a measured one is out of band."""
     nominal_ua = NOMINAL_UA[kind]
     if measured_ua is None:
         return Scale(nominal_ua, nominal_ua)
     if not in_band(measured_ua / nominal_ua):
-        mistake = _likely(kind, measured_ua)
         raise BoardError(
             f"output.ua_per_count = {measured_ua:g} is {measured_ua / nominal_ua:.3g} times the "
             f"{nominal_ua:.4g} µA of a {kind} board, and boards differ by {100 * BAND:.0f} % at "
-            f"most: {mistake}"
+            "most: check profile and unit, and measure it again (smarttouch calibrate scale)"
         )
     return Scale(measured_ua, nominal_ua)
 
@@ -79,40 +75,20 @@ def in_band(ratio: float) -> bool:
     return abs(ratio - 1) <= BAND + 1e-9
 
 
-def _likely(kind: str, measured_ua: float) -> str:
-    ratio = measured_ua / NOMINAL_UA[kind]
-    if in_band(1000 * ratio):
-        return "mA where µA is meant? Give µA"
-    if in_band(ratio / 1000):
-        return "nA where µA is meant? Give µA"
-    for other, nominal_ua in NOMINAL_UA.items():
-        if in_band(measured_ua / nominal_ua):
-            return f"that is the scale of a {other} board; is this the right profile?"
-    return "measure it again (smarttouch calibrate scale), or remove it"
-
-
 def check_reading(volts: float, ohm: float, current_ma: float) -> float:
-    """Return the ratio of measured to nominal current, from the voltage across a resistor; raise,
-    with the likely mistake, if it is out of band."""
-    for what, value in (("ohm", ohm), ("current_ma", current_ma)):
+    """Return the ratio of measured to nominal current, from the voltage across a resistor; raise if
+    it is out of band."""
+    for what, value in (("volts", volts), ("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
             raise BoardError(f"{what} {value:g} must be above 0 and finite")
-    if not 0 < volts < math.inf:
-        raise BoardError(f"{volts:g} V across {ohm:g} ohm is no current: check the connections")
     ratio = 1000 * volts / ohm / current_ma
-    if in_band(ratio):
-        return ratio
-    mistake = "check the connections, the resistor, and which board this is"
-    if in_band(ratio / 1000):
-        mistake = "mV where V is meant, or kilohms where ohms are?"
-    elif in_band(1000 * ratio):
-        mistake = "kV where V is meant, or µA where mA are?"
-    elif in_band(ratio / 2):
-        mistake = "peak to peak of both phases, where the peak is meant?"
-    raise BoardError(
-        f"{volts:g} V across {ohm:g} ohm are {ratio:.3g} times the nominal {current_ma:g} mA, and "
-        f"boards differ by {100 * BAND:.0f} % at most: {mistake}"
-    )
+    if not in_band(ratio):
+        raise BoardError(
+            f"{volts:g} V across {ohm:g} ohm are {ratio:.3g} times the nominal {current_ma:g} mA, "
+            f"and boards differ by {100 * BAND:.0f} % at most: check units, connections, the "
+            "resistor, and which board this is"
+        )
+    return ratio
 
 
 def measured_scale(kind: str, before_ua: float | None, ratio: float) -> float | None:
