@@ -37,7 +37,7 @@ def send(make_limits, make_sequence, monkeypatch):
 def test_its_firmware_checks_the_rise(send):
     with raises(BoardError, names="board", value=2) as error:
         send((0, SILENT), (1, STRONG))
-    assert "rise that is too fast" in str(error.value)
+    assert "rule 18 (rise)" in str(error.value)
 
 
 def test_a_level_stays_open_for_a_while(send):

@@ -102,37 +102,6 @@ OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
 _PIECE = 1024  # bytes of kernels at once: nothing else can pass while they do
 _IDLE = 3  # times that nothing new may have been kept
 
-_RULES = {
-    Rule.LIMITS: "no limits were given in this session",
-    Rule.SLOTS: "too many slots",
-    Rule.PERIOD: "a period that is too short, µs",
-    Rule.WIDTH: "a pulse width that is none or too long, µs",
-    Rule.DISCHARGE: "a discharge that is too short, µs",
-    Rule.FIT: "slots that do not fit the period, µs",
-    Rule.DUTY: "current for too long, µs",
-    Rule.KIND: "slots for another kind of outputs",
-    Rule.KERNEL: "a kernel that it does not keep",
-    Rule.SUM: "amplitudes that add up to too much",
-    Rule.BALANCE: "out of balance, µA",
-    Rule.CURRENT: "too much current, µA",
-    Rule.TOTAL: "too much current in all, µA",
-    Rule.CHARGE: "too much charge, pC",
-    Rule.STATES: "states that make no circuit",
-    Rule.MEAN: "too much charge in one period, pC",
-    Rule.INTENSITY: "more than the stated intensity allows, µA or pC",
-    Rule.RISE: "a rise that is too fast, of 65,535",
-    Rule.RECHARGE: "a recharge phase that is too long, without slots, or takes back too much",
-    Rule.FELT: "too many felt pulses in one period",
-    Rule.FELT_IN_SECOND: "too many felt pulses in a second",
-    Rule.CHARGE_IN_SECOND: "too much charge in a second, pC",
-    Rule.NET_IN_SECOND: "too much net charge in a second, pC",
-    Rule.OFTEN: "too many sequences in a second",
-    Rule.SESSION_TIME: "too long a session, s",
-    Rule.SESSION_CHARGE: "too much charge in the session, µC",
-    Rule.READY: "the board needs longer to compute a slot than the one before it lasts, µs",
-    Rule.PART: "a part that continues no scan",
-}
-
 
 class Packets(Protocol):
     """Packets to and from a board, which answers queries."""
@@ -195,7 +164,8 @@ def reason_of(refusal: Message) -> tuple[int, int, str]:
     if len(refusal.payload) != protocol.NAK.size:
         return 0, Rule.NONE, ""
     reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(refusal.payload)
-    words = _RULES[Rule(rule)] if rule in _RULES else "malformed" if not rule else f"rule {rule}"
+    name = next((each.name.lower() for each in Rule if each == rule), "unknown")
+    words = f"rule {rule} ({name})" if rule else "malformed"
     words += f": {value}, allowed {allowed}" if value or allowed else ""
     words += f", slot {slot}" if slot != NOTHING else ""
     words += f", electrode {electrode}" if electrode != NOTHING else ""
