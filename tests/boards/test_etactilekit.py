@@ -6,7 +6,7 @@ import pytest
 
 from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.boards.board import Board
-from smarttouch.boards.kits import etactilekit_step
+from smarttouch.boards.kits import etactilekit
 from smarttouch.boards.kits.etactilekit import ETactileKitDriver
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.finger_events import EmulatedFinger
@@ -85,7 +85,7 @@ def make(monkeypatch):
     """Return a maker of boards on a clock that the test sets, and that are never idle."""
     monkeypatch.setattr(ETactileKitDriver, "idle_s", 600.0)
     # One look at the readings is good enough to know when the board scans.
-    monkeypatch.setattr(etactilekit_step, "WIDE_NS", 10 * MS)
+    monkeypatch.setattr(etactilekit, "WIDE_NS", 10 * MS)
 
     def make(output=None, limits=LIMITS):
         driver = ETactileKitDriver("x?firmware=71adee2", limits, output)
