@@ -19,9 +19,8 @@ from smarttouch.base.registry import refuse_rest
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.handshake import reason_of
 from smarttouch.boards.link.link_driver import LinkDriver
-from smarttouch.boards.link.link_host import LinkHost
+from smarttouch.boards.link.link_host import LinkHost, reason_of
 from smarttouch.boards.link.protocol import ANSWERS, HostSession, Message, MessageKind
 from smarttouch.boards.reports import Capabilities
 from smarttouch.emulator import rules_over_time

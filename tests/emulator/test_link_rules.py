@@ -9,7 +9,7 @@ import pytest
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import KernelTableError
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.handshake import give_kernels
+from smarttouch.boards.link.link_host import give_kernels
 from smarttouch.boards.link.protocol import NOTHING, HostSession, MessageKind, Refusal, Rule
 from smarttouch.boards.link.sequence_encoding import (
     KernelImage,

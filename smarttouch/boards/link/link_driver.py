@@ -10,8 +10,7 @@ from smarttouch.base.errors import (
 )
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.handshake import reason_of
-from smarttouch.boards.link.link_host import OLD_PACKETS, LinkHost
+from smarttouch.boards.link.link_host import OLD_PACKETS, LinkHost, reason_of
 from smarttouch.boards.link.packet_line import HEARTBEAT_S, PacketLine
 from smarttouch.boards.link.protocol import Message, MessageKind, Refusal, Rule
 from smarttouch.boards.link.sequence_encoding import ScanPart

@@ -1,27 +1,39 @@
-"""Host of a ``link`` board, whatever carries its packets."""
+"""Host of a ``link`` board, whatever carries its packets: handshake, kernels and account."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import KernelTableError
+from smarttouch.base.errors import (
+    BoardError,
+    EmergencyStopError,
+    KernelTableError,
+    LineLostError,
+    OtherDeviceError,
+)
 from smarttouch.base.wire.framing import LARGEST_PACKET
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.handshake import (
-    OVERHEAD,
-    Packets,
-    accepted,
-    account_of,
-    give_kernels,
-    give_limits,
+from smarttouch.boards.link.protocol import (
+    NOTHING,
+    Feature,
+    HostSession,
+    Message,
+    MessageKind,
+    Rule,
+    decode_volts,
 )
-from smarttouch.boards.link.protocol import Message, MessageKind, decode_volts
-from smarttouch.boards.link.sequence_encoding import KernelImage, ScanPart, encode_scan
+from smarttouch.boards.link.sequence_encoding import (
+    KernelImage,
+    ScanPart,
+    encode_limits,
+    encode_scan,
+)
 from smarttouch.boards.reports import BoardReport, Capabilities, SequenceStart
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
@@ -33,6 +45,126 @@ MOST_COMPLIANCES = 2.1
 """Bound of a slot's voltage: sources of both poles at their limit reach twice the compliance."""
 OPEN_SHARE = 0.97
 """Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
+OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
+_PIECE = 1024  # bytes of kernels at once: nothing else can pass while they do
+_IDLE = 3  # times that nothing new may have been kept
+
+
+def _offered(answer: Message, name: str) -> Capabilities:
+    """Return the capabilities in a CAPABILITIES of any version."""
+    if answer.version != protocol.VERSION:
+        raise BoardError(
+            f"the board at {name} speaks link version {answer.version}, this "
+            f"program {protocol.VERSION}: bring both to the same"
+        )
+    head = protocol.CAPABILITIES.size
+    if len(answer.payload) < head + protocol.KEEPING.size:
+        raise malformed(name)
+    outputs, output, features, current_ua, slots, zero_ms, volts = (
+        protocol.CAPABILITIES.unpack_from(answer.payload)
+    )
+    if output >= len(protocol.OUTPUTS):
+        raise BoardError(f"the board at {name} has outputs of unknown kind {output}")
+    kind = protocol.OUTPUTS[output]
+    room, packet, kernels = protocol.KEEPING.unpack_from(answer.payload, head)
+    head += protocol.KEEPING.size
+    if not features & Feature.KERNELS:
+        room = kernels = 0
+    return Capabilities(
+        electrodes=outputs, output=kind, max_current_ma=current_ua / 1000, max_slots=slots,
+        time_to_zero_ms=zero_ms, firmware=answer.payload[head:].decode("utf-8", "replace"),
+        measures=bool(features & Feature.VOLTAGE), force=bool(features & Feature.FORCE),
+        compliance_v=float(volts) or None, recharges=bool(features & Feature.RECHARGE),
+        emergency_switch=bool(features & Feature.EMERGENCY), protocol=f"link {protocol.VERSION}",
+        kernel_bytes=room, most_kernels=kernels, packet_bytes=packet,
+    )  # fmt: skip
+
+
+def _require_ready(
+    answer: Message, name: str, found: Capabilities, known: Capabilities | None
+) -> None:
+    """Raise if the emergency switch is open, or this is another board than before."""
+    if found.emergency_switch and answer.state & protocol.SWITCH_OPEN:
+        raise EmergencyStopError(
+            f"the emergency switch of the board at {name} is open: close it, then begin again"
+        )
+    if known not in (None, found):
+        raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
+
+
+def _require_fit(name: str, found: Capabilities, electrodes: int, wanted: Output | None) -> None:
+    """Raise if a board does not have the electrodes and outputs of the profile."""
+    outputs, kind = found.electrodes, found.output
+    if outputs != electrodes:
+        raise BoardError(
+            f"the board at {name} has {outputs} electrodes, the profile "
+            f"{electrodes}: use the profile of this board"
+        )
+    if wanted is not None and wanted.kind != kind:
+        raise BoardError(
+            f"the board at {name} is {kind}, the profile needs "
+            f"{wanted.kind}: use the profile of this board"
+        )
+
+
+def malformed(name: str) -> BoardError:
+    """Return the error of a board that gives invalid answers."""
+    return BoardError(f"the board at {name} gives invalid answers: check its firmware")
+
+
+class Packets(Protocol):
+    """Packets to and from a board, which answers queries."""
+
+    session: HostSession
+
+    @property
+    def name(self) -> str: ...
+
+    def ask(self, question: MessageKind, payload: bytes = b"") -> Message:
+        """Return the answer; raise BoardError if there is none."""
+        ...
+
+
+def give_kernels(
+    line: Packets, image: KernelImage, most_bytes: int, go_on: Callable[[], None]
+) -> None:
+    """Give a board its kernels, in packets of at most ``most_bytes``; what it keeps already is not
+    sent again. ``go_on`` raises if the board is to be stopped; one that keeps nothing is lost."""
+    piece = min(_PIECE, most_bytes - OVERHEAD - protocol.KERNELS.size)
+    at, most, data, idle = 0, 0, b"", 0
+    while idle < _IDLE:
+        go_on()
+        head = protocol.KERNELS.pack(image.identity, len(image.data), at)
+        answer = line.ask(MessageKind.KERNELS, head + data).payload
+        if len(answer) != protocol.KEPT.size:
+            raise malformed(line.name)
+        identity, kept, whole, proof = protocol.KEPT.unpack(answer)
+        if identity == image.identity and whole:
+            if proof == image.proof(line.session.number):
+                return
+            raise KernelTableError(f"the board at {line.name} holds other kernels than those sent")
+        # The first query carries no kernels: its answer shows where to begin.
+        kept = kept if identity == image.identity and kept < len(image.data) else 0
+        idle = 0 if kept > most else idle + 1
+        most = max(most, kept)
+        at, data = kept, image.data[kept : kept + piece]
+    # Its session may have ended, as after 100 ms in which the host was held up.
+    raise LineLostError(
+        f"the board at {line.name} does not keep the kernels that it is sent: check its firmware"
+    )
+
+
+def reason_of(refusal: Message) -> tuple[int, int, str]:
+    """Return reason, rule and text of a NAK."""
+    if len(refusal.payload) != protocol.NAK.size:
+        return 0, Rule.NONE, ""
+    reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(refusal.payload)
+    name = next((each.name.lower() for each in Rule if each == rule), "unknown")
+    words = f"rule {rule} ({name})" if rule else "malformed"
+    words += f": {value}, allowed {allowed}" if value or allowed else ""
+    words += f", slot {slot}" if slot != NOTHING else ""
+    words += f", electrode {electrode}" if electrode != NOTHING else ""
+    return reason, rule, words
 
 
 class SentPart(NamedTuple):
@@ -98,7 +230,9 @@ class LinkHost(Driver):
 
     def _set_up(self) -> None:
         """Give limits and kernels to a board whose session has begun, and start its account."""
-        give_limits(self._packets, self._limits)
+        packets = self._packets
+        if packets.ask(MessageKind.LIMITS, encode_limits(self._limits)).payload != b"\1":
+            raise malformed(packets.name)
         self._give_kernels()
         self._account_before, self._account = self._ask_account(), None
         self._slots_sent = self._unsafe_refused = 0
@@ -143,13 +277,22 @@ class LinkHost(Driver):
         self._image = image
 
     def _take_offer(self, answer: Message) -> None:
-        known = self._can if self._line.reopened else None
-        self._can = accepted(
-            answer, self._packets.name, self._limits.electrodes, self._output, known
-        )
+        """Take a board's capabilities if they fit the profile and, once its line was lost, those
+        from before. A wrong board has received no more than HELLO."""
+        name, known = self._packets.name, self._can if self._line.reopened else None
+        found = _offered(answer, name)
+        _require_ready(answer, name, found, known)
+        _require_fit(name, found, self._limits.electrodes, self._output)
+        self._can = found
 
     def _ask_account(self) -> tuple[Any, ...]:
-        return account_of(self._packets.ask(MessageKind.STATUS), self._packets.name)
+        """Return a REPORT: counts, mA and µC, in the order of `protocol.REPORT`."""
+        answer = self._packets.ask(MessageKind.STATUS)
+        if len(answer.payload) != protocol.REPORT.size:
+            raise malformed(self._packets.name)
+        fields = protocol.REPORT.unpack(answer.payload)
+        strongest_ua, charge_pc, net_pc = fields[4:7]
+        return (*fields[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *fields[7:])
 
     def _checked_account(self) -> tuple[Any, ...]:
         """Return the board's account; latch the board if that has what was not sent."""
