@@ -4,7 +4,6 @@ import hashlib
 import math
 import struct
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -16,7 +15,6 @@ from smarttouch.boards.link.protocol import IDENTITY_BYTES, pack_states, source_
 from smarttouch.stimulation.quantized_kernels import kept_kernels
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, bytes_of
-from smarttouch.stimulation.slot_sums import extent_us
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +46,6 @@ def digest_of(data: bytes) -> bytes:
 
 
 _HEAD = struct.Struct("<IHHBB")
-_SHAPE = struct.Struct("<HH")
 _GROUP = struct.Struct("<BBH")
 _I16 = np.dtype("<i2")
 POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups of slots
@@ -195,26 +192,11 @@ def _payload(
 
 def _shapes(sequence: ScanSequence) -> tuple[int, bytes, NDArray[np.intp] | None]:
     """Return the number of pulse shapes, all of them, and that of each slot; None if of one."""
-    width_us, discharge_us = sequence.width_us, sequence.discharge_us
-    if not len(width_us):
-        return 0, b"", None
-    table = _one_shape(width_us.tobytes(), discharge_us.tobytes())
-    if table is not None:
-        return 1, table, None
-    times_us = width_us.astype(np.uint32) << 16 | discharge_us
-    each, shape = np.unique(times_us, return_inverse=True)
-    pairs = np.column_stack([each >> 16, each & 0xFFFF])
-    return len(pairs), pairs.astype("<u2").tobytes(), shape
-
-
-@lru_cache(maxsize=256)
-def _one_shape(width_us: bytes, discharge_us: bytes) -> bytes | None:
-    """Return the pulse shape of all slots; None if they have none, or several."""
-    least_us, most_us, _ = extent_us(width_us)
-    least_rest_us, most_rest_us, _ = extent_us(discharge_us)
-    if least_us == most_us > 0 and least_rest_us == most_rest_us:
-        return _SHAPE.pack(most_us, most_rest_us)
-    return None
+    times_us = sequence.width_us.astype(np.uint32) << 16 | sequence.discharge_us
+    shapes, shape = times_us[:1], None
+    if (times_us != shapes).any():
+        shapes, shape = np.unique(times_us, return_inverse=True)
+    return len(shapes), (shapes >> 16 | shapes << 16).astype("<u4").tobytes(), shape
 
 
 def _groups(
