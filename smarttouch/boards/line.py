@@ -76,11 +76,6 @@ class Line:
 
     # -- the connection ----------------------------------------------------
 
-    @property
-    def is_connected(self) -> bool:
-        """Whether a port is open."""
-        return self._port is not None
-
     def connect(
         self, name: str, wrap: Callable[[Port], Port] = lambda port: port, baudrate: int = 921600
     ) -> None:
