@@ -80,22 +80,6 @@ def one_each(
     )  # fmt: skip
 
 
-def one_pair_each(
-    limits: SafetyLimits,
-    level_ua: int,
-    pairs: list[tuple[int, int]],
-    intensity: float,
-    time_ns: int,
-) -> ScanSequence:
-    """Return a scan with one slot for each pair of electrodes: ``level_ua``, cathodic, through the
-    first, back through the second."""
-    currents = np.zeros((len(pairs), limits.electrodes), np.int16)
-    for current, (first, second) in zip(currents, pairs, strict=True):
-        current[first], current[second] = level_ua, -level_ua
-    sites = [first for first, _ in pairs]
-    return _scan(limits, currents, sites, PROBE_US, intensity, time_ns)
-
-
 def _scan(
     limits: SafetyLimits,
     current_ua: NDArray[np.int16],
@@ -170,8 +154,11 @@ def measure_in_pairs(
     def kohm_of(pairs: list[tuple[int, int]]) -> NDArray[np.float64]:
         nonlocal step
         step += 1
-        scan = one_pair_each(limits, level_ua, pairs, intensity, time_ns + step * 1_000_000)
-        volts = ask(scan)
+        currents = np.zeros((len(pairs), count), np.int16)
+        for current, (first, second) in zip(currents, pairs, strict=True):
+            current[first], current[second] = level_ua, -level_ua
+        sites, scan_ns = [first for first, _ in pairs], time_ns + step * 1_000_000
+        volts = ask(_scan(limits, currents, sites, PROBE_US, intensity, scan_ns))
         return np.where(volts >= SATURATED * compliance_v, np.inf, volts / current_ma)
 
     references = np.unique(np.linspace(0, count - 1, min(count, MOST_REFERENCES)).round())
