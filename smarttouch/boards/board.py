@@ -381,7 +381,6 @@ class Board:
         proved = self._prove(sequence, times, due_ns)
         try:
             if self._clock.now_ns() > proved.write_before_ns:
-                self.dropped_late += 1
                 raise self._line.late()
             self._number = proved.number
             if self.driver.queued:
@@ -389,8 +388,9 @@ class Board:
                 self._queue(proved)
             else:
                 self._raise_failure()
-                self._write(proved)
+                self.driver.write(proved)
         except SequenceLateError:
+            self.dropped_late += 1
             # Nothing was delivered for a while: what comes next begins at zero.
             self._gate.restart()
             raise
@@ -420,13 +420,6 @@ class Board:
         return self._gate.prove(
             sequence, times, number=self._number + 1, due_ns=due_ns, late_ns=late_ns
         )
-
-    def _write(self, proved: ProvedSequence) -> None:
-        try:
-            self.driver.write(proved)
-        except SequenceLateError:
-            self.dropped_late += 1
-            raise
 
     def _note_written(self, proved: ProvedSequence) -> None:
         """Count a sequence whose bytes have just been written, with the line's lock held."""
@@ -504,7 +497,6 @@ class Board:
             self._line.require_running()
             if self._late_unreported:
                 self._late_unreported = False
-                self.dropped_late += 1
                 raise self._line.late()
             self.replaced += self._waiting is not None
             self._waiting = proved
@@ -533,7 +525,9 @@ class Board:
             except Exception as error:
                 self._fail_driver(error)
                 break
-        self._rest()
+        with self._news:
+            self._busy = False
+            self._news.notify_all()
 
     def _take(self, wait_s: float | None, ending: threading.Event) -> ProvedSequence | None:
         """Return the newest sequence, or None after a time or when the board stops or closes."""
@@ -557,12 +551,6 @@ class Board:
             self.dropped_late += 1 + (self._waiting is not None)
             self._waiting = None
             self._late_unreported = True
-
-    def _rest(self) -> None:
-        """Wake threads that wait for the sender."""
-        with self._news:
-            self._busy = False
-            self._news.notify_all()
 
     def _fail(self, error: BoardError) -> None:
         with self._news:

@@ -471,18 +471,19 @@ class ETactileKitDriver(Driver):
         """Record the scans of the shown pattern; return False if there seem to be none."""
         sequence, since, seen = shown.proved.sequence, shown.since, True
         readings = None if stopped is None or self._before is None else self._before[1]
-        certain = False if readings is None else shown.pulsed(readings)
-        if np.any(certain) and not shown.risen and self._settings is not None:
+        certain = np.zeros(self._outputs, bool) if readings is None else shown.pulsed(readings)
+        if certain.any() and not shown.risen and self._settings is not None:
             # No scan had passed that slot when the readings last showed no pulse.
-            slots = int(np.argmax(certain))
+            slots = int(certain.argmax())
             unseen_ns = shown.unseen_ns - 1000 * slots * self._settings.scan_us(1, 25)
             since = Span(max(since.early, unseen_ns), max(since.late, unseen_ns))
         least, most = self._lock.starts(since, stopped or Span(begun_ns, self._kit.line.now_ns()))
-        foreign = certain & self._unused(sequence)
+        foreign = certain.copy()
+        foreign[self._wiring[sequence.site]] = False
         if readings is not None:
             electrode, current_ua = one_against_all(sequence)
             readings, level_ua = readings[self._wiring[electrode]], int(np.abs(current_ua).max())
-            if np.any(certain):
+            if certain.any():
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
                 # Weaker pulses were measured before: the board's timing has changed.
@@ -496,12 +497,6 @@ class ETactileKitDriver(Driver):
                 f"output {foreign.argmax()} pulsed, and its pattern has no pulse there"
             )
         return seen
-
-    def _unused(self, sequence: ScanSequence) -> NDArray[np.bool_]:
-        """Return which outputs a sequence does not pulse."""
-        unused = np.ones(self._outputs, bool)
-        unused[self._wiring[sequence.site]] = False
-        return unused
 
     def _give_up(self) -> None:
         """Record the scans that may have run before a lost board came back at zero."""

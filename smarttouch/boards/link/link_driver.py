@@ -221,7 +221,8 @@ class LinkDriver(LinkHost):
 
     def _receive(self, message: Message) -> None:
         """Handle an unrequested packet."""
-        if message.state & protocol.SWITCH_OPEN and self._has_switch:
+        has_switch = self._can is not None and self._can.emergency_switch
+        if message.state & protocol.SWITCH_OPEN and has_switch:
             self._packets.fail(self._emergency())
         match message.kind:
             case MessageKind.ACK if len(message.payload) == protocol.ACK.size:
@@ -239,10 +240,6 @@ class LinkDriver(LinkHost):
         if message.about not in self._repeated:
             self._packets.session.refuse()
         return None
-
-    @property
-    def _has_switch(self) -> bool:
-        return self._can is not None and self._can.emergency_switch
 
     def _emergency(self) -> EmergencyStopError:
         return EmergencyStopError(
