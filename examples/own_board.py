@@ -27,7 +27,7 @@ class ListDriver(st.Driver):
         self.line = line
         return Capabilities(
             limits.electrodes, "weighted", limits.current_ma, max_slots=1000,
-            time_to_zero_ms=0.0, firmware="list 1.0", clock="host",
+            time_to_zero_ms=0.0, firmware="list 1.0",
         )  # fmt: skip
 
     def write(self, proved: ProvedSequence) -> None:

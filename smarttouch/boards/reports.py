@@ -28,8 +28,6 @@ class Capabilities:
     """Longest time from the host's silence to zero current; None if it has no limit."""
     firmware: str
     polarities: tuple[Polarity, ...] = BOTH
-    clock: Literal["board", "host"] = "board"
-    """Clock by which pulses are timed."""
     acknowledges: bool = True
     measures: bool = False
     """Whether it measures the voltage of each slot."""
@@ -41,8 +39,6 @@ class Capabilities:
     """Whether it can end a scan with a recharge phase."""
     emergency_switch: bool = False
     """Whether it has an emergency switch."""
-    protocol: str = ""
-    """Protocol that it speaks, with the version."""
     kernel_bytes: int = 0
     """Room for kernels that it keeps."""
     most_kernels: int = 0
@@ -82,10 +78,8 @@ class Capabilities:
         reported = compress(names, (self.acknowledges, self.measures, self.force))
         return [
             ("firmware", self.firmware),
-            *([("protocol", self.protocol)] if self.protocol else []),
             ("electrodes", f"{self.electrodes}, {self.output}, {' or '.join(self.polarities)}"),
             ("current", f"at most {self.max_current_ma:.1f} mA"),
-            ("clock", f"the {self.clock}'s"),
             ("host lost", silence),
             *([("emergency", "switch, closed")] if self.emergency_switch else []),
             ("while it scans", "reports " + (", ".join(reported) or "nothing")),

@@ -38,7 +38,7 @@ class JournalDriver(st.Driver):
         self.zero()
         return Capabilities(
             limits.electrodes, self._kind, max_current_ma=limits.current_ma, max_slots=0xFFFF,
-            time_to_zero_ms=0.0, firmware="journal 1.0", clock="host",
+            time_to_zero_ms=0.0, firmware="journal 1.0",
         )  # fmt: skip
 
     def write(self, proved: ProvedSequence) -> None:

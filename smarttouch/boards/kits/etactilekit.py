@@ -50,7 +50,7 @@ from smarttouch.boards.kits.kept_line import KEPT_MS
 from smarttouch.boards.kits.scan_lock import WIDEST, ScanLock, Span
 from smarttouch.boards.line import Line
 from smarttouch.boards.probe_scans import one_each
-from smarttouch.boards.reports import BOTH, Capabilities, Impedance, judge
+from smarttouch.boards.reports import Capabilities, Impedance, judge
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
@@ -181,8 +181,6 @@ class ETactileKitDriver(Driver):
             time_to_zero_ms=NEWEST_ZERO_MS if firmware == "newest" else None,
             kept_ms=KEPT_MS,
             firmware=f"eTactileKit {firmware}, {capacity} outputs",
-            polarities=BOTH,
-            acknowledges=True,
             measures=True,
             compliance_v=COMPLIANCE_V,
         )

@@ -103,9 +103,7 @@ class Kajimoto61Driver(Driver):
             time_to_zero_ms=13.0,
             firmware="kajimoto61 (it does not tell its version)",
             polarities=("anodic",),
-            clock="host",
             acknowledges=False,
-            measures=False,
         )
 
     def zero(self) -> None:

@@ -75,8 +75,8 @@ def _offered(answer: Message, name: str) -> Capabilities:
         time_to_zero_ms=zero_ms, firmware=answer.payload[head:].decode("utf-8", "replace"),
         measures=bool(features & Feature.VOLTAGE), force=bool(features & Feature.FORCE),
         compliance_v=float(volts) or None, recharges=bool(features & Feature.RECHARGE),
-        emergency_switch=bool(features & Feature.EMERGENCY), protocol=f"link {protocol.VERSION}",
-        kernel_bytes=room, most_kernels=kernels, packet_bytes=packet,
+        emergency_switch=bool(features & Feature.EMERGENCY), kernel_bytes=room,
+        most_kernels=kernels, packet_bytes=packet,
     )  # fmt: skip
 
 
