@@ -168,7 +168,7 @@ SHORT_FACTOR = 0.1
 estimate of ours.
 """
 
-Condition = Literal["good", "open", "short", "unsure"]
+Condition = Literal["good", "open", "short", "unsure"]  # unsure where measurements disagree
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +178,7 @@ class Impedance:
     # (E,): voltage over current at the end of the measuring pulse, each electrode to the skin;
     # infinite where the board's voltage was not enough
     kohm: NDArray[np.float64]
-    condition: tuple[Condition, ...]  # "unsure" where the reading fits more than one
+    condition: tuple[Condition, ...]
     current_ma: float  # of the measuring pulse
 
     @property
@@ -209,13 +209,11 @@ def judge(
     volts: NDArray[np.float64],
     current_ma: float | NDArray[np.float64],
     compliance_v: float,
-    unsure: NDArray[np.bool_] | None = None,
 ) -> Impedance:
     """Return the impedances from the source's voltages (E,), each electrode against all others.
 
     The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ), all others in parallel; solved by repeated
-    insertion, which converges as the return is small. ``unsure`` readings, (E,), may stand for
-    another voltage.
+    insertion, which converges as the return is small.
     """
     total = np.asarray(volts, np.float64) / np.asarray(current_ma, np.float64)
     saturated = np.asarray(volts) >= SATURATED * compliance_v
@@ -225,20 +223,16 @@ def judge(
         others = admittance.sum() - admittance
         back = np.divide(1, others, out=np.zeros_like(others), where=others > 0)
         kohm = np.where(saturated, np.inf, np.maximum(total - back, 1e-3))
-    return classify(kohm, float(np.mean(current_ma)), unsure)
+    return classify(kohm, float(np.mean(current_ma)))
 
 
-def classify(
-    kohm: NDArray[np.float64], current_ma: float, unsure: NDArray[np.bool_] | None = None
-) -> Impedance:
+def classify(kohm: NDArray[np.float64], current_ma: float) -> Impedance:
     """Return which electrodes are open or shorted, by their impedances, (E,) kΩ."""
     finite = kohm[np.isfinite(kohm)]
     middle = float(np.median(finite)) if finite.size else np.inf
     conditions: list[Condition] = []
-    for index, value in enumerate(kohm):
-        if unsure is not None and unsure[index]:
-            conditions.append("unsure")
-        elif not value <= OPEN_FACTOR * middle or not np.isfinite(value):
+    for value in kohm:
+        if not value <= OPEN_FACTOR * middle or not np.isfinite(value):
             conditions.append("open")
         elif value < SHORT_FACTOR * middle:
             conditions.append("short")

@@ -213,9 +213,3 @@ def _print_impedance(found: "Impedance") -> None:
     elif found.broken:
         typer.echo("Open or shorted electrodes. To plan around them, in the profile:\n")
         typer.echo(f"[output]\nmasked = {list(found.broken)}")
-    unsure = found.condition.count("unsure")
-    if unsure:
-        typer.echo(
-            f"{unsure} readings fit more than one voltage (this board's wrap): the least is shown, "
-            "so an open electrode may look like a good one."
-        )

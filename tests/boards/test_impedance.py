@@ -44,13 +44,6 @@ def test_a_lifted_finger_is_all_open():
     assert judge(np.full(8, 299.0), 0.5, 300.0).lifted
 
 
-def test_what_may_be_another_voltage_is_never_called_good():
-    unsure = np.arange(8) == 3
-    found = judge(volts_of([20.0] * 8, 0.5), 0.5, 300.0, unsure)
-    assert found.condition[3] == "unsure"
-    assert found.broken == ()
-
-
 def test_a_probe_rises_from_zero_and_every_step_is_safe():
     gate = SafetyGate(LIMITS)
     sequences = list(probe_sequences(LIMITS, None))

@@ -132,7 +132,7 @@ def test_a_reply_that_is_not_whole(hosted, change):
 @pytest.mark.parametrize(
     # The Cortex-M3 has no skin to measure.
     "hosted",
-    ["link", "kajimoto61", "etactilekit", FIRMWARES[0]],
+    ["link", "etactilekit", FIRMWARES[0]],
     indirect=True,
 )
 def test_a_measurement_that_is_cut_short_ends_in_zero_and_the_next_is_whole(hosted, monkeypatch):

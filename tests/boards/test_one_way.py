@@ -12,8 +12,6 @@ from smarttouch.boards.open import MemoryDriver, make_board
 
 from ..raising import raises
 from .test_etactilekit import OPEN, PING, QUIET, ZERO, make  # noqa: F401
-from .test_kajimoto61 import OPEN as KAJIMOTO_OPEN
-from .test_kajimoto61 import RECOVERY, kajimoto
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
@@ -57,19 +55,6 @@ def stop_within(monkeypatch, board, method):
 
     monkeypatch.setattr(line, method, stopped)
     return thread
-
-
-@pytest.mark.parametrize("waits", ["pause", "read"])
-def test_a_measurement_that_is_stopped_ends_in_zero(script, monkeypatch, waits):
-    """Before its request it is not requested; after it nobody waits for the answer."""
-    asked = [] if waits == "pause" else [(b"\xfe", b"")]
-    script(*KAJIMOTO_OPEN, *asked, *KAJIMOTO_OPEN, (RECOVERY[0], b""), (RECOVERY[1], b""))
-    with kajimoto() as board:
-        thread = stop_within(monkeypatch, board, waits)
-        with pytest.raises(BoardStoppedError):
-            board.measure()
-        thread.join(20)
-        assert not thread.is_alive()
 
 
 def test_sense_pulses_end_with_a_stop_and_not_with_closing(script, make, monkeypatch):  # noqa: F811

@@ -1,6 +1,6 @@
 """Stops an emulated board at random instants while it measures, rises or repeats.
 
-``python tests/stress/stop_drivers.py kajimoto61 measuring 500`` prints what was found as JSON.
+``python tests/stress/stop_drivers.py link measuring 500`` prints what was found as JSON.
 In turn the stop comes from another thread of the host, and from another process, as a signal
 whose handler stops the board in the very thread that drives it. The board stays open after that,
 and its host tries to go on. What counts is the board's own account on its own clock.

@@ -3,7 +3,8 @@
 On the wire (UART over USB, 921600 8N1, no checksum, no acknowledgment)::
 
     STIMULATE  FF, then 61 bytes: intensity of each electrode, 0 to 200
-    MEASURE    FE; the reply is 61 readings, then FF
+    MEASURE    FE; the reply is 61 readings, then FF. Not used: a reading wraps at a third of the
+               voltage that the board can supply, so no reading tells an impedance
 
 The board makes one anodic pulse of 50 µs for each intensity that is not zero, in
 order, each followed by 150 µs with all outputs grounded. Without packets there
@@ -27,24 +28,18 @@ from smarttouch.boards.driver import Driver
 from smarttouch.boards.kits import current_scale
 from smarttouch.boards.kits.current_scale import one_against_all, require_kit
 from smarttouch.boards.line import Line
-from smarttouch.boards.probe_scans import one_each
-from smarttouch.boards.reports import Capabilities, Impedance, judge
+from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 ELECTRODES = 61
-STIMULATE, MEASURE = 0xFF, 0xFE
+STIMULATE = 0xFF
 ZERO = bytes([STIMULATE]) + bytes(ELECTRODES)
 WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
-MEASURE_MA, MEASURE_US = 2.5, 25  # of MEASURE, fixed by the firmware (over 20 µs)
-ANSWER_READS, READ_S = 25, 0.02  # its answer comes within 2.1 ms; it is given half a second
-READING_V = 4 * 0.0893  # volts per unit, by the divider of its relative, the eTactileKit
-WRAP = 256
-COMPLIANCE_V = 300.0  # limit of its switches (HV507)
 HURRY = 20  # divisor of a period: no two packets are closer than it by more than a twentieth
 LEAD_S = 0.003  # from a run's first sequence to its packet: margin for delayed later ones
 
@@ -175,34 +170,3 @@ class Kajimoto61Driver(Driver):
             next_ns = max(next_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
             self._period_ns = period_ns
         self._next_ns = next_ns
-
-    def measuring_scans(self) -> list[tuple[ScanSequence, int]]:
-        most_ua = int(MEASURE_MA * 1000 * self._scale.largest_ua / self._scale.nominal_ua)
-        scan = one_each(
-            self._limits, most_ua, MEASURE_US, 1.0, self._line.now_ns(), cathodic=False,
-            period_us=20_000,
-        )  # fmt: skip
-        return [(scan, 1)]
-
-    def measure(self, proved: list[ProvedSequence]) -> Impedance:
-        """Request one MEASURE; readings wrap, so that some of them fit more than one voltage."""
-        line, answer = self._line, b""
-        line.pause(0.02)
-        line.discard_input()
-        line.drive(bytes([MEASURE]), proved[0])
-        # In short reads, as a stop waits for one.
-        for _ in range(ANSWER_READS):
-            line.require_running()
-            answer += line.read(ELECTRODES + 1 - len(answer), READ_S)
-            if len(answer) > ELECTRODES:
-                break
-        if len(answer) != ELECTRODES + 1 or answer[-1] != 0xFF or 0xFF in answer[:-1]:
-            self.zero()
-            raise BoardError(
-                f"the board at {self.port} answered {len(answer)} of {ELECTRODES + 1} bytes to a "
-                "measurement, or some that are no readings: it was put at zero; measure again"
-            )
-        readings = np.frombuffer(answer[:-1], np.uint8).astype(np.float64)
-        # The next voltage that reads the same still lies within what the board can supply.
-        unsure = (readings + WRAP) * READING_V < COMPLIANCE_V
-        return judge(readings * READING_V, MEASURE_MA, COMPLIANCE_V, unsure)
