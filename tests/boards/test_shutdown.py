@@ -57,13 +57,6 @@ def test_boards_of_a_process_share_the_budget(folder):
         pass
 
 
-def test_a_board_that_two_threads_open_at_once_is_entered_once(folder):
-    with Display() as board:
-        with pytest.raises(BoardError):
-            enter(board)
-        assert runs(folder) == 1
-
-
 def test_a_board_that_its_program_has_forgotten_is_stopped():
     """Nothing else refers to it, and it goes on."""
 
