@@ -96,7 +96,8 @@ class LinkDriver(LinkHost):
 
     def zero(self) -> None:
         packets = self._packets
-        packets.wake()
+        with packets.news:
+            packets.news.notify_all()
         if not packets.is_open or not packets.session.begun:
             return
         if packets.fault is not None:
@@ -180,7 +181,7 @@ class LinkDriver(LinkHost):
                 return
             number = next(iter(self._in_flight))
         what = f"has not acknowledged sequence {number} within {packets.answer_s:g} s"
-        raise packets.lost(what)
+        raise line.lost(what)
 
     def _send_again(self) -> None:
         """Send a sequence without an ACK once more, unless it is too late for it.
@@ -262,9 +263,9 @@ class LinkDriver(LinkHost):
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             self._unsafe_refused += 1
             # Clocks differ: what rose too fast for the board's restarts at zero.
-            fault = packets.lost if rule == Rule.RISE else packets.gone
+            fault = self._line.lost if rule == Rule.RISE else packets.gone
             packets.fail(fault(f"refused sequence {message.about} as unsafe: {words}"))
         elif why == Refusal.STOPPED and not self._line.is_stopped:
             packets.fail(packets.gone("has been stopped or restarted by another program"))
         elif why == Refusal.SILENCE:
-            packets.fail(packets.lost("received nothing for 100 ms"))
+            packets.fail(self._line.lost("received nothing for 100 ms"))

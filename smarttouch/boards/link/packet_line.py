@@ -28,7 +28,7 @@ STOPPED_S = 0.05  # time in which a query sees that the board was stopped
 
 
 class PacketLine:
-    """Packets to and from one board; a fault is raised at the next call.
+    """Packets to and from one board, by `line`; a fault is raised at the next call.
 
     Parameters
     ----------
@@ -37,6 +37,8 @@ class PacketLine:
     draw : callable
         Returns the host's half of a session, a new one each time.
     """
+
+    line: Line
 
     def __init__(
         self, receive: Callable[[Message], None], draw: Callable[[], int] = draw_half
@@ -49,18 +51,12 @@ class PacketLine:
         self.news: threading.Condition = threading.Condition()
         self.fault: BoardError | None = None
         self._receive = receive
-        self._closing = threading.Event()
-        self._line: Line | None = None
+        self._closed = threading.Event()
+        self._closed.set()
         self._refused_before = 0
         self._deframer = Deframer()
         self._answers: dict[int, Message] = {}
         self._reader: threading.Thread | None = None
-
-    @property
-    def line(self) -> Line:
-        """Line that carries the packets."""
-        assert self._line is not None
-        return self._line
 
     @property
     def name(self) -> str:
@@ -70,7 +66,7 @@ class PacketLine:
     @property
     def is_open(self) -> bool:
         """Whether a reader runs."""
-        return self._line is not None and not self._closing.is_set()
+        return not self._closed.is_set()
 
     @property
     def refused(self) -> int:
@@ -79,8 +75,8 @@ class PacketLine:
 
     def open(self, line: Line) -> None:
         """Start reading from a connected line."""
-        self._line = line
-        self._closing.clear()
+        self.line = line
+        self._closed.clear()
         self.fault = None
         self._refused_before, self.session = self.refused, HostSession(self._draw)
         self._deframer = Deframer()
@@ -102,7 +98,7 @@ class PacketLine:
 
     def close(self) -> None:
         """End the reader."""
-        self._closing.set()
+        self._closed.set()
         if self._reader is not None and self._reader is not threading.current_thread():
             self._reader.join(ANSWER_S)
 
@@ -119,11 +115,6 @@ class PacketLine:
             if self.session.begun or self._ask_once(MessageKind.BEGIN):
                 return
         raise self._no_answer()
-
-    def wake(self) -> None:
-        """Wake whatever waits for an answer."""
-        with self.news:
-            self.news.notify_all()
 
     def ask(self, question: MessageKind, payload: bytes = b"") -> Message:
         """Send a query until it is answered."""
@@ -207,10 +198,6 @@ class PacketLine:
         if self.fault is not None:
             raise self.fault
 
-    def lost(self, what: str) -> LineLostError:
-        """Return a fault that a restart may repair."""
-        return self.line.lost(what)
-
     def gone(self, what: str) -> BoardError:
         """Return a fault that is final."""
         return BoardError(str(self.line.lost(what)))
@@ -218,11 +205,11 @@ class PacketLine:
     @prioritized()
     def _read_all(self) -> None:
         silent_s, now = 0.0, self.now_s()
-        while not self._closing.is_set():
+        while not self._closed.is_set():
             try:
                 data = self.line.read_some()
             except BoardError as error:
-                if not self._closing.is_set():
+                if not self._closed.is_set():
                     self.fail(error)
                 return
             before, now = now, self.now_s()
@@ -231,7 +218,7 @@ class PacketLine:
             if self.take(data) or not self.session.begun:
                 silent_s = 0.0
             if silent_s > self.silence_s:
-                self.fail(self.lost(f"has been silent for {self.silence_s:g} s"))
+                self.fail(self.line.lost(f"has been silent for {self.silence_s:g} s"))
                 return
 
     def take(self, data: bytes) -> int:
