@@ -251,23 +251,19 @@ class HostSession:
         self.number: int = draw()  # its upper half is 0 until the board has answered HELLO
         self.begun: bool = False  # whether the board has answered BEGIN
         self.refused: int = 0  # number of packets
-        self._sent = self._taken = self._offered = 0
+        self.sent: int = 0  # number of the last packet
+        self._taken = self._offered = 0
         self._asked: dict[int, MessageKind] = {}
-
-    @property
-    def sent(self) -> int:
-        """Number of the packet sent last."""
-        return self._sent
 
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the host's next packet."""
-        if self._sent == LAST_NUMBER:
+        if self.sent == LAST_NUMBER:
             raise LineLostError(f"the session of {LAST_NUMBER} packets is over")
-        self._sent += 1
+        self.sent += 1
         if kind in ANSWERS:
-            self._asked[self._sent] = ANSWERS[kind]
+            self._asked[self.sent] = ANSWERS[kind]
         session = self.number & HALF if kind == MessageKind.HELLO else self.number
-        return encode(kind, session, self._sent, self._taken, about, payload)
+        return encode(kind, session, self.sent, self._taken, about, payload)
 
     def take(self, packet: WirePacket) -> Message | None:
         """Return a packet as a message, or None if it is refused."""
