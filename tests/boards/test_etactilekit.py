@@ -88,7 +88,7 @@ def make(monkeypatch):
     monkeypatch.setattr(etactilekit, "WIDE_NS", 10 * MS)
 
     def make(output=None, limits=LIMITS):
-        driver = ETactileKitDriver("x?firmware=71adee2", limits, output)
+        driver = ETactileKitDriver("x", limits, output, firmware="71adee2")
         clock = ManualClock(late_us=0)
         board = Board(driver, limits, output, clock=clock, claimed_time=True)
         board._line.pause = lambda _: None

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError, SilentBoardError
 from smarttouch.boards.kits.etactilekit import ETactileKitDriver
+from smarttouch.boards.open import make_driver
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
@@ -79,12 +80,12 @@ class OldKit:
 class Meeting:
     """A driver that meets a board for the first time."""
 
-    def __init__(self, patch, firmware, option="", board=None):
+    def __init__(self, patch, firmware, selected=None, board=None):
         self.clock = ManualClock(late_us=0)
         self.books = DeliveryLog(8)
         self.board = board or ETactileKitFirmware(self.books, firmware=firmware)
         self.port = ManualPort(self.board, self.clock)
-        self.driver = ETactileKitDriver("told" + option, LIMITS)
+        self.driver = ETactileKitDriver("told", LIMITS, firmware=selected)
         self.line = manual_line(patch, self.driver, self.port, self.clock, LIMITS)
 
     def open(self):
@@ -110,12 +111,12 @@ def meet(monkeypatch):
     return lambda *arguments, **more: Meeting(monkeypatch, *arguments, **more)
 
 
-@pytest.mark.parametrize(("firmware", "option"), [
-    ("71adee2", ""), ("newest", ""), ("71adee2", "?firmware=71adee2"),
-    ("newest", "?firmware=newest"),
-])  # fmt: skip
-def test_each_is_distinguished_or_named(meet, firmware, option):
-    meeting = meet(firmware, option)
+@pytest.mark.parametrize(
+    ("firmware", "selected"),
+    [("71adee2", None), ("newest", None), ("71adee2", "71adee2"), ("newest", "newest")],
+)
+def test_each_is_distinguished_or_named(meet, firmware, selected):
+    meeting = meet(firmware, selected)
     can = meeting.open()
     assert firmware in can.firmware
     assert (can.time_to_zero_ms is None) == (firmware != "newest")
@@ -204,12 +205,12 @@ class Deaf(ETactileKitFirmware):
         return b""
 
 
-@pytest.mark.parametrize(("option", "about", "value"), [
-    ("?fast", "option", "fast"), ("?firmware=2", "?firmware", "2"), ("?slow", "option", "slow"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("option", "about", "value"), [("fast=1", "option", "fast"), ("firmware=2", "?firmware", "2")]
+)
 def test_an_unknown_option_is_named(option, about, value):
     with raises(BoardError, names=about, value=value):
-        ETactileKitDriver("x" + option, LIMITS)
+        make_driver(f"etactilekit:x?{option}", LIMITS)
 
 
 def test_a_smaller_kit_than_the_profile_is_refused(meet):

@@ -88,7 +88,7 @@ class ShownPattern:
 class ETactileKitDriver(Driver):
     """The eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
-    After the port, ``?firmware=71adee2`` or ``newest`` selects the firmware if a query cannot.
+    ``?firmware=71adee2`` or ``newest`` after the port selects the firmware if a query cannot.
     """
 
     default_profile: ClassVar[str] = "etactilekit-32"
@@ -102,9 +102,17 @@ class ETactileKitDriver(Driver):
     )
     _kit: ETactileKitLine
 
-    def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
-        port, _, options = port.partition("?")
-        self._firmware = _firmware(options)
+    def __init__(
+        self,
+        port: str,
+        limits: SafetyLimits,
+        output: Output | None = None,
+        *,
+        firmware: str | None = None,
+    ) -> None:
+        if firmware not in (None, *FIRMWARES):
+            raise not_offered("?firmware", firmware, FIRMWARES, BoardError)
+        self._firmware = firmware
         self._scale = require_kit("etactilekit", port, output, self.default_profile)
         self.port = port
         self.ua_per_count = self._scale.measured_ua
@@ -564,15 +572,3 @@ class ETactileKitDriver(Driver):
                 self._settings = self._before = None
                 self._put_at_zero()
         return None if found is None else found[1]
-
-
-def _firmware(options: str) -> str | None:
-    """Return the firmware that the user chose, if any."""
-    firmware = None
-    for option in options.split("&") if options else ():
-        name, _, firmware = option.partition("=")
-        if name != "firmware":
-            raise BoardError(f"etactilekit: takes the option ?firmware, not ?{option}")
-        if firmware not in FIRMWARES:
-            raise not_offered("?firmware", firmware, FIRMWARES, BoardError)
-    return firmware
