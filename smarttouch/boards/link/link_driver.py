@@ -136,12 +136,9 @@ class LinkDriver(LinkHost):
         return bool(self._ask_account()[7])
 
     def aftermath(self) -> str:
-        done = f", {self._begun} sequences acknowledged"
         if self._can is None:
-            return done
-        return (
-            f"{done}; it shorts all electrodes within {self._can.time_to_zero_ms:g} ms of silence"
-        )
+            return ""
+        return f"; it shorts all electrodes within {self._can.time_to_zero_ms:g} ms of silence"
 
     @property
     def refused_packets(self) -> int:

@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -206,7 +205,6 @@ class LinkHost(Driver):
         self._limits = limits
         self._can: Capabilities | None = None
         self._number = 0
-        self._begun = 0  # number of sequences that the board has acknowledged
         self._account: tuple[Any, ...] | None = None
         """Account of the board at zero, since it was stopped."""
         self._account_before: tuple[Any, ...] = ()
@@ -244,7 +242,6 @@ class LinkHost(Driver):
         time_ns = self._board_clock.note(board_us, sent_ns, now_ns)
         for each in self._sent:
             if each.number == message.about and not each.part.first:
-                self._begun += 1
                 self._line.events.started(SequenceStart(each.proved.number, time_ns, board_us))
 
     def _note_sent(self, proved: ProvedSequence, part: ScanPart) -> None:
@@ -318,22 +315,20 @@ class LinkHost(Driver):
     def status(self) -> BoardReport:
         account = self._checked_account()
         refused = max(0, sum(account[OLD_PACKETS]) - self._packets_before)
-        return replace(BoardReport(*account[:7]), refused_packets=refused)
+        return BoardReport(*(*account[:7], refused))
 
     def _receive(self, message: Message) -> None:
         """Handle a packet that answers neither a query nor a sequence."""
         match message.kind:
             case MessageKind.ALIVE:
-                if len(message.payload) == protocol.ALIVE.size:
-                    self._press(*protocol.ALIVE.unpack(message.payload))
+                measures = self._can is not None and self._can.force
+                if measures and len(message.payload) == protocol.ALIVE.size:
+                    (force_mn,) = protocol.ALIVE.unpack(message.payload)
+                    self._line.events.force(force_mn / 1000)
             case MessageKind.VOLTAGES:
                 self._note_volts(message)
             case _:
                 self._packets.session.refuse()
-
-    def _press(self, force_mn: int) -> None:
-        if self._can is not None and self._can.force:
-            self._line.events.force(force_mn / 1000)
 
     def _note_volts(self, message: Message) -> None:
         sent = next((each for each in self._sent if each.number == message.about), None)
