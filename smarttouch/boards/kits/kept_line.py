@@ -74,11 +74,6 @@ class KeptLine:
         self._beating.start()
 
     @property
-    def is_open(self) -> bool:
-        """True if it has not been closed from here."""
-        return not self._closing.is_set()
-
-    @property
     def process_id(self) -> int:
         return self._process.pid
 
@@ -133,7 +128,7 @@ class KeptLine:
 
     def close(self) -> None:
         """Put the board at zero by the keeper, end it, and close the port."""
-        if not self.is_open:
+        if self._closing.is_set():
             return
         self._closing.set()
         self._beating.join(ANSWER_S)
