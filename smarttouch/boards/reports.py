@@ -192,9 +192,13 @@ class Impedance:
         return all(each == "open" for each in self.condition)
 
     def figures(self) -> dict[str, Any]:
-        """Return the values for a JSON file."""
+        """Return the values for a JSON file; open electrodes have no number."""
+        kohm = [
+            None if condition == "open" else float(f"{each:.4g}")
+            for each, condition in zip(self.kohm, self.condition, strict=True)
+        ]
         return {
-            "impedance_kohm": [float(f"{each:.4g}") for each in self.kohm],
+            "impedance_kohm": kohm,
             "condition": self.condition,
             "current_ma": self.current_ma,
             "masked": self.broken,
