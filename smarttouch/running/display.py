@@ -1,14 +1,17 @@
 """A display: a board with its safety gate, and the finger that is on it."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Unpack
 
 from smarttouch.base.afferent import Mode
+from smarttouch.base.stopping import Closing, StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
-from smarttouch.boards.open import default_profile
+from smarttouch.boards.open import default_profile, make_board
+from smarttouch.boards.shutdown import expect
 from smarttouch.profile import Profile, load_profile
-from smarttouch.running.display_board import DisplayBoard
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 if TYPE_CHECKING:
     from smarttouch.running.config import RunOptions
@@ -18,7 +21,7 @@ if TYPE_CHECKING:
     from smarttouch.sources.force import ForceSource
 
 
-class Display(DisplayBoard):
+class Display(Closing):
     """A board, the profile of the finger on it, and what ends a run on it.
 
     Its line is open only while it is run; every sequence goes through the safety gate.
@@ -46,6 +49,52 @@ class Display(DisplayBoard):
     ...     display.on_a_finger
     False
     """
+
+    def __init__(self, url: str | type[Driver] | Board, profile: Profile, **options: Any) -> None:
+        limits = SafetyLimits.of(profile)
+        if isinstance(url, str):
+            board = make_board(url, limits, profile.output, **options)
+        elif isinstance(url, Board):
+            board = url
+        else:
+            # Drivers are made as their URLs are opened.
+            kind: Any = url
+            driver = kind("", SafetyLimits.of(profile), profile.output, **options)
+            board = Board(driver, limits, profile.output)
+        if not isinstance(url, str):
+            kind = type(board.driver)
+            url = f"{kind.__module__}.{kind.__qualname__}:"
+        self.url: str = url
+        self.profile: Profile = profile
+        self.stopping: StopRequest = StopRequest()
+        """Request that ends whatever runs on it."""
+        self.board: Board = board
+        # Also without a run: a program may drive the board itself.
+        self.stopping.always_on_stop(board.halt)
+        expect(board)
+        self.notes_reported = 0  # number of the board's notes that earlier runs have reported
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.url!r}, {self.profile!r})"
+
+    @property
+    def on_a_finger(self) -> bool:
+        """Whether there may be a finger on it."""
+        return self.board.on_a_finger
+
+    def stop(self) -> None:
+        """Put all electrodes at zero and end the run, from any thread; it opens no more."""
+        self.stopping.ask("the display was stopped")
+
+    @contextmanager
+    def opened(self, stop: StopRequest) -> Iterator[Board]:
+        """Open the board for a block; a stop puts it at zero at once, also while it opens."""
+        with stop.on_stop(self.board.halt), self.board:
+            yield self.board
+
+    def close(self) -> None:
+        """Put all electrodes at zero and release the board; a second call does nothing."""
+        self.board.close()
 
     def session(
         self,

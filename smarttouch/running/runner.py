@@ -21,7 +21,7 @@ from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
 from smarttouch.running.config import RunConfig
-from smarttouch.running.display_board import DisplayBoard
+from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import InkWatch, Listener, RunContext, as_listeners
 from smarttouch.running.loop import emit_to, run_loop, steady_environment
@@ -63,7 +63,7 @@ class Runner:
     def __init__(
         self,
         source: Source,
-        display: DisplayBoard,
+        display: Display,
         config: RunConfig,
         *,
         force: ForceSource | str | None = None,
@@ -73,7 +73,7 @@ class Runner:
         operation: Operation | None = None,
     ) -> None:
         self.source: Source = source
-        self.display: DisplayBoard = display
+        self.display: Display = display
         self.config: RunConfig = config
         if force is None and display.on_a_finger:
             force = display.profile.force.source

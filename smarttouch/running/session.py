@@ -10,7 +10,7 @@ from typing import Self
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.shutdown import stoppable_run
 from smarttouch.running.config import RunConfig
-from smarttouch.running.display_board import DisplayBoard
+from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.runner import Runner
@@ -51,7 +51,7 @@ class Session(Touch):
 
     def __init__(
         self,
-        display: DisplayBoard,
+        display: Display,
         config: RunConfig,
         listeners: Iterable[Listener | Callable[[StepResult], object]] = (),
         force: ForceSource | str | None = None,

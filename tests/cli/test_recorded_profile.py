@@ -71,7 +71,7 @@ def test_a_misread_unit_in_a_recording_reaches_no_board(forge, port, into, monke
         outputs.append(output)
         raise BoardError("seen")
 
-    monkeypatch.setattr("smarttouch.running.display_board.make_board", made)
+    monkeypatch.setattr("smarttouch.running.display.make_board", made)
     path = forge("output.ua_per_count", scale)
     assert isinstance(into(path, f"kajimoto61:{port[1]}"), BoardError)
     assert [each.ua_per_count for each in outputs] == [None]
