@@ -69,7 +69,7 @@ def check_recording(
     Kernels and profile are today's and the recorded one if not given. Raises RecordingError if the
     recording cannot be read, holds no sequence, or does not say how it was made.
     """
-    recording = Recording(Path(path))
+    recording = Recording(path)
     profile = recording.profile if profile is None else profile
     pipeline, regulator = rebuild_pipeline(
         recording, profile, load_bank(profile) if bank is None else bank

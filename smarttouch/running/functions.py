@@ -187,7 +187,7 @@ def replay(
     >>> st.replay(path, display).slots == first.slots
     True
     """
-    recording = Recording(Path(path))
+    recording = Recording(path)
     source = RecordingSource(recording)
     source.url = f"recording:{path}"
     config = recording_config(recording, **settings)

@@ -9,7 +9,6 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.profile import Profile
 from smarttouch.running.recording import Recording
 from smarttouch.running.step_messages import RecordedStep
 
@@ -53,6 +52,12 @@ class RunArrays:
 
 
 _SLOTS = ("current_ua", "width_us", "discharge_us", "site")
+_COMPUTED = {
+    "step", "sent", "first_pulse_us", "activation", "first_slot", "recharge_ua", "volts",
+    "volts_step", *_SLOTS,
+}  # fmt: skip
+_NUMBERS = [each.name for each in fields(RunArrays) if each.name not in _COMPUTED]
+"""Arrays of the numbers that a step's message has by the same name."""
 
 
 def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
@@ -61,17 +66,23 @@ def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
     index_of: dict[int, int] = {}  # by the time of the sequence
     columns["first_slot"].append(0)
     for row, recorded in enumerate(steps):
-        step, sent = recorded.step, recorded.sent
-        for name, value in _values(recorded, electrodes).items():
-            columns[name].append(value)
+        step, sent, sequence = recorded.step, recorded.sent, recorded.step.sequence
+        for name in _NUMBERS:
+            columns[name].append(recorded.message[name])
+        columns["step"].append(recorded.index)
+        columns["sent"].append(-1 if sent.number is None else sent.number)
+        columns["first_pulse_us"].append(np.nan)
+        columns["activation"].append(step.tactile.activation)
+        recharge_ua = sequence.recharge_ua
+        columns["recharge_ua"].append(np.zeros(electrodes) if recharge_ua is None else recharge_ua)
         for name in _SLOTS:
-            columns[name].append(getattr(step.sequence, name).ravel())
-        columns["first_slot"].append(columns["first_slot"][-1] + step.sequence.slots)
+            columns[name].append(getattr(sequence, name).ravel())
+        columns["first_slot"].append(columns["first_slot"][-1] + sequence.slots)
         row_of[sent.number] = row
         if sent.first_pulse is not None and sent.first_pulse.number in row_of:
             pulsed = row_of[sent.first_pulse.number]
             columns["first_pulse_us"][pulsed] = sent.first_pulse.latency_us
-        index_of[step.sequence.time_ns] = recorded.index
+        index_of[sequence.time_ns] = recorded.index
         for measured, volts in step.observed:
             columns["volts"].append(volts)
             columns["volts_step"].append(index_of.get(measured.time_ns, -1))
@@ -92,84 +103,25 @@ def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
     return RunArrays(**arrays)
 
 
-def _values(recorded: RecordedStep, electrodes: int) -> dict[str, Any]:
-    """Return the numbers of one step."""
-    step, sent, sequence, given = (
-        recorded.step, recorded.sent, recorded.step.sequence, recorded.step.input,
-    )  # fmt: skip
-    recharge_ua = sequence.recharge_ua
-    return {
-        "step": recorded.index,
-        "mode": step.mode.value,
-        "sent": -1 if sent.number is None else sent.number,
-        "first_pulse_us": np.nan,
-        "activation": step.tactile.activation,
-        "recharge_us": sequence.recharge_us,
-        "recharge_ua": np.zeros(electrodes, np.int16) if recharge_ua is None else recharge_ua,
-        **{name: getattr(step, name) for name in ("level", "restarted", "asked_us")},
-        **{name: getattr(sequence, name) for name in ("intensity", "period_us")},
-        **{
-            name: getattr(given, name)
-            for name in ("time_ns", "number", "force_n", "age_ns", "stale")
-        },
-        **{name: getattr(given.pose, name) for name in ("x_mm", "y_mm", "angle_rad")},
-        **{
-            name: getattr(sent, name)
-            for name in ("clock_ns", "latency_us", "work_us", "acknowledged", "refused")
-        },
-    }
-
-
-class RecordedRun:
+class RecordedRun(Recording):
     """A recording, with its numbers as arrays: returned by `smarttouch.load_recording`.
 
     Attributes
     ----------
     path : Path
-    arrays : RunArrays
-        All numbers of the run; read at their first use.
     """
-
-    def __init__(self, path: Path | str) -> None:
-        self.path: Path = Path(path)
-        self._recording = Recording(self.path)
 
     def __repr__(self) -> str:
         return f"RecordedRun({str(self.path)!r}, {self.seconds:.1f} s)"
 
-    @property
-    def profile(self) -> Profile:
-        """Device and finger of the run."""
-        return self._recording.profile
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Settings of the run."""
-        return self._recording.settings
-
-    @property
-    def seconds(self) -> float:
-        """Time from the start of the run to its last message, s."""
-        return self._recording.duration_s
-
-    @property
-    def whole(self) -> bool:
-        """Whether it ended properly, and everything read so far was intact."""
-        return self._recording.whole
-
     @cached_property
     def arrays(self) -> RunArrays:
-        """All numbers of the run."""
-        return _arrays(self._recording.steps(), len(self.profile.electrodes))
-
-    @cached_property
-    def events(self) -> list[tuple[int, str]]:
-        """Time of each event since the start of the run, ns, and its words."""
-        return [*self._recording.events()]
+        """All numbers of the run, read at their first use."""
+        return _arrays(self.steps(), len(self.profile.electrodes))
 
     def images(self) -> Iterator[NDArray[np.uint8] | None]:
         """Yield the image of each step, (H, W) uint8; None where there is none."""
-        for each in self._recording.steps():
+        for each in self.steps():
             yield each.step.input.image
 
 

@@ -33,7 +33,7 @@ class RecordingSource(Source):
     def __init__(self, recording: Recording) -> None:
         super().__init__(recording.path.name)
         self._recording = recording
-        self.duration_s: float = recording.duration_s
+        self.duration_s: float = recording.seconds
         self._steps = recording.steps()
         self._ahead = next(self._steps, None)
         self._now: RecordedStep | None = None

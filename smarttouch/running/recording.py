@@ -37,8 +37,8 @@ class Recording:
     from SmartTouch, or if its description of the run was changed.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path | str) -> None:
+        self.path: Path = Path(path)
         self.about: dict[str, str] = {}
         self.damaged_chunks: int = 0
         self.broken_steps: int = 0
@@ -79,7 +79,7 @@ class Recording:
         return datetime.fromtimestamp(self.started_unix_ns / 1e9, UTC)
 
     @property
-    def duration_s(self) -> float:
+    def seconds(self) -> float:
         """Time from the start of the run to the last message, s."""
         return max(0, self._last_ns - self.started_unix_ns) / 1e9
 
@@ -139,10 +139,10 @@ class Recording:
             if name == topic:
                 yield message.log_time - self.started_unix_ns, json.loads(message.data)
 
-    def events(self) -> Iterator[tuple[int, str]]:
-        """Yield the time of each event, ns since the start of the run, and its text."""
-        for time_ns, content in self.contents("/event"):
-            yield time_ns, content["message"]
+    @cached_property
+    def events(self) -> list[tuple[int, str]]:
+        """Time of each event, ns since the start of the run, and its text."""
+        return [(time_ns, content["message"]) for time_ns, content in self.contents("/event")]
 
     def messages(self) -> Iterator[tuple[str, Message]]:
         """Yield all messages with their topics, in the order of the file; skip damaged chunks."""

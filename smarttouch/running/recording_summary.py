@@ -17,7 +17,7 @@ def describe(path: Path) -> list[tuple[str, str]]:
     strongest_ma = max((step["strongest_ma"] for step in steps), default=0.0)
     rows = [
         ("began", f"{recording.started:%Y-%m-%d %H:%M:%S} UTC"),
-        ("lasted", f"{recording.duration_s:.1f} s"),
+        ("lasted", f"{recording.seconds:.1f} s"),
         ("subject", str(settings.get("subject") or "not given")),
         ("note", str(settings.get("note") or "none")),
         ("profile", f"{recording.profile.name}, {recording.profile.title}"),
@@ -33,7 +33,7 @@ def describe(path: Path) -> list[tuple[str, str]]:
         ("strongest", f"{strongest_ma:.2f} mA through one electrode"),
         ("versions", ", ".join(f"{name} {value}" for name, value in recording.versions.items())),
         ("file", f"{path.stat().st_size / 1e6:.2f} MB"),
-        *((f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events()),
+        *((f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events),
     ]
     # Damage shows only once everything has been read.
     return [("state", _state(recording)), *rows]

@@ -102,6 +102,7 @@ class RecordedStep:
 
     index: int
     sent: StepResult
+    message: Message
 
     @property
     def step(self) -> Step:
@@ -125,7 +126,8 @@ class StepDecoder:
             if topic == "/frame":
                 self._image, self._image_index = _image_of(json.loads(data)), index
             elif topic == "/step":
-                return RecordedStep(index, self._step(index, json.loads(data)))
+                message = json.loads(data)
+                return RecordedStep(index, self._step(index, message), message)
         except _INVALID:
             self.broken += 1
         return None

@@ -71,14 +71,12 @@ def test_recordings_of_a_session_are_numbered(program_here, tmp_path):
     path.write_bytes(path.read_bytes()[:-20])
     second = program_here(one)
     assert "run-2.mcap" in second.stdout
-    words = [words for _, words in Recording(tmp_path / "run-2.mcap").events()]
+    words = [words for _, words in Recording(tmp_path / "run-2.mcap").events]
     trials = [each for each in words if each.startswith(("trial", "response"))]
     assert len(trials) == 2
     assert trials[0].startswith("trial 10: standard 30 Hz, comparison ")
     assert trials[1].startswith("response 10: ")
-    assert any(
-        each.startswith("trial 1: ") for _, each in Recording(tmp_path / "run.mcap").events()
-    )
+    assert any(each.startswith("trial 1: ") for _, each in Recording(tmp_path / "run.mcap").events)
 
 
 def test_letters_end_with_who_was_taken_for_whom(program_here):

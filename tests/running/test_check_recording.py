@@ -125,7 +125,7 @@ def test_what_follows_a_gap_is_not_compared(damaged, tmp_path):
     assert 2 < report.sequences < 38
     # From what time on is told, and the time is that of a step before the end.
     (since_s,) = map(float, re.findall(r"(\d+\.\d) s", report.left_out))
-    assert 0 < since_s < Recording(path).duration_s
+    assert 0 < since_s < Recording(path).seconds
     assert report.left_out in report.describe()
 
 

@@ -87,7 +87,7 @@ def test_what_was_handed_over_is_on_the_disk_soon(recorder, tmp_path, steps):
     recorder.record(steps[0])
     recorder.event(0, "paused")
     until(lambda: len(list(Recording(tmp_path / "run.mcap").steps())) == 1)
-    until(lambda: list(Recording(tmp_path / "run.mcap").events()) == [(0, "paused")])
+    until(lambda: Recording(tmp_path / "run.mcap").events == [(0, "paused")])
     assert not Recording(tmp_path / "run.mcap").whole
 
 
