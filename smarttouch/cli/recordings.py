@@ -17,7 +17,7 @@ recordings: Commands = Commands(help="Show what recordings hold.", no_args_is_he
 @recordings.command()
 def info(file: Annotated[Path, argument("A recording, whole or cut off.", "FILE")]) -> None:
     """Show what was delivered to whom and when, and how much of it was recorded."""
-    from smarttouch.running.recording_summary import describe
+    from smarttouch.running.recording import describe
 
     print_table(describe(file), left=2)
 
