@@ -23,40 +23,68 @@ from smarttouch.running.step_messages import Message, event_message, image_messa
 CHUNK_S = 1.0  # longest time before a chunk is on the disk: the loss if the program is killed
 MOST_WAITING = 1000  # steps that may wait for the disk
 
-_Item = StepResult | tuple[int, str]
 
-
-class RecordingWriter:
-    """Writer of steps and events to a new MCAP file, on a thread of its own.
+class Recorder(Listener):
+    """Listener that records a run to a file, on a thread of its own.
 
     Each chunk is on the disk at most `CHUNK_S` and the disk's own time after its first step. Times
-    in the file are times of day; ``about`` (see `about_run`) is kept as metadata.
+    in the file are times of day.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file; an existing one is not overwritten.
+
+    Examples
+    --------
+    See `smarttouch.replay`.
     """
 
-    def __init__(self, path: Path, about: dict[str, str], started_unix_ns: int) -> None:
-        self._path = path
-        self._started_unix_ns = started_unix_ns
+    def __init__(self, path: Path | str) -> None:
+        super().__init__()
+        self.path: Path = Path(path)
+        self._started_unix_ns = 0
         self._failure: Exception | None = None
-        self._reported = self._closed = False
+        self._reported = False
         self._steps = 0
         self._image: tuple[NDArray[np.uint8], int] | None = None
-        self._queue: queue.SimpleQueue[_Item | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[StepResult | Event | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None  # between start and close
+
+    def prepare(self, run: RunContext) -> None:
+        """Raise if the file exists, before the display is opened."""
+        if self.path.exists():
+            raise self._name_taken()
+
+    def start(self, run: RunContext) -> None:
+        """Start the file, with the description of the open board."""
+        started_unix_ns = time.time_ns()
+        self.begin(about_run(run.profile, run.settings, started_unix_ns), started_unix_ns)
+
+    def begin(self, about: dict[str, str], started_unix_ns: int) -> None:
+        """Start the file, with a description of the run; see `about_run`."""
+        self._started_unix_ns = started_unix_ns
         try:
-            self._file = open(path, "xb", opener=owner_only)  # noqa: SIM115, until closing
+            self._file = open(self.path, "xb", opener=owner_only)  # noqa: SIM115, until closing
         except FileExistsError:
-            raise name_taken(path) from None
+            raise self._name_taken() from None
         except OSError as error:
-            raise unwritable(RecordingError, path, error) from None
+            raise unwritable(RecordingError, self.path, error) from None
         self._writer = Writer(self._file)
         try:
-            self._begin(about)
+            self._write_head(about)
         except OSError as error:
             self._file.close()
-            raise unwritable(RecordingError, path, error) from None
+            raise unwritable(RecordingError, self.path, error) from None
         self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
         self._thread.start()
 
-    def _begin(self, about: dict[str, str]) -> None:
+    def _name_taken(self) -> RecordingError:
+        return RecordingError(
+            f"{self.path} exists and recordings are never overwritten: give another name"
+        )
+
+    def _write_head(self, about: dict[str, str]) -> None:
         self._writer.start(profile=METADATA, library=f"smarttouch {__version__}")
         self._writer.add_metadata(METADATA, about)
         self._channels = {}
@@ -68,8 +96,8 @@ class RecordingWriter:
             self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
         self._end_chunk()
 
-    def record(self, result: StepResult) -> None:
-        """Queue one step for writing; RecordingError if the disk is full, broken or too slow."""
+    def step(self, result: StepResult) -> None:
+        """Queue a step for writing; RecordingError if the disk is full, broken or too slow."""
         if self._queue.qsize() > MOST_WAITING:
             self._failure = self._failure or TimeoutError(
                 0, f"{MOST_WAITING} frames wait for the disk, it is too slow"
@@ -78,27 +106,28 @@ class RecordingWriter:
             raise self._complaint()
         self._queue.put(result)
 
-    def event(self, time_ns: int, words: str) -> None:
-        """Queue an event at a time since the start of the run."""
-        self._queue.put((time_ns, words))
+    def event(self, event: Event) -> None:
+        """Queue an event for writing."""
+        if self._thread is not None:
+            self._queue.put(event)
 
     def close(self) -> None:
         """Write everything queued, and finish the file.
 
         Raises RecordingError if the disk did not take all of it, unless that was reported before.
         """
-        if self._closed:
+        thread, self._thread = self._thread, None
+        if thread is None:
             return
-        self._closed = True
         self._queue.put(None)
-        self._thread.join()
+        thread.join()
         if self._failure is not None and not self._reported:
             raise self._complaint()
 
     def _complaint(self) -> RecordingError:
         self._reported = True
         reason = getattr(self._failure, "strerror", None) or repr(self._failure)
-        return RecordingError(f"{self._path} is cut short: {reason}; what was written is kept")
+        return RecordingError(f"{self.path} is cut short: {reason}; what was written is kept")
 
     def _write_all(self) -> None:
         """Write what is queued until the end; after a failure only close the file."""
@@ -141,17 +170,16 @@ class RecordingWriter:
         self._file.flush()
         os.fsync(self._file.fileno())
         try:
-            is_there = os.path.samestat(self._path.stat(), os.fstat(self._file.fileno()))
+            is_there = os.path.samestat(self.path.stat(), os.fstat(self._file.fileno()))
         except OSError:
             is_there = False
         if not is_there:
             raise OSError(0, "the file was removed, moved or replaced while it was written")
 
-    def _write(self, item: _Item) -> None:
-        if not isinstance(item, StepResult):
-            time_ns, words = item
-            at_ns = self._started_unix_ns + time_ns
-            self._add("/event", event_message(words, at_ns), at_ns)
+    def _write(self, item: StepResult | Event) -> None:
+        if isinstance(item, Event):
+            at_ns = self._started_unix_ns + item.time_ns
+            self._add("/event", event_message(str(item), at_ns), at_ns)
             return
         given = item.step.input
         at_ns = self._started_unix_ns + given.time_ns
@@ -177,53 +205,3 @@ class RecordingWriter:
             sequence=self._steps,
             data=json.dumps(message, separators=(",", ":"), allow_nan=False).encode(),
         )
-
-
-def name_taken(path: Path) -> RecordingError:
-    """Return the error of a recording that exists already."""
-    return RecordingError(f"{path} exists and recordings are never overwritten: give another name")
-
-
-class Recorder(Listener):
-    """Listener that records a run to a file; see `RecordingWriter`.
-
-    Parameters
-    ----------
-    path : Path or str
-        The file; an existing one is not overwritten.
-
-    Examples
-    --------
-    See `smarttouch.replay`.
-    """
-
-    def __init__(self, path: Path | str) -> None:
-        super().__init__()
-        self.path: Path = Path(path)
-        self._writer: RecordingWriter | None = None
-
-    def prepare(self, run: RunContext) -> None:
-        """Raise if the file exists, before the display is opened."""
-        if self.path.exists():
-            raise name_taken(self.path)
-
-    def start(self, run: RunContext) -> None:
-        """Start the file, with the description of the open board."""
-        started_unix_ns = time.time_ns()
-        about = about_run(run.profile, run.settings, started_unix_ns)
-        self._writer = RecordingWriter(self.path, about, started_unix_ns)
-
-    def step(self, result: StepResult) -> None:
-        """Queue a step for writing."""
-        if self._writer is not None:
-            self._writer.record(result)
-
-    def event(self, event: Event) -> None:
-        """Queue an event for writing."""
-        if self._writer is not None:
-            self._writer.event(event.time_ns, str(event))
-
-    def close(self) -> None:
-        """Write everything queued, and finish the file."""
-        if self._writer is not None:
-            self._writer.close()

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from smarttouch.base.events import Note
 from smarttouch.running import recorder as writer_module
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.recorder import RecordingWriter
+from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording_format import about_run, digest_of
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Frame, Pose
@@ -97,11 +98,12 @@ def record(about):
     """Return a writer of recordings from steps and events."""
 
     def write(path, steps, events=(), about=about):
-        recorder = RecordingWriter(path, about | {"digest": digest_of(about)}, STARTED_NS)
+        recorder = Recorder(path)
+        recorder.begin(about | {"digest": digest_of(about)}, STARTED_NS)
         for words in events:
-            recorder.event(5_000_000, words)
+            recorder.event(Note(5_000_000, words))
         for sent in steps:
-            recorder.record(replace(sent, acknowledged=(sent.number or 1) - 1))
+            recorder.step(replace(sent, acknowledged=(sent.number or 1) - 1))
         recorder.close()
         return path
 

@@ -29,7 +29,7 @@ from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import OnEvent, OnStep
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.recorder import RecordingWriter
+from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording_format import about_run, digest_of
 from smarttouch.running.regulation import Regulator
 from smarttouch.running.run_statistics import RunStatistics
@@ -201,15 +201,16 @@ def make(golden, path):
         ChargeBalance(len(profile.electrodes)) if golden.balance else None,
     )
     board = played(profile, partial(GoldenDriver, golden))
-    recorder = RecordingWriter(path, about, STARTED_UNIX_NS)
+    recorder = Recorder(path)
+    recorder.begin(about, STARTED_UNIX_NS)
     with open_source(f"text:{golden.text}", profile) as page, board:
         run_loop(
             Held(page, golden), pipeline, board, stop=StopRequest(), statistics=RunStatistics(),
             seconds=golden.seconds, controls=Script(golden), regulator=regulator,
             clock=SimulatedClock(),
             listeners=[
-                OnStep(lambda sent: recorder.record(replace(sent, work_us=0.0))),
-                OnEvent(lambda event: recorder.event(event.time_ns, str(event))),
+                OnStep(lambda sent: recorder.step(replace(sent, work_us=0.0))),
+                OnEvent(recorder.event),
             ],
         )  # fmt: skip
     recorder.close()

@@ -10,7 +10,6 @@ import resource
 import sys
 import time
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.recorder import RecordingWriter
+from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording_format import about_run
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Frame, Pose
@@ -43,9 +42,8 @@ def main(path, most_bytes=None):
     if most_bytes is not None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (int(most_bytes),) * 2)
     started_unix_ns = time.time_ns()
-    recorder = RecordingWriter(
-        Path(path), about_run(profile, settings, started_unix_ns), started_unix_ns
-    )
+    recorder = Recorder(path)
+    recorder.begin(about_run(profile, settings, started_unix_ns), started_unix_ns)
     fsync = os.fsync
 
     def sync_and_tell(number):
@@ -62,7 +60,7 @@ def main(path, most_bytes=None):
         time_ns = time.perf_counter_ns() - start_ns
         frame = Frame(images[index % 16], time_ns, Pose(0.0, 0.0), 1.0, index)
         try:
-            recorder.record(StepResult(pipeline.process(frame), index, 0.0, acknowledged=index))
+            recorder.step(StepResult(pipeline.process(frame), index, 0.0, acknowledged=index))
         except RecordingError as error:
             print(error)
             recorder.close()

@@ -11,8 +11,9 @@ import pytest
 from mcap.reader import make_reader
 
 from smarttouch.base.errors import RecordingError
+from smarttouch.base.events import Note
 from smarttouch.running import recorder as module
-from smarttouch.running.recorder import RecordingWriter
+from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording import Recording
 from smarttouch.running.recording_format import SCHEMAS, about_run
 from smarttouch.running.step import Step, StepResult
@@ -28,7 +29,8 @@ STARTED_NS = 1_700_000_000 * 10**9
 def recorder(tmp_path, about, monkeypatch):
     """A writer that puts each step on the disk at once."""
     monkeypatch.setattr(module, "CHUNK_S", 0.0)
-    made = RecordingWriter(tmp_path / "run.mcap", about, STARTED_NS)
+    made = Recorder(tmp_path / "run.mcap")
+    made.begin(about, STARTED_NS)
     yield made
     with contextlib.suppress(RecordingError):
         made.close()
@@ -79,28 +81,28 @@ def test_where_no_recording_can_be(tmp_path, about):
     precious.write_text("precious")
     for path in (precious, tmp_path / "none" / "run.mcap"):
         with raises(RecordingError, value=path):
-            RecordingWriter(path, about, 0)
+            Recorder(path).begin(about, 0)
     assert precious.read_text() == "precious"
 
 
 def test_what_was_handed_over_is_on_the_disk_soon(recorder, tmp_path, steps):
-    recorder.record(steps[0])
-    recorder.event(0, "paused")
+    recorder.step(steps[0])
+    recorder.event(Note(0, "paused"))
     until(lambda: len(list(Recording(tmp_path / "run.mcap").steps())) == 1)
     until(lambda: Recording(tmp_path / "run.mcap").events == [(0, "paused")])
     assert not Recording(tmp_path / "run.mcap").whole
 
 
 def test_a_failure_is_raised_once_at_the_next_step(recorder, tmp_path, steps, monkeypatch):
-    recorder.record(steps[0])
+    recorder.step(steps[0])
     until(lambda: list(Recording(tmp_path / "run.mcap").steps()))
     monkeypatch.setattr(recorder._writer, "add_message", full)
-    recorder.record(steps[1])
+    recorder.step(steps[1])
     until(lambda: recorder._failure is not None)
-    recorder.event(0, "an event is no place to be told")
+    recorder.event(Note(0, "an event is no place to be told"))
     path = tmp_path / "run.mcap"
     with raises(RecordingError, value=path) as caught:
-        recorder.record(steps[2])
+        recorder.step(steps[2])
     assert "No space left on device" in str(caught.value)
     recorder.close()
     assert len(list(Recording(tmp_path / "run.mcap").steps())) == 1
@@ -108,7 +110,7 @@ def test_a_failure_is_raised_once_at_the_next_step(recorder, tmp_path, steps, mo
 
 def test_a_failure_without_a_next_step_is_raised_at_the_end(recorder, steps, monkeypatch):
     monkeypatch.setattr(recorder._writer, "finish", full)
-    recorder.record(steps[0])
+    recorder.step(steps[0])
     with raises(RecordingError) as caught:
         recorder.close()
     assert "No space left on device" in str(caught.value)
@@ -121,7 +123,7 @@ def test_a_disk_that_is_too_slow_ends_the_run(recorder, steps, monkeypatch):
     monkeypatch.setattr(module, "MOST_WAITING", 3)
 
     with raises(RecordingError) as caught:
-        [recorder.record(sent) for sent in steps]
+        [recorder.step(sent) for sent in steps]
     assert "3 " in str(caught.value)
     goes_on.set()
 
@@ -151,9 +153,10 @@ def test_what_the_disk_had_is_readable_after_a_power_cut(tmp_path, about, steps,
 
     monkeypatch.setattr(module.os, "fsync", waited_for)
     monkeypatch.setattr(module, "CHUNK_S", 0.0)
-    recorder = RecordingWriter(path, about, STARTED_NS)
+    recorder = Recorder(path)
+    recorder.begin(about, STARTED_NS)
     for count, sent in enumerate(steps[:10]):
-        recorder.record(sent)
+        recorder.step(sent)
         until(lambda least=count + 2: len(sizes) >= least)
     recorder.close()
     whole = path.read_bytes()
@@ -168,10 +171,10 @@ def test_what_the_disk_had_is_readable_after_a_power_cut(tmp_path, about, steps,
 
 def test_a_disk_that_does_not_take_it_ends_the_run(recorder, steps, monkeypatch):
     monkeypatch.setattr(module.os, "fsync", full)
-    recorder.record(steps[0])
+    recorder.step(steps[0])
     until(lambda: recorder._failure is not None)
     with raises(RecordingError):
-        recorder.record(steps[1])
+        recorder.step(steps[1])
 
 
 def moved(path):
@@ -186,7 +189,7 @@ def replaced(path):
 @pytest.mark.parametrize("lose", [moved, replaced, Path.unlink])
 def test_a_recording_that_vanishes_is_an_error(recorder, tmp_path, steps, lose):
     path = tmp_path / "run.mcap"
-    recorder.record(steps[0])
+    recorder.step(steps[0])
     lose(path)
     with raises(RecordingError, value=path) as caught:
         recorder.close()
