@@ -20,7 +20,7 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import RecordedControls, RecordingSource
 from smarttouch.running.recording import Recording
 from smarttouch.running.run_statistics import RunStatistics
-from smarttouch.running.runner import Operation, Runner
+from smarttouch.running.runner import Runner
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources import open_source, options_taken
 from smarttouch.sources.force import ForceSource
@@ -194,7 +194,7 @@ def replay(
     controls = partial(RecordedControls, recording)
     return Runner(
         source, display, config, force=force, listeners=listeners, stop=stop,
-        operation=Operation(controls),
+        controls=controls,
     ).run()  # fmt: skip
 
 

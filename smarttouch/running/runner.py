@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 from smarttouch.base.afferent import Afferent, Mode
@@ -36,28 +36,14 @@ from smarttouch.stimulation.safety_limits import rms_ma_cm2
 MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]
 
 
-@dataclass(frozen=True)
-class Operation:
-    """How a person operates a run.
-
-    ``controls`` makes the controls from their first state and the modes offered; ``first_level``
-    and ``most_level``, in [0, 1], are the level at the start (by the configuration if not given)
-    and the highest; ``opened`` opens the board for a block.
-    """
-
-    controls: MakeControls = Controls
-    first_level: float | None = None
-    most_level: float | None = None
-    opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None
-
-
 class Runner:
     """One run of a source on a display; the source is closed at its end.
 
     ``force`` is a source of finger force or its URL: if not given, where a finger may be on the
     board that of the profile's ``force.source``, else what source or board measure.
-    ``load_kernels`` returns the kernels of a profile. Time is the board's, and the machine's where
-    a run is paced.
+    ``load_kernels`` returns the kernels of a profile, ``controls`` makes the controls from their
+    first state and the modes offered, and ``opened`` opens the board for a block. Time is the
+    board's, and the machine's where a run is paced.
     """
 
     def __init__(
@@ -70,7 +56,8 @@ class Runner:
         listeners: Iterable[Listener | Callable[[StepResult], object]] = (),
         stop: StopRequest | None = None,
         load_kernels: Callable[[Profile], KernelBank] = load_bank,
-        operation: Operation | None = None,
+        controls: MakeControls = Controls,
+        opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
     ) -> None:
         self.source: Source = source
         self.display: Display = display
@@ -83,12 +70,9 @@ class Runner:
         self._listeners = [*as_listeners(listeners), InkWatch(self._advise)]
         self._vibrated = any(each.vibrates_pc for each in self._listeners)
         self._load_kernels = load_kernels
-        self._operation = operation = operation or Operation()
-        self._level = operation.first_level
-        if self._level is None:
-            self._level = config.intensity
+        self._make_controls = controls
         self._stop = stop or StopRequest()
-        self._opened = operation.opened or display.opened
+        self._opened = opened or display.opened
         self._emit = emit_to(self._listeners)
 
     def run(self) -> RunStatistics:
@@ -151,12 +135,10 @@ class Runner:
             profile, bank, config, board.driver.timing, vibrated=self._vibrated,
             in_sums=board.driver.keeps_kernels,
         )  # fmt: skip
-        first = 1.0 if self._level is None else self._level
+        first = 1.0 if config.intensity is None else config.intensity
         state = ControlState(pipeline.mode, first)
         offered = (state.mode,) if source.fixed_mode else pipeline.offered()
-        controls = self._operation.controls(state, offered)
-        if self._operation.most_level is not None:
-            controls.most = self._operation.most_level
+        controls = self._make_controls(state, offered)
         context = RunContext(
             source, board, profile, bank, config, controls, self.statistics,
             self._settings(profile), pipeline.open_level,
@@ -266,7 +248,7 @@ class Runner:
         return int(self.statistics.seconds * 1e9)
 
     def _require_a_level(self) -> None:
-        if self._level is None and self.display.on_a_finger:
+        if self.config.intensity is None and self.display.on_a_finger:
             raise SmartTouchError(
                 "a finger may be on the board, and no intensity is set: give one, for example "
                 "--intensity 0.3"

@@ -18,7 +18,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.runner import Operation, Runner
+from smarttouch.running.runner import Runner
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
@@ -146,11 +146,11 @@ def run_walk(
     Runner(
         walk,
         display,
-        RunConfig(scan="points"),
+        # The strength is an argument of the walk.
+        RunConfig(scan="points", intensity=1.0),
         force=force,
         listeners=listeners,
         stop=stop,
         load_kernels=single_bank,
-        # The strength is an argument of the walk.
-        operation=Operation(first_level=1.0, opened=opened),
+        opened=opened,
     ).run()

@@ -5,20 +5,21 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from smarttouch.base.afferent import Mode
 from smarttouch.base.files import write_json
 from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
-from smarttouch.running.inputs import STEP, Controls
+from smarttouch.running.inputs import STEP, Controls, ControlState
 from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.runner import MakeControls, Operation, Runner
+from smarttouch.running.runner import MakeControls, Runner
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source
 from smarttouch.views.keys_and_signals import (
@@ -111,6 +112,12 @@ def run_in_terminal(
                 keys_help=keys_help, alone=not typed,
             )  # fmt: skip
             closing.callback(window.shut)
+        if display.on_a_finger:
+            if config.intensity is not None:
+                controls = _limited(controls, config.intensity)
+            if typed or window is not None:
+                # Somebody can raise it.
+                config = replace(config, intensity=0.0)
         runner = Runner(
             source,
             display,
@@ -127,7 +134,8 @@ def run_in_terminal(
             ],
             stop=stop,
             load_kernels=partial(_load_kernels, quiet=outputs.quiet),
-            operation=_operation(display, config, controls, typed or window is not None),
+            controls=controls,
+            opened=partial(opened, display.board),
         )
         try:
             runner.run()
@@ -142,17 +150,15 @@ def run_in_terminal(
             window.stay()
 
 
-def _operation(
-    display: Display, config: RunConfig, controls: MakeControls, steered: bool
-) -> Operation:
-    """Return how a run is operated: on a finger it starts at zero where somebody can raise it."""
-    finger = display.on_a_finger
-    return Operation(
-        controls,
-        first_level=0.0 if finger and steered else None,
-        most_level=config.intensity if finger else None,
-        opened=partial(opened, display.board),
-    )
+def _limited(controls: MakeControls, most: float) -> MakeControls:
+    """Return a maker of controls that raise no level above one."""
+
+    def make(state: ControlState, modes: tuple[Mode, ...]) -> Controls:
+        made = controls(state, modes)
+        made.most = most
+        return made
+
+    return make
 
 
 def _window(stop: StopRequest, seconds: float | None, **given: Any) -> "Window":

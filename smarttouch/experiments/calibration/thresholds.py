@@ -31,7 +31,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.runner import Operation, Runner
+from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
 
 Found = Mapping[int, Thresholds]
@@ -151,7 +151,7 @@ class ThresholdProcedure:
             tops_ma = [float(each) for each in measuring.full_ma]
             finger = simulated_finger(profile, measuring, tops_ma, self.seed)
             listener = Subject(source, finger, _LOOK_S, REACTION_S)
-        config = RunConfig(scan="points", seed=self.seed)
+        config = RunConfig(scan="points", intensity=1.0, seed=self.seed)
         present(source, display, config, listener, keys, stop, opened, force)
         if not session.over:
             raise self.stopped(progress)
@@ -201,7 +201,7 @@ def present(
             listeners=[listener],
             stop=stop,
             load_kernels=single_bank,
-            operation=Operation(first_level=1.0, opened=partial(opened, display.board)),
+            opened=partial(opened, display.board),
         ).run()
 
 

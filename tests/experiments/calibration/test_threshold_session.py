@@ -34,7 +34,7 @@ from smarttouch.profile import list_profiles, load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener, OnStep
-from smarttouch.running.runner import Operation, Runner
+from smarttouch.running.runner import Runner
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ...played import played
@@ -116,11 +116,10 @@ def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **o
     Runner(
         source,
         display,
-        RunConfig(scan="points"),
+        RunConfig(scan="points", intensity=1.0),
         listeners=[Finger(source, felt_by), *listeners],
         stop=stop,
         load_kernels=single_bank,
-        operation=Operation(first_level=1.0),
     ).run()
     return shown
 

@@ -15,7 +15,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import OnEvent, OnStep
-from smarttouch.running.runner import Operation, Runner
+from smarttouch.running.runner import Runner
 
 DATE = "2026-01-01T00:00:00+00:00"
 
@@ -82,6 +82,6 @@ def sit(
             listeners=[Subject(source, observer), OnStep(observe), events],
             stop=stop,
             load_kernels=lambda _profile: bank,
-            operation=Operation(lambda _state, _modes: controls),
+            controls=lambda _state, _modes: controls,
         ).run()
     return Sat(source, session, told, statistics.figures)
