@@ -32,7 +32,7 @@ from smarttouch.reading.letter_responses import (
 from smarttouch.reading.letter_shapes import ALPHABET, Shapes
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.running.config import RunConfig
-from smarttouch.running.delivered import DeliveredSlots
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 
 class Study(Table):
@@ -107,7 +107,7 @@ class DeliveredLetters:
 
     choice: Choice
     # slots of each letter, and its electrodes (E,)
-    letters: dict[str, tuple[DeliveredSlots, NDArray[np.bool_]]]
+    letters: dict[str, tuple[ScanSequence, NDArray[np.bool_]]]
 
     @property
     def wanted(self) -> tuple[Afferent, ...]:
@@ -176,11 +176,7 @@ class Grid:
                 self.study.letters, self.profiles[profile], self.bank(profile), Mode(choice.mode),
                 choice.scan, choice.intensity,
             )  # fmt: skip
-            slots = {
-                letter: (DeliveredSlots.of(sequence), active)
-                for letter, (sequence, active) in letters.items()
-            }
-            found.append(DeliveredLetters(choice, slots))
+            found.append(DeliveredLetters(choice, letters))
         return found
 
 

@@ -5,7 +5,6 @@ put back together into an image.
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Self
 
 import cv2
 import numpy as np
@@ -21,7 +20,6 @@ from smarttouch.profile import Profile
 from smarttouch.profile.device import Pulse
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Pose
-from smarttouch.stimulation.scan_sequence import ScanSequence
 
 Floats = NDArray[np.float32]
 
@@ -106,15 +104,20 @@ class LinePicture:
         return np.asarray(cv2.resize(grey, size, interpolation=method), np.uint8)
 
 
-class Perception:
-    """Response of the receptors under the electrodes, by their activating function.
+class DeliveredResponses:
+    """Poses of the sequences of a run and, after it, the responses to them.
 
     Each delivered slot activates the receptors under all electrodes by the activating function at
     their nodes; a response counts from the detection threshold on, and is 1 at the strongest
-    comfortable pulse. Of several classes the strongest response counts.
+    comfortable pulse. Of several classes the strongest response counts. Iterating yields pose and
+    response, (E,) in [0, 1], of each sequence delivered while the finger touched.
     """
 
     def __init__(self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...]) -> None:
+        self.poses: dict[int, Pose] = {}
+        self.period_us: dict[int, int] = {}
+        self.answer: dict[int, Floats] = {}
+        self._silent = np.zeros(len(profile.electrodes), np.float32)
         self._pulse = profile.pulse
         full_ua = profile.full_ma * 1000
         self._receptors = []
@@ -125,33 +128,6 @@ class Perception:
             self._receptors.append((receptor.T, np.where(full > 0, full, np.inf)))
         self._threshold = profile.threshold_ma / profile.full_ma
 
-    def answers(
-        self, numbers: NDArray[np.uint32], width_us: Floats, current_ua: NDArray[np.int16]
-    ) -> dict[int, Floats]:
-        """Return the strongest response at each site to the slots of each sequence, (E,) in [0, 1].
-        Slots of one sequence, by ``numbers`` (N,), follow each other, with their ``width_us`` (N,)
-        and ``current_ua`` (N, E), positive cathodic. Sequences without a slot are left out."""
-        if not len(numbers):
-            return {}
-        current = current_ua * strength(width_us, self._pulse)[:, None]
-        activation = np.maximum.reduce([current @ axons / full for axons, full in self._receptors])
-        answers = np.clip((activation - self._threshold) / (1 - self._threshold), 0, 1)
-        starts = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
-        strongest = np.maximum.reduceat(answers, starts, axis=0)
-        return dict(zip(numbers[starts].tolist(), strongest, strict=True))
-
-
-class DeliveredResponses(Perception):
-    """Poses of the sequences of a run and, after it, the responses to them. Iterating yields pose
-    and response, (E,) in [0, 1], of each sequence delivered while the finger touched."""
-
-    def __init__(self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...]) -> None:
-        super().__init__(profile, bank, afferents)
-        self.poses: dict[int, Pose] = {}
-        self.period_us: dict[int, int] = {}
-        self.answer: dict[int, Floats] = {}
-        self._silent = np.zeros(len(profile.electrodes), np.float32)
-
     def watch(self, sent: StepResult) -> None:
         """Record the pose of a step, and its duration."""
         if sent.number is not None and sent.sequence.intensity > 0:
@@ -161,8 +137,16 @@ class DeliveredResponses(Perception):
     def deliver(
         self, numbers: NDArray[np.uint32], width_us: Floats, current_ua: NDArray[np.int16]
     ) -> None:
-        """Take delivered slots, see `answers`."""
-        self.answer = self.answers(numbers, width_us, current_ua)
+        """Take delivered slots. Slots of one sequence, by ``numbers`` (N,), follow each other, with
+        their ``width_us`` (N,) and ``current_ua`` (N, E), positive cathodic."""
+        if not len(numbers):
+            return
+        current = current_ua * strength(width_us, self._pulse)[:, None]
+        activation = np.maximum.reduce([current @ axons / full for axons, full in self._receptors])
+        answers = np.clip((activation - self._threshold) / (1 - self._threshold), 0, 1)
+        starts = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
+        strongest = np.maximum.reduceat(answers, starts, axis=0)
+        self.answer = dict(zip(numbers[starts].tolist(), strongest, strict=True))
 
     def __iter__(self) -> Iterator[tuple[Pose, Floats]]:
         for number, pose in self.poses.items():
@@ -195,13 +179,6 @@ class DeliveredSlots:
     discharge_us: NDArray[np.uint16]
     period_us: int
 
-    @classmethod
-    def of(cls, sequence: ScanSequence) -> Self:
-        """Return the slots of a sequence, delivered as they were sent."""
-        return cls(
-            sequence.current_ua, sequence.width_us, sequence.discharge_us, sequence.period_us
-        )
-
 
 def delivered_spikes(
     finger: Finger,
@@ -212,7 +189,7 @@ def delivered_spikes(
     most_slots: int | None = None,
     model: SpikeModel | None = None,
 ) -> Counts:
-    """Return the spikes of a finger under delivered slots (see `Perception.answers`), of the
+    """Return the spikes of a finger under slots, as `DeliveredResponses.deliver` takes them, of the
     sequences that ``period_us`` names; above ``most_slots``, sequences are left out evenly. A model
     of the finger that is used again knows the patterns of before, and fires as a new one."""
     begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))

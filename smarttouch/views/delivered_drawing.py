@@ -135,7 +135,7 @@ pixel size in mm, None where there is nothing to see."""
 
 class DeliveredDrawing(DeliveredResponses, ABC):
     """Delivered pulses at the electrodes' places, below what they touched. A place shows the mean
-    response of the electrodes that passed it, or the strongest (see `Perception`);
+    response of the electrodes that passed it, or the strongest (see `DeliveredResponses`);
     ``magnification`` is mm of the array per mm touched."""
 
     strongest = False  # whether a place shows the strongest response, not the mean
@@ -167,7 +167,7 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         current_ua: NDArray[np.int16],
         finger: Finger | None = None,
     ) -> None:
-        """Take delivered slots, see `answers`; with a finger its spikes are drawn, too."""
+        """Take delivered slots; with a finger its spikes are drawn, too."""
         super().deliver(numbers, width_us, current_ua)
         self._finger = finger
         if finger is not None:
