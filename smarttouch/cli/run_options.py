@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from smarttouch.sources.source_contract import Source
 
 
-_SETTINGS = dict.fromkeys(("scan", "hold", "softness", "measure", "balance", "paced")).keys()
+_SETTINGS = dict.fromkeys(("scan", "hold", "softness", "balance", "paced")).keys()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ class RunOptionGroup(OptionGroup):
         list[str] | None,
         option(
             "Change a setting of the run: scan=points (or auto), hold=charge (or "
-            "energy), softness=0..1, measure, balance, paced=no (simulated: as fast as it can).",
+            "energy), softness=0..1, balance, paced=no (simulated: as fast as it can).",
             "NAME=VALUE",
             "--set",
         ),

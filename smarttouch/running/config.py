@@ -24,7 +24,6 @@ class RunOptions(TypedDict, total=False):
     softness: float | None
     light_on_dark: bool
     tone: Tone | None
-    measure: bool
     hold: str | None
     balance: bool
     paced: bool
@@ -57,8 +56,6 @@ class RunConfig:
         Print is lighter than paper.
     tone : Tone, optional
         How ink becomes activation.
-    measure : bool
-        First find bad electrodes, and plan around them.
     hold : {"charge", "energy"}, optional
         Held against drifting impedance, if the board can.
     balance : bool
@@ -91,7 +88,6 @@ class RunConfig:
     softness: float | None = None
     light_on_dark: bool = False
     tone: Tone | None = None
-    measure: bool = False
     hold: str | None = None
     balance: bool = False
     paced: bool = False
@@ -138,7 +134,7 @@ class RunConfig:
     def settings(self, profile: Profile) -> dict[str, Any]:
         """Return what a recording keeps of it."""
         sharing, kept = self.sharing(profile), asdict(self)
-        for name in ("scan", "seconds", "intensity", "measure", "paced"):
+        for name in ("scan", "seconds", "intensity", "paced"):
             del kept[name]
         primaries = [each.name for each in sharing.afferents]
         return kept | {

@@ -27,9 +27,8 @@ NO_INK_NS = 5_000_000_000
 class RunContext:
     """Parts of a run that its listeners may look at, and must not change.
 
-    ``profile`` is without the electrodes that were found broken; ``settings`` is all that sequences
-    depend on and where it came from, ready for JSON. ``open_level`` returns the intensity that
-    pulses may begin with at a time of the run, in ns.
+    ``settings`` is all that sequences depend on and where it came from, ready for JSON.
+    ``open_level`` returns the intensity that pulses may begin with at a time of the run, in ns.
     """
 
     source: "Source"

@@ -98,25 +98,6 @@ class Regulator:
         return notes
 
 
-def masked_where_broken(board: Board, profile: Profile, note: Callable[[str], None]) -> Profile:
-    """Measure an open board; return the profile without its open and shorted electrodes.
-
-    Raises BoardError if nothing touches the electrodes.
-    """
-    found = board.measure()
-    if found.lifted:
-        raise BoardError("no electrode touches anything: put the finger on the array first")
-    broken = sorted({*profile.output.masked, *found.broken})
-    good, unsure = (found.condition.count(each) for each in ("good", "unsure"))
-    note(
-        f"{good} of {len(found.kohm)} electrodes are good"
-        + (f", of {unsure} this board's readings cannot tell" if unsure else "")
-        + (f"; planned without {broken}" if broken else "")
-    )
-    output = profile.output.model_dump() | {"masked": broken}
-    return Profile.model_validate({**profile.model_dump(), "output": output})
-
-
 def make_regulator(
     board: Board, profile: Profile, config: RunConfig, note: Callable[[str], None]
 ) -> Regulator:

@@ -26,7 +26,7 @@ from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import InkWatch, Listener, RunContext, as_listeners
 from smarttouch.running.loop import emit_to, run_loop, steady_environment
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.regulation import Regulator, make_regulator, masked_where_broken
+from smarttouch.running.regulation import Regulator, make_regulator
 from smarttouch.running.run_statistics import RunStatistics, figures_of
 from smarttouch.running.step import StepResult
 from smarttouch.sources.force import ForceSource, open_force
@@ -126,10 +126,6 @@ class Runner:
         profile = self.display.profile
         if self.display.on_a_finger:
             profile = source.narrowed(profile)
-        if config.measure:
-            with self._opened(self._stop):
-                self._require_force()
-                profile = masked_where_broken(board, profile, self._advise)
         bank = self.statistics.kernels = self._load_kernels(profile)
         pipeline = Pipeline(
             profile, bank, config, board.driver.timing, vibrated=self._vibrated,

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import time
 
-import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardError
@@ -147,26 +146,14 @@ def test_info(program_here, kit):
     assert state_of(kit[1])["slots"] == 0
 
 
-def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(program_here, start_emulator):
+def test_measuring_finds_bad_electrodes(program_here, start_emulator):
     events = ("event=0 open 5", "event=0 short 9")
-    _, port, books = start_emulator(32, "etactilekit", *events)
-    url = f"etactilekit:{port}"
-    done = program_here(f"devices measure {url} --json found.json").fine()
+    _, port, _ = start_emulator(32, "etactilekit", *events)
+    done = program_here(f"devices measure etactilekit:{port} --json found.json").fine()
     found = done.figures
     assert found["masked"] == [5, 9]
     assert "masked = [5, 9]" in done.stdout
     assert found["impedance_kohm"][5] is None
-    done = program_here(f"live --board {url} {FULL} --set measure text:oooo").fine()
-    assert "30 of 32" in done.stderr
-    assert "[5, 9]" in done.stderr
-    fresh_state(books)
-    slots = read_slots(books)
-    # The measurement itself went through all of them, for as long as it took; the run did not.
-    sites = {each: slots["site"][slots["number"] == each] for each in np.unique(slots["number"])}
-    measured = [each for each, scanned in sites.items() if len(set(scanned)) == 32]
-    run = slots[slots["number"] > measured[-1]]
-    assert len(run) > 100
-    assert not {5, 9} & set(run["site"].tolist())
 
 
 def test_measuring_without_a_finger_is_reported(program_here, start_emulator):
@@ -175,8 +162,6 @@ def test_measuring_without_a_finger_is_reported(program_here, start_emulator):
     found = program_here(f"devices measure {small} --json found.json").fine().figures
     assert found["condition"] == ["open"] * 16
     assert found["impedance_kohm"] == [None] * 16
-    done = program_here(f"live --board {small} {FULL} --set measure")
-    says(BoardError)(refused(done))
 
 
 @on("etactilekit")

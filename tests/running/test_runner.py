@@ -16,9 +16,7 @@ from smarttouch.base.errors import (
     SmartTouchError,
 )
 from smarttouch.base.events import Advice, IntensityChanged, ModeChanged, RunEnded
-from smarttouch.boards.reports import judge
 from smarttouch.kernels.bank import load_bank
-from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
 from smarttouch.running.listener import Listener
@@ -198,18 +196,6 @@ def test_each_run_on_a_display_has_its_own_notes(profile, bank, display):
         assert str(noting.events).count(words) == 1
     assert [told[0].count("first"), told[0].count("second")] == [1, 0]
     assert [told[1].count("first"), told[1].count("second")] == [0, 1]
-
-
-def test_broken_electrodes_are_planned_around(monkeypatch):
-    small, kohm, noting = load_profile("line-7"), np.full(7, 0.2), Noting()
-    kohm[2] = 0
-    with open_display("simulated:", small) as display:
-        monkeypatch.setattr(display.board, "_measure", lambda: judge(kohm, 1.0, 9.0))
-        source = open_source("text:HH", small, speed_mm_s=400)
-        Runner(source, display, RunConfig(measure=True), listeners=[noting]).run()
-    assert noting.context.profile.output.masked == (2,)
-    assert any(each.sequence.slots for each in noting.results)
-    assert not any(each.sequence.current_ua[:, 2].any() for each in noting.results)
 
 
 def test_a_picture_of_what_was_felt_needs_every_pulse(profile, source, tmp_path):
