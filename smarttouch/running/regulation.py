@@ -29,9 +29,7 @@ class Regulator:
     recharge: RechargeRules | None = None
     _scans: int = 0
     _reversed: int = 0
-    _longer: int = 0
     _waited: int = 0
-    _longest_us: int = 0
 
     def is_idle(self, board: Board) -> bool:
         """Whether no measurement of a board is requested or used."""
@@ -56,9 +54,6 @@ class Regulator:
             self._reversed += balanced is not sequence
         else:
             balanced = add_recharge(sequence, ledger.charge_pc, self.recharge)
-            if balanced.period_us > sequence.period_us:
-                self._longer += 1
-                self._longest_us = max(self._longest_us, balanced.period_us)
         ledger.add(balanced)
         if balanced.slots:
             self._scans += 1
@@ -84,11 +79,6 @@ class Regulator:
             notes.append(
                 f"{self._reversed} of {self._scans} scans were reversed for the balance of charge: "
                 "they drove the other class, SAI where RA was meant and RA where SAI was"
-            )
-        if self._longer:
-            notes.append(
-                f"the recharge phase made {self._longer} of {self._scans} scans longer than "
-                f"requested, at most to {self._longest_us / 1000:.1f} ms"
             )
         if self.recharge is not None and self.ledger is not None and self._waited:
             notes.append(

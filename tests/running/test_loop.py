@@ -19,7 +19,6 @@ from smarttouch.base.errors import (
 from smarttouch.base.events import BoardRestarted
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.open import MemoryDriver, make_board
-from smarttouch.boards.probe_scans import one_each
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import OnEvent, OnStep, as_listeners
@@ -144,17 +143,6 @@ def test_a_late_loop_moves_its_schedule_and_never_hurries(pipeline, board):
     assert ahead_ns == [0, 0, 65_000_000, 65_000_000, 65_000_000]
     assert np.diff(clock.deadlines).min() == 20_000_000
     assert clock.deadlines[3] - clock.deadlines[2] == 85_000_000
-
-
-def test_after_a_stall_nothing_comes_on_suddenly(pipeline, board):
-    clock = FakeClock([0] * 40 + [150_000_000])
-    with board:
-        loop(Bars(60), pipeline, board, clock=clock)
-    intensity = intensities(board)
-    assert intensity[0] == 0
-    assert intensity[39] == 1
-    assert intensity[40] <= 0.041
-    assert np.diff(intensity[40:]).max() <= 0.041
 
 
 def test_a_little_lateness_does_not_add_up(pipeline, board):
@@ -325,20 +313,6 @@ def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkey
     late = [s for s in board.driver.sequences[30:] if s.slots]
     assert {bool(s.current_ua[0, s.site[0]] > 0) for s in late} == {True, False}
     assert regulator.ledger.worst_uc < 1.0
-
-
-def test_what_could_not_be_held_is_reported(profile):
-    """This profile's pulses are at their limit: there is no room to lengthen them."""
-    adaptation = Adaptation(profile, "charge", 100.0)
-    assert Regulator().notes() == Regulator(adaptation).notes() == []
-    sequence = one_each(
-        SafetyLimits.of(profile), 2000, profile.pulse.width_us, 1.0, 0, cathodic=True, sites=[5, 9]
-    )
-    for _ in range(20):
-        adaptation.observe(sequence, np.full(2, 100.0, np.float32))
-        adaptation.apply(sequence)
-    (note,) = Regulator(adaptation).notes()
-    assert "2 sites" in note
 
 
 @pytest.mark.usefixtures("patient_boards")
