@@ -1,8 +1,5 @@
 """Mistakes in a program's own classes: one sentence with the name of the class."""
 
-import threading
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 
@@ -15,19 +12,6 @@ from ..raising import raises
 class Follower(st.Listener):
     def __init__(self):
         self.most = 0
-
-
-@dataclass
-class Strongest(st.Listener):
-    most: float = 0.0
-
-
-class Ring(st.StimulusSource):
-    def __init__(self):
-        pass
-
-    def read(self, time_ns):
-        return None
 
 
 class Camera(st.OpticalSource):
@@ -49,18 +33,6 @@ class Scale(ForceSource):
 
     def read(self, time_ns):
         return self.returned
-
-
-class Waiting(Camera):
-    def __init__(self, wait, profile=None):
-        super().__init__(None)
-        self.wait, self.other, self.news = wait, profile, threading.Event()
-
-    def patience_ns(self, time_ns):
-        return self.wait
-
-    def narrowed(self, profile):
-        return self.other or profile
 
 
 def run(source="text:a", display="memory:", **settings):
