@@ -20,6 +20,7 @@ from smarttouch.base.files import write_bytes
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.pages.page_image import INCH_MM, Page
 from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.response import in_color
 from smarttouch.profile import Optics, Profile
 from smarttouch.running.delivered import (
     FIELD_MM,
@@ -27,9 +28,7 @@ from smarttouch.running.delivered import (
     Counts,
     DeliveredResponses,
     Floats,
-    Places,
     Raster,
-    SpikeMap,
     as_ink,
     delivered_spikes,
 )
@@ -127,10 +126,74 @@ _SCALE_PART = 0.2  # largest part of a picture's width that its scale bar takes
 _SCALES_MM = (100, 50, 20, 10, 5, 2, 1, 0.5)
 Grey = NDArray[np.uint8]
 Place = tuple[float, float]
+Places = NDArray[np.floating]
 Ink = int | tuple[int, int, int]
 Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey] | None]
 """Title, top left corner, width and height in mm; and a function that draws it for a shape and a
 pixel size in mm, None where there is nothing to see."""
+
+
+_DARK_QUANTILE = 0.999
+_SIDE_MM = 0.5  # distance of the places by which passes of the finger are counted
+
+
+class SpikeMap:
+    """Spikes where the receptors were, in the color of each class on white.
+
+    ``placed`` returns where places of the finger are at a pose, (N, 2) mm from the picture's
+    corner; ``field_mm`` is the standard deviation of a receptive field. With ``mean`` a place shows
+    its spikes for each pass.
+    """
+
+    def __init__(
+        self,
+        finger: Finger,
+        placed: Callable[[Places, Pose], Places],
+        shape: tuple[int, int],
+        pixel_mm: float,
+        field_mm: float = FIELD_MM,
+        *,
+        mean: bool = True,
+    ) -> None:
+        self._finger, self._placed, self._mean = finger, placed, mean
+        self._pixel_mm, self._sigma = pixel_mm, field_mm / pixel_mm
+        self._spikes = np.zeros((len(Afferent), *shape), np.float32)
+        self._passes = np.zeros(shape, np.float32)
+        sides = [np.arange(-side, side, _SIDE_MM) + _SIDE_MM / 2 for side in finger.reach_mm]
+        self._skin = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+
+    def add(self, pose: Pose, counts: NDArray[np.intp]) -> None:
+        """Add the spikes of each afferent, (A,), at a pose of the finger."""
+        fired = np.flatnonzero(counts)
+        row, column, on = self._pixels(self._finger.receptor_mm[fired], pose)
+        classes = self._finger.classes[fired[on]]
+        np.add.at(self._spikes, (classes, row, column), counts[fired[on]])
+        row, column, _ = self._pixels(self._skin, pose)
+        self._passes[row, column] += 1
+
+    def image(self) -> NDArray[np.uint8]:
+        """Return the map in color, (H, W, 3)."""
+        spikes = self._spread()
+        total = spikes.sum(axis=0)
+        dark = float(np.quantile(total[total > 0], _DARK_QUANTILE)) if total.any() else 1.0
+        return np.asarray(np.rint(255 * in_color(spikes, dark)), np.uint8)
+
+    def _spread(self) -> NDArray[np.float32]:
+        """Return spikes of each class, (3, H, W), blurred by receptive fields."""
+        spread = np.stack([cv2.GaussianBlur(each, (0, 0), self._sigma) for each in self._spikes])
+        if self._mean:
+            wide = cv2.GaussianBlur(self._passes, (0, 0), self._sigma)
+            spread = spread / np.maximum(wide, wide.max(initial=0) / 20 + 1e-9)
+        return np.asarray(spread, np.float32)
+
+    def _pixels(
+        self, places_mm: Places, pose: Pose
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+        """Return rows and columns of the places that are on the picture, and which these are."""
+        shape = self._passes.shape
+        column, row = np.floor(self._placed(places_mm, pose) / self._pixel_mm).astype(np.intp).T
+        on = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+        return row[on], column[on], on
 
 
 class DeliveredDrawing(DeliveredResponses, ABC):

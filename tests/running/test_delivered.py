@@ -9,9 +9,9 @@ from PIL import Image
 import smarttouch as st
 from smarttouch.pages.page_image import Page
 from smarttouch.physiology.spikes import SpikeModel
-from smarttouch.running.delivered import DeliveredSlots, SpikeMap, delivered_spikes
+from smarttouch.running.delivered import DeliveredSlots, delivered_spikes
 from smarttouch.sources.source_contract import Pose
-from smarttouch.views.delivered_drawing import PageDrawing
+from smarttouch.views.delivered_drawing import PageDrawing, SpikeMap
 
 from ..views.test_delivered_drawing import at
 
