@@ -176,7 +176,7 @@ class Runner:
             )
             board.stop()
             report = board.report()
-        board.notes += [*regulator.notes(), *pipeline.notes(), *_refused_packets(board, report)]
+        board.notes += [*regulator.notes(), *pipeline.notes()]
         if self.display.on_a_finger:
             board.notes += _density(profile)
             if not self.statistics.real_time:
@@ -287,16 +287,6 @@ def _density(profile: Profile) -> list[str]:
     return [
         f"at full intensity an electrode's own pulses are {rms:.0f} mA/cm² r.m.s.: above "
         f"{ADVISORY_RMS_MA_CM2:g}, IEC 60601-2-10 wants the operator's attention"
-    ]
-
-
-def _refused_packets(board: Board, report: BoardReport) -> list[str]:
-    by_host, by_board = board.driver.refused_packets, report.refused_packets
-    if not by_host + by_board:
-        return []
-    return [
-        f"{by_host + by_board} packets were old, or of another session: the board refused "
-        f"{by_board} and the host {by_host} (something on the line repeats, delays or mixes them)"
     ]
 
 
