@@ -1,7 +1,6 @@
 """Statistics of a run in constant memory, its figures, and its summary."""
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +26,14 @@ class LatencyHistogram:
         self.largest_us: float = 0.0
         self.total_us: float = 0.0
 
+    def add(self, value_us: float) -> None:
+        """Count a duration, µs."""
+        self.count += 1
+        self.total_us += value_us
+        self.largest_us = max(self.largest_us, value_us)
+        index = 0 if value_us <= 1 else min(_PER_E * _FACTORS, int(_PER_E * math.log(value_us)))
+        self.bins[index] += 1
+
     def quantile(self, share: float) -> float:
         """Return the duration that so many are not above, µs."""
         if not self.count:
@@ -41,16 +48,6 @@ class LatencyHistogram:
     def known_figures(self) -> dict[str, float] | None:
         """Return `figures`; None if there was no duration."""
         return self.figures() if self.count else None
-
-
-def add_durations(durations: Iterable[tuple[LatencyHistogram, float]]) -> None:
-    """Count a duration in each of some histograms, µs."""
-    for histogram, value_us in durations:
-        histogram.count += 1
-        histogram.total_us += value_us
-        histogram.largest_us = max(histogram.largest_us, value_us)
-        index = 0 if value_us <= 1 else min(_PER_E * _FACTORS, int(_PER_E * math.log(value_us)))
-        histogram.bins[index] += 1
 
 
 @dataclass
@@ -140,18 +137,16 @@ class RunStatistics:
         self.lowest_rate_hz = min(self.lowest_rate_hz, 1e6 / sequence.period_us)
         activation = step.tactile.activation
         self.active += int(np.count_nonzero(activation.any(axis=0))) / activation.shape[1]
-        took = [
-            (self.latency, result.latency_us),
-            (self.motion_to_bytes, result.latency_us + step.input.age_ns / 1000),
-            (self.work, result.work_us),
-        ]
+        self.latency.add(result.latency_us)
+        self.motion_to_bytes.add(result.latency_us + step.input.age_ns / 1000)
+        self.work.add(result.work_us)
         if error_us is not None:
-            took.append((self.period_error, error_us))
-        add_durations(took)
+            self.period_error.add(error_us)
 
     def enter_first_pulse(self, pulse: FirstPulse) -> None:
         """Enter the start of a sequence that was sent before."""
-        add_durations([(self.first_pulse, pulse.latency_us), (self.waited, pulse.waited_us)])
+        self.first_pulse.add(pulse.latency_us)
+        self.waited.add(pulse.waited_us)
 
     @property
     def selectivity(self) -> tuple[float, float] | None:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Mode
 from smarttouch.base.tactile_image import TactileImage
-from smarttouch.running.run_statistics import LatencyHistogram, RunStatistics, add_durations
+from smarttouch.running.run_statistics import LatencyHistogram, RunStatistics
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.source_contract import Frame, Pose
 from smarttouch.stimulation.scan_sequence import ScanSequence, SelectivityReport
@@ -17,7 +17,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence, SelectivityReport
 def test_quantiles_are_true_to_a_percent(values, share):
     spread = LatencyHistogram()
     for value in values:
-        add_durations([(spread, value)])
+        spread.add(value)
     true = np.quantile(values, share, method="inverted_cdf")
     assert spread.quantile(share) == pytest.approx(true, rel=0.011)
     assert spread.largest_us == max(values)
@@ -27,7 +27,7 @@ def test_quantiles_are_true_to_a_percent(values, share):
 def test_extremes_have_a_place():
     spread = LatencyHistogram()
     for value in (0.0, 0.3, 1e12):
-        add_durations([(spread, value)])
+        spread.add(value)
     assert spread.quantile(0.5) <= 1.01
     assert spread.figures()["max"] == 1e12
     assert LatencyHistogram().figures() == {"p50": 0.0, "p99": 0.0, "max": 0.0}
