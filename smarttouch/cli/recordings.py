@@ -41,16 +41,16 @@ def replay(
     if check:
         _check(file, run.profile)
         return
+    from dataclasses import replace
     from functools import partial
 
-    from smarttouch.running.functions import recording_config
     from smarttouch.running.recorded_source import RecordedControls, RecordingSource
 
     recording = Recording(file)
     recorded = run.profile is None and not run.on_a_finger
     chosen = recording.profile if recorded else run.load_profile()
     settings = {"paced": run.is_watched} | run.settings("scan", "softness")
-    config = recording_config(recording, **settings)
+    config = replace(recording.run.config, **settings)
     with RecordingSource(recording) as source:
         source.url = f"recording:{file}"
         run.start(source, chosen, config, controls=partial(RecordedControls, recording))

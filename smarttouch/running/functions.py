@@ -190,17 +190,12 @@ def replay(
     recording = Recording(path)
     source = RecordingSource(recording)
     source.url = f"recording:{path}"
-    config = recording_config(recording, **settings)
+    config = replace(recording.run.config, **settings)
     controls = partial(RecordedControls, recording)
     return Runner(
         source, display, config, force=force, listeners=listeners, stop=stop,
         controls=controls,
     ).run()  # fmt: skip
-
-
-def recording_config(recording: Recording, **settings: Unpack[RunOptions]) -> RunConfig:
-    """Return the configuration of a recorded run, changed by settings of `RunConfig`."""
-    return replace(recording.run.config, **settings)
 
 
 def load_kernels(profile: Profile) -> KernelBank:

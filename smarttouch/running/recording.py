@@ -75,11 +75,6 @@ class Recording:
         return int(self.about["started_unix_ns"])
 
     @property
-    def started(self) -> datetime:
-        """Start of the run, UTC."""
-        return datetime.fromtimestamp(self.started_unix_ns / 1e9, UTC)
-
-    @property
     def seconds(self) -> float:
         """Time from the start of the run to the last message, s."""
         return max(0, self._last_ns - self.started_unix_ns) / 1e9
@@ -107,11 +102,6 @@ class Recording:
         except RecordingError as error:
             message = f"the settings in {self.path} do not say how it was made: {error}"
             raise RecordingError(message) from None
-
-    @cached_property
-    def versions(self) -> dict[str, Any]:
-        """Versions of the software that made it."""
-        return dict(json.loads(self.about["versions"]))
 
     def steps(self) -> Generator[RecordedStep, None, None]:
         """Yield all steps that are complete, in order; RecordingError at a number that no run can
@@ -192,8 +182,10 @@ def describe(path: Path) -> list[tuple[str, str]]:
     slots = sum(step["slots"] for step in steps)
     lost = sum(step["sent"] is None for step in steps)
     strongest_ma = max((step["strongest_ma"] for step in steps), default=0.0)
+    versions = json.loads(recording.about["versions"])
+    began = datetime.fromtimestamp(recording.started_unix_ns / 1e9, UTC)
     rows = [
-        ("began", f"{recording.started:%Y-%m-%d %H:%M:%S} UTC"),
+        ("began", f"{began:%Y-%m-%d %H:%M:%S} UTC"),
         ("lasted", f"{recording.seconds:.1f} s"),
         ("subject", str(settings.get("subject") or "not given")),
         ("note", str(settings.get("note") or "none")),
@@ -208,7 +200,7 @@ def describe(path: Path) -> list[tuple[str, str]]:
             f"{last['refused']:,} refused, {lost:,} lost with the board",
         ),
         ("strongest", f"{strongest_ma:.2f} mA through one electrode"),
-        ("versions", ", ".join(f"{name} {value}" for name, value in recording.versions.items())),
+        ("versions", ", ".join(f"{name} {value}" for name, value in versions.items())),
         ("file", f"{path.stat().st_size / 1e6:.2f} MB"),
         *((f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events),
     ]
