@@ -32,11 +32,13 @@ if TYPE_CHECKING:
     from smarttouch.base.tactile_image import TactileImage
     from smarttouch.boards.board import Board
     from smarttouch.boards.driver import Driver
+    from smarttouch.kernels.bank import load_kernels
+    from smarttouch.kernels.switched_design import design_kernel
     from smarttouch.physiology.finger import Finger
     from smarttouch.profile import Profile, list_profiles, load_profile
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display, open_display
-    from smarttouch.running.functions import design_kernel, load_kernels, replay, run, steps
+    from smarttouch.running.functions import replay, run, steps
     from smarttouch.running.listener import Listener
     from smarttouch.running.recorded_run import RecordedRun, load_recording
     from smarttouch.running.recorder import Recorder
@@ -69,11 +71,13 @@ if not TYPE_CHECKING:  # else any name would be one to a type checker
         "base.tactile_image": "TactileImage",
         "boards.board": "Board",
         "boards.driver": "Driver",
+        "kernels.bank": "load_kernels",
+        "kernels.switched_design": "design_kernel",
         "physiology.finger": "Finger",
         "profile": "Profile list_profiles load_profile",
         "running.config": "RunConfig",
         "running.display": "Display open_display",
-        "running.functions": "design_kernel load_kernels replay run steps",
+        "running.functions": "replay run steps",
         "running.listener": "Listener",
         "running.recorded_run": "RecordedRun load_recording",
         "running.recorder": "Recorder",

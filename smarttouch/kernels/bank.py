@@ -151,6 +151,19 @@ def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
     return bank
 
 
+def load_kernels(profile: Profile) -> KernelBank:
+    """Return the kernels of a profile's array: shipped, from the user's cache, or designed now.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> kernels = st.load_kernels(st.load_profile("electric-mouse"))
+    >>> kernels.weights[st.Afferent.RA].shape
+    (64, 64)
+    """
+    return load_bank(profile)
+
+
 def find_bank(profile: Profile) -> KernelBank | None:
     """Return the bank of a profile if it is shipped or in the user's cache."""
     shipped = [shipped_bank(profile.name)] if profile.name in list_profiles() else []

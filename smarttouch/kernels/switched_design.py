@@ -5,13 +5,14 @@ single electrode: of several, the last one that touches the skin would carry all
 """
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.design_problem import Kernel, KernelKind, Problem, limits_ma
-from smarttouch.kernels.weighted_design import design_kernel
+from smarttouch.kernels.weighted_design import design_kernel as design_weighted
 from smarttouch.profile import Profile
 
 _RING_PITCHES = 1.5  # radius of a ring: the eight neighbors on a square grid, six on a hexagon
@@ -33,11 +34,49 @@ def possible_modes(profile: Profile) -> list[Afferent]:
 def designer(profile: Profile) -> Callable[[Problem, int], Kernel]:
     """Return the function that designs kernels for a profile's kind of board."""
     designers: dict[KernelKind, Callable[[Problem, int], Kernel]] = {
-        "weighted": design_kernel,
+        "weighted": design_weighted,
         "three-state": design_three_state,
         "one-against-all": design_one_of_n,
     }
     return designers[profile.output.kind]
+
+
+def design_kernel(
+    profile: Profile,
+    afferent: Afferent | str,
+    site: int,
+    model: Literal["activating", "paper"] = "activating",
+) -> Kernel:
+    """Design the kernel of one site, of the kind that the profile's board can make.
+
+    Parameters
+    ----------
+    profile : Profile
+    afferent : Afferent or str
+        Afferent class: RA, SAI or PC.
+    site : int
+        Electrode over the target.
+    model : {"activating", "paper"}
+        "paper" is the paper's program (Eq. 16 to 18), for boards with a current for each
+        electrode: it does not bound the activation of the target's class elsewhere.
+
+    Raises
+    ------
+    DesignError
+        If no kernel exists.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> kernel = st.design_kernel(st.load_profile("line-8"), "RA", 3)
+    >>> bool(kernel.off_target < 0.3)
+    True
+    """
+    afferent = afferent if isinstance(afferent, Afferent) else Afferent[afferent]
+    problem = Problem(profile, afferent)
+    if model == "paper":
+        return design_weighted(problem, site, spill=None)
+    return designer(profile)(problem, site)
 
 
 def design_three_state(problem: Problem, site: int) -> Kernel:

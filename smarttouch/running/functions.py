@@ -1,17 +1,14 @@
-"""Functions for programs: run, step through, replay, and design."""
+"""Functions for programs: run, step through, and replay."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, Unpack
+from typing import Unpack
 
-from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.afferent import Mode
 from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import KernelBank, load_bank
-from smarttouch.kernels.design_problem import Kernel, Problem
-from smarttouch.kernels.switched_design import designer
-from smarttouch.kernels.weighted_design import design_kernel as unbounded_kernel
 from smarttouch.profile import Profile, load_profile
 from smarttouch.running.config import RunConfig, RunOptions
 from smarttouch.running.display import Display, open_display
@@ -196,54 +193,3 @@ def replay(
         source, display, config, force=force, listeners=listeners, stop=stop,
         controls=controls,
     ).run()  # fmt: skip
-
-
-def load_kernels(profile: Profile) -> KernelBank:
-    """Return the kernels of a profile's array: shipped, from the user's cache, or designed now.
-
-    Examples
-    --------
-    >>> import smarttouch as st
-    >>> kernels = st.load_kernels(st.load_profile("electric-mouse"))
-    >>> kernels.weights[st.Afferent.RA].shape
-    (64, 64)
-    """
-    return load_bank(profile)
-
-
-def design_kernel(
-    profile: Profile,
-    afferent: Afferent | str,
-    site: int,
-    model: Literal["activating", "paper"] = "activating",
-) -> Kernel:
-    """Design the kernel of one site, of the kind that the profile's board can make.
-
-    Parameters
-    ----------
-    profile : Profile
-    afferent : Afferent or str
-        Afferent class: RA, SAI or PC.
-    site : int
-        Electrode over the target.
-    model : {"activating", "paper"}
-        "paper" is the paper's program (Eq. 16 to 18), for boards with a current for each
-        electrode: it does not bound the activation of the target's class elsewhere.
-
-    Raises
-    ------
-    DesignError
-        If no kernel exists.
-
-    Examples
-    --------
-    >>> import smarttouch as st
-    >>> kernel = st.design_kernel(st.load_profile("line-8"), "RA", 3)
-    >>> bool(kernel.off_target < 0.3)
-    True
-    """
-    afferent = afferent if isinstance(afferent, Afferent) else Afferent[afferent]
-    problem = Problem(profile, afferent)
-    if model == "paper":
-        return unbounded_kernel(problem, site, spill=None)
-    return designer(profile)(problem, site)
