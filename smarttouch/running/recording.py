@@ -21,7 +21,6 @@ from smarttouch.running.recording_format import (
     METADATA,
     RecordedSettings,
     digest_of,
-    read_settings,
 )
 from smarttouch.running.step_messages import RecordedStep, StepDecoder
 from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
@@ -98,10 +97,13 @@ class Recording:
     def run(self) -> RecordedSettings:
         """Settings that sequences depend on."""
         try:
-            return read_settings(self.settings)
-        except RecordingError as error:
-            message = f"the settings in {self.path} do not say how it was made: {error}"
-            raise RecordingError(message) from None
+            return RecordedSettings.model_validate(self.settings)
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(map(str, first["loc"]))
+            raise RecordingError(
+                f"the settings in {self.path} do not say how it was made: {key}: {first['msg']}"
+            ) from None
 
     def steps(self) -> Generator[RecordedStep, None, None]:
         """Yield all steps that are complete, in order; RecordingError at a number that no run can

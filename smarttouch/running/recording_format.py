@@ -7,10 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import RecordingError
 from smarttouch.base.version import __version__
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.profile import Profile
@@ -85,16 +84,6 @@ class RecordedSettings(BaseModel):
             tone=self.tone,
             scan=SlotPolicy(tuple(Afferent[name] for name in self.sharing.primaries)),
         )
-
-
-def read_settings(table: dict[str, Any]) -> RecordedSettings:
-    """Return the settings in a recording; RecordingError if one is missing or impossible."""
-    try:
-        return RecordedSettings.model_validate(table)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        raise RecordingError(f"{key}: {first['msg']}") from None
 
 
 def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) -> dict[str, str]:
