@@ -10,7 +10,6 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.instruments.color_mix import mix_colors
 from smarttouch.instruments.color_source import ColorSource
 from smarttouch.instruments.skin_trace import open_trace
-from smarttouch.running.check_recording import check_recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
 from smarttouch.running.pipeline import Pipeline
@@ -48,32 +47,10 @@ def decoded(step, image=True, **changed):
     return found
 
 
-def test_stimuli_come_back_to_the_bit_and_without_an_image(run):
-    path, results = run
-    recording = Recording(path)
-    assert "/frame" not in {topic for topic, _ in recording.messages()}
-    steps = list(recording.steps())
-    assert len(steps) == len(results) > 30
-    for recorded, sent in zip(steps, results, strict=True):
-        given, was = recorded.step.input, sent.input
-        assert isinstance(given, Stimulus)
-        assert given is recorded.step.tactile
-        assert given.image is None
-        assert np.array_equal(given.activation, was.activation)
-        for name in ("time_ns", "force_n", "period_us", "level", "pose", "number"):
-            assert getattr(given, name) == getattr(was, name)
-    assert recording.whole
-
-
-def test_they_replay_to_the_bit(run, bank):
-    path, results = run
-    report = check_recording(path, bank=bank)
-    assert (report.exact, report.frames, report.sequences) == (True, 0, len(results))
-    assert report.slots == sum(each.sequence.slots for each in results) > 0
-
-
 def test_they_are_played_once_more(run, profile):
     path, results = run
+    assert "/frame" not in {topic for topic, _ in Recording(path).messages()}
+    assert len(results) > 30
     with open_recording(str(path), profile) as source:
         for sent in results:
             given = source.read(sent.input.time_ns)
