@@ -106,18 +106,12 @@ def run_in_terminal(
     with contextlib.ExitStack() as closing:
         window = None
         if outputs.window:
-            blind = issubclass(screen, BlindScreen)
             window = _window(
-                stop, config.seconds, blind=blind, keys=keys,
+                stop, config.seconds, blind=issubclass(screen, BlindScreen), keys=keys,
                 keys_help=keys_help, alone=not typed,
             )  # fmt: skip
             closing.callback(window.shut)
-        if display.on_a_finger:
-            if config.intensity is not None:
-                controls = _limited(controls, config.intensity)
-            if typed or window is not None:
-                # Somebody can raise it.
-                config = replace(config, intensity=0.0)
+        config, controls = _operated(display, config, controls, typed or window is not None)
         runner = Runner(
             source,
             display,
@@ -150,15 +144,21 @@ def run_in_terminal(
             window.stay()
 
 
-def _limited(controls: MakeControls, most: float) -> MakeControls:
-    """Return a maker of controls that raise no level above one."""
+def _operated(
+    display: Display, config: RunConfig, controls: MakeControls, steered: bool
+) -> tuple[RunConfig, MakeControls]:
+    """Return a run's settings and controls: on a finger its intensity is the highest level, and it
+    starts at zero where somebody can raise it."""
+    if not display.on_a_finger:
+        return config, controls
 
-    def make(state: ControlState, modes: tuple[Mode, ...]) -> Controls:
+    def limited(state: ControlState, modes: tuple[Mode, ...]) -> Controls:
         made = controls(state, modes)
-        made.most = most
+        if config.intensity is not None:
+            made.most = config.intensity
         return made
 
-    return make
+    return (replace(config, intensity=0.0) if steered else config), limited
 
 
 def _window(stop: StopRequest, seconds: float | None, **given: Any) -> "Window":
