@@ -15,7 +15,7 @@ from smarttouch.base.events import Note
 from smarttouch.running import recorder as module
 from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording import Recording
-from smarttouch.running.recording_format import SCHEMAS, about_run
+from smarttouch.running.recording_format import SCHEMAS
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.source_contract import Frame
 
@@ -131,15 +131,6 @@ def test_a_disk_that_is_too_slow_ends_the_run(recorder, steps, monkeypatch):
 def test_its_thread_ends_with_it(recorder):
     recorder.close()
     assert not any(thread.name == "recorder" for thread in threading.enumerate())
-
-
-def test_the_description_has_the_versions(profile):
-    about = about_run(profile, {"subject": "S7"}, 17)
-    assert about["started_unix_ns"] == "17"
-    assert set(json.loads(about["versions"])) == {
-        "smarttouch", "python", "numpy", "opencv", "platform",
-    }  # fmt: skip
-    assert type(profile).model_validate_json(about["profile"]) == profile
 
 
 def test_what_the_disk_had_is_readable_after_a_power_cut(tmp_path, about, steps, monkeypatch):
