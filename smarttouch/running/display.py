@@ -66,11 +66,10 @@ class Display(Closing):
             url = f"{kind.__module__}.{kind.__qualname__}:"
         self.url: str = url
         self.profile: Profile = profile
-        self.stopping: StopRequest = StopRequest()
-        """Request that ends whatever runs on it."""
+        self._stop = StopRequest()
         self.board: Board = board
         # Also without a run: a program may drive the board itself.
-        self.stopping.always_on_stop(board.halt)
+        self._stop.always_on_stop(board.halt)
         expect(board)
         self.notes_reported = 0  # number of the board's notes that earlier runs have reported
 
@@ -82,9 +81,14 @@ class Display(Closing):
         """Whether there may be a finger on it."""
         return self.board.on_a_finger
 
+    @property
+    def stopping(self) -> StopRequest:
+        """Request that ends whatever runs on it."""
+        return self._stop
+
     def stop(self) -> None:
         """Put all electrodes at zero and end the run, from any thread; it opens no more."""
-        self.stopping.ask("the display was stopped")
+        self._stop.ask("the display was stopped")
 
     @contextmanager
     def opened(self, stop: StopRequest) -> Iterator[Board]:
