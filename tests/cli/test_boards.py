@@ -82,7 +82,6 @@ def test_packets_that_come_twice_are_reported(program_here, monkeypatch, kit):
     figures = done.figures
     assert figures["packets_refused_by_host"] == 0
     assert figures["packets_refused_by_board"] >= figures["acknowledged"] > 10
-    assert f" {figures['packets_refused_by_board']} packets " in done.stdout
     assert state_of(kit[1])["old_packets"] >= figures["packets_refused_by_board"]
 
 
