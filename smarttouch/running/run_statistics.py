@@ -22,7 +22,7 @@ class LatencyHistogram:
 
     def __init__(self) -> None:
         self.bins: NDArray[np.int64] = np.zeros(_PER_E * _FACTORS + 1, np.int64)
-        self.count = 0
+        self.count: int = 0
         self.largest_us: float = 0.0
         self.total_us: float = 0.0
 
