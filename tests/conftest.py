@@ -19,7 +19,7 @@ from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from smarttouch.base.clock import prioritized
-from smarttouch.boards.kits import keeper
+from smarttouch.boards.kits import watchdog
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.sources.source_contract import Frame, Pose
 
@@ -29,12 +29,19 @@ from .safety.watch import Watch
 from .whole import WHOLE
 
 PATIENCE_S, NEVER_LATE_NS = 5, 60_000_000_000
-PATIENT_KEEPER = (
-    f"import sys; sys.path.append({str(Path(keeper.__file__).parent)!r}); import keeper; "
-    f"keeper.SILENCE_S = {PATIENCE_S}; keeper.main()"
+PATIENT_WATCHDOG = (
+    f"import sys; sys.path.append({str(Path(watchdog.__file__).parent)!r}); "
+    f"import watchdog; watchdog.SILENCE_S = {PATIENCE_S}; watchdog.main()"
 )
 PATIENT = {
-    "smarttouch.boards.kits.kept_line.COMMAND": [sys.executable, "-I", "-S", "-c", PATIENT_KEEPER],
+    "smarttouch.boards.kits.watched_port.COMMAND": [
+        sys.executable,
+        "-I",
+        "-S",
+        "-c",
+        PATIENT_WATCHDOG,
+    ],
+    "smarttouch.boards.kits.watchdog.SILENCE_S": PATIENCE_S,
     "smarttouch.boards.link.packet_line.SILENCE_S": PATIENCE_S,
     "smarttouch.emulator.link_firmware.SILENCE_MS": 1000 * PATIENCE_S,
     "smarttouch.running.loop.LATE_NS": NEVER_LATE_NS,
@@ -106,7 +113,7 @@ def own_state(tmp_path_factory, monkeypatch):
 
 @pytest.fixture
 def patient_boards(monkeypatch):
-    """Let boards, keepers and the loop bear a host that waits for a processor.
+    """Let boards, watchdogs and the loop bear a host that waits for a processor.
 
     Of tests beside others on few cores, of neither silence nor lateness. All others have what
     users have.

@@ -107,7 +107,7 @@ class Forked(subprocess.Popen):
     """
 
     changes: ClassVar = {}
-    """What each fork has changed, by name, as ``smarttouch.boards.kits.keeper.__file__``."""
+    """What each fork has changed, by name, as ``smarttouch.boards.kits.watchdog.SILENCE_S``."""
     _server = None
 
     def _execute_child(self, *given):

@@ -19,6 +19,8 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 PROBE_MA = 0.5
 PROBE_US = 50
 _STEPS = 20
+_SLOWEST_US = 20_000  # period that leaves any board the time to answer
+_SWITCHING_US = 30  # most that switching adds to a slot
 
 
 def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[ScanSequence]:
@@ -33,7 +35,7 @@ def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[Sca
     top = peak_ma / limits.full_ma
     rise_s = limits.ramp_s * top
     # Only the time of passes with current counts towards the rise.
-    step_us = int(np.ceil(1.05e6 * rise_s / _STEPS))
+    step_us = max(_SLOWEST_US, int(np.ceil(1.05e6 * rise_s / _STEPS)))
     start = time.monotonic_ns()
     cathodic = output is None or "cathodic" in output.polarities
     for step in range(_STEPS + 1):
@@ -91,7 +93,7 @@ def _scan(
     period_us: int = 0,
 ) -> ScanSequence:
     slots = len(current_ua)
-    slot_us = max(width_us + discharge_us, int(np.ceil(width_us / limits.duty)))
+    slot_us = max(width_us + discharge_us, int(np.ceil(width_us / limits.duty))) + _SWITCHING_US
     shortest = int(np.ceil(1e6 / limits.rate_hz))
     return ScanSequence(
         current_ua=current_ua,
@@ -131,7 +133,9 @@ def measure_by_probes(
     # A masked electrode is not driven, and counts as open.
     every = np.full(limits.electrodes, can.compliance_v)
     every[probe.site] = volts
-    return judge(every, probe.source_ua[0] / 1000, can.compliance_v)
+    beside_ma = every / can.load_kohm if can.load_kohm else 0.0
+    skin_ma = np.maximum(probe.source_ua[0] / 1000 - beside_ma, 1e-6)
+    return judge(every, skin_ma, can.compliance_v)
 
 
 def measure_in_pairs(

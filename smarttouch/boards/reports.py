@@ -35,6 +35,8 @@ class Capabilities:
     """Whether it measures the finger's force."""
     compliance_v: float | None = None
     """Compliance voltage of its source, if it is known."""
+    load_kohm: float | None = None
+    """Load that the board has beside the skin, if any: it takes a part of the current."""
     recharges: bool = False
     """Whether it can end a scan with a recharge phase."""
     emergency_switch: bool = False

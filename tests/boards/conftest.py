@@ -148,8 +148,8 @@ class ScriptedPort:
 
     at_zero = False
 
-    def promise_zero(self, zero):
-        """Take what a keeper would be sent; here there is none."""
+    def arm(self):
+        """Nothing watches it."""
 
     def close(self):
         self.is_open = False
@@ -164,7 +164,9 @@ def script(monkeypatch):
         port = ScriptedPort(exchanges)
         ports.append(port)
         monkeypatch.setattr("smarttouch.boards.line.open_port", lambda *_: port)
-        monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.KeptLine", lambda port: port)
+        monkeypatch.setattr(
+            "smarttouch.boards.kits.etactilekit_line.WatchedPort", lambda port, _: port
+        )
         monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
         return port
 
@@ -264,7 +266,7 @@ def faulty_line(tmp_path):
         lines.append(line)
         return line
 
-    # Nor is the host: a keeper does not bear its silence for long.
+    # Nor is the host: a watchdog does not bear its silence for long.
     with prioritized():
         yield make
     for line in lines:

@@ -54,8 +54,8 @@ class ManualPort:
         self.coming, self.going, self.incoming = [], [], bytearray()
         self.said = bytearray()
 
-    def promise_zero(self, zero):
-        """Nothing keeps it: this program ends with the board."""
+    def arm(self):
+        """Nothing watches it: this program ends with the board."""
 
     def board_ns(self, time_ns):
         return int((time_ns + self.phase_ns) * (1 + self.drift))
@@ -154,7 +154,7 @@ def proved(sequence, times=1, number=0, due_ns=0, late_ns=LATE_NS):
 def manual_line(patch, driver, port, clock, limits):
     """Return a line to a port in this process, by a clock that the test sets."""
     patch.setattr(current_scale, "BOOT_S", 0.0)
-    patch.setattr(etactilekit_line, "KeptLine", lambda port: port)
+    patch.setattr(etactilekit_line, "WatchedPort", lambda port, _: port)
     patch.setattr(etactilekit_line.time, "monotonic", clock.monotonic)
     line = Board(driver, limits, clock=clock)._line
     line.events = ManualEvents(limits.electrodes)

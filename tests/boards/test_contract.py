@@ -95,7 +95,7 @@ class Contract(DriverContract):
 
     @pytest.fixture(autouse=True)
     def _in_time(self):
-        """Let the keeper hear of the host, however busy the machine is."""
+        """Let the watchdog hear of the host, however busy the machine is."""
         with prioritized():
             yield
 

@@ -197,22 +197,6 @@ def test_wiring_decides_how_many_outputs_there_are(script, make):
         pass
 
 
-def test_a_measurement_takes_the_dummy_load_off(script, make):
-    # 0.999 mA at 50 µs; 200 counts are 17.9 V, of which 17.9 V / 66 kΩ pass beside the skin.
-    sense = QUIET + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, 50, 0xF9, 100])
-    found = readings(200, 200, 4095, 2)
-    script(
-        *OPEN, *ZERO, (sense, b""), (b"\xff\xf9\0\0\xf8\0\0" + PING, found + b"\x04"), *ZERO, *ZERO
-    )
-    with make() as board:
-        impedance = board.measure()
-    volts = 200 * 0.0893
-    total = volts / (0.999 - volts / 66)
-    assert impedance.condition == ("good", "good", "open", "short")
-    # Between the two good ones: what one sees of the other lies in the return.
-    assert impedance.kohm[0] == pytest.approx(total - impedance.kohm[3], rel=0.05)
-
-
 def test_a_line_that_loses_one_command_after_another_is_not_driven(monkeypatch):
     """What is lost in pieces could be completed by foreign bytes."""
     kit = ManualKit(monkeypatch, LIMITS)

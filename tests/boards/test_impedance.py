@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError
-from smarttouch.boards.probe_scans import one_each, probe_sequences
-from smarttouch.boards.reports import judge
+from smarttouch.boards.probe_scans import measure_by_probes, one_each, probe_sequences
+from smarttouch.boards.reports import Capabilities, judge
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
@@ -38,6 +38,21 @@ def test_open_and_short_are_named():
         {2: "open", 5: "short"}.get(index, "good") for index in range(8)
     )
     assert found.broken == (2, 5)
+
+
+def test_a_load_beside_the_skin_is_taken_off():
+    kohm = np.array([20.0, 25.0, 30.0, 20.0, 25.0, 30.0, 20.0, 25.0])
+    can = Capabilities(
+        8, "one-against-all", 3.0, 8, None, "", measures=True, compliance_v=300.0, load_kohm=66.0
+    )
+
+    def ask(scan):
+        """Return the voltage of each slot, of skin and load in parallel."""
+        through_ma = scan.source_ua / 1000
+        return through_ma / (1 / 66 + 1 / volts_of(kohm, 1.0))[: scan.slots]
+
+    output = Output(kind="one-against-all")
+    np.testing.assert_allclose(measure_by_probes(ask, LIMITS, output, can).kohm, kohm, rtol=1e-3)
 
 
 def test_a_lifted_finger_is_all_open():

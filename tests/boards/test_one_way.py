@@ -4,20 +4,16 @@ import threading
 
 import pytest
 
-from smarttouch.base.errors import BoardClosedError, BoardStoppedError, LineLostError
+from smarttouch.base.errors import BoardClosedError, BoardStoppedError
 from smarttouch.boards.board import Board
-from smarttouch.boards.kits.etactilekit import SENSE_SCANS
 from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.open import MemoryDriver, make_board
 
 from ..raising import raises
-from .test_etactilekit import OPEN, PING, QUIET, ZERO, make  # noqa: F401
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
 STOPS = {"stop": lambda board: board.stop(), "halt": lambda board: board.halt()}
-NO_SENSE = b"\xf9\0\0\xf8\0\0"
-SENSE = QUIET + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, 50, 0xF9, 100])
 
 
 @pytest.fixture
@@ -37,48 +33,6 @@ def test_a_board_that_was_stopped_neither_sends_nor_measures(board, how, make_se
 
 def test_a_board_that_is_closed_does_not_measure(board):
     with raises(BoardClosedError, names="board"):
-        board.measure()
-
-
-def stop_within(monkeypatch, board, method):
-    """Let another thread stop a board while its driver waits in a method of the line; return the
-    thread."""
-    line = board._line
-    before = getattr(line, method)
-    thread = threading.Thread(target=board.stop, daemon=True)
-
-    def stopped(*given, **named):
-        if not thread.ident:
-            thread.start()
-            assert board._stopped.wait(20)
-        return before(*given, **named)
-
-    monkeypatch.setattr(line, method, stopped)
-    return thread
-
-
-def test_sense_pulses_end_with_a_stop_and_not_with_closing(script, make, monkeypatch):  # noqa: F811
-    ended = [(NO_SENSE + PING, b"\x04"), *ZERO]
-    port = script(*OPEN, *ZERO, (SENSE, b""), *ended, *ZERO)
-    with make() as board:
-        del board._line.pause
-        thread = stop_within(monkeypatch, board, "pause")
-        with pytest.raises(BoardStoppedError):
-            board.measure()
-        thread.join(20)
-        # What is left is of closing.
-        assert port.exchanges == ZERO
-        # Both tries that it may take were proved.
-        assert board.dose.seconds == pytest.approx(2 * 0.1 * SENSE_SCANS)
-
-
-def test_sense_pulses_end_also_where_their_readings_are_lost(script, make):  # noqa: F811
-    lost = (b"\xff" + NO_SENSE + PING, b"")
-    resync = [(bytes(514), b""), (QUIET + NO_SENSE + bytes(4) + PING, b"\x04")]
-    ended = [(NO_SENSE + PING, b"\x04"), *ZERO]
-    once = [*ZERO, (SENSE, b""), lost, *resync, *ended]
-    script(*OPEN, *once, *once, *ZERO)
-    with make() as board, raises(LineLostError, names="measure"):
         board.measure()
 
 

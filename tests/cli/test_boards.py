@@ -104,7 +104,7 @@ def wait_for_pulses(books):
 
 @on("kajimoto61", "etactilekit")
 def test_a_killed_host(start_program, kit):
-    """The host-clocked board is at zero by itself, the other by its keeper."""
+    """The host-clocked board is at zero by itself, the other by its watchdog."""
     url, books = kit
     running = start_program("devices", "test", url, *PRESSED, "--seconds", 30, "--current-ma", 0.5)
     wait_for_pulses(books)

@@ -33,7 +33,7 @@ KINDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 FLOWS_UA = 20
 ALONE_S = 0.3
 """A board that goes on without its host shows it within that time."""
-"""Its real-time priority: above those of loop and keeper."""
+"""Its real-time priority: above those of loop and watchdog."""
 AWAY_NS = 10_000_000
 """A board that did not look at its line for so long notes that: it was kept waiting."""
 _PAGE = struct.Struct("<qqqqqq")

@@ -24,7 +24,6 @@ from smarttouch.base.errors import (
     not_offered,
 )
 from smarttouch.boards.driver import Driver
-from smarttouch.boards.kits import current_scale
 from smarttouch.boards.kits.current_scale import one_against_all, require_kit
 from smarttouch.boards.kits.etactilekit_line import FIRMWARES, ETactileKitLine
 from smarttouch.boards.kits.etactilekit_wire import (
@@ -33,24 +32,18 @@ from smarttouch.boards.kits.etactilekit_wire import (
     GO,
     LARGEST,
     LOAD,
-    NO_SENSE,
     QUIET,
-    SENSE,
-    SENSE_COUNTS,
-    SENSE_US,
     SHORTEST_US,
     VOLTS_PER_COUNT,
     Settings,
     payload,
     settings_commands,
     settings_of,
-    zero_anywhere,
 )
-from smarttouch.boards.kits.kept_line import KEPT_MS
-from smarttouch.boards.kits.scan_lock import WIDEST, ScanLock, Span
+from smarttouch.boards.kits.scan_lock import ScanLock, Span
+from smarttouch.boards.kits.watched_port import KEPT_MS
 from smarttouch.boards.line import Line
-from smarttouch.boards.probe_scans import one_each
-from smarttouch.boards.reports import Capabilities, Impedance, judge
+from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
@@ -58,29 +51,26 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 NEWEST_ZERO_MS = 520.0  # newest firmware: ends its scan 500 ms after the host's last byte
 IDLE_S = 0.1  # time without a sequence after which the pattern on the board becomes zeros
-SENSE_S, SENSE_SCANS = 0.25, 5  # of sense scans, ten a second; most until they end
-ATTEMPTS = 4  # attempts at a pattern that gave no reading, though weaker ones did
 OPEN_SHARE = 0.95  # of the voltage without a finger: if all slots reach it, it is lifted
 
 LOW, HIGH = 4, 12  # readings below 4 had no pulse, from 12 on they had one: .3 and 1 V
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
-LATE_SCANS = 3  # additional scans to wait for if no time is certainly between two scans
 WIDE_NS = 1_000_000  # above this uncertainty of a start, a query is sent in mid-scan
-LISTEN_NS = 1_000_000_000  # at most one scan in this time is left empty to find starts
 KEEP_NS = 100_000_000  # longest silence to the newest firmware
+
+Readings = NDArray[np.uint16]
 
 
 @dataclass
 class ShownPattern:
-    """Pattern that is being pulsed, and its start."""
+    """Pattern that is being pulsed, and when that began."""
 
     proved: ProvedSequence
     since: Span
-    before: NDArray[np.uint16]  # readings of the previous scan
-    unseen_ns: int = 0  # time of the last readings that showed none of its pulses
-    risen: bool = False  # whether readings have shown some of its pulses
+    before: Readings  # of the previous scan
+    is_seen: bool = False  # whether readings have shown some of its pulses
 
-    def pulsed(self, readings: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    def pulsed(self, readings: Readings) -> NDArray[np.bool_]:
         """Return which outputs it has certainly pulsed, by the present readings, (N,) bool."""
         return (self.before < LOW) & (readings >= HIGH)
 
@@ -125,7 +115,6 @@ class ETactileKitDriver(Driver):
             )
         self._limits = limits
         self._nothing = bytes(2 * self._outputs)
-        self._zero_anywhere = zero_anywhere(self._outputs)
         self._opening = self._away = False
         self._begin(True)
 
@@ -133,26 +122,30 @@ class ETactileKitDriver(Driver):
         """Start without knowledge of the board's scans; ``waits`` if its parser stands still while
         it scans."""
         self._waits = waits
+        self._on_board = b""  # pattern of the board; empty if not certain
         self._settings: Settings | None = None  # what it pulses with; None if not certain
         self._lock = ScanLock(1)
         self._shown: ShownPattern | None = None
         # The time of the last query, and its readings.
-        self._before: tuple[int, NDArray[np.uint16]] | None = None
+        self._before: tuple[int, Readings] | None = None
         self._answer_ns = 0  # how long recent answers took
-        self._listen_ns = 0  # when to run the next scan without pulses
-        self._stopped_ns = 0
+        self._stopped_ns = self._free_ns = 0
         self._seen_ua = 10**6  # the weakest pattern that was measured
 
     # -- opening and closing -----------------------------------------------
 
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
         self._limits = limits
-        # A board that is away goes on by itself, unless the keeper has put it at zero.
+        # A board that is away goes on by itself, unless the watchdog has put it at zero.
         self._opening, self._away = True, line.reopened and not self._kit.is_at_zero
         try:
             if not line.reopened:
                 self._kit = ETactileKitLine(line, self._outputs, self._firmware)
-            return self._greet(line)
+            firmware, capacity = self._kit.connect(str(self.port))
+            self._give_up()
+            self._begin(firmware != "newest")
+            self._put_at_zero()
+            self._away = False
         except BoardStoppedError:
             # It is not at zero, whatever has stopped it.
             if self._away:
@@ -160,27 +153,6 @@ class ETactileKitDriver(Driver):
             raise
         finally:
             self._opening = False
-
-    def _greet(self, line: Line) -> Capabilities:
-        kit = self._kit
-        is_known = line.reopened and line.identity is not None
-        line.connect(str(self.port), kit.keep_at_zero if is_known else kit.keep)
-        if line.reopened:
-            if not is_known:
-                kit.recognize()
-            kit.promise_zero(self._zero_anywhere)
-            line.write(self._zero_anywhere)
-        if is_known or not line.reopened:
-            # Only a reset takes the time to boot.
-            line.pause(current_scale.BOOT_S)
-        firmware, capacity = kit.find_out()
-        kit.promise_zero(self._zero_anywhere)
-        self._give_up()
-        self._begin(firmware != "newest")
-        self._on_board, kit.senses = b"", False
-        self._free_ns = 0
-        self._put_at_zero()
-        self._away = False
         return Capabilities(
             electrodes=self._limits.electrodes,
             output="one-against-all",
@@ -191,6 +163,7 @@ class ETactileKitDriver(Driver):
             firmware=f"eTactileKit {firmware}, {capacity} outputs",
             measures=True,
             compliance_v=COMPLIANCE_V,
+            load_kohm=DUMMY_KOHM,
         )
 
     def zero(self) -> None:
@@ -205,17 +178,9 @@ class ETactileKitDriver(Driver):
                         raise
 
     def _put_at_zero(self) -> None:
-        kit = self._kit
-        for _ in range(2):
-            if not kit.senses or kit.exchange(NO_SENSE) is not None:
-                kit.senses = False
-                break
-            kit.resync()
-        else:
-            raise kit.line.lost("does not confirm the end of its sense pulses")
         self._stop_pulses()
         if not (self._load(self._nothing) or self._load(self._nothing)):
-            raise kit.line.lost("does not confirm a pattern of zeros")
+            raise self._kit.line.lost("does not confirm a pattern of zeros")
 
     def aftermath(self) -> str:
         if self._kit.is_at_zero:
@@ -268,19 +233,15 @@ class ETactileKitDriver(Driver):
                 if line.has_newer():
                     return
             return
-        for attempt in range(ATTEMPTS):
-            with self._kit.lock:
-                if not self._show(proved, pattern):
-                    if attempt == 0:
-                        line.events.refused()
-                    return
-            if attempt == 0:
-                line.events.delivered(proved, 0)
-            self._hold(proved)
-            with self._kit.lock:
-                if self._shown is None or self._stop_pulses():
-                    self._listen()
-                    return
+        with self._kit.lock:
+            if not self._show(proved, pattern):
+                line.events.refused()
+                return
+        line.events.delivered(proved, 0)
+        self._hold(proved)
+        with self._kit.lock:
+            if self._shown is not None:
+                self._stop_pulses()
 
     def _show(self, proved: ProvedSequence, pattern: bytes) -> bool:
         """Enable a sequence's pulses; return whether the board has done so."""
@@ -290,7 +251,7 @@ class ETactileKitDriver(Driver):
         if pattern != self._on_board and not self._load(pattern):
             return False
         # Settings and the board's own scans decide when it can begin.
-        begin_ns = self._free_of_scans(line.now_ns())
+        begin_ns = self._between_scans(line.now_ns())
         self._wait(begin_ns)
         if (span := self._ask(GO, drives=line.later(proved, begin_ns))) is None:
             self._on_board = b""
@@ -331,9 +292,9 @@ class ETactileKitDriver(Driver):
 
     def _ask(self, body: bytes, *, drives: ProvedSequence | None = None) -> Span | None:
         """Send commands and update the scan lock by the readings; return the time of execution."""
+        before, self._before = self._before, None
         found = self._kit.exchange(body, ask=True, drives=drives)
         if found is None:
-            self._before = None
             self._kit.resync()
             return None
         span, readings = found
@@ -341,21 +302,16 @@ class ETactileKitDriver(Driver):
         # An answer during a scan takes as long as the scan.
         took_ns = span.late - span.early
         self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
-        if self._before is not None and self._settings is not None:
-            self._learn(self._settings, self._before, span.late, readings)
+        if before is not None and self._settings is not None:
+            self._learn(self._settings, *before, span.late, readings)
         self._before = span.early, readings
         return span
 
     def _learn(
-        self,
-        settings: Settings,
-        last: tuple[int, NDArray[np.uint16]],
-        answered_ns: int,
-        readings: NDArray[np.uint16],
+        self, settings: Settings, asked_ns: int, before: Readings, answered_ns: int, now: Readings
     ) -> None:
         """Update the scan lock if a scan passed between two readings."""
-        asked_ns, before = last
-        rises, falls = (before < LOW) & (readings >= HIGH), (before >= HIGH) & (readings < LOW)
+        rises, falls = (before < LOW) & (now >= HIGH), (before >= HIGH) & (now < LOW)
         if not (rises | falls).any():
             return
         # A pulse whose discharge is short, or one without a width, as in scans without pulses.
@@ -365,63 +321,57 @@ class ETactileKitDriver(Driver):
             slot_us = rest_us + (settings.width_us if rises.any() else SHORTEST_US)
             self._lock.learn(Span(asked_ns, answered_ns - 1000 * self._outputs * slot_us))
             return
-        # That slot passed between the two questions; its scan began so much earlier.
+        # That slot passed between the two queries; its scan began so much earlier.
         slots = int((rises | falls).argmax())
         early_ns = asked_ns - 1000 * slots * settings.scan_us(1, 25)
         self._lock.learn(Span(early_ns, answered_ns - 1000 * slots * rest_us))
 
-    def _free_of_scans(self, now_ns: int) -> int:
+    def _between_scans(self, now_ns: int) -> int:
         """Return when an answer will come before the next scan can start, ns."""
-        self._lock.check(now_ns)
-        if not self._lock.locked:
+        lock = self._lock
+        lock.check(now_ns)
+        if lock.last is None:
             # In the newest firmware a scan that began before the stop may still run.
             return max(now_ns, self._stopped_ns + self._scan_ns())
-        between_ns = self._lock.nominal_ns - self._scan_ns()
-        answer_ns = min(3 * self._answer_ns, between_ns // 3)
-        number = self._lock.first_after(now_ns) - 1
-        if self._lock.scan(number).late > now_ns:
-            return self._lock.scan(number).late + MARGIN_NS
-        following = self._lock.scan(number + 1)
+        answer_ns = min(3 * self._answer_ns, (lock.period_ns - self._scan_ns()) // 3)
+        number = lock.first_after(now_ns)
+        before, following = lock.scan(number - 1), lock.scan(number)
+        if before.late > now_ns:
+            return before.late + MARGIN_NS
         return now_ns if now_ns + answer_ns < following.early else following.late + MARGIN_NS
 
     def _hold(self, proved: ProvedSequence) -> None:
         """Wait until the requested number of scans of the shown pattern is over."""
-        shown, asked_ns, late = self._shown, self._kit.line.now_ns(), 0
-        while shown is self._shown:
-            now_ns = self._kit.line.now_ns()
-            assert shown is not None
-            due_ns = self._over_ns(shown.since, 1 if self._kit.line.has_newer() else proved.times)
-            if now_ns >= due_ns:
-                due_ns = self._free_of_scans(now_ns)
-                if now_ns >= due_ns or late >= LATE_SCANS:
-                    return
-                late += 1
+        line, shown = self._kit.line, self._shown
+        asked_ns = now_ns = line.now_ns()
+        # From another thread, zero may end it.
+        while shown is not None and shown is self._shown:
+            over_ns = self._over_ns(shown.since, 1 if line.has_newer() else proved.times)
+            if now_ns >= over_ns:
+                self._wait(self._between_scans(now_ns))
+                return
             ask_ns = self._worth_asking(now_ns, asked_ns)
             # A newer sequence may come meanwhile.
-            until_ns = min(due_ns, ask_ns, now_ns + self._lock.nominal_ns)
+            until_ns = min(over_ns, ask_ns, now_ns + self._lock.period_ns)
             self._wait(until_ns)
+            now_ns = line.now_ns()
             if until_ns == ask_ns:
+                asked_ns = now_ns
                 with self._kit.lock:
-                    if shown is self._shown:
-                        asked_ns = self._kit.line.now_ns()
-                        answer = self._ask(b"") and self._before
-                        if answer:
-                            self._look(shown, asked_ns, answer[1])
+                    if shown is self._shown and self._ask(b"") and self._before:
+                        self._look(shown, self._before[1])
 
-    def _look(self, shown: ShownPattern, asked_ns: int, readings: NDArray[np.uint16]) -> None:
-        """Keep the readings of the first scan of the shown pattern."""
-        if not shown.pulsed(readings).any():
-            shown.unseen_ns = asked_ns
-            return
+    def _look(self, shown: ShownPattern, readings: Readings) -> None:
+        """Note the first scan of the shown pattern, once readings show it."""
         scan = self._lock.last
-        if not shown.risen and scan is not None and scan.late >= shown.since.early:
-            # It was in that scan that its readings rose.
-            shown.since = Span(scan.early - 1, scan.early - 1)
-        shown.risen = True
+        if not shown.is_seen and shown.pulsed(readings).any():
+            shown.is_seen = True
+            if scan is not None and scan.late >= shown.since.early:
+                shown.since = Span(scan.early - 1, scan.early - 1)
 
     def _worth_asking(self, now_ns: int, asked_ns: int) -> int:
         """Return when the next query is useful: to locate scans, or to keep the board awake."""
-        if not self._lock.locked:
+        if self._lock.last is None:
             return now_ns + POLL_NS
         coming = self._lock.scan(self._lock.first_after(now_ns))
         if coming.late - coming.early > WIDE_NS:
@@ -430,145 +380,70 @@ class ETactileKitDriver(Driver):
 
     def _over_ns(self, since: Span, times: int) -> int:
         """Return when so many scans after an event are certainly over."""
-        if not self._lock.locked:
-            return int(since.late + times * self._lock.period_ns[1]) + MARGIN_NS
-        last = self._lock.scan(self._lock.first_after(since.late) + times - 1)
-        return last.late + self._scan_ns() + MARGIN_NS
+        lock = self._lock
+        if lock.last is None:
+            start_ns = since.late + times * lock.period_ns * 1001 // 1000
+        else:
+            start_ns = lock.scan(lock.first_after(since.late) + times - 1).late
+        return start_ns + self._scan_ns() + MARGIN_NS
 
     def _scan_ns(self) -> int:
         """Return the duration of a scan."""
         assert self._settings is not None
         return 1000 * self._settings.scan_us(self._outputs)
 
-    def _listen(self) -> None:
-        """Run a scan without pulses if its readings will show when it starts."""
-        now_ns, before = self._kit.line.now_ns(), self._before
-        self._lock.check(now_ns)
-        if before is None or now_ns < self._listen_ns or not (before[1] >= HIGH).any():
-            return
-        end_ns = now_ns + int(self._lock.period_ns[1])
-        if self._lock.locked:
-            coming = self._lock.scan(self._lock.first_after(now_ns))
-            if coming.late - coming.early <= min(2 * WIDE_NS, WIDEST * self._lock.nominal_ns / 2):
-                return
-            self._wait(coming.early - POLL_NS)
-            end_ns = coming.late
-        assert self._settings is not None
-        end_ns += 1000 * self._settings.scan_us(self._outputs, 25) + POLL_NS
-        while self._before is not None and (self._before[1] >= HIGH).any():
-            if self._kit.line.now_ns() > end_ns:
-                break
-            self._wait(self._kit.line.now_ns() + POLL_NS // 2)
-            self._ask(b"")
-        self._listen_ns = self._kit.line.now_ns() + LISTEN_NS
-
-    def _stop_pulses(self) -> bool:
-        """Stop all pulses, and record the scans; return False if there seem to be none."""
+    def _stop_pulses(self) -> None:
+        """Stop all pulses, and report the scans of the shown pattern."""
         shown, self._shown = self._shown, None
         begun_ns, stopped = self._kit.line.now_ns(), None
         try:
             stopped = self._ask(QUIET)
         finally:
             self._stopped_ns = self._kit.line.now_ns()
-            seen = self._account(shown, stopped, begun_ns) if shown is not None else True
-        return seen
+            if shown is not None:
+                self._report_scans(shown, stopped or Span(begun_ns, self._stopped_ns))
 
-    def _account(self, shown: ShownPattern, stopped: Span | None, begun_ns: int) -> bool:
-        """Record the scans of the shown pattern; return False if there seem to be none."""
-        sequence, since, seen = shown.proved.sequence, shown.since, True
-        readings = None if stopped is None or self._before is None else self._before[1]
-        certain = np.zeros(self._outputs, bool) if readings is None else shown.pulsed(readings)
-        if certain.any() and not shown.risen and self._settings is not None:
-            # No scan had passed that slot when the readings last showed no pulse.
-            slots = int(certain.argmax())
-            unseen_ns = shown.unseen_ns - 1000 * slots * self._settings.scan_us(1, 25)
-            since = Span(max(since.early, unseen_ns), max(since.late, unseen_ns))
-        least, most = self._lock.starts(since, stopped or Span(begun_ns, self._kit.line.now_ns()))
-        foreign = certain.copy()
-        foreign[self._wiring[sequence.site]] = False
-        if readings is not None:
+    def _give_up(self) -> None:
+        """Report the scans that may have run before a lost board came back at zero."""
+        shown, self._shown = self._shown, None
+        self._before = None
+        if shown is not None:
+            self._report_scans(shown, Span(shown.since.late, self._kit.line.now_ns()))
+
+    def _report_scans(self, shown: ShownPattern, end: Span) -> None:
+        """Report the scans of a pattern and its voltages; latch the board if others pulsed."""
+        sequence, events = shown.proved.sequence, self._kit.line.events
+        least, most = self._lock.starts(shown.since, end)
+        pulsed = np.zeros(self._outputs, bool)
+        if self._before is not None:
+            now = self._before[1]
+            pulsed = shown.pulsed(now)
             electrode, current_ua = one_against_all(sequence)
-            readings, level_ua = readings[self._wiring[electrode]], int(np.abs(current_ua).max())
-            if certain.any():
+            readings, level_ua = now[self._wiring[electrode]], int(np.abs(current_ua).max())
+            if pulsed.any():
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
                 # Weaker pulses were measured before: the board's timing has changed.
-                self._lock.forget()
-                least, seen = 0, False
-            if least and self._lock.locked:
-                self._note_volts(shown.proved, current_ua, readings)
-        self._kit.line.events.delivered(shown.proved, least, most=max(least, most))
-        if foreign.any():
-            raise self._kit.line.events.fault(
-                f"output {foreign.argmax()} pulsed, and its pattern has no pulse there"
+                self._lock.last, least = None, 0
+            if least:
+                self._report_volts(sequence, current_ua, readings)
+        events.delivered(shown.proved, least, most=max(least, most))
+        pulsed[self._wiring[sequence.site]] = False
+        if pulsed.any():
+            raise events.fault(
+                f"output {pulsed.argmax()} pulsed, and its pattern has no pulse there"
             )
-        return seen
-
-    def _give_up(self) -> None:
-        """Record the scans that may have run before a lost board came back at zero."""
-        shown, self._shown = self._shown, None
-        if shown is not None:
-            sure_ns = shown.since.late if self._before is None else self._before[0]
-            self._account(shown, None, max(sure_ns, shown.since.late))
 
     def _wait(self, until_ns: int) -> None:
         if until_ns > self._kit.line.now_ns():
             self._kit.line.wait_until(until_ns)
 
-    def _note_volts(
-        self,
-        proved: ProvedSequence,
-        current_ua: NDArray[np.int64],
-        readings: NDArray[np.uint16],
+    def _report_volts(
+        self, sequence: ScanSequence, current_ua: NDArray[np.int64], readings: Readings
     ) -> None:
         events, volts = self._kit.line.events, (readings * VOLTS_PER_COUNT).astype(np.float32)
-        events.volts(proved.sequence, volts)
+        events.volts(sequence, volts)
         if volts.any():
             # Without a finger all current takes the load beside the skin.
             alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
             events.lift(bool((volts >= OPEN_SHARE * alone_v).all()))
-
-    # -- measuring ---------------------------------------------------------
-
-    def measuring_scans(self) -> list[tuple[ScanSequence, int]]:
-        """Return the scan twice: a busy board may not scan all electrodes in the first."""
-        most_ua = int(SENSE_COUNTS * self._scale.largest_ua)
-        scan = one_each(
-            self._limits, most_ua, SENSE_US, 1.0, self._kit.line.now_ns(), cathodic=False,
-            period_us=100_000,
-        )  # fmt: skip
-        return [(scan, SENSE_SCANS)] * 2
-
-    def measure(self, proved: list[ProvedSequence]) -> Impedance:
-        for scan in proved:
-            readings = self._sense(scan)
-            if readings is not None:
-                break
-        else:
-            raise LineLostError(
-                f"the board at {self.port} did not report all of its {self._outputs} readings: "
-                "measure again"
-            )
-        volts = readings[self._wiring].astype(np.float64) * VOLTS_PER_COUNT
-        level_ua = int(SENSE_COUNTS * self._scale.measured_ua)
-        through_skin = np.maximum(level_ua / 1000 - volts / DUMMY_KOHM, 1e-6)
-        return judge(volts, through_skin, COMPLIANCE_V)
-
-    def _sense(self, proved: ProvedSequence) -> NDArray[np.uint16] | None:
-        """Sense for `SENSE_S`; return the reading of each output, counts, if the board sent all."""
-        kit = self._kit
-        with kit.lock:
-            self._put_at_zero()
-            try:
-                kit.senses = True
-                kit.line.drive(SENSE, proved)
-                # Ten scans a second; two of them are over when the readings are queried.
-                kit.line.pause(SENSE_S)
-                found = kit.exchange(NO_SENSE, ask=True)
-                kit.senses = found is None
-                if found is None:
-                    kit.resync()
-            finally:
-                self._settings = self._before = None
-                self._put_at_zero()
-        return None if found is None else found[1]

@@ -15,6 +15,7 @@ from smarttouch.base.errors import (
     SilentBoardError,
 )
 from smarttouch.base.wire.port import LINE_ERRORS, Port, reason
+from smarttouch.boards.kits import current_scale
 from smarttouch.boards.kits.etactilekit_wire import (
     AT_REST,
     CHIPS,
@@ -23,9 +24,10 @@ from smarttouch.boards.kits.etactilekit_wire import (
     QUIET,
     READINGS,
     ZEROS,
+    zero_anywhere,
 )
-from smarttouch.boards.kits.kept_line import KeptLine
 from smarttouch.boards.kits.scan_lock import Span
+from smarttouch.boards.kits.watched_port import WatchedPort
 from smarttouch.boards.line import Line
 from smarttouch.stimulation.safety_gate import ProvedSequence
 
@@ -45,58 +47,72 @@ may have."""
 class ETactileKitLine:
     """Dialogues with an eTactileKit: it detects the firmware and exchanges bytes with it.
 
-    The board repeats its last pattern without a host: `promise_zero` comes before anything that
-    can become a current. ``lock`` is held for a dialogue, so that zero does not come between a
-    command and its answer.
+    The board repeats its last pattern without a host: a watchdog is armed before anything that can
+    become a current. ``lock`` is held for a dialogue, so that zero does not come between a command
+    and its answer.
     """
 
     def __init__(self, line: Line, outputs: int, firmware: str | None) -> None:
         self.line: Line = line
         self.outputs: int = outputs
+        self.zero: bytes = zero_anywhere(outputs)
         self.lock: AbstractContextManager[bool] = threading.RLock()
-        self.senses = False  # whether the board may be making sense pulses
         self._wanted = firmware
         self._echo = bytes([outputs])
         self._losses = self._chips = 0
-        self._zero = b""
-        self._kept: KeptLine | None = None
+        self._watched: WatchedPort | None = None
 
-    # -- zero by the keeper ----------------------------------------------------
-
-    def keep(self, port: Port) -> Port:
-        """Return a port behind a keeper, in place of an open one."""
-        self._kept = KeptLine(port)
-        return self._kept
-
-    def keep_at_zero(self, port: Port) -> Port:
-        """Write zero to the same board, which is back, before its keeper starts."""
-        with contextlib.suppress(*LINE_ERRORS):
-            port.write(self._zero)
-        return self.keep(port)
-
-    def promise_zero(self, zero: bytes) -> None:
-        """Set the keeper's zero command; see `KeptLine.promise_zero`."""
-        assert self._kept is not None
-        self._zero = zero
-        try:
-            self._kept.promise_zero(zero)
-        except LINE_ERRORS as error:
-            raise self.line.lost(f"has vanished ({reason(error)})") from None
-
-    @property
-    def is_at_zero(self) -> bool:
-        """Whether the keeper has put the board at zero."""
-        return self._kept is not None and self._kept.at_zero
-
-    # -- detection -----------------------------------------------------------
-
-    def find_out(self) -> tuple[str, int]:
-        """Put any firmware at zero; return its name and its number of outputs."""
+    def connect(self, name: str) -> tuple[str, int]:
+        """Open the port, put any firmware at zero, and return its name and its number of outputs.
+        Another device than before gets nothing but a question."""
+        line, is_known = self.line, self._is_known
+        line.connect(name, self._watch)
+        if line.reopened and not is_known:
+            self._recognize()
+            self._arm()
+            line.write(self.zero)
+        else:
+            # Only a reset takes the time to boot.
+            line.pause(current_scale.BOOT_S)
         for _ in range(TRIES - 1):
             # Bytes may be lost here too.
             with contextlib.suppress(LineLostError):
-                return self._identify()
-        return self._identify()
+                found = self._identify()
+                break
+        else:
+            found = self._identify()
+        self._arm()
+        self._wanted = found[0]
+        return found
+
+    @property
+    def is_at_zero(self) -> bool:
+        """Whether the watchdog has put the board at zero."""
+        return self._watched is not None and self._watched.at_zero
+
+    @property
+    def _is_known(self) -> bool:
+        """Whether it is the same board as before, by its USB numbers."""
+        return self.line.reopened and self.line.identity is not None
+
+    def _watch(self, port: Port) -> Port:
+        """Return the port, shared with a watchdog; the same board, which is back, gets zero."""
+        if self._is_known:
+            with contextlib.suppress(*LINE_ERRORS):
+                port.write(self.zero)
+        self._watched = WatchedPort(port, self.zero)
+        if self._is_known:
+            self._arm()
+        return self._watched
+
+    def _arm(self) -> None:
+        assert self._watched is not None
+        try:
+            self._watched.arm()
+        except LINE_ERRORS as error:
+            raise self.line.lost(f"has vanished ({reason(error)})") from None
+
+    # -- detection -----------------------------------------------------------
 
     def _identify(self) -> tuple[str, int]:
         chips = self._chips = self._wake()
@@ -161,7 +177,7 @@ class ETactileKitLine:
         began = time.monotonic()
         self.line.write(b"\xfd")
         self.line.pause(0.05)
-        self.line.reconnect(AWAY_S, self.keep)
+        self.line.reconnect(AWAY_S, self._watch)
         self.line.write(PING)
         forgets = self.line.read(1, ECHO_S) == self._echo
         in_time = time.monotonic() - began < AWAY_MOST_S
@@ -171,7 +187,7 @@ class ETactileKitLine:
             self.resync()
         return forgets and in_time
 
-    def recognize(self) -> None:
+    def _recognize(self) -> None:
         """Ask a device that has come back whether it is the same board, where USB does not tell."""
         # No zeros before the query: another device might act on them.
         for pause_s in (0.0, FORGETS_S):
@@ -226,7 +242,7 @@ class ETactileKitLine:
             self.line.write(zeros)
             self.line.pause(pause_s)
             self.line.discard_input()
-            self.line.write(QUIET + NO_SENSE * self.senses + bytes(4) + PING)
+            self.line.write(QUIET + bytes(4) + PING)
             # The answer may only be late, and a silence would cost far more.
             if self.line.read(1, CHIPS_S) == self._echo:
                 return

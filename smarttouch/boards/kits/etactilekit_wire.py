@@ -102,7 +102,6 @@ def payload(
 VOLTS_PER_COUNT = 0.0893
 DUMMY_KOHM = 66.0  # load fitted in parallel with the skin; it takes V / 66 kΩ of the current
 COMPLIANCE_V = 300.0  # limit of its switches (HV513), the largest voltage of a reading
-SENSE_COUNTS, SENSE_US = 100, 50
 ZEROS = bytes(2 * 255 + 4)  # padding longer than the rest of any command
 PING, CHIPS, READINGS = b"\xf4", b"\xf5", b"\xff"
 NO_SENSE = b"\xf9\0\0\xf8\0\0"
@@ -117,8 +116,6 @@ pattern."""
 
 
 QUIET = b"\xfb\x02\xfb\x02"  # stops all pulses from the next scan on
-SENSE = QUIET + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS])
-"""Ten anodic scans a second, `SENSE_COUNTS` by `SENSE_US`."""
 LOAD = b"\xfb\x02\xfe"  # before a pattern, which is loaded while nothing flows
 GO = b"\xfb\0"  # starts its pulses from the next scan on
 

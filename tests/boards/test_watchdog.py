@@ -1,0 +1,215 @@
+"""The process that shares a port, and puts the board at zero when its host is gone.
+
+Real processes are asked for order and outcome, never for durations.
+"""
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import tty
+from pathlib import Path
+
+import pytest
+import serial
+from serial import rfc2217
+
+from smarttouch.base.errors import BoardError
+from smarttouch.base.wire.port import open_port
+from smarttouch.boards.kits import watchdog, watched_port
+from smarttouch.boards.kits.watched_port import WatchedPort
+
+from ..raising import raises
+from .fresh import alive, until
+
+pytestmark = pytest.mark.realtime
+
+ZERO = b"these bytes mean zero"
+TWICE = ZERO + ZERO
+
+
+class Board:
+    """The far end of a serial port."""
+
+    def __init__(self):
+        self.end, slave = os.openpty()
+        tty.setraw(slave)
+        self.name = os.ttyname(slave)
+        os.close(slave)
+
+    def read(self, count=None):
+        """Return so many bytes, or all until the port is closed at its other end."""
+        heard = b""
+        while count is None or len(heard) < count:
+            assert select.select([self.end], [], [], 20)[0], f"nothing comes after {heard!r}"
+            try:
+                heard += os.read(self.end, 65536 if count is None else count - len(heard))
+            except OSError:
+                break
+        return heard
+
+
+@pytest.fixture
+def board():
+    board = Board()
+    yield board
+    os.close(board.end)
+
+
+@pytest.fixture
+def port(board):
+    port = WatchedPort(open_port(board.name), ZERO)
+    yield port
+    port.close()
+
+
+HOST = """
+import sys, time
+from smarttouch.boards.kits.watched_port import WatchedPort
+from smarttouch.base.wire.port import open_port
+port = WatchedPort(open_port(sys.argv[1]), bytes.fromhex(sys.argv[2]))
+port.arm()
+port.write(b"pattern")
+print(port.process_id, flush=True)
+while True:
+    time.sleep(1)
+"""
+
+
+@pytest.fixture
+def host(board):
+    with subprocess.Popen(
+        [sys.executable, "-c", HOST, board.name, ZERO.hex()],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as host:
+        yield host, int(host.stdout.readline())
+        host.kill()
+
+
+@pytest.mark.parametrize("armed", [True, False])
+def test_closing_ends_at_zero_and_lets_go_of_the_port(board, port, armed):
+    """Of a device that is not known to be the board, nothing is known that means zero."""
+    if armed:
+        port.arm()
+    port.write(b"pattern")
+    assert board.read(7) == b"pattern"
+    port.close()
+    assert board.read() == (TWICE if armed else b"")
+    assert port._process.wait(20) == watchdog.GONE
+    open_port(board.name).close()
+
+
+@pytest.mark.parametrize("whom", ["it", "its group"])
+def test_a_host_that_is_killed_leaves_zero_and_no_process(board, host, whom):
+    process, watched_by = host
+    assert board.read(7) == b"pattern"
+    kill = os.kill if whom == "it" else os.killpg
+    kill(process.pid, signal.SIGKILL)
+    assert board.read() == TWICE
+    until(lambda: not alive(watched_by))
+    open_port(board.name).close()
+
+
+def test_a_host_that_is_stopped_counts_as_gone(board, host):
+    process, _ = host
+    assert board.read(7) == b"pattern"
+    process.send_signal(signal.SIGSTOP)
+    try:
+        assert board.read(len(TWICE)) == TWICE
+    finally:
+        process.send_signal(signal.SIGCONT)
+
+
+@pytest.mark.parametrize("stale", [False, True])
+def test_a_host_that_stood_still_writes_nothing_any_more(board, port, monkeypatch, stale):
+    """Neither once its watchdog has ended, nor a moment before that may have happened."""
+    port.arm()
+    if stale:
+        monkeypatch.setattr("smarttouch.boards.kits.watchdog.SILENCE_S", 0.0)
+    monkeypatch.setattr(port, "_send_beat", lambda: None)
+    if not stale:
+        until(lambda: port.at_zero)
+    with pytest.raises(serial.SerialException):
+        port.write(b"pattern")
+    assert board.read(len(TWICE)) == TWICE
+    until(lambda: port.at_zero)
+    port.close()
+    assert board.read() == b""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, signal.SIGTERM])
+def test_signals_do_not_end_it(board, port, number):
+    port.arm()
+    status = Path(f"/proc/{port.process_id}/status")
+
+    def ignored():
+        return int(status.read_text().partition("SigIgn:")[2].split()[0], 16)
+
+    until(lambda: ignored() >> (number - 1) & 1)
+    os.kill(port.process_id, number)
+    port.write(b"x")
+    assert board.read(1) == b"x"
+    assert os.getsid(port.process_id) == port.process_id
+    port.close()
+    assert board.read() == TWICE
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_where_it_is_killed_this_program_writes_zero(board, port, ignored):
+    """Also where SIGCHLD is ignored, so that any process ends as with code 0."""
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN if ignored else signal.SIG_DFL)
+    try:
+        port.arm()
+        os.kill(port.process_id, signal.SIGKILL)
+        # Without a call: the heartbeat finds out.
+        assert board.read(len(ZERO)) == ZERO
+        assert not port.at_zero
+        with pytest.raises(serial.SerialException):
+            port.write(b"pattern")
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+
+
+@pytest.mark.parametrize("url", ["loop://", "rfc2217", "no process"])
+def test_a_port_that_cannot_be_watched_is_refused_and_free(board, monkeypatch, url):
+    def refuse(*_, **__):
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    if url == "no process":
+        monkeypatch.setattr(watched_port.subprocess, "Popen", refuse)
+    port = rfc2217.Serial() if url == "rfc2217" else open_port(url if ":" in url else board.name)
+    with raises(BoardError):
+        WatchedPort(port, ZERO)
+    open_port(board.name).close()
+
+
+@pytest.mark.parametrize("suspended", [True, False])
+def test_a_suspended_computer_is_a_silent_host_and_a_stuck_board_ends_it(monkeypatch, suspended):
+    port, board = socket.socketpair()
+    control, controls = socket.socketpair()
+    slept_s, codes = [5.0], []
+    monkeypatch.setattr(watchdog, "_slept_s", lambda: slept_s[0])
+    monkeypatch.setattr(watchdog, "STUCK_S", 0.05)
+    port.setblocking(False)
+    with port, board, control, controls:
+        ends = port.fileno(), control.fileno(), ZERO
+        watching = threading.Thread(target=lambda: codes.append(watchdog.watch(*ends)))
+        watching.start()
+        controls.send(b".")
+        if suspended:
+            # No clock that runs during suspend says so here; heartbeats are there without end.
+            slept_s[0] = 6.0
+            controls.send(b".")
+        else:
+            while select.select([], [port], [], 0)[1]:
+                port.send(bytes(100_000))
+            controls.close()
+        watching.join(20)
+        assert codes == [watchdog.SILENT if suspended else watchdog.BLOCKED]
+        if suspended:
+            assert board.recv(1000) == TWICE
