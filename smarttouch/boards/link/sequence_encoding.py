@@ -69,6 +69,10 @@ def encode_limits(limits: SafetyLimits) -> bytes:
     return head + b"".join(values.astype(kind).tobytes() for values, kind in each)
 
 
+_Kept = tuple[KernelLists, NDArray[np.bool_]]
+"""Lists of kernels, and of which slots the board makes just the proved currents."""
+
+
 class ScanPart(NamedTuple):
     """Part of a scan, which is all of it where the board has room for that."""
 
@@ -94,51 +98,40 @@ def encode_scan(
     lists of these; others are written as currents, or as states for a board with one source
     (``switched``). ``measure`` requests voltages.
     """
-    slots = len(sequence.width_us)
-    given = measure, switched, image
-    if slots <= most_slots:
-        payload = _payload(sequence, times, *given)
-        if len(payload) <= most_bytes:
-            return [ScanPart(payload, 0, slots, 0)]
-        if not slots:
-            raise _too_large(len(payload), most_bytes)
-    if times > 1 or not most_slots:
-        raise BoardError(
-            f"{slots} slots are more than this board takes at once ({most_slots} slots, "
-            f"{most_bytes} bytes), and what is sent in parts is not repeated by the board: send it "
-            "once each period"
-        )
-    lists = None if switched or image is None else _kept(sequence, image)
-    lengths_us = sequence.width_us.astype(np.int64) + sequence.discharge_us
-    size = min(slots, most_slots)
-    while True:
-        parts = []
-        for first in range(0, slots, size):
-            end = min(first + size, slots)
-            flags = GOES_ON * (first > 0) | MORE * (end < slots)
-            part = _cut(sequence, first, end, None if lists is None else lists[0])
-            payload = _payload(part, 1, *given, flags)
-            if size == 1 and len(payload) > most_bytes:
+    kept = None if switched or image is None else _kept(sequence, image)
+    slots, lengths_us = sequence.slots, sequence.width_us.astype(np.int64) + sequence.discharge_us
+
+    def parts_of(first: int, end: int) -> list[ScanPart]:
+        """Return slots as one part, or the parts of each half if the board has no room for all."""
+        count, flags = end - first, GOES_ON * (first > 0) | MORE * (end < slots)
+        if count <= max(most_slots, 1):
+            part = _cut(sequence, first, end) if flags else sequence
+            payload = _payload(part, times, measure, switched, _cut_lists(kept, first, end), flags)
+            if count == 1 and len(payload) > most_bytes:
                 # Kernels of which one slot has too many.
-                payload = _payload(replace(part, sums=None), 1, *given, flags)
-            parts.append(ScanPart(payload, first, end - first, int(lengths_us[:first].sum())))
-        largest = max(len(part.payload) for part in parts)
-        if largest <= most_bytes:
-            return parts
-        if size == 1:
-            raise _too_large(largest, most_bytes)
-        size = max(1, min(size - 1, size * most_bytes // largest))
+                payload = _payload(part, times, measure, switched, None, flags)
+            if len(payload) <= most_bytes and count <= most_slots:
+                return [ScanPart(payload, first, count, int(lengths_us[:first].sum()))]
+            if count <= 1:
+                raise BoardError(
+                    f"a sequence of {len(payload)} bytes is above the board's limit of "
+                    f"{most_bytes}: scan fewer points at once"
+                )
+        if times > 1:
+            raise BoardError(
+                f"{slots} slots are more than this board takes at once ({most_slots} slots, "
+                f"{most_bytes} bytes), and what is sent in parts is not repeated by the board: "
+                "send it once each period"
+            )
+        middle = (first + end) // 2
+        return [*parts_of(first, middle), *parts_of(middle, end)]
+
+    return parts_of(0, slots)
 
 
-def _cut(sequence: ScanSequence, first: int, end: int, lists: KernelLists | None) -> ScanSequence:
-    """Return slots of a sequence, with their checked lists; its recharge phase with the last."""
-    rows, last = slice(first, end), end == len(sequence.width_us)
-    sums = None
-    if lists is not None and sequence.sums is not None:
-        pairs = slice(lists.first[first], lists.first[end])
-        starts = lists.first[first : end + 1] - lists.first[first]
-        table = sequence.sums.table
-        sums = KernelLists(table, starts, lists.kernel[pairs], lists.amplitude[pairs])
+def _cut(sequence: ScanSequence, first: int, end: int) -> ScanSequence:
+    """Return slots of a sequence, without lists; its recharge phase with the last."""
+    rows, last = slice(first, end), end == sequence.slots
     return replace(
         sequence,
         current_ua=sequence.current_ua[rows],
@@ -147,24 +140,21 @@ def _cut(sequence: ScanSequence, first: int, end: int, lists: KernelLists | None
         site=sequence.site[rows],
         recharge_ua=sequence.recharge_ua if last else None,
         recharge_us=sequence.recharge_us if last else 0,
-        sums=sums,
+        sums=None,
     )
 
 
-def _too_large(size: int, most_bytes: int) -> BoardError:
-    return BoardError(
-        f"a sequence of {size} bytes is above the board's limit of {most_bytes}: scan fewer "
-        "points at once"
-    )
+def _cut_lists(kept: _Kept | None, first: int, end: int) -> _Kept | None:
+    if kept is None:
+        return None
+    lists, listed = kept
+    starts, pairs = lists.first[first : end + 1], slice(lists.first[first], lists.first[end])
+    cut = (starts - starts[0], lists.kernel[pairs], lists.amplitude[pairs])
+    return KernelLists(lists.table, *cut), listed[first:end]
 
 
 def _payload(
-    sequence: ScanSequence,
-    times: int,
-    measure: bool,
-    switched: bool,
-    image: KernelImage | None,
-    part: int = 0,
+    sequence: ScanSequence, times: int, measure: bool, switched: bool, kept: _Kept | None, part: int
 ) -> bytes:
     """Return the payload of a SEQUENCE of any size; ``part`` has its flags as part of a scan."""
     shapes, table, shape = _shapes(sequence)
@@ -186,82 +176,57 @@ def _payload(
     if recharge is not None:
         parts += [sequence.recharge_us.to_bytes(2, "little"), recharge.astype("<i2").tobytes()]
     if len(sequence.width_us):
-        parts += _groups(sequence, shape, switched, image)
+        parts += _groups(sequence, shape, switched, kept)
     return b"".join(parts)
 
 
-def _shapes(sequence: ScanSequence) -> tuple[int, bytes, NDArray[np.intp] | None]:
-    """Return the number of pulse shapes, all of them, and that of each slot; None if of one."""
+def _shapes(sequence: ScanSequence) -> tuple[int, bytes, NDArray[np.intp]]:
+    """Return the number of pulse shapes, all of them, and that of each slot."""
     times_us = sequence.width_us.astype(np.uint32) << 16 | sequence.discharge_us
-    shapes, shape = times_us[:1], None
-    if (times_us != shapes).any():
-        shapes, shape = np.unique(times_us, return_inverse=True)
+    shapes, shape = np.unique(times_us, return_inverse=True)
     return len(shapes), (shapes >> 16 | shapes << 16).astype("<u4").tobytes(), shape
 
 
 def _groups(
-    sequence: ScanSequence,
-    shape: NDArray[np.intp] | None,
-    switched: bool,
-    image: KernelImage | None,
+    sequence: ScanSequence, shape: NDArray[np.intp], switched: bool, kept: _Kept | None
 ) -> list[Any]:
     """Return the groups of slots that have a kind and a shape in common, as bytes and arrays."""
-    slots, usual = len(sequence.width_us), STATES if switched else CURRENTS
-    kept = None if switched or image is None else _kept(sequence, image)
-    if kept is None and shape is None:
-        if slots > _U16_MAX:
-            raise _too_many(slots)
-        return [_GROUP.pack(usual, 0, slots), _rows(sequence, switched)]
-    kinds, first, pairs = [usual] * slots, list[int](), b""
+    slots, usual = sequence.slots, STATES if switched else CURRENTS
+    kind = np.full(slots, usual)
+    first, pairs = kind, kind
     if kept is not None:
-        sums, listed = kept
-        pairs = np.array([sums.kernel, sums.amplitude], "<u2").T.tobytes()
-        first = sums.first.tolist()
-        kinds = [
-            (POINTS if end - start == 1 else SUM) if by_list else usual
-            for start, end, by_list in zip(first, first[1:], listed.tolist(), strict=False)
-        ]
-    rows = _rows(sequence, switched) if usual in kinds else None
-    shapes = [0] * slots if shape is None else shape.tolist()
+        lists, listed = kept
+        first, pairs = lists.first, np.array([lists.kernel, lists.amplitude], "<u2").T
+        kind[listed] = np.where(np.diff(first) == 1, POINTS, SUM)[listed]
+    # Each sum stands alone.
+    alone = (np.diff(kind) != 0) | (np.diff(shape) != 0) | (kind[1:] == SUM)
+    starts = [0, *(np.flatnonzero(alone) + 1).tolist()]
+    rows = _rows(sequence, switched) if (kind == usual).any() else pairs
     parts: list[Any] = []
-    end = 0
-    while end < slots:
-        start, what, own = end, kinds[end], shapes[end]
-        end += 1
-        # Each sum stands alone.
-        while what != SUM and end < slots and (kinds[end], shapes[end]) == (what, own):
-            end += 1
-        body: Any
-        if rows is not None and what >= CURRENTS:
-            count, body = end - start, rows[start:end]
-        else:
-            count, body = first[end] - first[start], pairs[4 * first[start] : 4 * first[end]]
-        if count > _U16_MAX:
-            raise _too_many(count)
-        parts += [_GROUP.pack(what, own, count), body]
+    for start, end in zip(starts, [*starts[1:], slots], strict=True):
+        body = rows[start:end] if kind[start] == usual else pairs[first[start] : first[end]]
+        if len(body) > _U16_MAX:
+            raise BoardError(
+                f"{len(body)} slots or points of one kind are above the limit of {_U16_MAX}: scan "
+                "fewer points"
+            )
+        parts += [_GROUP.pack(kind[start], shape[start], len(body)), np.ascontiguousarray(body)]
     return parts
 
 
-def _kept(
-    sequence: ScanSequence, image: KernelImage
-) -> tuple[KernelLists, NDArray[np.bool_]] | None:
+def _kept(sequence: ScanSequence, image: KernelImage) -> _Kept | None:
     """Return lists of kernels, and of which slots the board makes just the proved currents."""
     sums = sequence.sums
-    if sums is None or sums.table is not image.table:
+    if sums is None or sums.table is not image.table or not sequence.slots:
         return None
     # Copies: nothing may change between the check and the write.
     own = KernelLists(image.own, *map(np.array, (sums.first, sums.kernel, sums.amplitude)))
     if not _is_sound(own, sequence.slots):
         return None
-    made_ua = own.current_ua()
-    same = own.site == sequence.site
-    if made_ua.tobytes() != sequence.current_ua.tobytes():
-        same &= (made_ua == sequence.current_ua).all(axis=1)
-    if own.kernel.max() >= image.count:
-        same &= np.maximum.reduceat(own.kernel, own.first[:-1]) < image.count
+    same = (own.site == sequence.site) & (own.current_ua() == sequence.current_ua).all(axis=1)
+    same &= np.maximum.reduceat(own.kernel, own.first[:-1]) < image.count
     # At most what the board adds up in 32 bits.
-    if own.amplitude.sum(dtype=np.int64) > _U16_MAX:
-        same &= np.add.reduceat(own.amplitude, own.first[:-1], dtype=np.int64) <= _U16_MAX
+    same &= np.add.reduceat(own.amplitude, own.first[:-1], dtype=np.int64) <= _U16_MAX
     return own, same
 
 
@@ -294,9 +259,3 @@ def _rows(sequence: ScanSequence, switched: bool) -> NDArray[np.int16] | NDArray
         states.reshape(slots, -(-electrodes // 4)),
     ]
     return np.concatenate(columns, axis=1)
-
-
-def _too_many(count: int) -> BoardError:
-    return BoardError(
-        f"{count} slots or points of one kind are above the limit of {_U16_MAX}: scan fewer points"
-    )
