@@ -156,7 +156,7 @@ class SimulatedDriver(LinkHost):
                 self._wait_until(start_ns + 1000 * before.start_us)
                 before, self._number = part, self._number + 1
                 self._numbers.append(proved.number)
-                self._note_sent(proved, part)
+                self._note_sent(proved, part, packets.now_ns)
                 packets.say(MessageKind.SEQUENCE, self._number, part.payload)
             self._wait_until(start_ns + sequence.period_us * proved.times * 1000)
         if self._suspicion:
@@ -175,7 +175,7 @@ class SimulatedDriver(LinkHost):
     def _receive(self, message: Message) -> None:
         match message.kind:
             case MessageKind.ACK:
-                self._note_start(message, self._packets.now_ns, self._packets.now_ns)
+                self._note_start(message, self._packets.now_ns)
             case MessageKind.NAK:
                 self._line.events.refused()
                 self._unsafe_refused += 1

@@ -1,7 +1,8 @@
 """Driver of boards that implement our own protocol over a serial line."""
 
+import contextlib
 from collections import deque
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, Protocol
 
 from smarttouch.base.errors import (
     BoardError,
@@ -10,7 +11,7 @@ from smarttouch.base.errors import (
 )
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.link_host import OLD_PACKETS, LinkHost, reason_of
+from smarttouch.boards.link.link_host import OLD_PACKETS, LinkHost, SentPart, reason_of
 from smarttouch.boards.link.packet_line import HEARTBEAT_S, PacketLine
 from smarttouch.boards.link.protocol import Message, MessageKind, Refusal, Rule
 from smarttouch.boards.link.sequence_encoding import ScanPart
@@ -20,7 +21,6 @@ from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 
 AGAIN_S = 0.04
 """Time after which a sequence without an ACK is sent again, unless it is too late for it."""
-IN_FLIGHT = 1  # sequences sent but not yet begun: the board has one place for them
 AFTER_ZERO_S = 0.02
 """Time after a stop in which the board's count of slots must stand still: a period at 50 Hz."""
 
@@ -33,14 +33,6 @@ class PortProcess(Protocol):
         ...
 
     def end(self) -> None: ...
-
-
-class _Flight(NamedTuple):
-    """Packet without an answer."""
-
-    payload: bytes
-    sent_ns: int
-    proved: ProvedSequence
 
 
 class LinkDriver(LinkHost):
@@ -63,7 +55,7 @@ class LinkDriver(LinkHost):
         self.port = port or None
         self.process = process
         self._packets: PacketLine = PacketLine(self._receive)
-        self._in_flight: dict[int, _Flight] = {}
+        self._flight: SentPart | None = None  # without an answer: the board has room for one
         self._repeated: deque[int] = deque(maxlen=64)
         """Sequences sent more than once: they may be answered more than once."""
         self._again_s = 0.0
@@ -77,7 +69,7 @@ class LinkDriver(LinkHost):
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
         self._line, self._limits = line, limits
         line.connect(self.process.start(line) if self.process is not None else str(self.port))
-        self._in_flight.clear()
+        self._flight = None
         self._suspicion = ""
         self._packets.open(line)
         if not line.reopened:
@@ -149,36 +141,31 @@ class LinkDriver(LinkHost):
 
     def _send_part(self, proved: ProvedSequence, part: ScanPart) -> None:
         """Send a sequence, or a part of one, which is due when the part before has begun."""
-        packets, number = self._packets, self._number
-        now_ns = self._line.now_ns()
+        packets, now_ns = self._packets, self._line.now_ns()
         if part.first:
             proved = self._line.later(proved, max(proved.due_ns, now_ns))
         with packets.news:
-            self._in_flight[number] = _Flight(part.payload, now_ns, proved)
+            self._flight = self._note_sent(proved, part, now_ns)
             self._again_s = packets.now_s() + AGAIN_S
-            self._note_sent(proved, part)
         try:
-            packets.send(MessageKind.SEQUENCE, number, part.payload, proved=proved)
+            packets.send(MessageKind.SEQUENCE, self._number, part.payload, proved=proved)
         except SequenceLateError:
-            with packets.news:
-                self._in_flight.pop(number, None)
+            self._flight = None
             raise
 
     def _wait_for_room(self) -> None:
         packets, line = self._packets, self._line
+
+        def is_over() -> bool:
+            return self._flight is None or packets.fault is not None or line.is_stopped
+
         with packets.news:
-            if packets.wait(
-                lambda: (
-                    packets.fault is not None or len(self._in_flight) < IN_FLIGHT or line.is_stopped
-                ),
-                packets.answer_s,
-            ):
-                packets.raise_fault()
-                line.require_running()
-                return
-            number = next(iter(self._in_flight))
-        what = f"has not acknowledged sequence {number} within {packets.answer_s:g} s"
-        raise line.lost(what)
+            if not packets.wait(is_over, packets.answer_s) and self._flight is not None:
+                number = self._flight.number
+                what = f"has not acknowledged sequence {number} within {packets.answer_s:g} s"
+                raise line.lost(what)
+            packets.raise_fault()
+            line.require_running()
 
     def _send_again(self) -> None:
         """Send a sequence without an ACK once more, unless it is too late for it.
@@ -189,18 +176,16 @@ class LinkDriver(LinkHost):
         # Nothing newer can go out between the look and the write.
         with self._line.current():
             with packets.news:
-                now_s = packets.now_s()
-                if not self._in_flight or now_s < self._again_s:
+                now_s, flight = packets.now_s(), self._flight
+                if flight is None or now_s < self._again_s:
                     return
                 self._again_s = now_s + AGAIN_S
-                number, flight = next(iter(self._in_flight.items()))
-                self._repeated.append(number)
+                self._repeated.append(flight.number)
                 self._unsafe_refused += 1
-            try:
-                packets.send(MessageKind.SEQUENCE, number, flight.payload, proved=flight.proved)
-            except SequenceLateError:
-                # Without an ACK the next sequence reports that the board is lost.
-                return
+            # If it is late, the next sequence reports that the board is lost.
+            with contextlib.suppress(SequenceLateError):
+                payload, proved = flight.part.payload, flight.proved
+                packets.send(MessageKind.SEQUENCE, flight.number, payload, proved=proved)
 
     def _check_zero(self) -> None:
         """Latch the board if it delivers slots after it has confirmed a stop; keep its account."""
@@ -224,20 +209,21 @@ class LinkDriver(LinkHost):
             self._packets.fail(self._emergency())
         match message.kind:
             case MessageKind.ACK if len(message.payload) == protocol.ACK.size:
-                if (sent_ns := self._answered(message)) is not None:
-                    self._note_start(message, sent_ns, self._line.now_ns())
+                if self._is_first_answer(message):
+                    self._note_start(message, self._line.now_ns())
             case MessageKind.NAK:
                 self._refused(message)
             case _:
                 super()._receive(message)
 
-    def _answered(self, message: Message) -> int | None:
-        """Return when the sequence that this answers was sent; count it if it answers none."""
-        if (answered := self._in_flight.pop(message.about, None)) is not None:
-            return answered.sent_ns
+    def _is_first_answer(self, message: Message) -> bool:
+        """Return whether a packet answers the sequence on its way; count it if it answers none."""
+        if self._flight is not None and self._flight.number == message.about:
+            self._flight = None
+            return True
         if message.about not in self._repeated:
             self._packets.session.refuse()
-        return None
+        return False
 
     def _emergency(self) -> EmergencyStopError:
         return EmergencyStopError(
@@ -254,7 +240,7 @@ class LinkDriver(LinkHost):
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
             # Our own part of it is sent again; REPORT counts the rest.
             return
-        if self._answered(message) is None:
+        if not self._is_first_answer(message):
             return
         self._line.events.refused()
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):

@@ -79,33 +79,6 @@ def _offered(answer: Message, name: str) -> Capabilities:
     )  # fmt: skip
 
 
-def _require_ready(
-    answer: Message, name: str, found: Capabilities, known: Capabilities | None
-) -> None:
-    """Raise if the emergency switch is open, or this is another board than before."""
-    if found.emergency_switch and answer.state & protocol.SWITCH_OPEN:
-        raise EmergencyStopError(
-            f"the emergency switch of the board at {name} is open: close it, then begin again"
-        )
-    if known not in (None, found):
-        raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
-
-
-def _require_fit(name: str, found: Capabilities, electrodes: int, wanted: Output | None) -> None:
-    """Raise if a board does not have the electrodes and outputs of the profile."""
-    outputs, kind = found.electrodes, found.output
-    if outputs != electrodes:
-        raise BoardError(
-            f"the board at {name} has {outputs} electrodes, the profile "
-            f"{electrodes}: use the profile of this board"
-        )
-    if wanted is not None and wanted.kind != kind:
-        raise BoardError(
-            f"the board at {name} is {kind}, the profile needs "
-            f"{wanted.kind}: use the profile of this board"
-        )
-
-
 def malformed(name: str) -> BoardError:
     """Return the error of a board that gives invalid answers."""
     return BoardError(f"the board at {name} gives invalid answers: check its firmware")
@@ -172,6 +145,7 @@ class SentPart(NamedTuple):
     number: int
     proved: ProvedSequence
     part: ScanPart
+    sent_ns: int
 
 
 class BoardClock:
@@ -237,17 +211,22 @@ class LinkHost(Driver):
         # It may have been switched off meanwhile.
         self._board_clock = BoardClock()
 
-    def _note_start(self, message: Message, sent_ns: int, now_ns: int) -> None:
+    def _note_start(self, message: Message, now_ns: int) -> None:
+        """Take the start of a sequence from its acknowledgment."""
         (board_us,) = protocol.ACK.unpack(message.payload)
-        time_ns = self._board_clock.note(board_us, sent_ns, now_ns)
-        for each in self._sent:
-            if each.number == message.about and not each.part.first:
-                self._line.events.started(SequenceStart(each.proved.number, time_ns, board_us))
+        for sent in self._sent:
+            if sent.number == message.about:
+                time_ns = self._board_clock.note(board_us, sent.sent_ns, now_ns)
+                if not sent.part.first:
+                    start = SequenceStart(sent.proved.number, time_ns, board_us)
+                    self._line.events.started(start)
 
-    def _note_sent(self, proved: ProvedSequence, part: ScanPart) -> None:
-        """Remember what is about to be sent."""
-        self._sent.append(SentPart(self._number, proved, part))
+    def _note_sent(self, proved: ProvedSequence, part: ScanPart, now_ns: int) -> SentPart:
+        """Remember what is about to be sent, and return it."""
+        sent = SentPart(self._number, proved, part, now_ns)
+        self._sent.append(sent)
         self._slots_sent += part.slots * proved.times
+        return sent
 
     def _encoded(self, proved: ProvedSequence) -> list[ScanPart]:
         can = self.can
@@ -278,8 +257,19 @@ class LinkHost(Driver):
         from before. A wrong board has received no more than HELLO."""
         name, known = self._packets.name, self._can if self._line.reopened else None
         found = _offered(answer, name)
-        _require_ready(answer, name, found, known)
-        _require_fit(name, found, self._limits.electrodes, self._output)
+        if found.emergency_switch and answer.state & protocol.SWITCH_OPEN:
+            raise EmergencyStopError(
+                f"the emergency switch of the board at {name} is open: close it, then begin again"
+            )
+        if known not in (None, found):
+            raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
+        outputs, electrodes = found.electrodes, self._limits.electrodes
+        wanted = found.output if self._output is None else self._output.kind
+        if (outputs, found.output) != (electrodes, wanted):
+            raise BoardError(
+                f"the board at {name} has {outputs} electrodes and is {found.output}, the profile "
+                f"needs {electrodes} and {wanted}: use the profile of this board"
+            )
         self._can = found
 
     def _ask_account(self) -> tuple[Any, ...]:

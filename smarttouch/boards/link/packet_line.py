@@ -140,8 +140,7 @@ class PacketLine:
         def over() -> bool:
             return self.fault is not None or answered() or self.line.is_stopped
 
-        # The leading zero ends any half packet on the line.
-        self.send(question, payload=payload, start=b"\0")
+        self.send(question, payload=payload)
         until_s = self.now_s() + AGAIN_S
         with self.news:
             # In short waits: a stop of a board that is being opened wakes nobody.
@@ -163,17 +162,17 @@ class PacketLine:
         about: int = 0,
         payload: bytes = b"",
         *,
-        start: bytes = b"",
         proved: ProvedSequence | None = None,
     ) -> None:
-        """Write the next packet of the session behind ``start``; one that delivers a sequence is
-        refused as `Line.drive` says."""
+        """Write the next packet of the session; one that delivers a sequence is refused as
+        `Line.drive` says."""
         try:
             # Numbered under the lock, so that packets leave in order.
             with self.line.current():
-                packet = start + self.session.encode(kind, about, payload)
+                packet = self.session.encode(kind, about, payload)
                 if proved is None:
-                    self.line.write(packet)
+                    # The leading zero ends any half packet on the line.
+                    self.line.write(b"\0" + packet)
                 else:
                     self.line.drive(packet, proved)
         except LineLostError as lost:
