@@ -301,8 +301,8 @@ class Line:
         """Return the error of a sequence that is dropped because it is late."""
         late_ms = self._board._late_ns // 1_000_000
         return SequenceLateError(
-            f"the computer paused for over {late_ms} ms: pulses were skipped, and intensity "
-            "restarts at zero"
+            f"this computer was too slow: sequences were over {late_ms} ms late and were skipped, "
+            "and intensity restarts at zero"
         )
 
     # -- for the board -----------------------------------------------------

@@ -1,5 +1,6 @@
 """Whatever breaks, the electrodes end at zero and the user gets one sentence."""
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -119,8 +120,11 @@ def test_a_board_without_a_host_ends_by_itself(make_limits, start_emulator):
 
 def test_a_busy_port_is_named(make_limits, start_emulator):
     _, port = start_emulator()
-    with make_board(f"link:{port}", make_limits()), raises(BoardError, value=port):
-        make_board(f"link:{port}", make_limits()).open()
+    with make_board(f"link:{port}", make_limits()) as board:
+        with raises(BoardError, value=port):
+            make_board(f"link:{port}", make_limits()).open()
+        # Programs that ask for no lock are kept out as well: TIOCGEXCL.
+        assert fcntl.ioctl(board._line._port.fileno(), 0x80045440, bytes(4)) == b"\1\0\0\0"
 
 
 @pytest.mark.parametrize(("port", "value"), [("/dev/nowhere", "/dev/nowhere"), ("", None)])

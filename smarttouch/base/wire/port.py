@@ -17,7 +17,7 @@ from serial import SerialBase as Port
 from serial.tools import list_ports
 
 from smarttouch.base.errors import BoardError, OtherDeviceError, SmartTouchError
-from smarttouch.base.posix import termios
+from smarttouch.base.posix import fcntl, termios
 
 __all__ = [
     "LINE_ERRORS", "Port", "UsbIdentity", "identity_of", "open_port", "read_some", "reason",
@@ -62,6 +62,9 @@ def open_port(
         port.timeout, port.write_timeout, port.exclusive = timeout_s, 0.5, True
         port.dtr = port.rts = False
         port.open()
+        if termios is not None and fcntl is not None and isinstance(port, serial.Serial):
+            # Keeps out programs that ask for no lock, though not those of root.
+            fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
         if url.startswith("socket://"):
             # Short commands must not wait for earlier ones to be acknowledged.
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

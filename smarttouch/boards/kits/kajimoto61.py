@@ -70,6 +70,7 @@ class Kajimoto61Driver(Driver):
         self._limits = limits
         # When the next packet may go, and the period of the last one; None begins a new grid.
         self._next_ns: int | None = None
+        self._skipped, self._note_ns = 0, 0
         self._period_ns = 0
 
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
@@ -165,8 +166,18 @@ class Kajimoto61Driver(Driver):
                 line.events.delivered(proved, 0, most=1)
                 raise
             line.events.delivered(proved, 1)
+            self._note_skipped((sent_ns - next_ns) // period_ns, sent_ns)
             # After a late packet the grid moves, as catching up would exceed the proved rate; the
             # part of a period that is caught up lies within the board's own margin.
             next_ns = max(next_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
             self._period_ns = period_ns
         self._next_ns = next_ns
+
+    def _note_skipped(self, scans: int, now_ns: int) -> None:
+        """Count scans for which this computer was too slow; tell the user once a minute."""
+        self._skipped += max(0, scans)
+        if self._skipped and now_ns >= self._note_ns:
+            self._line.events.note(
+                f"this computer was too slow: {self._skipped} sequences were skipped"
+            )
+            self._skipped, self._note_ns = 0, now_ns + 60_000_000_000

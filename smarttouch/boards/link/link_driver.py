@@ -12,7 +12,7 @@ from smarttouch.base.errors import (
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.link_host import OLD_PACKETS, LinkHost, SentPart, reason_of
-from smarttouch.boards.link.packet_line import HEARTBEAT_S, PacketLine
+from smarttouch.boards.link.packet_line import HEARTBEAT_S, PAUSED_S, PacketLine
 from smarttouch.boards.link.protocol import Message, MessageKind, Refusal, Rule
 from smarttouch.boards.link.sequence_encoding import ScanPart
 from smarttouch.boards.reports import Capabilities
@@ -251,4 +251,7 @@ class LinkDriver(LinkHost):
         elif why == Refusal.STOPPED and not self._line.is_stopped:
             packets.fail(packets.gone("has been stopped or restarted by another program"))
         elif why == Refusal.SILENCE:
-            packets.fail(self._line.lost("received nothing for 100 ms"))
+            slow = packets.now_s() - packets.paused_at_s < PAUSED_S
+            cause = "this computer was too slow" if slow else "check the cable"
+            silence = f"received nothing for {protocol.SILENCE_MS} ms ({cause})"
+            packets.fail(self._line.lost(silence))

@@ -11,6 +11,7 @@ from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.line import Line
 from smarttouch.boards.link.protocol import (
     ANSWERS,
+    SILENCE_MS,
     VERSION,
     HostSession,
     Message,
@@ -24,6 +25,7 @@ SILENCE_S = 0.5  # after which a board, which sends every 20 ms in a session, is
 LISTENED_S = 0.1  # most silence counted for one read; the rest was a pause of ours
 ANSWER_S = 1.0
 AGAIN_S = 0.25  # time after which a query is sent again
+PAUSED_S = 1.0  # time for which a pause of this computer explains what the board does
 STOPPED_S = 0.05  # time in which a query sees that the board was stopped
 
 
@@ -54,6 +56,7 @@ class PacketLine:
         self._closed = threading.Event()
         self._closed.set()
         self._refused_before = 0
+        self.paused_at_s: float = -PAUSED_S  # when this computer last wrote after a long pause
         self._deframer = Deframer()
         self._answers: dict[int, Message] = {}
         self._reader: threading.Thread | None = None
@@ -178,7 +181,10 @@ class PacketLine:
         except LineLostError as lost:
             self.fail(lost)
             self.raise_fault()
-        self._last_written = self.now_s()
+        now_s, before_s = self.now_s(), self._last_written
+        self._last_written = now_s
+        if now_s - before_s > SILENCE_MS / 1000:
+            self.paused_at_s = now_s
         if kind is not MessageKind.HEARTBEAT:
             self._last_packet = self._last_written
 

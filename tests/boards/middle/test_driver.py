@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from smarttouch.base.errors import BoardError, EmergencyStopError
+from smarttouch.base.errors import BoardError, EmergencyStopError, LineLostError
 from smarttouch.base.wire.framing import frame_packet
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import MessageKind, encode_volts
@@ -87,6 +87,24 @@ def test_starts_are_by_the_boards_clock_however_late_an_answer_comes(world, boar
     (delay_ns,) = {each.time_ns - 1000 * each.board_us for each in starts}
     assert 0 <= delay_ns <= 2_000_000
     assert board.start_of(4) is None
+
+
+@pytest.mark.parametrize("slow", [True, False])
+def test_the_cause_of_a_silent_host_is_named(world, board, slow):
+    write(board, sequence(), 1000)
+    world.wait(5)
+    host, pass_on = world.host, world.to_board.pass_on
+    if slow:
+        world.host = None
+    else:
+        world.to_board.pass_on = lambda *_: None
+    world.wait(protocol.SILENCE_MS + 5)
+    world.host, world.to_board.pass_on = host, pass_on
+    with raises(LineLostError) as error:
+        for _ in range(3):
+            write(board, sequence())
+            world.wait(20)
+    assert ("too slow" in str(error.value)) == slow
 
 
 def say(world, kind, about, payload=b""):
