@@ -8,10 +8,8 @@ import numpy as np
 from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import SequenceLateError
 from smarttouch.boards.board import Board
-from smarttouch.boards.driver import Events
 from smarttouch.boards.kits import current_scale, etactilekit_line
 from smarttouch.boards.kits.etactilekit import ETactileKitDriver
-from smarttouch.boards.reports import HostStatistics
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.stimulation.safety_gate import _GATE, ProvedSequence
@@ -114,38 +112,6 @@ class ScanBooks(DeliveryLog):
         self.scans.setdefault(number, {})[site] = round(abs(delivered.current_ua[site]) / 9.99)
 
 
-class ManualEvents(Events):
-    """What a driver reports, counted as a board does."""
-
-    def __init__(self, electrodes):
-        self.statistics, self.number = HostStatistics(electrodes), None
-        self.acknowledged = self.rejected = 0
-        self.lifted, self.notes = False, []
-
-    def delivered(self, proved, scans, most=None):
-        again = proved.number == self.number
-        self.number = proved.number
-        self.acknowledged += not again
-        self.statistics.add(proved.sequence, scans, again, most)
-
-    def refused(self):
-        self.rejected += 1
-
-    def lift(self, lifted):
-        self.lifted = lifted
-
-    def note(self, text):
-        self.notes.append(text)
-
-    def fault(self, reason):
-        return AssertionError(reason)
-
-    def ignore(self, *_):
-        """Nothing here asks for it."""
-
-    force = volts = started = replaced = fail = ignore
-
-
 def proved(sequence, times=1, number=0, due_ns=0, late_ns=LATE_NS):
     """Return a sequence as the gate would prove it: what is tested is what drivers do."""
     return ProvedSequence(sequence, times, number, due_ns, due_ns + late_ns, False, 0, key=_GATE)
@@ -157,7 +123,6 @@ def manual_line(patch, driver, port, clock, limits):
     patch.setattr(etactilekit_line, "WatchedPort", lambda port, _: port)
     patch.setattr(etactilekit_line.time, "monotonic", clock.monotonic)
     line = Board(driver, limits, clock=clock)._line
-    line.events = ManualEvents(limits.electrodes)
 
     def connect(name, wrap):
         line.name, line._port = name, wrap(port)
@@ -183,12 +148,12 @@ class ManualKit:
         self.port = ManualPort(self.board, self.clock, **line)
         self.driver = ETactileKitDriver("told", limits, firmware=firmware)
         self.line = manual_line(patch, self.driver, self.port, self.clock, limits)
-        self.events, self.dropped_late = self.line.events, 0
+        self.host, self.dropped_late = self.line._board, 0
         self.driver.open(self.line, limits)
 
     def run(self, jobs):
         """Let the driver write jobs: when they come by its clock, sequence, times."""
-        for number, (time_ns, sequence, times) in enumerate(jobs):
+        for number, (time_ns, sequence, times) in enumerate(jobs, 1):
             self.clock.time_ns = max(self.clock.time_ns, time_ns)
             # It was due when there was room for it.
             due_ns = self.clock.time_ns - self.late_ns
@@ -197,7 +162,7 @@ class ManualKit:
             except SequenceLateError:
                 self.dropped_late += 1
         self.driver.zero()
-        return self.events.statistics.report()
+        return self.host.report()
 
     def scans(self):
         """Return what each scan with pulses did, in order."""

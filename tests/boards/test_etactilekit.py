@@ -136,7 +136,7 @@ def test_a_finger_that_is_gone_is_known_by_the_load_beside_it(monkeypatch, event
         limits, 2000, 100, 1.0, 0, cathodic=False, sites=[1], discharge_us=50, period_us=20_000
     )
     kit.run([(kit.clock.time_ns + i * 20 * MS, sequence, 1) for i in range(5)])
-    assert kit.events.lifted == lifted
+    assert kit.host.lifted == lifted
 
 
 def test_a_lost_echo_brings_no_current_and_the_next_frame_goes_on(script, make):

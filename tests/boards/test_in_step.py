@@ -65,7 +65,7 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, phase_us, drift):
     assert kit.scans() == [wanted(each) for each in sequences]
     assert (report.slots, report.pulses) == (kit.books.slots, kit.books.pulses)
     assert report.most_pulses == report.pulses
-    assert (kit.events.acknowledged, kit.events.rejected) == (PATTERNS, 0)
+    assert (kit.host.acknowledged, kit.host.refused) == (PATTERNS, 0)
     assert kit.books.unsafe == 0
     took = (kit.clock.time_ns - start) / (20 * MS)
     print(f"{firmware} {phase_us} {drift}: {took:.1f} periods for {PATTERNS} patterns")

@@ -51,21 +51,6 @@ def columns(current, seed=0):
     return [random.integers(0, 65536, slots).astype(np.uint16) for _ in range(3)]
 
 
-@given(current=currents, number=st.integers(0, 2**32 - 1), period=st.integers(0, 2**32 - 1))
-def test_weighted_survives_the_wire(current, number, period):
-    width, discharge, site = columns(current)
-    payload = sequence_payload("weighted", period, width, discharge, site, current)
-    packet = only(Deframer().feed(encode(MessageKind.SEQUENCE, 2**64 - 1, 5, 6, number, payload)))
-    message = decode(packet)
-    assert (message.kind, message.session, message.number) == (MessageKind.SEQUENCE, 2**64 - 1, 5)
-    assert (message.heard, message.about, message.version) == (6, number, protocol.VERSION)
-    wire = decode_sequence(message.payload, current.shape[1])
-    assert (wire.period_us, wire.electrodes) == (period, current.shape[1])
-    for got, sent in ((wire.width_us, width), (wire.discharge_us, discharge), (wire.site, site)):
-        np.testing.assert_array_equal(got, sent)
-    np.testing.assert_array_equal(wire.current_ua, current)
-
-
 @pytest.mark.parametrize("output", ["three-state", "one-against-all"])
 @given(current=currents)
 def test_switched_survives_the_wire(output, current):
@@ -100,22 +85,6 @@ def test_any_bytes_are_survived_and_the_next_packet_is_found(pieces):
         list(deframer.feed(piece))
     packets = list(deframer.feed(b"\0" + encode(MessageKind.STOP, 1, 3)))
     assert (packets[-1].kind, packets[-1].number) == (MessageKind.STOP, 3)
-
-
-@given(cuts=st.lists(st.integers(0, 200), max_size=5))
-def test_packets_may_come_in_any_pieces(cuts):
-    data = b"".join(
-        encode(MessageKind.HEARTBEAT, 1, number, payload=bytes(30)) for number in range(4)
-    )
-    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
-    deframer = Deframer()
-    numbers = [
-        packet.number
-        for start, end in itertools.pairwise(edges)
-        for packet in deframer.feed(data[start:end])
-    ]
-    assert numbers == [0, 1, 2, 3]
-    assert deframer.errors == 0
 
 
 @given(position=st.integers(0, 40), flip=st.integers(1, 255))

@@ -18,149 +18,84 @@ from smarttouch.boards.link.protocol import (
 from ..raising import raises
 
 LOWER, UPPER = 0x1234, 0xABCD
-SESSION = UPPER << 32 | LOWER
+SESSION, OTHER = UPPER << 32 | LOWER, 7 << 32 | LOWER
+ACK, ALIVE, REPORT = MessageKind.ACK, MessageKind.ALIVE, MessageKind.REPORT
+CAPABILITIES, BEGUN, STOPPED = MessageKind.CAPABILITIES, MessageKind.BEGUN, MessageKind.STOPPED
+HELLO = [(MessageKind.HELLO, LOWER)]
+BEGIN = [*HELLO, (CAPABILITIES, 1, SESSION, 0, True), (MessageKind.BEGIN, SESSION)]
+BEGUN_NOW = [*BEGIN, (BEGUN, 2, SESSION, 1, True)]
 
 
-def message(data):
-    (packet,) = Deframer().feed(data)
-    return decode(packet)
+def play(steps, version=VERSION):
+    """Play what a host asks, (kind, its session), and a board says, (kind, about, session, number,
+    whether it is taken); return the session."""
+    session = HostSession(lambda: LOWER)
+    for kind, *step in steps:
+        if len(step) == 1:
+            (packet,) = Deframer().feed(session.encode(kind, 7, b"same"))
+            asked = decode(packet)
+            assert (asked.kind, asked.session) == (kind, *step)
+            assert (asked.number, asked.about, asked.payload) == (session.sent, 7, b"same")
+        else:
+            about, of, number, taken = step
+            (packet,) = Deframer().feed(encode(kind, of, number, 0, about))
+            assert (session.take(packet) is not None) == taken, (kind, *step)
+    return session
 
 
-class Talk:
-    """A session and what a board says to it."""
-
-    def __init__(self):
-        self.session = HostSession(lambda: LOWER)
-        self.said = 0
-
-    def ask(self, kind):
-        return message(self.session.encode(kind)).number
-
-    def hear(self, kind, about=0, session=SESSION, number=None, version=VERSION):
-        self.said = self.said + 1 if number is None else number
-        (packet,) = Deframer().feed(encode(kind, session, self.said, 0, about))
-        if version != VERSION:
-            packet = type(packet)(packet.kind, packet.number, packet.payload, version)
-        return self.session.take(packet)
-
-    def begin(self):
-        self.hear(MessageKind.CAPABILITIES, self.ask(MessageKind.HELLO), number=0)
-        assert self.hear(MessageKind.BEGUN, self.ask(MessageKind.BEGIN), number=1) is not None
-        return self
-
-
-@pytest.fixture
-def talk():
-    return Talk().begin()
-
-
-def test_hello_bears_the_hosts_half_and_begin_both():
-    talk = Talk()
-    hello = message(talk.session.encode(MessageKind.HELLO))
-    assert (hello.session, hello.number, hello.heard) == (LOWER, 1, 0)
-    assert talk.hear(MessageKind.CAPABILITIES, 1, number=0) is not None
-    begin = message(talk.session.encode(MessageKind.BEGIN))
-    assert (begin.session, begin.number) == (SESSION, 2)
-    assert not talk.session.begun
-    assert talk.hear(MessageKind.BEGUN, 2, number=1) is not None
-    assert talk.session.begun
-    assert talk.session.refused == 0
+@pytest.mark.parametrize(("steps", "refused"), [
+    (BEGUN_NOW, 0),
+    # What is old.
+    ([*BEGUN_NOW, (ALIVE, 0, SESSION, 5, True), *((ALIVE, 0, SESSION, number, False)
+      for number in (5, 4, 1, 0)), (ALIVE, 0, SESSION, 6, True)], 4),
+    # What is of another session.
+    *(([*BEGUN_NOW, *((kind, 1, session, 9, False)
+        for kind in (ACK, ALIVE, MessageKind.VOLTAGES, STOPPED, BEGUN, CAPABILITIES))], 6)
+      for session in (0, 1, LOWER, UPPER << 32, SESSION + 1, SESSION ^ 1 << 63)),
+    # Capabilities for another host; of a board nothing is known yet, so they do not count.
+    ([*HELLO, (CAPABILITIES, 1, UPPER << 32 | 99, 0, False), (CAPABILITIES, 1, SESSION, 0, True)],
+     0),
+    # An answer is taken once, and only if asked, even if it comes late.
+    ([*BEGUN_NOW, (MessageKind.STATUS, SESSION), (MessageKind.STATUS, SESSION),
+      (REPORT, 4, SESSION, 2, True), (REPORT, 4, SESSION, 3, False), (REPORT, 3, SESSION, 4, True),
+      (REPORT, 99, SESSION, 5, False), (MessageKind.STATUS, SESSION),
+      (STOPPED, 5, SESSION, 6, False)], 3),
+    # A late answer to an earlier HELLO changes nothing; both may come.
+    ([*HELLO, *HELLO, (CAPABILITIES, 2, SESSION, 0, True), (CAPABILITIES, 1, OTHER, 0, False),
+      (MessageKind.BEGIN, SESSION)], 1),
+    ([*HELLO, *HELLO, (CAPABILITIES, 1, SESSION, 0, True), (MessageKind.BEGIN, SESSION),
+      (BEGUN, 3, SESSION, 1, True), (CAPABILITIES, 2, SESSION, 0, True)], 0),
+])  # fmt: skip
+def test_what_is_taken_and_what_is_counted(steps, refused):
+    session = play(steps)
+    assert session.refused == refused
+    assert session.begun == any(step[0] == BEGUN and step[-1] for step in steps)
 
 
-def test_numbers_rise_and_confirm_what_was_received(talk):
-    talk.hear(MessageKind.ALIVE)
-    sent = [message(talk.session.encode(MessageKind.HEARTBEAT)) for _ in range(3)]
-    assert [each.number for each in sent] == [3, 4, 5]
-    assert {each.heard for each in sent} == {2}
-    assert {each.session for each in sent} == {SESSION}
-    again = message(talk.session.encode(MessageKind.SEQUENCE, 7, b"same"))
-    assert (again.number, again.about, again.payload) == (6, 7, b"same")
+def test_a_packet_confirms_the_last_one_that_was_taken():
+    session = play([*BEGUN_NOW, (ALIVE, 0, SESSION, 5, True), (ALIVE, 0, SESSION, 4, False)])
+    (packet,) = Deframer().feed(session.encode(MessageKind.HEARTBEAT))
+    assert decode(packet).heard == 5
 
 
-def test_what_is_old_is_refused_and_counted(talk):
-    assert talk.hear(MessageKind.ALIVE, number=5) is not None
-    for count, number in enumerate((5, 4, 1, 0), start=1):
-        assert talk.hear(MessageKind.ALIVE, number=number) is None
-        assert talk.session.refused == count
-    assert talk.hear(MessageKind.ALIVE, number=6) is not None
-
-
-@pytest.mark.parametrize("session", [0, 1, LOWER, UPPER << 32, SESSION + 1, SESSION ^ 1 << 63])
-def test_what_is_of_another_session_is_refused_and_counted(talk, session):
-    for kind in (
-        MessageKind.ACK,
-        MessageKind.ALIVE,
-        MessageKind.VOLTAGES,
-        MessageKind.STOPPED,
-        MessageKind.BEGUN,
-        MessageKind.CAPABILITIES,
-    ):
-        assert talk.hear(kind, 1, session) is None
-    assert talk.session.refused == 6
-
-
-def test_another_version_is_refused_once_a_session_has_begun():
-    talk = Talk()
-    early = talk.hear(MessageKind.CAPABILITIES, version=2)
-    assert (early.kind, early.version) == (MessageKind.CAPABILITIES, 2)
-    talk.begin()
-    assert talk.hear(MessageKind.CAPABILITIES, version=2) is None
-    assert talk.hear(MessageKind.ACK, version=2) is None
-    assert talk.session.refused == 2
-
-
-def test_capabilities_for_another_host_are_not_taken():
-    talk = Talk()
-    hello = talk.ask(MessageKind.HELLO)
-    assert talk.hear(MessageKind.CAPABILITIES, hello, UPPER << 32 | 99, number=0) is None
-    # Nothing is known of a board yet: what comes now may be of the run before.
-    assert talk.session.refused == 0
-    assert talk.hear(MessageKind.CAPABILITIES, hello, number=0) is not None
-
-
-def test_an_answer_is_taken_once_and_only_if_asked(talk):
-    first, second = talk.ask(MessageKind.STATUS), talk.ask(MessageKind.STATUS)
-    assert talk.hear(MessageKind.REPORT, second) is not None
-    assert talk.hear(MessageKind.REPORT, second) is None
-    # Late, but asked, and not answered before.
-    assert talk.hear(MessageKind.REPORT, first) is not None
-    assert talk.hear(MessageKind.REPORT, 99) is None
-    assert talk.hear(MessageKind.STOPPED, talk.ask(MessageKind.STATUS)) is None
-    assert talk.session.refused == 3
-
-
-def test_a_late_answer_to_an_earlier_hello_changes_nothing():
-    talk = Talk()
-    first, second = talk.ask(MessageKind.HELLO), talk.ask(MessageKind.HELLO)
-    assert talk.hear(MessageKind.CAPABILITIES, second, number=0) is not None
-    other = 7 << 32 | LOWER
-    assert talk.hear(MessageKind.CAPABILITIES, first, other, number=0) is None
-    assert talk.session.number == SESSION
-
-
-def test_both_answers_to_two_hellos_may_come():
-    talk = Talk()
-    first, second = talk.ask(MessageKind.HELLO), talk.ask(MessageKind.HELLO)
-    assert talk.hear(MessageKind.CAPABILITIES, first, number=0) is not None
-    assert talk.hear(MessageKind.BEGUN, talk.ask(MessageKind.BEGIN), number=1) is not None
-    assert talk.hear(MessageKind.CAPABILITIES, second, number=0) is not None
-    assert talk.session.refused == 0
+@pytest.mark.parametrize(("steps", "taken"), [(HELLO, True), (BEGUN_NOW, False)])
+def test_another_version_is_taken_before_a_session_alone(steps, taken):
+    session = play(steps)
+    (packet,) = Deframer().feed(encode(CAPABILITIES, SESSION, 9, 0, 1))
+    message = session.take(type(packet)(packet.kind, packet.number, packet.payload, 2))
+    assert (message is not None and message.version == 2) == taken
 
 
 def test_when_numbers_run_out_another_session_is_needed(monkeypatch):
-    monkeypatch.setattr(protocol, "LAST_NUMBER", 4)
-    talk = Talk().begin()
-    talk.session.encode(MessageKind.HEARTBEAT)
-    talk.session.encode(MessageKind.HEARTBEAT)
-    with raises(LineLostError, names="packets", allowed=4):
-        talk.session.encode(MessageKind.HEARTBEAT)
+    monkeypatch.setattr(protocol, "LAST_NUMBER", 2)
+    with raises(LineLostError, names="packets", allowed=2):
+        play(BEGUN_NOW).encode(MessageKind.HEARTBEAT)
 
 
 def test_halves_are_random_and_never_zero(monkeypatch):
     drawn = {draw_half() for _ in range(1000)}
     assert len(drawn) > 990
     assert all(0 < each <= HALF for each in drawn)
-    monkeypatch.setattr(protocol.secrets, "randbelow", lambda limit: limit - 1)
-    assert draw_half() == HALF
-    monkeypatch.setattr(protocol.secrets, "randbelow", lambda limit: 0)
-    assert draw_half() == 1
+    for given, half in ((HALF - 1, HALF), (0, 1)):
+        monkeypatch.setattr(protocol.secrets, "randbelow", lambda _, given=given: given)
+        assert draw_half() == half
