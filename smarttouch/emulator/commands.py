@@ -87,7 +87,7 @@ def emulate_board(
     else:
         # Kernels of all classes, however many electrodes there are.
         room = Room(kernels=max(Room.kernels, len(Afferent) * electrodes))
-        device = LinkFirmware(electrodes, kind, log, finger, ramp_ms=ramp_ms, room=room)
+        device = LinkFirmware(kind, log, finger, ramp_ms=ramp_ms, room=room)
     with closing(_opened(TcpLine if tcp else PtyLine)) as line:
         _serve(Server(device, line), linger, partial(_board_advice, name) if advise else str)
 

@@ -131,7 +131,6 @@ class SimulatedDriver(LinkHost):
     def _power_up(self) -> None:
         self._books = _KeptBooks(self._limits.electrodes)
         self._firmware = LinkFirmware(
-            self._books.electrodes,
             "weighted" if self._output is None else self._output.kind,
             self._books,
             ramp_ms=rules_over_time.RAMP_MS,

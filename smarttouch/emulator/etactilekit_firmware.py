@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smarttouch.emulator.finger_events import EmulatedFinger
-from smarttouch.emulator.firmware import LARGEST_READING, DeliveryLog, Firmware, SingleSource
+from smarttouch.emulator.firmware import LARGEST_READING, DeliveryLog, KitFirmware
 from smarttouch.emulator.skin import COMPLIANCE_V
 
 UA_PER_COUNT = 9.99
@@ -50,13 +50,13 @@ class _Scan:
     pulsed: bool = False
 
 
-class ETactileKitFirmware(Firmware):
+class ETactileKitFirmware(KitFirmware):
     """The kit between its line and its electrodes, which are all the outputs of its log;
     ``firmware`` is one of `FIRMWARES`, and an infinite ``dummy_ohm`` is no load beside the
     skin."""
 
     longest_step_ns = 400_000_000  # its scans go on by its own clock while its process waits
-    books: DeliveryLog
+    codes = range(ECHO, 256)
 
     def __init__(
         self,
@@ -66,14 +66,13 @@ class ETactileKitFirmware(Firmware):
         firmware: str = "71adee2",
         dummy_ohm: float = DUMMY_OHM,
     ) -> None:
-        self.books, self._newest = books, firmware == FIRMWARES[1]
+        super().__init__(books, finger, compliance_v, dummy_ohm)
+        self._newest = firmware == FIRMWARES[1]
         self._chips = math.ceil(books.electrodes / 8)
-        self._source = SingleSource(books, finger, compliance_v, dummy_ohm)
         self._set = dict.fromkeys(_SIZES, 0) | {POLARITY: 1, RATE: RATE_HZ}
         self._heights, self._readings = [0] * _MOST, [0] * _MOST
-        self._received = bytearray()
         self._answers = b""
-        self._begun_ns = self._fed_ns = self._started_ns = self._next_ns = 0
+        self._begun_ns = self._started_ns = self._next_ns = 0
         self._scan: _Scan | None = None
         self._stuck = self._hushed = False
 
@@ -96,11 +95,9 @@ class ETactileKitFirmware(Firmware):
         return self._take_answers()
 
     def zero(self, reason: str, now_ns: int) -> None:
-        """Clear the pattern, as at a loss of power."""
+        super().zero(reason, now_ns)
         self._stop_all()
         self._scan = None
-        self.books.state, self.books.reason = "shorted", reason
-        self.books.zero_after_ms = (now_ns - self._fed_ns) / 1e6
 
     def _take_answers(self) -> bytes:
         answers, self._answers = self._answers, b""
@@ -124,26 +121,14 @@ class ETactileKitFirmware(Firmware):
     # -- commands ----------------------------------------------------------
 
     def _parse(self, now_ns: int) -> None:
-        while not self._stuck and (command := self._next_command(now_ns)) is not None:
+        while not self._stuck and (command := self._next_command()) is not None:
+            self._begun_ns = now_ns
             self._answers += self._obey(command, now_ns)
         self._settle("pattern")
 
-    def _next_command(self, now_ns: int) -> bytes | None:
-        received = self._received
-        skipped = 0
-        while skipped < len(received) and received[skipped] < ECHO:
-            skipped += 1
-        del received[:skipped]
-        if not received:
-            return None
-        size = 2 * self._set[COUNT] if received[0] == PATTERN else _SIZES.get(received[0], 0)
-        length = 1 + size
-        if len(received) < length:
-            return None
-        command = bytes(received[:length])
-        del received[:length]
-        self._begun_ns = now_ns
-        return command
+    def _length(self) -> int:
+        code = self._received[0]
+        return 1 + (2 * self._set[COUNT] if code == PATTERN else _SIZES.get(code, 0))
 
     def _obey(self, command: bytes, now_ns: int) -> bytes:
         code, value = command[0], int.from_bytes(command[1:], "little")
@@ -247,7 +232,7 @@ class ETactileKitFirmware(Firmware):
         start_ns = scan.starts_ns[electrode]
         for phase, sign in enumerate(phases):
             last = phase == len(phases) - 1
-            reading = self._source.pulse(
+            reading = self._pulse(
                 self.books.sequences,
                 electrode,
                 sign * height * UA_PER_COUNT,

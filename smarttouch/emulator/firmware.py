@@ -4,6 +4,7 @@ import json
 import math
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Collection
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -17,11 +18,9 @@ from smarttouch.emulator.skin import Delivered, SkinCircuit
 
 STATE_FILE = "state.json"
 DELIVERED_FILE = "delivered.bin"
-SAFE_CURRENT_UA, SAFE_WIDTH_US, SAFE_CHARGE_UC = 5000, 200, 0.5
-"""Limits of a safe slot on any electrode, whatever the firmware allows."""
-SAFE_RECHARGE_UA, SAFE_RECHARGE_US, SAFE_RECHARGE_UC = 500, 20_000, 2.0
-"""Limits of a safe recharge phase."""
-_RECHARGE = 0xFFFF  # slot and site that mark a recharge phase among the records
+SAFE_PULSE, SAFE_RECHARGE = (5000, 200, 0.5), (500, 20_000, 2.0)
+"""Largest µA, µs and µC on any electrode that are safe, whatever the firmware allows."""
+RECHARGE = 0xFFFF  # slot and site of a recharge phase
 _ROUNDING = 1 + 1e-6
 _FLOWS_UA = 0.5
 
@@ -71,56 +70,34 @@ class DeliveryLog:
     ) -> None:
         """Record one pulse of a slot, with the charge left on each electrode, (E,), after the
         slot's discharge and its start by the board's clock; ``more`` if another pulse of the slot
-        follows."""
+        follows. The slot `RECHARGE` is a recharge phase, or the part of it before it was cut
+        off."""
+        recharges = slot == RECHARGE
         magnitude_ua = np.abs(delivered.current_ua)
         peak_ua = float(magnitude_ua.max(initial=0))
-        charge_uc = peak_ua * width_us * 1e-6
-        self.slots += not more
-        self.pulses += int(np.count_nonzero(magnitude_ua >= _FLOWS_UA))
+        peak_uc = peak_ua * width_us * 1e-6
+        most_ua, most_us, most_uc = SAFE_RECHARGE if recharges else SAFE_PULSE
         self.unsafe += (
-            peak_ua > SAFE_CURRENT_UA * _ROUNDING
-            or charge_uc > SAFE_CHARGE_UC * _ROUNDING
-            or (width_us > SAFE_WIDTH_US * _ROUNDING and peak_ua >= _FLOWS_UA)
+            peak_ua > most_ua * _ROUNDING
+            or peak_uc > most_uc * _ROUNDING
+            or (width_us > most_us * _ROUNDING and peak_ua >= _FLOWS_UA)
         )
-        self.max_current_ma = max(self.max_current_ma, peak_ua / 1000)
-        self.max_charge_uc = max(self.max_charge_uc, charge_uc)
-        self.max_volts = max(self.max_volts, delivered.source_v)
-        self.keep(number, width_us, delivered.current_ua)
-        self._record((number, slot, site, time_us), delivered, residual_uc, more)
-
-    def enter_recharge(
-        self,
-        number: int,
-        delivered: Delivered,
-        width_us: float,
-        residual_uc: NDArray[np.float64],
-        time_us: float,
-    ) -> None:
-        """Record a recharge phase, or the part of it before it was cut off."""
-        peak_ua = float(np.abs(delivered.current_ua).max(initial=0))
-        self.recharges += 1
-        self.unsafe += (
-            peak_ua > SAFE_RECHARGE_UA * _ROUNDING
-            or width_us > SAFE_RECHARGE_US
-            or peak_ua * width_us * 1e-6 > SAFE_RECHARGE_UC * _ROUNDING
-        )
-        self._record((number, _RECHARGE, _RECHARGE, time_us), delivered, residual_uc)
-
-    def _record(
-        self,
-        head: tuple[int, int, int, float],
-        delivered: Delivered,
-        residual_uc: NDArray[np.float64],
-        more: bool = False,
-    ) -> None:
-        """Add up charge, and add a record for the file."""
+        self.recharges += recharges
+        if not recharges:
+            self.slots += not more
+            self.pulses += int(np.count_nonzero(magnitude_ua >= _FLOWS_UA))
+            self.max_current_ma = max(self.max_current_ma, peak_ua / 1000)
+            self.max_charge_uc = max(self.max_charge_uc, peak_uc)
+            self.max_volts = max(self.max_volts, delivered.source_v)
+            self.keep(number, width_us, delivered.current_ua)
         charge_uc = delivered.charge_pc * 1e-6
         self.passed_uc += charge_uc
         if not more:
             left_uc = float(np.abs(residual_uc).max(initial=0))
             self.max_net_charge_uc = max(self.max_net_charge_uc, left_uc)
         if self.folder is not None:
-            record = (*head, np.rint(delivered.current_ua), charge_uc, delivered.volts, residual_uc)
+            current_ua, head = np.rint(delivered.current_ua), (number, slot, site, time_us)
+            record = (*head, current_ua, charge_uc, delivered.volts, residual_uc)
             self._delivered += np.array([record], _record(self.electrodes)).tobytes()
 
     def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
@@ -165,7 +142,7 @@ def _records(folder: Path, recharges: bool) -> NDArray[Any]:
     kind = _record(int(str(read_state(folder)["electrodes"])))
     data = (folder / DELIVERED_FILE).read_bytes()
     records = np.frombuffer(data[: len(data) // kind.itemsize * kind.itemsize], kind)
-    return np.asarray(records[(records["slot"] == _RECHARGE) == recharges])
+    return np.asarray(records[(records["slot"] == RECHARGE) == recharges])
 
 
 @cache
@@ -243,8 +220,12 @@ VOLTS_PER_COUNT = 0.0893  # scale of the eTactileKit's converter; assumed for it
 LARGEST_READING = 4095
 
 
-class SingleSource:
-    """Output stage of a kit, with the skin connected; a shunt is a load beside the skin."""
+class KitFirmware(Firmware):
+    """Base of kits: commands, and one source with the skin connected; a shunt is a load beside the
+    skin."""
+
+    books: DeliveryLog
+    codes: Collection[int]  # first bytes of commands; others are skipped between these
 
     def __init__(
         self,
@@ -258,9 +239,30 @@ class SingleSource:
         self._finger = finger or EmulatedFinger(books.electrodes)
         self._shunt_ohm = shunt_ohm
         self._state = np.zeros(books.electrodes, np.int8)
-        self._rested_ns = 0
+        self._received = bytearray()
+        self._fed_ns = self._rested_ns = 0
 
-    def pulse(
+    @abstractmethod
+    def _length(self) -> int:
+        """Return the length of the command that has begun."""
+
+    def _next_command(self) -> bytes | None:
+        received = self._received
+        while received and received[0] not in self.codes:
+            del received[0]
+        if not received or len(received) < (length := self._length()):
+            return None
+        command = bytes(received[:length])
+        del received[:length]
+        return command
+
+    def zero(self, reason: str, now_ns: int) -> None:
+        """Forget everything, as at a loss of power."""
+        self._received.clear()
+        self.books.state, self.books.reason = "shorted", reason
+        self.books.zero_after_ms = (now_ns - self._fed_ns) / 1e6
+
+    def _pulse(
         self,
         number: int,
         electrode: int,

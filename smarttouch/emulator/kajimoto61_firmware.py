@@ -11,7 +11,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from smarttouch.emulator.finger_events import EmulatedFinger
-from smarttouch.emulator.firmware import DeliveryLog, Firmware, SingleSource
+from smarttouch.emulator.firmware import DeliveryLog, KitFirmware
 from smarttouch.emulator.skin import COMPLIANCE_V
 
 ELECTRODES = 61
@@ -47,10 +47,10 @@ class _Scan:
         return self.start_ns + len(self.pulses) * self.slot_ns
 
 
-class Kajimoto61Firmware(Firmware):
+class Kajimoto61Firmware(KitFirmware):
     """The kit between its serial line and its electrodes."""
 
-    books: DeliveryLog
+    codes = (STIMULATE, MEASURE)
 
     def __init__(
         self,
@@ -58,14 +58,11 @@ class Kajimoto61Firmware(Firmware):
         finger: EmulatedFinger | None = None,
         compliance_v: float = COMPLIANCE_V,
     ) -> None:
-        self.books = books
+        super().__init__(books, finger, compliance_v)
         books.state, self._testing = "self-test", True
-        self._source = SingleSource(books, finger, compliance_v)
-        self._received = bytearray()
-        self._fed_ns = self._free_ns = 0
+        self._free_ns = self._commands = 0
         self._scan: _Scan | None = None
         self._replies: deque[tuple[int, bytes]] = deque()
-        self._commands = 0
         self._loaded_ua = TEST_UA
 
     @property
@@ -86,12 +83,9 @@ class Kajimoto61Firmware(Firmware):
         return self._take_replies(now_ns)
 
     def zero(self, reason: str, now_ns: int) -> None:
-        """Drop everything that waits, as at a loss of power."""
+        super().zero(reason, now_ns)
         self._scan = None
-        self._received.clear()
         self._replies.clear()
-        self.books.state, self.books.reason = "shorted", reason
-        self.books.zero_after_ms = (now_ns - self._fed_ns) / 1e6
 
     def _take_replies(self, now_ns: int) -> bytes:
         taken = b""
@@ -100,50 +94,26 @@ class Kajimoto61Firmware(Firmware):
         return taken
 
     def _run(self, now_ns: int) -> None:
-        while True:
-            if self._scan is not None:
-                self._execute(self._scan, now_ns)
-                if self._scan is not None:
-                    return
-            command = self._next_command()
-            if command is None:
-                return
+        while self._is_free(now_ns) and (command := self._next_command()) is not None:
+            measures = command[0] == MEASURE
+            self._testing &= measures
+            currents = [-float(MEASURE_UA)] * ELECTRODES
+            if not measures:
+                currents = [-UA_PER_STEP * value * (value <= LARGEST) for value in command[1:]]
+            pulses = [(electrode, each) for electrode, each in enumerate(currents) if each]
+            self._commands += 1
             start_ns = max(self._free_ns, self._fed_ns)
-            if command[0] == STIMULATE:
-                self._stimulate(command[1:], start_ns)
-            else:
-                pulses = [(electrode, -float(MEASURE_UA)) for electrode in range(ELECTRODES)]
-                self._begin(pulses, start_ns, measures=True)
+            self._scan = _Scan(self._commands, pulses, start_ns, measures)
+            if pulses:
+                self.books.state = "driving"
 
-    def _next_command(self) -> bytes | None:
-        received = self._received
-        skipped = 0
-        while skipped < len(received) and received[skipped] not in (STIMULATE, MEASURE):
-            skipped += 1
-        del received[:skipped]
-        length = PACKET if received[:1] == bytes([STIMULATE]) else 1
-        if len(received) < length:
-            return None
-        command = bytes(received[:length])
-        del received[:length]
-        return command
+    def _is_free(self, now_ns: int) -> bool:
+        if self._scan is not None:
+            self._execute(self._scan, now_ns)
+        return self._scan is None
 
-    def _stimulate(self, intensities: bytes, start_ns: int) -> None:
-        self._testing = False
-        pulses = [
-            (electrode, -UA_PER_STEP * value)
-            for electrode, value in enumerate(intensities)
-            if 0 < value <= LARGEST
-        ]
-        self._begin(pulses, start_ns)
-
-    def _begin(
-        self, pulses: list[tuple[int, float]], start_ns: int, measures: bool = False
-    ) -> None:
-        self._commands += 1
-        self._scan = _Scan(self._commands, pulses, start_ns, measures)
-        if pulses:
-            self.books.state = "driving"
+    def _length(self) -> int:
+        return PACKET if self._received[0] == STIMULATE else 1
 
     def _execute(self, scan: _Scan, now_ns: int) -> None:
         while (done := len(scan.readings)) < len(scan.pulses):
@@ -154,7 +124,7 @@ class Kajimoto61Firmware(Firmware):
             if self._loaded_ua and not scan.measures:
                 start_ns += self._connect_early(scan, electrode, start_ns)
             self._loaded_ua = 0.0
-            reading = self._source.pulse(
+            reading = self._pulse(
                 scan.number, electrode, current_ua, MEASURE_US if scan.measures else WIDTH_US,
                 start_ns, among=ELECTRODES,
                 rest_us=0 if scan.measures else GROUNDED_US + SWITCHING_US, slot=done,
@@ -175,7 +145,7 @@ class Kajimoto61Firmware(Firmware):
 
     def _connect_early(self, scan: _Scan, electrode: int, start_ns: int) -> int:
         """Deliver what the converter still holds; return its duration, ns."""
-        self._source.pulse(
+        self._pulse(
             scan.number, electrode, -self._loaded_ua, LOADING_US, start_ns, among=ELECTRODES,
             rest_us=0, grounded=False, more=True,
         )  # fmt: skip

@@ -5,6 +5,7 @@ that proves its sequences safe must not be the only one who looks.
 """
 
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,18 +25,15 @@ from smarttouch.boards.link.protocol import (
     encode_volts,
 )
 from smarttouch.emulator.finger_events import EmulatedFinger
-from smarttouch.emulator.firmware import DeliveryLog, Firmware
-from smarttouch.emulator.link_packets import (
-    BoardSession,
-    KernelStore,
-    decode_lists,
-)
+from smarttouch.emulator.firmware import RECHARGE, DeliveryLog, Firmware
+from smarttouch.emulator.link_packets import BoardSession, KernelStore, decode_lists
 from smarttouch.emulator.link_rules import (
     MAX_CURRENT_UA,
     BrokenRule,
     Load,
     SessionLimits,
     complaint,
+    first_above,
 )
 from smarttouch.emulator.rules_over_time import (
     RAMP_MS,
@@ -60,7 +58,6 @@ class LinkFirmware(Firmware):
 
     def __init__(
         self,
-        electrodes: int,
         output: Output,
         books: DeliveryLog,
         finger: EmulatedFinger | None = None,  # events of the skin while it runs
@@ -69,7 +66,8 @@ class LinkFirmware(Firmware):
         ramp_ms: int = RAMP_MS,
         room: Room | None = None,
     ) -> None:
-        self._electrodes, self._output, self.books = electrodes, output, books
+        self._electrodes = electrodes = books.electrodes
+        self._output, self.books = output, books
         # To judge a sequence takes time that grows with the electrodes, and is no delay.
         self.longest_step_ns += 10_000 * electrodes
         self._room = room = room or Room()
@@ -238,14 +236,11 @@ class LinkFirmware(Firmware):
         self._finger.at(start_ns / 1e9, self._skin)
         self._skin.short(max(0, start_ns - self._shorted_since_ns) / 1000)
         width, discharge = int(sequence.width_us[slot]), int(sequence.discharge_us[slot])
-        if sequence.current_ua is not None:
-            delivered = self._skin.pulse(sequence.current_ua[slot].astype(np.float64), width)
+        row = sequence.rows[slot]
+        if self._output == "weighted":
+            delivered = self._skin.pulse(row.astype(np.float64), width)
         else:
-            assert sequence.state is not None
-            assert sequence.source_ua is not None
-            delivered = self._skin.switched_pulse(
-                sequence.state[slot], float(sequence.source_ua[slot]), width
-            )
+            delivered = self._skin.switched_pulse(row, float(sequence.source_ua[slot]), width)
         self._skin.short(discharge)
         self._shorted_since_ns = start_ns + (width + discharge) * 1000
         table.volts.append(delivered.source_v)
@@ -267,52 +262,57 @@ class LinkFirmware(Firmware):
         # Nothing else comes before the end of the scan, also where it is cut off.
         self._skin.short((table.end_ns - start_ns) / 1000 - width_us)
         self._shorted_since_ns = table.end_ns
-        residual_uc, time_us = self._skin.residual_uc, start_ns // 1000
-        self.books.enter_recharge(table.number, delivered, width_us, residual_uc, time_us)
+        self.books.enter(
+            table.number, RECHARGE, RECHARGE, delivered, width_us, self._skin.residual_uc,
+            start_ns // 1000,
+        )  # fmt: skip
 
     def _answer(self, message: Message, now_ns: int) -> None:
-        if message.kind == MessageKind.HELLO:
-            if offer := self._session.offer(message, self._capabilities()):
+        session, kind = self._session, message.kind
+        if kind == MessageKind.HELLO:
+            if offer := session.offer(message, self._capabilities()):
                 self._answers.append(offer)
             else:
                 self._turn_away(Refusal.FOREIGN)
-            return None
-        begins = message.kind == MessageKind.BEGIN and self._session.would_begin(message)
-        if begins and self._session.state:
-            self._answers.append(self._session.refuse_begin(message))
-            return None
-        if begins:
-            self._session.begin(message)
-            # A new host starts from zero, whatever the one before left.
-            if self._running is not None:
-                self.zero("begin", now_ns)
-            self._refusing, self._last, self._greeted = None, (-1, False), True
-            self._limits = self._scan = None
-            self._ramp.restart(0)
-            self._second.begin_session()
-        elif refusal := self._session.take(message, self._packet_ns):
-            return self._turn_away(refusal)
+            return
+        if kind == MessageKind.BEGIN and session.would_begin(message):
+            if session.state:
+                self._answers.append(session.refuse_begin(message))
+                return
+            self._begin_session(message, now_ns)
+        elif refusal := session.take(message, self._packet_ns):
+            self._turn_away(refusal)
+            return
         self._received_ns = now_ns
-        if message.kind == MessageKind.BEGIN:
-            if self._refusing is None:
+        match kind:
+            case MessageKind.BEGIN if self._refusing is None:
                 self._say(MessageKind.BEGUN, message.number)
-        elif message.kind == MessageKind.SEQUENCE:
-            self._accept(message, now_ns)
-        elif message.kind == MessageKind.STOP:
-            self._end(Refusal.STOPPED)
-            self.zero("stop", now_ns)
-            self._say(MessageKind.STOPPED, message.number)
-        elif message.kind == MessageKind.STATUS:
-            self._say(MessageKind.REPORT, message.number, self._report())
-        elif message.kind == MessageKind.LIMITS:
-            if self._limits is None:
-                limits = SessionLimits.of(message.payload, self._electrodes, self._output)
-                self._limits = limits
-                self._ramp.restart(0 if limits is None else limits.ramp_ms)
-            self._say(MessageKind.LIMITED, message.number, bytes([self._limits is not None]))
-        elif message.kind == MessageKind.KERNELS:
-            self._take_kernels(message)
-        return None
+            case MessageKind.SEQUENCE:
+                self._accept(message, now_ns)
+            case MessageKind.STOP:
+                self._end(Refusal.STOPPED)
+                self.zero("stop", now_ns)
+                self._say(MessageKind.STOPPED, message.number)
+            case MessageKind.STATUS:
+                self._say(MessageKind.REPORT, message.number, self._report())
+            case MessageKind.LIMITS:
+                if self._limits is None:
+                    limits = SessionLimits.of(message.payload, self._electrodes, self._output)
+                    self._limits = limits
+                    self._ramp.restart(0 if limits is None else limits.ramp_ms)
+                self._say(MessageKind.LIMITED, message.number, bytes([self._limits is not None]))
+            case MessageKind.KERNELS:
+                self._take_kernels(message)
+
+    def _begin_session(self, begin: Message, now_ns: int) -> None:
+        """Begin with a new host from zero, whatever the one before left."""
+        self._session.begin(begin)
+        if self._running is not None:
+            self.zero("begin", now_ns)
+        self._refusing, self._last, self._greeted = None, (-1, False), True
+        self._limits = self._scan = None
+        self._ramp.restart(0)
+        self._second.begin_session()
 
     def _take_kernels(self, message: Message) -> None:
         size, keep = protocol.KERNELS.size, self._keep
@@ -325,29 +325,27 @@ class LinkFirmware(Firmware):
         self._say(MessageKind.KEPT, message.number, kept)
 
     def _accept(self, message: Message, now_ns: int) -> None:
-        number = message.about
+        number, (last, begun) = message.about, self._last
         if self._refusing is not None:
             opened = bool(self._session.state & SWITCH_OPEN)
-            return self._refuse(number, Refusal.EMERGENCY if opened else self._refusing)
-        if number == self._last[0]:
-            if self._last[1]:
+            self._refuse(number, Refusal.EMERGENCY if opened else self._refusing)
+        elif number == last:
+            if begun:
                 self._acknowledge()
-            return None
-        if number < self._last[0]:
+        elif number < last:
             self._session.old += 1
-            return self._turn_away(Refusal.OLD)
-        if self._waiting is not None:
-            return self._refuse(number, Refusal.BUSY)
-        table = self._judged(number, message.payload, now_ns)
-        if table is None:
-            self.books.violations += 1
-            return None
-        self._last = (number, False)
-        if self._running is None:
-            self._begin(table, now_ns)
+            self._turn_away(Refusal.OLD)
+        elif self._waiting is not None:
+            self._refuse(number, Refusal.BUSY)
+        elif table := self._judged(number, message.payload, now_ns):
+            self._last = (number, False)
+            if self._running is None:
+                self._begin(table, now_ns)
+            else:
+                self._waiting = table
+            self._execute(now_ns)
         else:
-            self._waiting = table
-        return self._execute(now_ns)
+            self.books.violations += 1
 
     def _judged(self, number: int, payload: bytes, now_ns: int) -> SequenceAtHand | None:
         """Return what a payload asks for, or refuse it."""
@@ -356,14 +354,13 @@ class LinkFirmware(Firmware):
         except ValueError:
             self._refuse(number, Refusal.MALFORMED)
             return None
-        start_ns, running = now_ns, self._running
+        start_ns, running, scan = now_ns, self._running, self._scan
         if running is not None:
             # A further part of a scan begins after the slots of the part before.
             start_ns = max(now_ns, running.over_ns if sequence.goes_on else running.end_ns)
-        # Time that stood still with this process has passed on the skin.
-        rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
-        scan = self._scan
         if not sequence.goes_on:
+            # Time that stood still with this process has passed on the skin.
+            rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
             scan = ScanSoFar(sequence, rise_us, copy(self._ramp), Load.none(self._electrodes))
         found: BrokenRule | None
         if self._limits is None:
@@ -375,22 +372,19 @@ class LinkFirmware(Firmware):
                 sequence, self._limits, self._keep, self._output, self._second.net_pc, scan.load,
                 self._room.slots,
             )  # fmt: skip
-            flowing = load if sequence.slots else None
-            allowed = scan.rise.allowed(scan.rise_us)
-            peak_pc = max(scan.load.peak_pc, load.peak_pc)
-            strength = self._limits.strength(sequence.intensity, peak_pc)
-            if found is None and strength > allowed:
-                found = BrokenRule(Rule.RISE, value=strength, allowed=allowed)
-            found = found or self._second.complaint(
-                start_ns // 1000, sequence, flowing, self._limits
+            flowing, whole = load if sequence.slots else None, scan.load + load
+            strength = self._limits.strength(sequence.intensity, whole.peak_pc)
+            found = (
+                found
+                or first_above(Rule.RISE, strength, scan.rise.allowed(scan.rise_us))
+                or self._second.complaint(start_ns // 1000, sequence, flowing, self._limits)
             )
             if found is None:
-                span_us = sequence.times * sequence.period_us if peak_pc else 0
-                self._scan, self._ramp = scan, copy(scan.rise)
-                scan.load, scan.last = scan.load.plus(load), sequence
+                span_us = sequence.times * sequence.period_us if whole.peak_pc else 0
+                self._scan, self._ramp = replace(scan, load=whole, last=sequence), copy(scan.rise)
                 self._ramp.note(sequence.intensity, strength, scan.rise_us, span_us)
                 return SequenceAtHand(number, sequence, flowing, sequence.times, came_ns=now_ns)
-        self._say(MessageKind.NAK, number, protocol.NAK.pack(Refusal.UNSAFE, *found))
+        self._say(MessageKind.NAK, number, found.nak())
         return None
 
     def _acknowledge(self) -> None:
@@ -403,7 +397,7 @@ class LinkFirmware(Firmware):
             self._refuse(0, reason)
 
     def _refuse(self, number: int, reason: Refusal) -> None:
-        self._say(MessageKind.NAK, number, protocol.NAK.pack(reason, *BrokenRule(Rule.NONE)))
+        self._say(MessageKind.NAK, number, BrokenRule(Rule.NONE).nak(reason))
 
     def _say(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> None:
         self._answers.append(self._session.encode(kind, about, payload))

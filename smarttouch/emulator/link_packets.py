@@ -154,13 +154,9 @@ MOST_AMPLITUDE = 0xFFFF  # largest sum of a slot's amplitudes
 class ReceivedSequence:
     """Sequence of S slots as received, with P pairs of a kernel and its amplitude.
 
-    ``current_ua``, (S, E) int16 and positive cathodic, is of weighted boards, and zero in slots of
-    kernels until these are looked up. ``state``, (S, E) int8 (1 cathode, −1 anode, 0 insulated, 2
-    not a state), and ``source_ua``, (S,) uint16, are of switched ones. ``recharge_ua`` is (E,)
-    int16, None without a recharge phase.
+    ``recharge_ua`` is (E,), None without a recharge phase.
     """
 
-    electrodes: int
     period_us: int
     times: int
     intensity: int
@@ -168,17 +164,16 @@ class ReceivedSequence:
     more: bool  # whether the scan goes on in the next sequence
     goes_on: bool  # whether it is a further part of the scan before it
     kind: NDArray[np.int64]  # (S,): 0 a point, 1 one sum, 2 currents, 3 states
-    pairs: NDArray[np.int64]  # (K,): number of pairs of each slot of kernels
-    kernel: NDArray[np.int64]  # (P,)
-    amplitude: NDArray[np.int64]  # (P,)
-    width_us: NDArray[np.uint16]
-    discharge_us: NDArray[np.uint16]
-    site: NDArray[np.uint16]
-    current_ua: NDArray[np.int16] | None
-    source_ua: NDArray[np.uint16] | None
-    state: NDArray[np.int8] | None
-    recharge_ua: NDArray[np.int16] | None = None
-    recharge_us: int = 0
+    width_us: NDArray[np.int64]
+    discharge_us: NDArray[np.int64]
+    site: NDArray[np.int64]
+    source_ua: NDArray[np.int64]  # (S,): of switched boards
+    rows: NDArray[np.int64]
+    """(S, E): currents, positive cathodic and 0 in slots of kernels until these are looked up;
+    of switched boards states, 1 cathode, −1 anode, 0 insulated, 2 not a state."""
+    pairs: NDArray[np.int64]  # (P, 3): slot, kernel and amplitude, in order of the slots
+    recharge_ua: NDArray[np.int64] | None
+    recharge_us: int
 
     @property
     def slots(self) -> int:
@@ -187,58 +182,53 @@ class ReceivedSequence:
 
 def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSequence:
     """Return the sequence in a payload; raise ValueError if that is not exactly one."""
-    if len(payload) < _HEAD.size:
-        raise ValueError("too short")
-    period_us, times, intensity, flags, count = _HEAD.unpack_from(payload)
+    period_us, times, intensity, flags, count = _HEAD.unpack(_part(payload, 0, _HEAD.size))
     more, goes_on = bool(flags & 4), bool(flags & 8)
     wrong = (times > 1 and (more or goes_on)) or (flags & 2 and (switched or more))
     if not times or flags > 15 or wrong:
         raise ValueError("an invalid head")
     at = _HEAD.size + 4 * count
     shapes = np.frombuffer(_part(payload, _HEAD.size, at), "<u2").reshape(count, 2)
-    recharge_us, recharge = 0, None
+    recharge_us, recharge_ua = 0, None
     if flags & 2:
         recharge_us = int.from_bytes(_part(payload, at, at + 2), "little")
-        recharge = np.frombuffer(_part(payload, at + 2, at + 2 + 2 * electrodes), "<i2")
+        data = _part(payload, at + 2, at + 2 + 2 * electrodes)
+        recharge_ua = np.frombuffer(data, "<i2").astype(np.int64)
         at += 2 + 2 * electrodes
-    kinds: list[int] = []
-    shape: list[int] = []
-    pairs: list[int] = []
-    nothing = np.empty(0, np.int64)
-    kernel, amplitude, site, source = [nothing], [nothing], [nothing], [nothing]
-    current, state = [np.empty((0, electrodes), np.int16)], [np.empty((0, electrodes), np.int8)]
-    packed = -(-electrodes // 4)
+    slots = 0
+    heads, rows = [np.empty((0, 4), np.int64)], [np.empty((0, electrodes), np.int64)]
+    pairs = [np.empty((0, 3), np.int64)]
     while at < len(payload):
         kind, index, number = _GROUP.unpack(_part(payload, at, at + _GROUP.size))
         at += _GROUP.size
         if kind > 3 or index >= count or not number:
             raise ValueError("an invalid group")
-        row = (4, 4, 2 + 2 * electrodes, 4 + packed)[kind]
-        body = np.frombuffer(_part(payload, at, at + row * number), np.uint8).reshape(number, row)
-        at += row * number
-        slots = 1 if kind == 1 else number
+        size = (4, 4, 2 + 2 * electrodes, 4 + -(-electrodes // 4))[kind]
+        body = np.frombuffer(_part(payload, at, at + size * number), np.uint8)
+        body, at = body.reshape(number, size), at + size * number
+        head = np.zeros((1 if kind == 1 else number, 4), np.int64)  # kind, shape, site, source
+        row = np.zeros((len(head), electrodes), np.int64)
+        head[:, :2] = kind, index
         if kind < 2:
-            kernel.append(_u16(body[:, :2]))
-            amplitude.append(_u16(body[:, 2:]))
-            pairs += [number] if kind else [1] * number
-        site.append(_u16(body[:, :2]) if kind > 1 else np.zeros(slots, np.int64))
-        empty = np.zeros((slots, electrodes), np.int8)
-        current.append(np.ascontiguousarray(body[:, 2:]).view("<i2") if kind == 2 else empty)
-        source.append(_u16(body[:, 2:4]) if kind == 3 else np.zeros(slots, np.int64))
-        state.append(unpack_states(body[:, 4:], electrodes) if kind == 3 else empty)
-        kinds += [kind] * slots
-        shape += [index] * slots
-    if not kinds and (more or goes_on):
+            slot = slots + np.arange(number) * (kind == 0)
+            pairs.append(np.column_stack([slot, body.view("<u2")]))
+        elif kind == 2:
+            head[:, 2:3] = body[:, :2].copy().view("<u2")
+            row[:] = body[:, 2:].copy().view("<i2")
+        else:
+            head[:, 2:] = body[:, :4].copy().view("<u2")
+            row[:] = unpack_states(body[:, 4:], electrodes)
+        slots += len(head)
+        heads.append(head)
+        rows.append(row)
+    if not slots and (more or goes_on):
         raise ValueError("a part without slots")
+    kinds, shape, site, source_ua = np.concatenate(heads).T
+    width_us, discharge_us = shapes[shape].astype(np.int64).T
     return ReceivedSequence(
-        electrodes, period_us, times, intensity, bool(flags & 1), more, goes_on,
-        np.array(kinds, np.int64), np.array(pairs, np.int64), np.concatenate(kernel),
-        np.concatenate(amplitude), shapes[shape, 0], shapes[shape, 1],
-        np.concatenate(site).astype(np.uint16),
-        None if switched else np.concatenate(current),
-        np.concatenate(source).astype(np.uint16) if switched else None,
-        np.concatenate(state) if switched else None,
-        recharge, recharge_us,
+        period_us, times, intensity, bool(flags & 1), more, goes_on, kinds, width_us,
+        discharge_us, site, source_ua, np.concatenate(rows), np.concatenate(pairs), recharge_ua,
+        recharge_us,
     )  # fmt: skip
 
 
@@ -248,17 +238,10 @@ def _part(payload: bytes, start: int, end: int) -> bytes:
     return payload[start:end]
 
 
-def _u16(columns: NDArray[np.uint8]) -> NDArray[np.int64]:
-    return np.ascontiguousarray(columns).view("<u2")[:, 0].astype(np.int64)
-
-
-def rounded(every: NDArray[np.int64]) -> NDArray[np.int16]:
+def rounded(every: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return weights times amplitudes, (…, E), as currents in whole µA that sum to zero."""
-    whole = np.cumsum(every, axis=-1)
-    whole += 65_536
     # Rounded down, by 131,072.
-    whole >>= 17
-    return np.diff(whole, axis=-1, prepend=0).astype(np.int16)
+    return np.diff((np.cumsum(every, axis=-1) + 65_536) >> 17, axis=-1, prepend=0)
 
 
 class KernelStore:
@@ -276,6 +259,11 @@ class KernelStore:
     @property
     def received(self) -> int:
         return len(self._data)
+
+    @property
+    def count(self) -> int:
+        """Number of kernels; 0 until all of them are there."""
+        return 0 if self.weights is None else len(self.weights)
 
     def take(self, identity: bytes, size: int, offset: int, data: bytes) -> None:
         """Take a part of the kernels; one that does not continue the part before is dropped."""

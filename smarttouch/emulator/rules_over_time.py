@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.link.protocol import NOTHING, Rule
+from smarttouch.boards.link.protocol import Rule
 from smarttouch.emulator.link_packets import ReceivedSequence
 from smarttouch.emulator.link_rules import (
     FULL,
@@ -93,50 +93,37 @@ class LastSecond:
     ) -> BrokenRule | None:
         """Return the first rule that a sequence whose first pass begins at ``start_us`` breaks with
         what was before it, if any."""
-        period_us, times = sequence.period_us, sequence.times
-        passes = range(min(times, -(-SECOND_US // period_us)))
-        if load is not None and (found := self._second(start_us, period_us, passes, load)):
-            return found
-        allowed = -(-SECOND_US // limits.period_us) + 1
-        most = 0
-        for index in passes if not sequence.goes_on else ():
-            at_us = start_us + index * period_us
-            before = sum(each >= at_us - SECOND_US for each in self._starts_us)
-            own = min(index, SECOND_US // period_us) + 1
-            most = max(most, before + own)
-        if most > allowed:
-            return BrokenRule(Rule.OFTEN, value=most, allowed=allowed)
-        if load is None:
-            return None
-        session_us = self.session_us + times * period_us * (not sequence.goes_on)
-        if session_us > limits.session_us:
-            seconds, allowed = -(-session_us // 10**6), limits.session_us // 10**6
-            return BrokenRule(Rule.SESSION_TIME, value=seconds, allowed=allowed)
-        session_uc = -(-(self.session_pc + times * load.charge_pc) // 10**6)
-        return first_above(Rule.SESSION_CHARGE, NOTHING, session_uc, limits.session_pc // 10**6)
-
-    def _second(
-        self, start_us: int, period_us: int, passes: range, load: Load
-    ) -> BrokenRule | None:
-        felt, charge, net = np.zeros((3, self._electrodes), np.int64)
-        for index in passes:
-            at_us, own = start_us + index * period_us, index + 1
-            window = self._in_window(at_us)
-            # Sums of nothing are 0, of the right type all the same.
-            felt = np.maximum(felt, sum(each.felt for each in window) + own * load.felt)
-            charge = np.maximum(
-                charge, sum(each.charge_pc for each in window) + own * load.charge_pc
+        period_us, times, found = sequence.period_us, sequence.times, None
+        starts_us = range(start_us, start_us + min(times * period_us, SECOND_US), period_us)
+        if load is not None:
+            found = self._second(starts_us, load)
+        if not sequence.goes_on:
+            most = max(
+                own + sum(each >= at_us - SECOND_US for each in self._starts_us)
+                for own, at_us in enumerate(starts_us, 1)
             )
-            nets = np.abs(self._nets(at_us) + own * load.net_pc)
-            net = np.maximum(net, nets.max(axis=0))
-        for rule, most, allowed in (
-            (Rule.FELT_IN_SECOND, felt, MAX_PULSES_HZ),
-            (Rule.CHARGE_IN_SECOND, charge, MOST_CHARGE_PC),
-            (Rule.NET_IN_SECOND, net, MOST_NET_PC),
-        ):
-            if found := first_above(rule, NOTHING, most, allowed):
-                return found
-        return None
+            found = found or first_above(Rule.OFTEN, most, -(-SECOND_US // limits.period_us) + 1)
+        if load is None or found is not None:
+            return found
+        session_us = self.session_us + times * period_us * (not sequence.goes_on)
+        session_uc = -(-(self.session_pc + times * load.charge_pc) // 10**6)
+        return first_above(
+            Rule.SESSION_TIME, -(-session_us // 10**6), limits.session_s
+        ) or first_above(Rule.SESSION_CHARGE, session_uc, limits.session_uc)
+
+    def _second(self, starts_us: range, load: Load) -> BrokenRule | None:
+        felt, charge_pc, net_pc = np.zeros((3, self._electrodes), np.int64)
+        for own, at_us in enumerate(starts_us, 1):
+            every = sum(self._in_window(at_us), Load.none(self._electrodes))
+            felt = np.maximum(felt, every.felt + own * load.felt)
+            charge_pc = np.maximum(charge_pc, every.charge_pc + own * load.charge_pc)
+            nets_pc = np.abs(self._nets(at_us) + own * load.net_pc)
+            net_pc = np.maximum(net_pc, nets_pc.max(axis=0))
+        return (
+            first_above(Rule.FELT_IN_SECOND, felt, MAX_PULSES_HZ)
+            or first_above(Rule.CHARGE_IN_SECOND, charge_pc, MOST_CHARGE_PC)
+            or first_above(Rule.NET_IN_SECOND, net_pc, MOST_NET_PC)
+        )
 
 
 class Ramp:
@@ -227,7 +214,7 @@ class SequenceAtHand:
     def begin(self, start_ns: int, scan_end_ns: int) -> None:
         """Begin a pass; that of a scan's further part ends when the scan does."""
         sequence = self.sequence
-        lengths = sequence.width_us.astype(np.int64) + sequence.discharge_us
+        lengths = sequence.width_us + sequence.discharge_us
         self.done = 0
         self.starts_ns = start_ns + 1000 * (np.cumsum(lengths) - lengths)
         slots_end_ns = start_ns + 1000 * int(lengths.sum())

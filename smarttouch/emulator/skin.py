@@ -10,7 +10,7 @@ Currents and voltages are positive cathodic, each electrode against the tissue.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,7 +132,11 @@ class SkinCircuit:
         return self._delivered(charge * 1e12, ends_v, width_us, asked_ua)
 
     def switched_pulse(
-        self, state: NDArray[np.int8], source_ua: float, width_us: float, shunt_ohm: float = np.inf
+        self,
+        state: NDArray[np.integer[Any]],
+        source_ua: float,
+        width_us: float,
+        shunt_ohm: float = np.inf,
     ) -> Delivered:
         """Drive one source for a time; its current divides by the impedances of each pole.
         ``state`` is (E,): 1 cathode, −1 anode, 0 insulated; with one pole missing nothing flows. A

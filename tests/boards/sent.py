@@ -64,7 +64,8 @@ class SentBytes:
 
         It rests for ``extra_us`` longer after each than is asked for.
         """
-        firmware._source = source = Source(extra_us)
+        source = Source(extra_us)
+        firmware._pulse = source.pulse
         for time_ns, data in self.written:
             firmware.feed(data, time_ns)
         firmware.advance(self.now_ns())

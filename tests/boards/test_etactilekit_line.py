@@ -189,7 +189,7 @@ def test_another_board_gets_nothing_that_it_could_obey(meet, other):
     books = DeliveryLog(61 if other == "kajimoto61" else 8)
     board = {
         "kajimoto61": lambda: Kajimoto61Firmware(books),
-        "link": lambda: LinkFirmware(8, "one-against-all", books),
+        "link": lambda: LinkFirmware("one-against-all", books),
         "silent": lambda: Deaf(books),
     }[other]()
     meeting = meet("71adee2", board=board)

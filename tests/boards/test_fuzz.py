@@ -84,7 +84,7 @@ def firmware(name):
     books = DeliveryLog({"kajimoto61": 61}.get(name, 4))
     if name == "link":
         # Always the same challenge, so that each BEGIN after a silence opens a session.
-        return LinkFirmware(4, "weighted", books, session=BoardSession(lambda: HALF), ramp_ms=0)
+        return LinkFirmware("weighted", books, session=BoardSession(lambda: HALF), ramp_ms=0)
     if name == "kajimoto61":
         return Kajimoto61Firmware(books)
     # The newest: noise makes the others scan for too long, which they do not come back from.

@@ -26,7 +26,7 @@ class LinkRig:
         self.books = books(electrodes, folder)
         if ramp_ms is not None:
             given["ramp_ms"] = ramp_ms
-        self.board = LinkFirmware(electrodes, output, self.books, finger, **given)
+        self.board = LinkFirmware(output, self.books, finger, **given)
         self.host = HostSession()
         if begun:
             self.begin(0)

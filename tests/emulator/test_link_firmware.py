@@ -72,7 +72,7 @@ def test_silence_shorts_everything(rig):
 
 
 def test_hello_of_any_version_is_answered_and_nothing_else():
-    board = LinkFirmware(4, "weighted", DeliveryLog(4))
+    board = LinkFirmware("weighted", DeliveryLog(4))
     (answer,) = Deframer().feed(board.feed(frame_packet(9, MessageKind.HELLO, 0, b""), 0))
     assert (answer.kind, answer.version) == (MessageKind.CAPABILITIES, protocol.VERSION)
     assert board.feed(frame_packet(9, MessageKind.STATUS, 1, bytes(16)), MS) == b""

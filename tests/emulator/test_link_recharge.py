@@ -5,7 +5,7 @@ import pytest
 
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import Feature, MessageKind, Refusal, Rule
-from smarttouch.emulator.firmware import DeliveryLog, read_recharges, read_slots
+from smarttouch.emulator.firmware import RECHARGE, DeliveryLog, read_recharges, read_slots
 from smarttouch.emulator.skin import Delivered
 
 from .rig import LinkRig
@@ -116,6 +116,6 @@ def test_what_breaks_the_boards_own_limits_is_refused(bad, good, rule):
 ])  # fmt: skip
 def test_the_books_look_for_themselves(current_ua, width_us, unsafe):
     books, current = DeliveryLog(2), np.array([current_ua, -current_ua], float)
-    books.enter_recharge(1, Delivered(current, current * width_us, current, 0.0), width_us,
-                         current * 0, 0.0)  # fmt: skip
+    delivered = Delivered(current, current * width_us, current, 0.0)
+    books.enter(1, RECHARGE, RECHARGE, delivered, width_us, current * 0, 0.0)
     assert books.unsafe == unsafe

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from smarttouch.boards.link.protocol import NOTHING, OUTPUTS
+from smarttouch.boards.link.protocol import OUTPUTS
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.skin import Delivered
 from tests.firmware.build import cortex_m3
@@ -112,10 +112,8 @@ class Books:
                 current_ua[pole] *= int(record["source_ua"]) / max(1, pole.sum())
         nothing = np.zeros(len(current_ua))
         delivered = Delivered(current_ua, current_ua * width_us, nothing, 0.0)
-        number, slot, start_us = (int(record[name]) for name in ("number", "slot", "start_us"))
+        number, slot, site, start_us = (
+            int(record[name]) for name in ("number", "slot", "site", "start_us")
+        )
         log.state = "driving"
-        if slot == NOTHING:
-            log.enter_recharge(number, delivered, width_us, nothing, start_us)
-        else:
-            site = int(record["site"])
-            log.enter(number, slot, site, delivered, width_us, nothing, start_us)
+        log.enter(number, slot, site, delivered, width_us, nothing, start_us)

@@ -149,16 +149,11 @@ class PulseBooks(DeliveryLog):
         super().enter(number, slot, site, delivered, width_us, residual_uc, time_us, **more)
         if not self.worn:
             self.max_net_charge_uc = 0.0
-        self.measured.append((in_10_mv(delivered.source_v), round(1e6 * self.max_net_charge_uc)))
+        if slot != protocol.NOTHING:
+            left_pc = round(1e6 * self.max_net_charge_uc)
+            self.measured.append((in_10_mv(delivered.source_v), left_pc))
         current = np.rint(delivered.current_ua).astype(int).tolist()
-        self.kept.append((number, slot, site, width_us, time_us, current))
-
-    def enter_recharge(self, number, delivered, width_us, residual_uc, time_us):
-        super().enter_recharge(number, delivered, width_us, residual_uc, time_us)
-        if not self.worn:
-            self.max_net_charge_uc = 0.0
-        current = np.rint(delivered.current_ua).astype(int).tolist()
-        self.kept.append((number, 0xFFFF, 0xFFFF, round(width_us), time_us, current))
+        self.kept.append((number, slot, site, round(width_us), time_us, current))
 
 
 class Emulated:
@@ -168,9 +163,7 @@ class Emulated:
         self._books = PulseBooks(electrodes)
         self._books.worn, self._books.kept, self._books.measured = worn, [], []
         session = BoardSession(itertools.count(1).__next__)
-        self._board = LinkFirmware(
-            electrodes, output, self._books, session=session, ramp_ms=ramp_ms
-        )
+        self._board = LinkFirmware(output, self._books, session=session, ramp_ms=ramp_ms)
 
     def feed(self, data, now_us):
         return self._board.feed(data, 1000 * now_us), self._taken()

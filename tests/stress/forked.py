@@ -119,7 +119,7 @@ class Emulated:
         quiet(out=os.devnull)
         books = DeliveryLog(KINDS[self.kind])
         firmware = {
-            "link": lambda: LinkFirmware(64, "weighted", books),
+            "link": lambda: LinkFirmware("weighted", books),
             "kajimoto61": lambda: Kajimoto61Firmware(books),
             "etactilekit": lambda: ETactileKitFirmware(books),
         }[self.kind]()

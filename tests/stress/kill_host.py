@@ -76,7 +76,7 @@ class PlayedBoard:
     def __init__(self, kind, firmware="71adee2"):
         books = LastPulse(ELECTRODES[kind])
         self.firmware = {
-            "link": lambda: LinkFirmware(books.electrodes, "weighted", books),
+            "link": lambda: LinkFirmware("weighted", books),
             "kajimoto61": lambda: Kajimoto61Firmware(books),
             "etactilekit": lambda: ETactileKitFirmware(books, firmware=firmware),
         }[kind]()

@@ -143,7 +143,7 @@ class World:
         self.books = KeptBooks(4)
         self.books.kept = []
         session = BoardSession(self.draw)
-        self.firmware = LinkFirmware(4, "weighted", self.books, session=session, ramp_ms=0)
+        self.firmware = LinkFirmware("weighted", self.books, session=session, ramp_ms=0)
         self.to_board, self.to_host = Middle(self.random), Middle(self.random)
         self.heard, self.said = Stream(), Stream()
         self.now_ns, self.host, self.written, self.half = 0, None, b"", 0
