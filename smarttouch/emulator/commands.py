@@ -11,7 +11,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import SmartTouchError, not_offered, require_within
+from smarttouch.base.errors import SmartTouchError, choice_of, not_offered, require_within
 from smarttouch.base.url_options import options_of, read_options
 from smarttouch.base.wire.device_lines import PtyLine, TcpLine
 from smarttouch.boards.link.protocol import OUTPUTS
@@ -69,21 +69,18 @@ def emulate_board(
     electrodes = default if electrodes is None else electrodes
     require_within(SmartTouchError, "electrodes", electrodes, least, most)
     require_within(SmartTouchError, "ramp_ms", ramp_ms, 0, 10_000)
-    kind = next((each for each in OUTPUTS if each == output), None)
-    if kind is None:
-        raise not_offered("output", output, OUTPUTS)
+    kind = choice_of("output", output, OUTPUTS)
     if firmware is not None and name != "etactilekit":
         message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
         raise SmartTouchError(message)
-    if firmware not in (None, *FIRMWARES):
-        raise not_offered("firmware", firmware, FIRMWARES)
+    firmware = choice_of("firmware", firmware or FIRMWARES[0], FIRMWARES)
     if books is not None and not books.is_dir():
         raise SmartTouchError(f"{books} is not a folder: make it first")
     log, finger = DeliveryLog(electrodes, books), EmulatedFinger(electrodes, event)
     if name == "kajimoto61":
         device: Firmware = Kajimoto61Firmware(log, finger)
     elif name == "etactilekit":
-        device = ETactileKitFirmware(log, finger, firmware=firmware or FIRMWARES[0])
+        device = ETactileKitFirmware(log, finger, firmware=firmware)
     else:
         # Kernels of all classes, however many electrodes there are.
         room = Room(kernels=max(Room.kernels, len(Afferent) * electrodes))

@@ -1,6 +1,5 @@
 """Emulated boards as drivers: in this process with simulated time, or in one of their own."""
 
-import os
 import select
 import subprocess
 import sys
@@ -253,21 +252,17 @@ class EmulatorProcess:
 
     def _printed_port(self, process: "subprocess.Popen[bytes]", line: Line) -> str:
         assert process.stdout is not None
-        deadline, said = time.monotonic() + _STARTS_WITHIN_S, b""
+        deadline = time.monotonic() + _STARTS_WITHIN_S
         with process.stdout as output:
-            while not said.endswith(b"\n"):
+            while not select.select([output], [], [], 0.02)[0]:
+                line.require_running()
                 if time.monotonic() > deadline:
                     raise BoardError(
                         f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this "
                         "computer is too busy, try again"
                     )
-                if not select.select([output], [], [], 0.02)[0]:
-                    line.require_running()
-                    continue
-                if not (piece := os.read(output.fileno(), 256)):
-                    message = f"the emulator did not start (exit {process.wait()})"
-                    raise BoardError(message)
-                said += piece
+            if not (said := output.readline()):
+                raise BoardError(f"the emulator did not start (exit {process.wait()})")
         return said.decode().strip()
 
     def end(self) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
+from smarttouch.emulator.firmware import RECHARGE, DeliveryLog, read_slots, read_state
 from smarttouch.emulator.skin import Delivered
 
 
@@ -37,6 +37,16 @@ def test_what_is_read_is_what_was_entered(tmp_path):
 ])  # fmt: skip
 def test_unsafe_is_what_flowed_above_a_safe_value(current_ua, width_us, unsafe):
     assert enter(DeliveryLog(2), [current_ua, -current_ua], width_us).unsafe == unsafe
+
+
+@pytest.mark.parametrize(("current_ua", "width_us", "unsafe"), [
+    (500, 4000, 0), (501, 10, 1), (100, 20_001, 1), (500, 4001, 1),
+])  # fmt: skip
+def test_a_recharge_phase_has_its_own_safe_values(current_ua, width_us, unsafe):
+    books, current = DeliveryLog(2), np.array([current_ua, -current_ua], float)
+    delivered = Delivered(current, current * width_us, current, 0.0)
+    books.enter(1, RECHARGE, RECHARGE, delivered, width_us, current * 0, 0.0)
+    assert (books.unsafe, books.recharges, books.slots) == (unsafe, 1, 0)
 
 
 def test_two_pulses_of_a_slot_count_as_one_slot():

@@ -1,17 +1,11 @@
 """The eTactileKit, to the byte, on a clock of the test's own."""
 
-import time
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, read_slots
-
-from ..whole import WHOLE
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -100,11 +94,6 @@ def test_at_boot_there_is_no_pulse_width_but_a_pulse_and_the_rate_is_100_hz(rig)
     assert rig.books.max_charge_uc == pytest.approx(0.21978)
 
 
-def test_a_rate_of_zero_is_ignored(rig):
-    rig.say(0, "FC04 FA6400 F60000" + ONE)
-    assert rig.advance(1000) == pytest.approx(100, abs=1)
-
-
 @pytest.mark.parametrize(("polarity", "sign"), [("FD00", 1), ("FD01", -1), ("", -1)])
 def test_polarity(rig, polarity, sign):
     assert np.sign(rig.after(50, "FC04 FA6400" + polarity + ONE).slots["current_ua"][0, 1]) == sign
@@ -134,14 +123,6 @@ def test_sense_pulses_go_to_every_electrode_whatever_the_pattern(rig):
     assert slots["current_ua"][range(4), range(4)].tolist() == [-999] * 4
     assert np.diff(slots["time_us"]).tolist() == [110] * 3
     assert rig.books.max_charge_uc == pytest.approx(0.999 * 0.05)
-
-
-def test_without_a_height_there_are_no_sense_pulses_without_a_width_short_ones(rig):
-    rig.say(0, "FC04 FB02 FA6400 F964 F832" + ONE + "F900")
-    assert rig.advance(1005) == 0
-    rig.say(1005, "F964 F800")
-    assert rig.advance(1015) == 4
-    assert rig.books.max_charge_uc == pytest.approx(0.999 * 6.6e-3)
 
 
 def test_readings_are_the_volts_of_the_last_slots(rig):
@@ -213,11 +194,6 @@ def test_outputs_beyond_the_array_drive_nothing(rig):
     rig.after(25, "FC06 FA6400" + "FE" + "0000" * 4 + "0A00" * 2)
     assert rig.books.pulses == 0
     assert np.frombuffer(rig.say(25, "FF"), "<u2").tolist()[4:] == [int(300 / 0.0893)] * 2
-
-
-def test_electrodes_beyond_the_count_are_left_out(rig):
-    slots = rig.after(15, "FC02 FA6400" + "FE 0A00 0000").slots
-    assert slots["current_ua"][0, 2:].tolist() == [0, 0]
 
 
 @pytest.mark.parametrize(("outputs", "chips"), [(32, 4), (1, 1), (8, 1), (9, 2), (255, 32)])
@@ -311,41 +287,3 @@ def test_without_power_nothing_flows(rig):
     slots = rig.books.slots
     assert rig.advance(1000) == slots
     assert (rig.books.state, rig.books.reason) == ("shorted", "signal")
-
-
-def test_an_hour_without_pulses_passes_at_once(rig):
-    rig.after(1, "FC00 F6FFFF")
-    began = time.thread_time()
-    rig.advance(3_600_000)
-    rig.say(3_600_000, EXAMPLE)
-    rig.advance(7_200_000)
-    assert time.thread_time() - began < 0.5
-
-
-BYTES = st.one_of(
-    st.binary(max_size=20),
-    st.sampled_from([bytes.fromhex(text) for text in (EXAMPLE, ONE, "FB02", "FB01", "F6FFFF")]),
-)
-
-
-@settings(max_examples=60 if WHOLE else 20, deadline=None)
-@given(pieces=st.lists(BYTES, max_size=8), step_us=st.integers(0, 2000))
-def test_any_bytes_are_survived(pieces, step_us):
-    books = DeliveryLog(4)
-    board = ETactileKitFirmware(books)
-    for step, piece in enumerate(pieces):
-        board.feed(piece, step * step_us * 1000)
-    board.advance(len(pieces) * step_us * 1000)
-    assert books.max_current_ma <= 4095 * 9.99e-3 * (1 + 1e-9)
-    assert books.max_volts <= 300 * (1 + 1e-9)
-    unsafe = books.max_current_ma > 5.001 or books.max_charge_uc > 0.5001
-    assert not unsafe or books.unsafe > 0
-
-
-@settings(max_examples=30, deadline=None)
-@given(pieces=st.lists(BYTES, max_size=8), cut=st.integers(1, 9))
-def test_how_the_bytes_are_cut_does_not_matter(pieces, cut):
-    data = b"".join(pieces)
-    whole, parts = ETactileKitFirmware(DeliveryLog(4)), ETactileKitFirmware(DeliveryLog(4))
-    answer = whole.feed(data, 0)
-    assert answer == b"".join(parts.feed(data[at : at + cut], 0) for at in range(0, len(data), cut))

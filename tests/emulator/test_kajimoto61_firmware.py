@@ -1,11 +1,7 @@
 """The kit of 61 electrodes, to the byte, on a clock of the test's own."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, read_slots
@@ -150,13 +146,6 @@ def test_what_the_self_test_left_flows_for_a_moment_in_the_first_pulse(tmp_path,
     assert (books.slots, books.unsafe) == (3, 0)
 
 
-def test_after_a_measurement_the_converter_is_empty(tmp_path):
-    books = DeliveryLog(ELECTRODES, tmp_path)
-    board = Kajimoto61Firmware(books)
-    play(board, 0, ZERO + b"\xfe" + frame(e1=1), 30)
-    assert delivered(books)["site"].tolist() == [*range(61), 1]
-
-
 def test_a_measurement_takes_its_time_and_its_readings_are_volts(board, books):
     assert board.feed(b"\xfe", 0) == b""
     assert board.advance(int(2.06 * MS)) == b""
@@ -201,15 +190,6 @@ def test_a_command_after_a_measurement_waits_for_it(board, books):
     assert delivered(books)["time_us"][-1] == 61 * 25
 
 
-def test_a_lost_host_leaves_everything_as_it_is(board, books):
-    board.feed(frame(e1=50, e2=50), 0)
-    board.hang_up(int(0.1 * MS))
-    board.advance(1 * MS)
-    assert books.slots == 2
-    play(board, 500, frame(e1=50), 501)
-    assert books.slots == 3
-
-
 def test_without_power_nothing_flows(board, books):
     board.feed(frame(e1=50, e2=50), 0)
     board.zero("signal", 1000)
@@ -222,33 +202,3 @@ def test_from_129_on_a_byte_is_more_than_5_ma(board, books, value, unsafe):
     play(board, 0, frame(e30=value), 1)
     assert books.unsafe == unsafe
     assert books.max_current_ma <= 7.8126
-
-
-@settings(max_examples=60 if WHOLE else 20, deadline=None)
-@given(pieces=st.lists(st.binary(max_size=70) | st.sampled_from([b"\xff", b"\xfe"]), max_size=8))
-def test_any_bytes_are_survived_and_only_their_intensities_flow(pieces):
-    books = DeliveryLog(ELECTRODES)
-    board = Kajimoto61Firmware(books)
-    board.feed(ZERO, 0)
-    for step, piece in enumerate(pieces):
-        board.feed(piece, step * MS)
-    board.advance(100 * MS)
-    assert books.max_current_ma <= 7.8126
-    assert books.max_charge_uc <= 7.8126 * 0.050001
-    if not any(129 <= byte <= 200 for piece in pieces for byte in piece):
-        assert books.unsafe == 0
-
-
-@settings(max_examples=30, deadline=None)
-@given(data=st.binary(max_size=200), cuts=st.lists(st.integers(0, 200), max_size=5))
-def test_how_the_bytes_are_cut_does_not_matter(data, cuts):
-    whole, pieces = DeliveryLog(ELECTRODES), DeliveryLog(ELECTRODES)
-    board = Kajimoto61Firmware(whole)
-    play(board, 0, ZERO + data, 100)
-    board = Kajimoto61Firmware(pieces)
-    board.feed(ZERO, 0)
-    edges = sorted({0, *(min(cut, len(data)) for cut in cuts), len(data)})
-    for start, end in pairwise(edges):
-        board.feed(data[start:end], 0)
-    board.advance(100 * MS)
-    assert (pieces.slots, pieces.sequences) == (whole.slots, whole.sequences)

@@ -134,22 +134,6 @@ def test_another_host_cannot_take_a_live_session_over(rig):
     assert rig.counted == (0, 2)
 
 
-def test_the_challenge_is_used_once():
-    drawn = iter(range(1, 100))
-    session = BoardSession(lambda: next(drawn))
-    begin = Message(MessageKind.BEGIN, 2, 1 << 32 | 5)
-    assert session.begin(begin)
-    session.live = False
-    assert not session.begin(begin)
-    assert session.begin(Message(MessageKind.BEGIN, 2, 2 << 32 | 5))
-
-
-def test_a_session_without_a_hosts_half_is_none():
-    session = BoardSession(lambda: 7)
-    assert not session.begin(Message(MessageKind.BEGIN, 1, 7 << 32))
-    assert not session.begin(Message(MessageKind.BEGIN, 1, 5))
-
-
 def test_hellos_that_lead_to_nothing_are_counted():
     session = BoardSession()
 

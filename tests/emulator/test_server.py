@@ -6,16 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smarttouch.base.errors import BoardError
 from smarttouch.base.wire.device_lines import PtyLine
-from smarttouch.emulator.finger_events import DeviceEvent, parse
+from smarttouch.emulator.finger_events import parse
 from smarttouch.emulator.firmware import Firmware
 from smarttouch.emulator.sensors import EmulatedLoadCell, SensorArray, SensorFirmware
-from smarttouch.emulator.server import FAULTS, Server, faults_at
+from smarttouch.emulator.server import FAULTS, Server
 from smarttouch.sources.sensor_protocol import ArrayFrame, CellReading, MessageStream
 from smarttouch.sources.serial_input import TextReadings
-
-from ..raising import raises
 
 MS = 10**6
 
@@ -135,34 +132,6 @@ def test_orders(capsys):
     assert "'0 unplug 0'" in unplugged
     assert "'0.004000 dance'" in dance
     assert "garbage, nan, freeze, silent, unplug" in dance
-
-
-@pytest.mark.parametrize(("text", "fault"), [
-    ("2 garbage 0.5", DeviceEvent(2, "garbage", values=(0.5,))),
-    ("3 nan", DeviceEvent(3, "nan")),
-    (" 0.5  unplug  1 ", DeviceEvent(0.5, "unplug", values=(1,))),
-])  # fmt: skip
-def test_events(text, fault):
-    assert parse_fault(text) == fault
-
-
-@pytest.mark.parametrize(("text", "words"), [
-    *((text, "is unknown") for text in ("", "2", "nan", "2 dance")),
-    *((text, "write TIME nan [SECONDS]") for text in ("x nan", "2 nan x")),
-    *((text, "negative or not finite") for text in ("-1 nan", "inf nan", "2 nan -1", "2 nan inf")),
-    ("2 nan 1 1", "write TIME nan [SECONDS]"),
-])  # fmt: skip
-def test_what_is_no_event(text, words):
-    with raises(BoardError, names="event", value=(text, words)):
-        parse_fault(text)
-
-
-def test_what_is_wrong_at_a_time():
-    faults = [DeviceEvent(1, "nan", values=(1,)), DeviceEvent(1.5, "silent")]
-    assert faults_at(faults, 0.99) == frozenset()
-    assert faults_at(faults, 1) == {"nan"}
-    assert faults_at(faults, 1.6) == {"nan", "silent"}
-    assert faults_at(faults, 2) == {"silent"}
 
 
 def test_garbage_is_nothing_and_ends_as_what_it_stands_for():

@@ -113,17 +113,6 @@ def test_a_short_circuit_is_solved_exactly():
     np.testing.assert_allclose(skin.charge_uc - passed, charge_pc * 1e-6, rtol=1e-4, atol=1e-9)
 
 
-def test_charge_of_equal_electrodes_goes_with_their_time_constant():
-    skin = SkinCircuit(4, spread=0)
-    skin.pulse(np.array([300.0, -100, -100, -100]), 100)
-    before = np.abs(skin.residual_uc).max()
-    parallel = 1 / (1 / SERIES_OHM + 1 / PARALLEL_OHM)
-    skin.short(parallel * CAPACITANCE_F * 1e6)
-    assert np.abs(skin.residual_uc).max() == pytest.approx(before / np.e, rel=1e-3)
-    skin.short(1000)
-    assert np.abs(skin.residual_uc).max() < 1e-9
-
-
 def test_without_a_leak_what_passed_is_what_is_left():
     skin = unequal(5, 1)
     skin.parallel_ohm = np.full(5, 1e13)
@@ -145,25 +134,6 @@ def test_the_source_pays_for_what_is_stored_and_lost():
     stored = float((skin.residual_uc**2 / skin.capacitance_f).sum()) * 1e-12 / 2
     assert work == pytest.approx(lost + stored, rel=1e-6)
     assert delivered.source_v == pytest.approx(2 * (amps * SERIES_OHM + volts[-1]))
-
-
-def test_2_4_ma_for_200_us_needs_about_125_v():
-    current = np.full(64, -2400 / 63)
-    current[0] = 2400
-    assert SkinCircuit(64, spread=0).pulse(current, 200).volts[0] == pytest.approx(125, abs=5)
-
-
-@pytest.mark.parametrize("state", [[0, 0, 0], [1, 1, 0], [-1, 0, 0]])
-def test_with_one_pole_nothing_flows(state):
-    delivered = SkinCircuit(3).switched_pulse(np.array(state, np.int8), 1000, 100)
-    assert not delivered.charge_pc.any()
-    assert delivered.source_v == 0
-
-
-def test_an_insulated_electrode_stays_out():
-    delivered = SkinCircuit(4).switched_pulse(np.array([1, 0, -1, -1], np.int8), 1000, 100)
-    assert delivered.current_ua[1] == 0
-    assert delivered.current_ua[0] == pytest.approx(1000)
 
 
 def test_electrodes_differ_a_little_and_always_in_the_same_way():
@@ -206,6 +176,8 @@ def test_one_source_gives_no_more_than_asked(state, source_ua):
     skin = unequal(8, 2)
     delivered = skin.switched_pulse(state, source_ua, 100)
     assert delivered.current_ua[state > 0].sum() <= source_ua * (1 + 1e-9) + 1e-12
+    assert not delivered.current_ua[state == 0].any()
+    assert {1, -1} <= set(state.tolist()) or not delivered.charge_pc.any()
     assert delivered.source_v <= skin.compliance_v * (1 + 1e-9)
 
 
