@@ -1,5 +1,4 @@
-"""Bytes of a sequence as currents and as lists of kernels, what wires make of them,
-and the same µA at both ends and in C.
+"""Bytes of a sequence as currents and as lists of kernels, and what wires make of them.
 
 Run with::
 
@@ -13,28 +12,23 @@ import re
 import statistics
 import subprocess
 import time
-from functools import partial
 
 import numpy as np
 import pytest
 
 from smarttouch.boards.link.protocol import MessageKind, encode
 from smarttouch.boards.link.sequence_encoding import KernelImage
-from smarttouch.boards.open import make_board
-from smarttouch.emulator.link_packets import rounded
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.profile.device import Output
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.source_contract import Stimulus
-from smarttouch.stimulation.safety_gate import SafetyLimits
-from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, quantized
-from tests.benchmarks.test_link_latency import Bare, acknowledged_s, beside, limits_of, raised
+from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, quantized
+from tests.benchmarks.test_link_latency import limits_of
 from tests.boards.payloads import encode_lists
-from tests.firmware.build import built, host, library
+from tests.firmware.build import built, library
 from tests.firmware.rig import Core, Talk
-from tests.firmware.scenes import random_lists, random_table, sequence_of
+from tests.firmware.scenes import random_table, sequence_of
 
 WIRES = {"1 MB/s": 1e6, "921,600 Bd": 92_160}
 PULSE_US, REST_US = 200, 100
@@ -106,74 +100,6 @@ def test_larger_arrays(row, quick, electrodes):
         tell(row, electrodes, "frame", points, plain, None)
 
 
-def lists_at(electrodes, step, table, rng):
-    kernel = rng.permutation(electrodes).astype(np.uint16)
-    amplitude = np.full(electrodes, 40, np.uint16)
-    lists = KernelLists(table, np.arange(electrodes + 1), kernel, amplitude)
-    column = np.ones(electrodes, np.uint16)
-    return ScanSequence(
-        lists.current_ua(), 5 * column, 20 * column, lists.site, 40 * electrodes + 6000, 1.0,
-        step * 10**9, sums=lists,
-    )  # fmt: skip
-
-
-def sent_at(times, write, *given, **named):
-    times.append(time.perf_counter())
-    return write(*given, **named)
-
-
-@pytest.mark.parametrize("board", ["emulator", "C"])
-@pytest.mark.parametrize("electrodes", [64, 128, 256, 512])
-def test_acknowledged_over_a_pseudo_terminal(row, quick, electrodes, board):
-    if quick and electrodes > 64:
-        pytest.skip("smaller ones are every path")
-    rng = np.random.default_rng(0)
-    table = random_table(rng, electrodes, electrodes)
-    image = KernelImage.of(table, 1 << 23, 4096)
-    limits, output = limits_of(electrodes), Output(kind="weighted")
-    length = packets(lists_at(electrodes, 1, table, rng), image)[1]
-    bare, ours, plain = Bare(length), [], []
-    process = None
-    if board == "C":
-        process = subprocess.Popen(
-            [host(), f"--electrodes={electrodes}"], stdout=subprocess.PIPE, text=True
-        )
-        driver = make_board(f"link:{process.stdout.readline().strip()}", limits, output)
-    else:
-        driver = make_board("emulator:", limits, output)
-    with driver:
-        driver.keep_kernels(table)
-        first = raised(driver, electrodes)
-        at, wire = [], []
-        carrier = driver.driver._packets
-        carrier.send = partial(sent_at, at, carrier.send)
-        for step in range(first, first + (3 if quick else 60)):
-            ours.append(acknowledged_s(driver, lists_at(electrodes, step, table, rng)))
-            wire.append(time.perf_counter() - at[-1])
-            start = time.perf_counter()
-            bare()
-            plain.append(time.perf_counter() - start)
-        assert driver.report().violations == 0
-    bare.close()
-    if process is not None:
-        process.kill()
-        process.wait()
-        process.stdout.close()
-    row(
-        "A list in hand to acknowledged, beside its bare bytes",
-        {
-            "board": board,
-            "electrodes": electrodes,
-            **beside(length, ours, plain),
-            # What a busy machine adds comes on top of these.
-            "least": f"{1e6 * min(ours):.0f}",
-            "least from the payload on": f"{1e6 * min(wire):.0f}",
-            "least bare": f"{1e6 * min(plain):.0f}",
-            "ratio of the last two": f"{min(wire) / min(plain):.1f}",
-        },
-    )
-
-
 @pytest.mark.parametrize("electrodes", [64, 128, 256, 512])
 def test_processor_time(row, quick, electrodes):
     """What a list of 60 points costs the host, from proved to framed, and the C core to check."""
@@ -214,43 +140,6 @@ def test_processor_time(row, quick, electrodes):
             "encoded, as currents": f"{1e6 * statistics.median(plain):.0f}",
             "C core on this machine, with its check": f"{1e6 * statistics.median(checked):.0f}",
         },
-    )
-
-
-def test_the_same_currents_everywhere(row, quick):
-    """A million lists: the host's, the emulator's and the C core's whole numbers."""
-    count, electrodes, slots = (2_000 if quick else 1_000_000), 16, 60
-    rng = np.random.default_rng(0)
-    limits = SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0, total_ma=10.0)
-    core = Core(library(), electrodes, ramp_ms=0)
-    table = random_table(rng, 4000, electrodes)
-    image = KernelImage.of(table, 1 << 23, 4096)
-    talk = Talk(core).begin(limits, image)
-    compared = number = pairs = 0
-    while compared < count:
-        lists = random_lists(rng, table, slots, most=8, loud=8000)
-        number += 1
-        talk.send(sequence_of(lists, period_us=100_000), number, image=image)
-        pulses = talk.pulses
-        talk.wait(9_100, 9_100)
-        pulses += talk.pulses
-        talk.say(MessageKind.HEARTBEAT)
-        talk.wait(91_000, 91_000)
-        talk.say(MessageKind.HEARTBEAT)
-        wanted = lists.current_ua()
-        assert [each[5] for each in pulses] == wanted.tolist()
-        for slot in range(slots):
-            own = slice(lists.first[slot], lists.first[slot + 1])
-            every = table.weights[lists.kernel[own]].astype(int) * lists.amplitude[own, None]
-            np.testing.assert_array_equal(rounded(every.sum(axis=0)), wanted[slot])
-        compared += slots
-        pairs += len(lists.kernel)
-    books = core.books()
-    assert (books["slots"], books["violations"]) == (compared, 0)
-    core.close()
-    row(
-        "Lists of (kernel, amplitude): host, emulator and C core",
-        {"lists": compared, "pairs": pairs, "electrodes": electrodes, "differ": 0},
     )
 
 
