@@ -25,7 +25,6 @@ from smarttouch.base.errors import SequenceLateError as SequenceLateError
 from smarttouch.base.errors import SilentBoardError as SilentBoardError
 from smarttouch.base.errors import SourceLostError as SourceLostError
 from smarttouch.base.errors import TableError as TableError
-from smarttouch.base.errors import UnknownSizeError as UnknownSizeError
 from smarttouch.base.events import Advice as Advice
 from smarttouch.base.events import BoardRestarted as BoardRestarted
 from smarttouch.base.events import Emit as Emit

@@ -4,7 +4,6 @@ Processes that only compute do not hold up a thread of real-time priority (``SCH
 gives it to root, and to users whose limit ``rtprio`` allows it.
 """
 
-import contextlib
 import os
 import threading
 import time
@@ -12,12 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
-from smarttouch.base.posix import resource
-
 PRIORITY = 1  # priority of the threads that pace and send: the lowest above all ordinary ones
 _FIFO: int | None = getattr(os, "SCHED_FIFO", None)
 _RESET: int = getattr(os, "SCHED_RESET_ON_FORK", 0)
-_LIMIT: int | None = getattr(resource, "RLIMIT_RTPRIO", None)
 
 
 def priority_advice() -> str:
@@ -41,27 +37,16 @@ def prioritized() -> Iterator[bool]:
         yield False
         return
     before = os.sched_getscheduler(0) & ~_RESET, os.sched_getparam(0)
-    allowed = _take_priority(_FIFO)
     try:
-        yield allowed
-    finally:
-        if allowed:
-            # Without this flag only root may set it: it stays, whatever this thread does.
-            os.sched_setscheduler(0, before[0] | _RESET, before[1])
-
-
-def _take_priority(policy: int) -> bool:
-    if _LIMIT is not None:
-        # An administrator may allow more than the session has by itself.
-        soft, most = resource.getrlimit(_LIMIT)
-        if soft < PRIORITY <= most:
-            with contextlib.suppress(OSError, ValueError):
-                resource.setrlimit(_LIMIT, (PRIORITY, most))
-    try:
-        os.sched_setscheduler(0, policy | _RESET, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, _FIFO | _RESET, os.sched_param(PRIORITY))
     except OSError:
-        return False
-    return True
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        # Without this flag only root may set it: it stays, whatever this thread does.
+        os.sched_setscheduler(0, before[0] | _RESET, before[1])
 
 
 def is_prioritized() -> bool:

@@ -66,10 +66,6 @@ class PageError(SmartTouchError):
     """A page or document cannot be read, or has nothing to read."""
 
 
-class UnknownSizeError(PageError):
-    """The size of a page is unknown: give its resolution or width."""
-
-
 class BrailleError(SmartTouchError):
     """A text cannot be put into Braille, or cells not into text."""
 

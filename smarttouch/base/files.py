@@ -4,7 +4,6 @@ What is written is for its owner alone.
 """
 
 import contextlib
-import errno
 import json
 import math
 import os
@@ -148,27 +147,19 @@ def make_folder(path: Path) -> None:
 def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
     """Write a file, which is complete on the disk before it replaces an earlier one.
 
-    Also writes into a device, or a pipe with a reader. Raises the given type of error.
+    Also writes into a device, or a pipe as soon as it is read. Raises the given type of error.
     """
     try:
         # /dev/stdout may lead to a file, which others write, too.
         if path.exists() and (not path.is_file() or path.parent == Path("/dev")):
-            _write_into(path, data)
+            with path.open("ab") as file:
+                file.write(data)
         else:
             _replace(Path(os.path.realpath(path)), data)
     except ValueError:
         raise error(f"cannot write {path}: no file has such a name") from None
     except OSError as failure:
         raise unwritable(error, path, failure) from None
-
-
-def _write_into(path: Path, data: bytes) -> None:
-    # Without O_NONBLOCK, a pipe that nobody reads would be waited for.
-    flags = os.O_WRONLY | os.O_APPEND | O_NONBLOCK
-    with os.fdopen(owner_only(os.fspath(path), flags), "wb") as file:
-        if O_NONBLOCK:
-            os.set_blocking(file.fileno(), True)
-        file.write(data)
 
 
 def _replace(path: Path, data: bytes) -> None:
@@ -219,8 +210,7 @@ def unreadable(error: type[SmartTouchError], path: Path, failure: OSError) -> Sm
 
 def unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
     """Return the error for a file that cannot be written."""
-    reason = "nobody reads from it" if failure.errno == errno.ENXIO else failure.strerror
-    return error(f"cannot write {path}: {reason}")
+    return error(f"cannot write {path}: {failure.strerror}")
 
 
 def require_folder(path: Path | None) -> None:

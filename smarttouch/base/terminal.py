@@ -45,26 +45,17 @@ class PlainStream:
 
     def __init__(self, stream: TextIO, name: str, plain: bool = True) -> None:
         self._stream, self._name, self._plain = stream, name, plain
-        self.encoding: str = stream.encoding
-        self.errors: str | None = stream.errors
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
     @property
     def direct(self) -> "PlainStream":
         """The same stream for drawing."""
         return PlainStream(self._stream, self._name, plain=False)
 
-    @property
-    def closed(self) -> bool:
-        return self._stream.closed
-
-    def writable(self) -> bool:
-        return True
-
     def isatty(self) -> bool:
         return not self._plain and self._stream.isatty()
-
-    def fileno(self) -> int:
-        return self._stream.fileno()
 
     def write(self, text: str) -> int:
         self._guarded(self._stream.write, printable(text) if self._plain else text)

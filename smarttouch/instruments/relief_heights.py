@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import PageError, UnknownSizeError
+from smarttouch.base.errors import PageError
 from smarttouch.pages.page_image import (
     check_scale_options,
     open_image,
@@ -80,7 +80,7 @@ def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = 
     with open_image(path) as image:
         grey, mm_per_pixel = read_grey(path, image, dpi, width_mm)
     if mm_per_pixel is None:
-        raise UnknownSizeError(f"{path} does not say how large it is: give {_SCALE}")
+        raise PageError(f"{path} does not say how large it is: give {_SCALE}")
     rows, columns = grey.shape
     require_size_mm(str(path), columns * mm_per_pixel, rows * mm_per_pixel, _SCALE)
     return Heights(path.name, _stretched(path.name, 255 - grey.astype(np.float64)), mm_per_pixel)

@@ -1,6 +1,6 @@
 """The device end of a line: a pseudo-terminal or a TCP connection, for emulators."""
 
-import errno
+import contextlib
 import os
 import select
 import socket
@@ -11,6 +11,16 @@ from pathlib import Path
 from smarttouch.base.posix import pty, tty
 
 LARGEST_READ = 65536
+
+
+def _rest(number: int, data: bytes) -> bytes:
+    """Write what fits; return the rest."""
+    try:
+        return data[os.write(number, data) :]
+    except BlockingIOError:
+        return data
+    except OSError:
+        return b""
 
 
 class PtyLine:
@@ -59,27 +69,20 @@ class PtyLine:
         if not self.plugged_in:
             time.sleep(timeout_s)
             return None
+        if not select.select([self._master], [], [], timeout_s)[0]:
+            return b""
         try:
-            if not select.select([self._master], [], [], timeout_s)[0]:
-                return b""
             return os.read(self._master, LARGEST_READ)
         except BlockingIOError:
             # A hang-up looks readable; the host has opened the port since.
             return b""
-        except OSError as error:
-            if error.errno == errno.EIO:
-                time.sleep(0.002)
-                return None
-            raise
+        except OSError:
+            time.sleep(0.002)
+            return None
 
     def write(self, data: bytes) -> bytes:
         """Write what fits; return the rest."""
-        try:
-            return data[os.write(self._master, data) :]
-        except BlockingIOError:
-            return data
-        except OSError:
-            return b""
+        return _rest(self._master, data)
 
 
 class TcpLine:
@@ -103,26 +106,18 @@ class TcpLine:
             self._host.setblocking(False)
             self._host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             return b""
-        try:
-            data = self._host.recv(LARGEST_READ)
-        except BlockingIOError:
+        if not ready:
             return b""
-        except OSError:
-            data = b""
-        if data:
-            return data
+        with contextlib.suppress(OSError):
+            if data := self._host.recv(LARGEST_READ):
+                return data
         self._host.close()
         self._host = None
         return None
 
     def write(self, data: bytes) -> bytes:
         """Write what fits; return the rest."""
-        try:
-            return b"" if self._host is None else data[self._host.send(data) :]
-        except BlockingIOError:
-            return data
-        except OSError:
-            return b""
+        return b"" if self._host is None else _rest(self._host.fileno(), data)
 
     def plug_in(self) -> None: ...
 
