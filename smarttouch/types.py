@@ -2,7 +2,6 @@
 
 from smarttouch.base.afferent import Mode as Mode
 from smarttouch.base.clock import Clock as Clock
-from smarttouch.base.electrodes import ElectrodeArray as ElectrodeArray
 from smarttouch.base.errors import BoardClosedError as BoardClosedError
 from smarttouch.base.errors import BoardFaultError as BoardFaultError
 from smarttouch.base.errors import BoardLatchedError as BoardLatchedError
@@ -71,6 +70,7 @@ from smarttouch.profile.device import Output as Output
 from smarttouch.profile.device import PerceptThresholds as PerceptThresholds
 from smarttouch.profile.device import Pulse as Pulse
 from smarttouch.profile.device import Skin as Skin
+from smarttouch.profile.electrodes import ElectrodeArray as ElectrodeArray
 from smarttouch.profile.layouts import FreeLayout as FreeLayout
 from smarttouch.profile.layouts import GridLayout as GridLayout
 from smarttouch.profile.layouts import HexagonLayout as HexagonLayout

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import ProfileError
 from smarttouch.profile import Optics
+from smarttouch.profile.electrodes import ElectrodeArray
 
 PIXELS_PER_CELL = 8
 """Working pixels across one electrode's cell; finer frames are averaged down first."""

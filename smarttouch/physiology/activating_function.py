@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import DesignError
 from smarttouch.physiology import potential
 from smarttouch.physiology.potential import Field
 from smarttouch.profile import Profile, Skin
+from smarttouch.profile.electrodes import ElectrodeArray
 
 _MARGIN_PITCHES = {"plane": 2.0}
 """Margin of afferents beyond the outer electrodes, in pitches; 2 is the paper's −5..5 mm."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from smarttouch.base.electrodes import ElectrodeArray, Shape
+from smarttouch.profile.electrodes import ElectrodeArray, Shape
 from smarttouch.profile.toml_tables import Number, Positive, Table, UnfitError, raise_all
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import ProfileError, SmartTouchError
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.profile.device import (
@@ -28,6 +27,7 @@ from smarttouch.profile.device import (
     Skin,
 )
 from smarttouch.profile.electrode_table import layout_of, lowest_for_all
+from smarttouch.profile.electrodes import ElectrodeArray
 from smarttouch.profile.layouts import ArrayLayout, FreeLayout, GridLayout
 from smarttouch.profile.toml_tables import Table, UnfitError, raise_all, table_error
 

@@ -7,7 +7,6 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import ReadingError
 from smarttouch.braille.cells import (
     BLANK,
@@ -22,6 +21,7 @@ from smarttouch.imaging.array_window import pixel_pitch_mm, usual_speed_mm_s
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.pages.page_image import Page
 from smarttouch.profile import Profile
+from smarttouch.profile.electrodes import ElectrodeArray
 from smarttouch.reading.document_cells import document_cells
 from smarttouch.reading.line_feed import TouchLine
 from smarttouch.reading.line_source import LineMotion

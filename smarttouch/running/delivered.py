@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import fire_all
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile
 from smarttouch.profile.device import Pulse
+from smarttouch.profile.electrodes import ElectrodeArray
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Pose
 

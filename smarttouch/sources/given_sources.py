@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import SourceError, kind_in_words
 from smarttouch.base.events import Emit
 from smarttouch.pages.grey_image import to_grey
 from smarttouch.profile import Profile
+from smarttouch.profile.electrodes import ElectrodeArray
 from smarttouch.sources import kind_of, open_source
 from smarttouch.sources.source_contract import (
     Frame,

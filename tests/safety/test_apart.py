@@ -12,7 +12,7 @@ ORACLE = ("bounds", "rules", "quick", "oracle", "deliveries")
 """The modules that judge; the others ask them, and the gate."""
 MAY = (
     "smarttouch.profile",
-    "smarttouch.base.electrodes",
+    "smarttouch.profile.electrodes",
     "smarttouch.emulator.firmware",
     "smarttouch.emulator.skin",
 )

@@ -16,10 +16,10 @@ from smarttouch.boards.reports import Condition, Impedance
 from smarttouch.profile import Profile
 
 if TYPE_CHECKING:
-    from smarttouch.base.electrodes import ElectrodeArray
     from smarttouch.experiments.calibration.force_curve import ForceFound
     from smarttouch.experiments.calibration.page_registration import RegistrationFound
     from smarttouch.experiments.calibration.sensor_optics import OpticsFound
+    from smarttouch.profile.electrodes import ElectrodeArray
 
 MOST_BROKEN = 0.5
 """Largest part of open or shorted electrodes; with more, the finger lies beside the array."""
