@@ -20,7 +20,7 @@ from smarttouch.emulator.finger_events import EmulatedFinger, parse
 from smarttouch.emulator.firmware import DeliveryLog, Firmware
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.rules_over_time import Room
+from smarttouch.emulator.link_rules import Room
 from smarttouch.emulator.server import FAULTS, Orders, Server
 
 BOARDS = {"link": (64, 1, 4096), "kajimoto61": (61, 61, 61), "etactilekit": (32, 1, 255)}

@@ -22,15 +22,15 @@ from smarttouch.boards.link.link_driver import LinkDriver
 from smarttouch.boards.link.link_host import LinkHost, reason_of
 from smarttouch.boards.link.protocol import ANSWERS, HostSession, Message, MessageKind
 from smarttouch.boards.reports import Capabilities
-from smarttouch.emulator import rules_over_time
+from smarttouch.emulator import link_rules
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.rules_over_time import Room
+from smarttouch.emulator.link_rules import Room
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 
 _BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest silence of the host
-_LONGEST_GAP_NS = 1000 * (rules_over_time.KEPT_US + rules_over_time.SECOND_US)
+_LONGEST_GAP_NS = 1000 * (link_rules.KEPT_US + link_rules.SECOND_US)
 """Gap after which a board has forgotten all but its session: a longer one is cut to this."""
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
@@ -132,7 +132,7 @@ class SimulatedDriver(LinkHost):
         self._firmware = LinkFirmware(
             "weighted" if self._output is None else self._output.kind,
             self._books,
-            ramp_ms=rules_over_time.RAMP_MS,
+            ramp_ms=link_rules.RAMP_MS,
             room=self.room,
         )
         self._packets = _Packets(self._firmware, self._receive)
@@ -206,7 +206,7 @@ def open_emulator(
     refuse_rest("emulator:", rest, BoardError)
     kind = "weighted" if output is None else output.kind
     url = f"link?electrodes={limits.electrodes}&output={kind}&linger=0.2"
-    url += f"&ramp_ms={rules_over_time.RAMP_MS}"
+    url += f"&ramp_ms={link_rules.RAMP_MS}"
     url += "".join(f"&event={quote(event)}" for event in events)
     url += "" if books is None else f"&books={quote(str(books))}"
     driver = LinkDriver("", limits, output, process=EmulatorProcess(url))

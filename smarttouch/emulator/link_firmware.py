@@ -4,10 +4,10 @@ It checks every sequence again, by its own rules and in its own code: a host
 that proves its sequences safe must not be the only one who looks.
 """
 
-from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.link import protocol as protocol
@@ -26,26 +26,49 @@ from smarttouch.boards.link.protocol import (
 )
 from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import RECHARGE, DeliveryLog, Firmware
-from smarttouch.emulator.link_packets import BoardSession, KernelStore, decode_lists
+from smarttouch.emulator.link_packets import BoardSession, ReceivedSequence, decode_lists
 from smarttouch.emulator.link_rules import (
     MAX_CURRENT_UA,
-    BrokenRule,
-    Load,
-    SessionLimits,
-    complaint,
-    first_above,
-)
-from smarttouch.emulator.rules_over_time import (
     RAMP_MS,
-    LastSecond,
-    Ramp,
+    BrokenRule,
+    LinkRules,
+    Load,
     Room,
-    ScanSoFar,
-    SequenceAtHand,
 )
 from smarttouch.emulator.skin import SkinCircuit
 
 NAME = "SmartTouch board emulator 1"
+
+
+@dataclass
+class _AtHand:
+    """Sequence that executes, or waits to."""
+
+    number: int
+    sequence: ReceivedSequence
+    load: Load  # of a pass
+    left: int  # number of remaining scans, with the current one
+    came_ns: int
+    starts_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    over_ns: int = 0  # end of the last slot or recharge phase of the pass at hand
+    end_ns: int = 0
+    done: int = 0
+    volts: list[float] = field(default_factory=list)
+    recharge_ns: int | None = None  # start of its recharge phase, until that has been recorded
+
+    def begin(self, start_ns: int, scan_end_ns: int) -> None:
+        """Begin a pass; that of a scan's further part ends when the scan does."""
+        sequence = self.sequence
+        lengths = sequence.width_us + sequence.discharge_us
+        self.done = 0
+        self.starts_ns = start_ns + 1000 * (np.cumsum(lengths) - lengths)
+        slots_end_ns = start_ns + 1000 * int(lengths.sum())
+        self.over_ns = slots_end_ns + 1000 * sequence.recharge_us
+        self.end_ns = start_ns + 1000 * sequence.period_us
+        if sequence.goes_on:
+            self.end_ns = max(scan_end_ns, self.over_ns)
+        self.recharge_ns = None if sequence.recharge_ua is None else slots_end_ns
+        self.volts.clear()
 
 
 class LinkFirmware(Firmware):
@@ -71,17 +94,15 @@ class LinkFirmware(Firmware):
         # To judge a sequence takes time that grows with the electrodes, and is no delay.
         self.longest_step_ns += 10_000 * electrodes
         self._room = room = room or Room()
-        self._keep = KernelStore(electrodes, room.kernel_bytes, room.kernels)
-        self._ramp, self._second = Ramp(ramp_ms), LastSecond(electrodes)
-        self._limits: SessionLimits | None = None
+        self._rules = LinkRules(electrodes, output, room, ramp_ms)
+        self._second = self._rules.second
         self.switch_open = False
         self._skin = SkinCircuit(electrodes)
         self._finger = finger or EmulatedFinger(electrodes)
         self._deframer = Deframer(room.packet_bytes)
         self._session = session or BoardSession()
-        self._running: SequenceAtHand | None = None
-        self._waiting: SequenceAtHand | None = None
-        self._scan: ScanSoFar | None = None
+        self._running: _AtHand | None = None
+        self._waiting: _AtHand | None = None
         self._scan_end_ns = 0
         self._last, self._last_start_ns = (-1, False), 0
         """Number of the last sequence accepted, whether it has begun, and when."""
@@ -193,14 +214,14 @@ class LinkFirmware(Firmware):
             self._recharge(table, until_ns)
             self._end_scan(table)
 
-    def _end_ns(self, table: SequenceAtHand) -> int:
+    def _end_ns(self, table: _AtHand) -> int:
         """Return when the pass at hand is over: with its slots, if the next part waits."""
         waiting = self._waiting
         if waiting is None or not waiting.sequence.goes_on:
             return table.end_ns
         return max(table.over_ns, waiting.came_ns)
 
-    def _end_scan(self, table: SequenceAtHand) -> None:
+    def _end_scan(self, table: _AtHand) -> None:
         end_ns = self._end_ns(table)
         if table.sequence.measure:
             volts = encode_volts(np.array(table.volts))
@@ -219,19 +240,19 @@ class LinkFirmware(Firmware):
         else:
             self._begin(waiting, end_ns)
 
-    def _begin_pass(self, table: SequenceAtHand, start_ns: int) -> None:
+    def _begin_pass(self, table: _AtHand, start_ns: int) -> None:
         table.begin(start_ns, self._scan_end_ns)
         sequence = table.sequence
         self._second.begin(start_ns // 1000, sequence.period_us, table.load, sequence.goes_on)
 
-    def _begin(self, table: SequenceAtHand, start_ns: int) -> None:
+    def _begin(self, table: _AtHand, start_ns: int) -> None:
         self._begin_pass(table, start_ns)
         self._running = table
         self._last = (table.number, True)
         self._last_start_ns = start_ns
         self._acknowledge()
 
-    def _deliver(self, table: SequenceAtHand, slot: int) -> None:
+    def _deliver(self, table: _AtHand, slot: int) -> None:
         sequence, start_ns = table.sequence, int(table.starts_ns[slot])
         self._finger.at(start_ns / 1e9, self._skin)
         self._skin.short(max(0, start_ns - self._shorted_since_ns) / 1000)
@@ -250,7 +271,7 @@ class LinkFirmware(Firmware):
             self._skin.residual_uc, start_ns // 1000,
         )  # fmt: skip
 
-    def _recharge(self, table: SequenceAtHand, until_ns: int) -> None:
+    def _recharge(self, table: _AtHand, until_ns: int) -> None:
         """Execute the recharge phase, or the part of it before it was cut off."""
         sequence, start_ns = table.sequence, table.recharge_ns
         if sequence.recharge_ua is None or start_ns is None or until_ns <= start_ns:
@@ -296,11 +317,9 @@ class LinkFirmware(Firmware):
             case MessageKind.STATUS:
                 self._say(MessageKind.REPORT, message.number, self._report())
             case MessageKind.LIMITS:
-                if self._limits is None:
-                    limits = SessionLimits.of(message.payload, self._electrodes, self._output)
-                    self._limits = limits
-                    self._ramp.restart(0 if limits is None else limits.ramp_ms)
-                self._say(MessageKind.LIMITED, message.number, bytes([self._limits is not None]))
+                self._rules.take_limits(message.payload)
+                taken = self._rules.limits is not None
+                self._say(MessageKind.LIMITED, message.number, bytes([taken]))
             case MessageKind.KERNELS:
                 self._take_kernels(message)
 
@@ -310,12 +329,10 @@ class LinkFirmware(Firmware):
         if self._running is not None:
             self.zero("begin", now_ns)
         self._refusing, self._last, self._greeted = None, (-1, False), True
-        self._limits = self._scan = None
-        self._ramp.restart(0)
-        self._second.begin_session()
+        self._rules.begin_session()
 
     def _take_kernels(self, message: Message) -> None:
-        size, keep = protocol.KERNELS.size, self._keep
+        size, keep = protocol.KERNELS.size, self._rules.keep
         # What a sequence is made of stays as it is until that is over.
         if len(message.payload) >= size and not self.at_hand and self._refusing is None:
             identity, whole_size, offset = protocol.KERNELS.unpack_from(message.payload)
@@ -347,43 +364,22 @@ class LinkFirmware(Firmware):
         else:
             self.books.violations += 1
 
-    def _judged(self, number: int, payload: bytes, now_ns: int) -> SequenceAtHand | None:
+    def _judged(self, number: int, payload: bytes, now_ns: int) -> _AtHand | None:
         """Return what a payload asks for, or refuse it."""
         try:
             sequence = decode_lists(payload, self._electrodes, self._output != "weighted")
         except ValueError:
             self._refuse(number, Refusal.MALFORMED)
             return None
-        start_ns, running, scan = now_ns, self._running, self._scan
+        start_ns, running = now_ns, self._running
         if running is not None:
             # A further part of a scan begins after the slots of the part before.
             start_ns = max(now_ns, running.over_ns if sequence.goes_on else running.end_ns)
-        if not sequence.goes_on:
-            # Time that stood still with this process has passed on the skin.
-            rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
-            scan = ScanSoFar(sequence, rise_us, copy(self._ramp), Load.none(self._electrodes))
-        found: BrokenRule | None
-        if self._limits is None:
-            found = BrokenRule(Rule.LIMITS)
-        elif scan is None or (sequence.goes_on and not scan.goes_on_in(sequence)):
-            found = BrokenRule(Rule.PART)
-        else:
-            found, load = complaint(
-                sequence, self._limits, self._keep, self._output, self._second.net_pc, scan.load,
-                self._room.slots,
-            )  # fmt: skip
-            flowing, whole = load if sequence.slots else None, scan.load + load
-            strength = self._limits.strength(sequence.intensity, whole.peak_pc)
-            found = (
-                found
-                or first_above(Rule.RISE, strength, scan.rise.allowed(scan.rise_us))
-                or self._second.complaint(start_ns // 1000, sequence, flowing, self._limits)
-            )
-            if found is None:
-                span_us = sequence.times * sequence.period_us if whole.peak_pc else 0
-                self._scan, self._ramp = replace(scan, load=whole, last=sequence), copy(scan.rise)
-                self._ramp.note(sequence.intensity, strength, scan.rise_us, span_us)
-                return SequenceAtHand(number, sequence, flowing, sequence.times, came_ns=now_ns)
+        # Time that stood still with this process has passed on the skin.
+        rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
+        found = self._rules.judge(sequence, start_ns // 1000, rise_us)
+        if isinstance(found, Load):
+            return _AtHand(number, sequence, found, sequence.times, now_ns)
         self._say(MessageKind.NAK, number, found.nak())
         return None
 

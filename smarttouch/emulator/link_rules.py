@@ -1,6 +1,11 @@
-"""Rules of the ``link`` board for one sequence, in whole numbers and in the order of the page, with
-the limits of a session, those of the firmware, and loads."""
+"""Rules of the ``link`` board, in whole numbers and in the order of the page: limits, loads, what
+is remembered of the last second, the session and the rise, and the judgement of a sequence.
 
+All times are on the board's own clock, in whole microseconds, and charges in pC.
+"""
+
+from collections import deque
+from copy import copy
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -35,6 +40,77 @@ MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
 FULL = 0xFFFF
 STRENGTH = 4  # multiple of a pulse's share of a full one that its strength is at most
+BUCKET_US = 50_000
+BUCKETS = 20  # whole buckets before the one at hand: a second, and up to a twentieth of one more
+SECOND_US = 1_000_000
+MOST_CHARGE_PC = 500_000_000
+MOST_NET_PC = 50_000_000
+RAMP_MS = 500  # least time from zero to full
+CATCH_UP_US = 150_000  # time by which a rise may be ahead of that, as packets may be late
+KEPT_US = 15_000_000  # time without current after which a level is closed
+_LEEWAY = 2  # of an intensity in 1/65,535, for its rounding
+
+
+class BrokenRule(NamedTuple):
+    """First rule that a sequence breaks."""
+
+    rule: Rule
+    slot: int = NOTHING
+    electrode: int = NOTHING
+    value: int = 0
+    allowed: int = 0
+
+    def nak(self, reason: Refusal = Refusal.UNSAFE) -> bytes:
+        """Return the payload of NAK."""
+        value, allowed = (min(each, 0x7FFFFFFF) for each in self[3:])
+        return NAK.pack(reason, *self[:3], value, allowed)
+
+
+def first_above(
+    rule: Rule,
+    value: NDArray[np.int64] | int,
+    allowed: NDArray[np.int64] | int,
+    slot: int = NOTHING,
+) -> BrokenRule | None:
+    """Return a rule as broken if a value is above the allowed; of electrodes, (E,), at the first
+    whose value is."""
+    values, most = np.broadcast_arrays(np.atleast_1d(value), allowed)
+    if not len(over := np.flatnonzero(values > most)):
+        return None
+    first = int(over[0])
+    electrode = first if isinstance(value, np.ndarray) else NOTHING
+    return BrokenRule(rule, slot, electrode, int(values[first]), int(most[first]))
+
+
+@dataclass(frozen=True, eq=False)
+class Load:
+    """What one pass of a sequence, or several, bring to each electrode, (E,) int64."""
+
+    felt: NDArray[np.int64]  # pulses that count as felt
+    # charge_pc, net_pc: of either sign, and signed, positive cathodic; with the recharge phase
+    charge_pc: NDArray[np.int64]
+    net_pc: NDArray[np.int64]
+    peak_ua: int = 0  # strongest current, and largest charge of one pulse; 0 if no current flows
+    peak_pc: int = 0
+    # busy_us, pulses_us: time of its slots and recharge phase, and of their current
+    busy_us: int = 0
+    pulses_us: int = 0
+
+    @property
+    def has_slots(self) -> bool:
+        return self.busy_us > 0
+
+    @classmethod
+    def none(cls, electrodes: int) -> "Load":
+        return cls(*np.zeros((3, electrodes), np.int64))
+
+    def __add__(self, other: "Load") -> "Load":
+        """Return the load of both one after the other."""
+        return Load(
+            self.felt + other.felt, self.charge_pc + other.charge_pc, self.net_pc + other.net_pc,
+            max(self.peak_ua, other.peak_ua), max(self.peak_pc, other.peak_pc),
+            self.busy_us + other.busy_us, self.pulses_us + other.pulses_us,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,118 +160,363 @@ class SessionLimits:
         share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
         return min(FULL, max(share, min(intensity, STRENGTH * share)))
 
+    def intensity(self, intensity: int, load: "Load") -> "BrokenRule | None":
+        """Return the rule that pulses break which are too strong for an intensity."""
+        allowed_ua = self.full_ua * intensity // FULL + self.rounding_ua
+        if self.full_us:
+            allowed_ua = self.full_ua + self.rounding_ua
+            allowed_pc = allowed_ua * self.full_us * 1001 * intensity // (1000 * FULL)
+            if found := first_above(Rule.INTENSITY, load.peak_pc, allowed_pc):
+                return found
+        return first_above(Rule.INTENSITY, load.peak_ua, allowed_ua)
 
-@dataclass(frozen=True, eq=False)
-class Load:
-    """What one pass of a sequence, or several, bring to each electrode, (E,) int64."""
 
-    felt: NDArray[np.int64]  # pulses that count as felt
-    # charge_pc, net_pc: of either sign, and signed, positive cathodic; with the recharge phase
-    charge_pc: NDArray[np.int64]
-    net_pc: NDArray[np.int64]
-    peak_ua: int = 0  # strongest current, and largest charge of one pulse; 0 if no current flows
-    peak_pc: int = 0
-    # busy_us, pulses_us: time of its slots and recharge phase, and of their current
-    busy_us: int = 0
-    pulses_us: int = 0
+class LastSecond:
+    """Passes of the last second, and the dose of the session.
 
-    @classmethod
-    def none(cls, electrodes: int) -> "Load":
-        return cls(*np.zeros((3, electrodes), np.int64))
+    ``most_net_pc`` is the largest net charge of an electrode within a second, of all passes that
+    have begun; ``net_pc``, (E,) int64, that of the session, positive cathodic.
+    """
 
-    def __add__(self, other: "Load") -> "Load":
-        """Return the load of both one after the other."""
+    def __init__(self, electrodes: int) -> None:
+        self._over: deque[tuple[int, Load]] = deque()  # bucket and load of each pass that is over
+        self._running: Load | None = None
+        self._starts_us: deque[int] = deque()
+        self._electrodes = electrodes
+        self.most_net_pc: int = 0
+        self.begin_session()
+
+    def begin_session(self) -> None:
+        """Reset the dose of the session; the last second still counts."""
+        self.session_us: int = 0
+        self.session_pc: NDArray[np.int64] = np.zeros(self._electrodes, np.int64)
+        self.net_pc: NDArray[np.int64] = np.zeros(self._electrodes, np.int64)
+
+    def begin(self, start_us: int, period_us: int, load: Load, goes_on: bool) -> None:
+        """Enter a pass that begins. Start and time of a scan are those of its first part."""
+        if not goes_on:
+            self._starts_us.append(start_us)
+            self.session_us += period_us * load.has_slots
+        while self._starts_us and self._starts_us[0] < start_us - SECOND_US:
+            self._starts_us.popleft()
+        if not load.has_slots:
+            return
+        while self._over and self._over[0][0] < start_us // BUCKET_US - BUCKETS:
+            self._over.popleft()
+        nets_pc = np.abs(self._nets(start_us) + load.net_pc)
+        self.most_net_pc = max(self.most_net_pc, int(nets_pc.max()))
+        self._running = load
+        self.session_pc += load.charge_pc
+        self.net_pc += load.net_pc
+
+    def end(self, end_us: int) -> None:
+        """Take the pass that executes as over since a time."""
+        if self._running is not None:
+            self._over.append((end_us // BUCKET_US, self._running))
+            self._running = None
+
+    def _in_window(self, start_us: int) -> list[Load]:
+        first = start_us // BUCKET_US - BUCKETS
+        loads = [load for bucket, load in self._over if bucket >= first]
+        return loads if self._running is None else [*loads, self._running]
+
+    def _nets(self, start_us: int) -> NDArray[np.int64]:
+        """Return the net charge of each run of passes up to now, (N + 1, E); none comes first."""
+        nets = [load.net_pc for load in reversed(self._in_window(start_us))]
+        return np.cumsum([np.zeros(self._electrodes, np.int64), *nets], axis=0)
+
+    def complaint(
+        self, start_us: int, sequence: ReceivedSequence, load: Load, limits: SessionLimits
+    ) -> BrokenRule | None:
+        """Return the first rule that a sequence whose first pass begins at ``start_us`` breaks with
+        what was before it, if any."""
+        period_us, times, found = sequence.period_us, sequence.times, None
+        starts_us = range(start_us, start_us + min(times * period_us, SECOND_US), period_us)
+        if load.has_slots:
+            found = self._second(starts_us, load)
+        if not sequence.goes_on:
+            most = max(
+                own + sum(each >= at_us - SECOND_US for each in self._starts_us)
+                for own, at_us in enumerate(starts_us, 1)
+            )
+            found = found or first_above(Rule.OFTEN, most, -(-SECOND_US // limits.period_us) + 1)
+        if found is not None or not load.has_slots:
+            return found
+        session_us = self.session_us + times * period_us * (not sequence.goes_on)
+        session_uc = -(-(self.session_pc + times * load.charge_pc) // 10**6)
+        return first_above(
+            Rule.SESSION_TIME, -(-session_us // 10**6), limits.session_s
+        ) or first_above(Rule.SESSION_CHARGE, session_uc, limits.session_uc)
+
+    def _second(self, starts_us: range, load: Load) -> BrokenRule | None:
+        felt, charge_pc, net_pc = np.zeros((3, self._electrodes), np.int64)
+        for own, at_us in enumerate(starts_us, 1):
+            every = sum(self._in_window(at_us), Load.none(self._electrodes))
+            felt = np.maximum(felt, every.felt + own * load.felt)
+            charge_pc = np.maximum(charge_pc, every.charge_pc + own * load.charge_pc)
+            nets_pc = np.abs(self._nets(at_us) + own * load.net_pc)
+            net_pc = np.maximum(net_pc, nets_pc.max(axis=0))
+        return (
+            first_above(Rule.FELT_IN_SECOND, felt, MAX_PULSES_HZ)
+            or first_above(Rule.CHARGE_IN_SECOND, charge_pc, MOST_CHARGE_PC)
+            or first_above(Rule.NET_IN_SECOND, net_pc, MOST_NET_PC)
+        )
+
+
+class Ramp:
+    """Rise of intensity by delivered current, and no higher than its strength.
+
+    ``ramp_ms`` is the least time from zero to full; 0 for tests whose time is what they claim.
+    """
+
+    def __init__(self, ramp_ms: int = RAMP_MS) -> None:
+        self._own_ms = ramp_ms
+        self.restart(ramp_ms)
+
+    def restart(self, ramp_ms: int) -> None:
+        """Begin at zero, with at least so long a ramp."""
+        self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
+        self._level = self._strength = self._since_us = self._span_us = 0
+
+    def _on_us(self, now_us: int) -> int:
+        """Return for how long current has flowed since the last sequence."""
+        return max(0, min(now_us - self._since_us, self._span_us))
+
+    def _risen(self, now_us: int) -> int:
+        on_us = self._on_us(now_us)
+        if now_us - self._since_us - on_us > KEPT_US:
+            return 0
+        return max(self._level, min(self._strength, self._level + on_us * FULL // self._ramp_us))
+
+    def allowed(self, now_us: int) -> int:
+        """Return the largest strength that may begin at a time."""
+        if not self._ramp_us:
+            return FULL
+        ahead = CATCH_UP_US * FULL // self._ramp_us
+        return min(FULL, self._risen(now_us) + ahead + _LEEWAY)
+
+    def note(self, intensity: int, strength: int, now_us: int, span_us: int) -> None:
+        """Record a sequence that begins at a time, and for how long its current flows."""
+        if not self._ramp_us:
+            return
+        risen, on_us = self._risen(now_us), self._on_us(now_us)
+        if span_us:
+            self._level, self._since_us = min(intensity, risen), now_us
+            self._strength = strength
+        else:
+            self._level, self._since_us = risen, self._since_us + on_us
+        self._span_us = span_us
+
+
+@dataclass(frozen=True)
+class Room:
+    """What a board has room for: a small one gets a scan in parts."""
+
+    slots: int = MAX_SLOTS
+    packet_bytes: int = 1 << 20
+    kernel_bytes: int = 1 << 23
+    kernels: int = 4096
+
+
+@dataclass
+class _Scan:
+    """Parts of a scan that were accepted: to the rules they are one sequence with those to come."""
+
+    last: ReceivedSequence  # the last of these parts
+    rise_us: int  # when it was to begin, on the skin
+    rise: Ramp  # as it was before the scan
+    load: Load
+
+    def goes_on_in(self, part: ReceivedSequence) -> bool:
+        same = (self.last.period_us, self.last.intensity) == (part.period_us, part.intensity)
+        return self.last.more and same
+
+
+class LinkRules:
+    """What a board keeps to judge sequences by, and its judgement."""
+
+    def __init__(self, electrodes: int, output: Output, room: Room, ramp_ms: int) -> None:
+        self._none, self._output, self._room = Load.none(electrodes), output, room
+        self.keep = KernelStore(electrodes, room.kernel_bytes, room.kernels)
+        self.second = LastSecond(electrodes)
+        self.limits: SessionLimits | None = None
+        self._ramp = Ramp(ramp_ms)
+        self._scan: _Scan | None = None
+
+    def begin_session(self) -> None:
+        self.limits = self._scan = None
+        self._ramp.restart(0)
+        self.second.begin_session()
+
+    def take_limits(self, payload: bytes) -> None:
+        """Take the limits of a session; the first valid ones hold."""
+        if self.limits is None:
+            self.limits = SessionLimits.of(payload, len(self._none.felt), self._output)
+            self._ramp.restart(0 if self.limits is None else self.limits.ramp_ms)
+
+    def judge(self, sequence: ReceivedSequence, start_us: int, rise_us: int) -> BrokenRule | Load:
+        """Fill in what kernels make; return the first broken rule, or the load of a pass of what is
+        accepted. It begins at ``start_us``, on the skin at ``rise_us``."""
+        scan, limits = self._scan, self.limits
+        if not sequence.goes_on:
+            scan = _Scan(sequence, rise_us, copy(self._ramp), self._none)
+        if limits is None:
+            return BrokenRule(Rule.LIMITS)
+        if scan is None or (sequence.goes_on and not scan.goes_on_in(sequence)):
+            return BrokenRule(Rule.PART)
+        if found := self._times(sequence, limits, scan.load) or self._slots(sequence, limits):
+            return found
+        load = self._load_of(sequence, limits)
+        if sequence.recharge_ua is not None:
+            recharge_pc = sequence.recharge_ua * sequence.recharge_us
+            if found := self._recharged(sequence, limits, recharge_pc, load):
+                return found
+            load += Load(0 * recharge_pc, np.abs(recharge_pc), recharge_pc)
+        burst_us, whole = min(sequence.period_us, BURST_US), scan.load + load
+        strength = limits.strength(sequence.intensity, whole.peak_pc)
+        if found := (
+            first_above(Rule.MEAN, whole.charge_pc, MAX_MEAN_UA * burst_us)
+            or first_above(Rule.FELT, whole.felt, MAX_PULSES_HZ * burst_us // 10**6)
+            or limits.intensity(sequence.intensity, load)
+            or first_above(Rule.RISE, strength, scan.rise.allowed(scan.rise_us))
+            or self.second.complaint(start_us, sequence, load, limits)
+        ):
+            return found
+        scan.load, scan.last, self._scan, self._ramp = whole, sequence, scan, copy(scan.rise)
+        span_us = sequence.times * sequence.period_us if whole.peak_pc else 0
+        self._ramp.note(sequence.intensity, strength, scan.rise_us, span_us)
+        return load
+
+    def _times(
+        self, sequence: ReceivedSequence, limits: SessionLimits, before: Load
+    ) -> BrokenRule | None:
+        slots, period_us = sequence.slots, sequence.period_us
+        if slots > self._room.slots:
+            return BrokenRule(Rule.SLOTS, value=slots, allowed=self._room.slots)
+        if period_us < limits.period_us:
+            return BrokenRule(Rule.PERIOD, value=period_us, allowed=limits.period_us)
+        width_us, rest_us = sequence.width_us, sequence.discharge_us
+        wide = (width_us < 1) | (width_us > limits.width_us)
+        if (wrong := wide | (rest_us < MIN_DISCHARGE_US)).any():
+            slot = int(wrong.argmax())
+            rule, value, allowed = Rule.DISCHARGE, rest_us[slot], MIN_DISCHARGE_US
+            if wide[slot]:
+                rule, value, allowed = Rule.WIDTH, width_us[slot], limits.width_us
+            return BrokenRule(rule, slot, value=int(value), allowed=allowed)
+        busy_us, pulses_us = _time_of(sequence)
+        return first_above(Rule.FIT, before.busy_us + busy_us, period_us) or first_above(
+            Rule.DUTY, before.pulses_us + pulses_us, limits.duty_percent * period_us // 100
+        )
+
+    def _slots(self, sequence: ReceivedSequence, limits: SessionLimits) -> BrokenRule | None:
+        """Return the first broken rule of the first slot that breaks one."""
+        kind, switched = sequence.kind, self._output != "weighted"
+        missing, amplitude = self._fill_in(sequence)
+        each_ua, total_ua = np.abs(self._currents(sequence)), sequence.source_ua
+        # Of one source any electrode may be the last that still touches the skin.
+        through_ua = np.where(each_ua > 0, total_ua[:, None], 0)
+        if switched:
+            odd = self._no_circuit(sequence.rows).astype(np.int64)
+        else:
+            odd, total_ua = sequence.rows.sum(axis=1), each_ua.sum(axis=1) // 2
+            through_ua = each_ua
+        charge_pc = through_ua * sequence.width_us[:, None]
+        broken = {
+            Rule.KIND: (kind == 3) != switched,
+            Rule.KERNEL: missing >= 0,
+            Rule.SUM: amplitude > MOST_AMPLITUDE,
+            Rule.STATES if switched else Rule.BALANCE: odd != 0,
+            Rule.CURRENT: (each_ua > limits.current_ua).any(axis=1),
+            Rule.TOTAL: total_ua > limits.total_ua,
+            Rule.CHARGE: (charge_pc > limits.charge_pc).any(axis=1),
+        }
+        table = np.array([*broken.values()])
+        if not table.any():
+            return None
+        slot = int(table.any(axis=0).argmax())
+        rule = [*broken][int(table[:, slot].argmax())]
+        if rule == Rule.CURRENT:
+            return first_above(rule, each_ua[slot], limits.current_ua, slot)
+        if rule == Rule.CHARGE:
+            return first_above(rule, charge_pc[slot], limits.charge_pc, slot)
+        values, allowed = {
+            Rule.KIND: (kind, 0),
+            Rule.KERNEL: (missing, self.keep.count),
+            Rule.SUM: (amplitude, MOST_AMPLITUDE),
+            Rule.BALANCE: (odd, 0),
+            Rule.STATES: (0 * odd, 0),
+            Rule.TOTAL: (total_ua, limits.total_ua),
+        }[rule]
+        return BrokenRule(rule, slot, value=int(values[slot]), allowed=allowed)
+
+    def _fill_in(self, sequence: ReceivedSequence) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Fill in what kernels make; return of each slot, (S,), the first kernel that is not kept,
+        else -1, and the sum of amplitudes."""
+        keep, (slot, kernel, amplitude) = self.keep, sequence.pairs.T
+        missing, sums = np.full((2, sequence.slots), [[-1], [0]], np.int64)
+        np.add.at(sums, slot, amplitude)
+        unkept = np.flatnonzero(kernel >= keep.count)[::-1]
+        missing[slot[unkept]] = kernel[unkept]
+        if keep.weights is not None and len(slot):
+            kernel = np.minimum(kernel, keep.count - 1)
+            first = np.flatnonzero(np.diff(slot, prepend=-1))
+            every = keep.weights[kernel] * amplitude[:, None]
+            sequence.rows[slot[first]] = rounded(np.add.reduceat(every, first, axis=0))
+            sequence.site[slot[first]] = keep.site[kernel[first]]
+        return missing, sums
+
+    def _no_circuit(self, state: NDArray[np.int64]) -> NDArray[np.bool_]:
+        cathodes, anodes = ((state == pole).sum(axis=1) for pole in (1, -1))
+        odd = (state == 2).any(axis=1) | (cathodes == 0) | (anodes == 0)
+        if self._output == "one-against-all":
+            odd |= (state == 0).any(axis=1) | (np.minimum(cathodes, anodes) != 1)
+        return np.asarray(odd)
+
+    def _currents(self, sequence: ReceivedSequence) -> NDArray[np.int64]:
+        """Return the currents, (S, E) µA; of one source equal shares, rounded away from 0."""
+        rows, source_ua = sequence.rows, sequence.source_ua
+        if self._output == "weighted":
+            return rows
+        share_ua = [
+            -(-source_ua // np.maximum((rows == pole).sum(axis=1), 1))[:, None] for pole in (1, -1)
+        ]
+        return np.asarray(np.where(rows == 1, share_ua[0], -share_ua[1] * (rows == -1)))
+
+    def _load_of(self, sequence: ReceivedSequence, limits: SessionLimits) -> Load:
+        """Return the load of the slots, with the time of the recharge phase."""
+        signed_ua, width_us = self._currents(sequence), sequence.width_us
+        each = np.abs(signed_ua)
+        strongest_ua = each.max(axis=1, initial=0)
         return Load(
-            self.felt + other.felt, self.charge_pc + other.charge_pc, self.net_pc + other.net_pc,
-            max(self.peak_ua, other.peak_ua), max(self.peak_pc, other.peak_pc),
-            self.busy_us + other.busy_us, self.pulses_us + other.pulses_us,
+            ((each >= limits.felt_ua) & (each > 0)).sum(axis=0), width_us @ each,
+            width_us @ signed_ua, int(strongest_ua.max(initial=0)),
+            int((strongest_ua * width_us).max(initial=0)), *_time_of(sequence),
         )  # fmt: skip
 
-
-class BrokenRule(NamedTuple):
-    """First rule that a sequence breaks."""
-
-    rule: Rule
-    slot: int = NOTHING
-    electrode: int = NOTHING
-    value: int = 0
-    allowed: int = 0
-
-    def nak(self, reason: Refusal = Refusal.UNSAFE) -> bytes:
-        """Return the payload of NAK."""
-        value, allowed = (min(each, 0x7FFFFFFF) for each in self[3:])
-        return NAK.pack(reason, *self[:3], value, allowed)
-
-
-def first_above(
-    rule: Rule,
-    value: NDArray[np.int64] | int,
-    allowed: NDArray[np.int64] | int,
-    slot: int = NOTHING,
-) -> BrokenRule | None:
-    """Return a rule as broken if a value is above the allowed; of electrodes, (E,), at the first
-    whose value is."""
-    values, most = np.broadcast_arrays(np.atleast_1d(value), allowed)
-    if not len(over := np.flatnonzero(values > most)):
-        return None
-    first = int(over[0])
-    electrode = first if isinstance(value, np.ndarray) else NOTHING
-    return BrokenRule(rule, slot, electrode, int(values[first]), int(most[first]))
-
-
-def complaint(
-    sequence: ReceivedSequence,
-    limits: SessionLimits,
-    keep: KernelStore,
-    output: Output,
-    carried_pc: NDArray[np.int64],
-    before: Load,
-    most_slots: int,
-) -> tuple[BrokenRule | None, Load]:
-    """Fill in what kernels make; return the first rule that is broken, if any, and the load.
-
-    ``carried_pc``, (E,) int64, is the net charge of the session so far, positive cathodic;
-    ``before`` the load of the parts of the same scan before this one.
-    """
-    if sequence.slots > most_slots:
-        return BrokenRule(Rule.SLOTS, value=sequence.slots, allowed=most_slots), before
-    found = _times(sequence, limits, before)
-    if found is None:
-        found, signed_ua = _slots(sequence, limits, keep, output)
-    if found is not None:
-        return found, before
-    load = _load_of(sequence, signed_ua, limits.felt_ua)
-    if sequence.recharge_ua is not None:
-        recharge_pc = sequence.recharge_ua * sequence.recharge_us
-        if found := _recharged(sequence, limits, carried_pc + load.net_pc, recharge_pc, load):
-            return found, load
-        load += Load(0 * recharge_pc, np.abs(recharge_pc), recharge_pc)
-    burst_us, scan = min(sequence.period_us, BURST_US), before + load
-    found = (
-        first_above(Rule.MEAN, scan.charge_pc, MAX_MEAN_UA * burst_us)
-        or first_above(Rule.FELT, scan.felt, MAX_PULSES_HZ * burst_us // 10**6)
-        or _intensity(sequence.intensity, limits, load)
-    )
-    return found, load
-
-
-def _times(sequence: ReceivedSequence, limits: SessionLimits, before: Load) -> BrokenRule | None:
-    period_us, width_us, rest_us = sequence.period_us, sequence.width_us, sequence.discharge_us
-    if period_us < limits.period_us:
-        return BrokenRule(Rule.PERIOD, value=period_us, allowed=limits.period_us)
-    wide = (width_us < 1) | (width_us > limits.width_us)
-    if (wrong := wide | (rest_us < MIN_DISCHARGE_US)).any():
-        slot = int(wrong.argmax())
-        if wide[slot]:
-            value, allowed = int(width_us[slot]), limits.width_us
-            return BrokenRule(Rule.WIDTH, slot, value=value, allowed=allowed)
-        value, allowed = int(rest_us[slot]), MIN_DISCHARGE_US
-        return BrokenRule(Rule.DISCHARGE, slot, value=value, allowed=allowed)
-    busy_us, pulses_us = _time_of(sequence)
-    pulses_us += before.pulses_us
-    return first_above(Rule.FIT, before.busy_us + busy_us, period_us) or first_above(
-        Rule.DUTY, pulses_us, limits.duty_percent * period_us // 100
-    )
+    def _recharged(
+        self,
+        sequence: ReceivedSequence,
+        limits: SessionLimits,
+        phase_pc: NDArray[np.int64],
+        load: Load,
+    ) -> BrokenRule | None:
+        """Return the first broken rule of a recharge phase that brings a charge after a load."""
+        width_us, signed = sequence.recharge_us, sequence.recharge_ua
+        assert signed is not None
+        if not sequence.slots or not 0 < width_us <= MAX_RECHARGE_US:
+            return BrokenRule(Rule.RECHARGE, value=width_us, allowed=MAX_RECHARGE_US)
+        if net := int(signed.sum()):
+            return BrokenRule(Rule.BALANCE, value=net)
+        each = np.abs(signed)
+        allowed = np.minimum(min(MAX_RECHARGE_UA, MAX_RECHARGE_PC // width_us), limits.current_ua)
+        found = first_above(Rule.CURRENT, each, allowed) or first_above(
+            Rule.TOTAL, int(each.sum()) // 2, limits.total_ua
+        )
+        for passes in (0, sequence.times - 1):
+            before_pc = self.second.net_pc + load.net_pc + passes * (load.net_pc + phase_pc)
+            most_pc = np.maximum(np.abs(before_pc), MAX_RECHARGE_PC)
+            found = found or first_above(Rule.RECHARGE, np.abs(before_pc + phase_pc), most_pc)
+        return found
 
 
 def _time_of(sequence: ReceivedSequence) -> tuple[int, int]:
@@ -203,133 +524,3 @@ def _time_of(sequence: ReceivedSequence) -> tuple[int, int]:
     width_us, rest_us = int(sequence.width_us.sum()), int(sequence.discharge_us.sum())
     pulses_us = width_us + sequence.recharge_us
     return pulses_us + rest_us + MIN_DISCHARGE_US * (sequence.recharge_ua is not None), pulses_us
-
-
-def _slots(
-    sequence: ReceivedSequence, limits: SessionLimits, keep: KernelStore, output: Output
-) -> tuple[BrokenRule | None, NDArray[np.int64]]:
-    """Return the first broken rule of the first slot that breaks one, and the currents, (S, E) µA;
-    of one source its shares, rounded away from 0."""
-    kind, switched = sequence.kind, output != "weighted"
-    missing, amplitude = _fill_in(sequence, keep)
-    signed_ua, total_ua, odd = _divided(sequence, output) if switched else _weighted(sequence)
-    each_ua = np.abs(signed_ua)
-    # Of one source any electrode may be the last that still touches the skin.
-    through_ua = np.where(each_ua > 0, total_ua[:, None], 0) if switched else each_ua
-    charge_pc = through_ua * sequence.width_us[:, None]
-    balance = Rule.STATES if switched else Rule.BALANCE
-    broken = {
-        Rule.KIND: (kind == 3) != switched,
-        Rule.KERNEL: missing >= 0,
-        Rule.SUM: amplitude > MOST_AMPLITUDE,
-        balance: odd != 0,
-        Rule.CURRENT: (each_ua > limits.current_ua).any(axis=1),
-        Rule.TOTAL: total_ua > limits.total_ua,
-        Rule.CHARGE: (charge_pc > limits.charge_pc).any(axis=1),
-    }
-    table = np.array([*broken.values()])
-    if not table.any():
-        return None, signed_ua
-    slot = int(table.any(axis=0).argmax())
-    rule = [*broken][int(table[:, slot].argmax())]
-    if rule == Rule.CURRENT:
-        return first_above(rule, each_ua[slot], limits.current_ua, slot), signed_ua
-    if rule == Rule.CHARGE:
-        return first_above(rule, charge_pc[slot], limits.charge_pc, slot), signed_ua
-    value, allowed = {
-        Rule.KIND: (kind, 0),
-        Rule.KERNEL: (missing, keep.count),
-        Rule.SUM: (amplitude, MOST_AMPLITUDE),
-        balance: (odd * (not switched), 0),
-        Rule.TOTAL: (total_ua, limits.total_ua),
-    }[rule]
-    return BrokenRule(rule, slot, value=int(value[slot]), allowed=allowed), signed_ua
-
-
-def _fill_in(
-    sequence: ReceivedSequence, keep: KernelStore
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Fill in what kernels make; return of each slot, (S,), the first kernel that is not kept, else
-    -1, and the sum of amplitudes."""
-    slot, kernel, amplitude = sequence.pairs.T
-    missing, sums = np.full((2, sequence.slots), [[-1], [0]], np.int64)
-    np.add.at(sums, slot, amplitude)
-    unkept = np.flatnonzero(kernel >= keep.count)[::-1]
-    missing[slot[unkept]] = kernel[unkept]
-    if keep.weights is not None and len(slot):
-        kernel = np.minimum(kernel, keep.count - 1)
-        first = np.flatnonzero(np.diff(slot, prepend=-1))
-        every = keep.weights[kernel] * amplitude[:, None]
-        sequence.rows[slot[first]] = rounded(np.add.reduceat(every, first, axis=0))
-        sequence.site[slot[first]] = keep.site[kernel[first]]
-    return missing, sums
-
-
-def _weighted(
-    sequence: ReceivedSequence,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return currents, what flows in all, and what is not balanced."""
-    signed_ua = sequence.rows
-    return signed_ua, np.abs(signed_ua).sum(axis=1) // 2, signed_ua.sum(axis=1)
-
-
-def _divided(
-    sequence: ReceivedSequence, output: Output
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Return equal shares of the source, its currents, and which slots make no circuit."""
-    state, source = sequence.rows, sequence.source_ua
-    cathodes, anodes = ((state == pole).sum(axis=1) for pole in (1, -1))
-    odd = (state == 2).any(axis=1) | (cathodes == 0) | (anodes == 0)
-    if output == "one-against-all":
-        odd |= (state == 0).any(axis=1) | (np.minimum(cathodes, anodes) != 1)
-    shares = [-(-source // np.maximum(poles, 1))[:, None] for poles in (cathodes, anodes)]
-    return np.where(state == 1, shares[0], -shares[1] * (state == -1)), source, odd
-
-
-def _load_of(
-    sequence: ReceivedSequence, signed_ua: NDArray[np.int64], felt_ua: NDArray[np.int64]
-) -> Load:
-    each, width_us = np.abs(signed_ua), sequence.width_us
-    strongest_ua = each.max(axis=1, initial=0)
-    return Load(
-        ((each >= felt_ua) & (each > 0)).sum(axis=0), width_us @ each, width_us @ signed_ua,
-        int(strongest_ua.max(initial=0)), int((strongest_ua * width_us).max(initial=0)),
-        *_time_of(sequence),
-    )  # fmt: skip
-
-
-def _recharged(
-    sequence: ReceivedSequence,
-    limits: SessionLimits,
-    carried_pc: NDArray[np.int64],
-    phase_pc: NDArray[np.int64],
-    load: Load,
-) -> BrokenRule | None:
-    """Return the first broken rule of a recharge phase that brings a charge, after slots of a load
-    with which so much is carried."""
-    width_us, signed = sequence.recharge_us, sequence.recharge_ua
-    assert signed is not None
-    if not sequence.slots or not 0 < width_us <= MAX_RECHARGE_US:
-        return BrokenRule(Rule.RECHARGE, value=width_us, allowed=MAX_RECHARGE_US)
-    if net := int(signed.sum()):
-        return BrokenRule(Rule.BALANCE, value=net)
-    each = np.abs(signed)
-    allowed = np.minimum(min(MAX_RECHARGE_UA, MAX_RECHARGE_PC // width_us), limits.current_ua)
-    found = first_above(Rule.CURRENT, each, allowed) or first_above(
-        Rule.TOTAL, int(each.sum()) // 2, limits.total_ua
-    )
-    for passes in (0, sequence.times - 1):
-        before_pc = carried_pc + passes * (load.net_pc + phase_pc)
-        most_pc = np.maximum(np.abs(before_pc), MAX_RECHARGE_PC)
-        found = found or first_above(Rule.RECHARGE, np.abs(before_pc + phase_pc), most_pc)
-    return found
-
-
-def _intensity(intensity: int, limits: SessionLimits, load: Load) -> BrokenRule | None:
-    allowed_ua = limits.full_ua * intensity // FULL + limits.rounding_ua
-    if limits.full_us:
-        allowed_ua = limits.full_ua + limits.rounding_ua
-        allowed_pc = allowed_ua * limits.full_us * 1001 * intensity // (1000 * FULL)
-        if found := first_above(Rule.INTENSITY, load.peak_pc, allowed_pc):
-            return found
-    return first_above(Rule.INTENSITY, load.peak_ua, allowed_ua)

@@ -49,7 +49,7 @@ def claimed_time(request, monkeypatch):
         if not issubclass(request.cls or object, DriverContract):
             monkeypatch.setattr("smarttouch.stimulation.safety_gate.LATE_NS", 3600 * SECOND)
             monkeypatch.setattr(Bounds, "late_rise", WHOLE_RISE)
-        monkeypatch.setattr("smarttouch.emulator.rules_over_time.RAMP_MS", 0)
+        monkeypatch.setattr("smarttouch.emulator.link_rules.RAMP_MS", 0)
 
 
 @pytest.fixture(scope="session")

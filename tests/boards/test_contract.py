@@ -16,7 +16,7 @@ from smarttouch.boards.probe_scans import probe_sequences
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
-from smarttouch.emulator.link_rules import BrokenRule, Load
+from smarttouch.emulator.link_rules import BrokenRule, LinkRules
 from smarttouch.profile.device import Output
 from smarttouch.testing.driver_contract import DriverContract
 from smarttouch.testing.pulses import SentPulse, planned_pulses
@@ -322,8 +322,8 @@ class TestSimulated(TestMemory):
     def test_what_the_firmware_refuses_ends_it(self, make_board, monkeypatch):
         with make_board() as board:
             board.send(self.sequence(0))
-            refused = BrokenRule(Rule.TOTAL, value=1234), Load.none(self.electrodes)
-            monkeypatch.setattr("smarttouch.emulator.link_firmware.complaint", lambda *_: refused)
+            refused = BrokenRule(Rule.TOTAL, value=1234)
+            monkeypatch.setattr(LinkRules, "judge", lambda *_: refused)
             with raises(BoardError, names="board", value=2) as error:
                 board.send(self.sequence(1))
             assert "1234" in str(error.value)

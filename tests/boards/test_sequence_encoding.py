@@ -10,7 +10,7 @@ from smarttouch.boards.board import Board
 from smarttouch.boards.link.sequence_encoding import KernelImage, encode_scan
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.link_packets import decode_lists
-from smarttouch.emulator.rules_over_time import Room
+from smarttouch.emulator.link_rules import Room
 from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
 from tests.firmware.scenes import random_table, sequence_of
 

@@ -17,7 +17,7 @@ def send(make_limits, make_sequence, monkeypatch):
 
     The gate lets all of them pass, see ``claimed_time``.
     """
-    monkeypatch.setattr("smarttouch.emulator.rules_over_time.RAMP_MS", 500)
+    monkeypatch.setattr("smarttouch.emulator.link_rules.RAMP_MS", 500)
     with make_board("simulated:", make_limits()) as board:
 
         def send(*given):

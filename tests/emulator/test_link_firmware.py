@@ -28,7 +28,7 @@ from smarttouch.boards.link.sequence_encoding import KernelImage, digest_of
 from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, read_recharges, read_slots
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.rules_over_time import Room
+from smarttouch.emulator.link_rules import Room
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
 from tests.boards.payloads import encode_lists
 

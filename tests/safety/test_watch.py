@@ -96,7 +96,7 @@ def test_books_in_a_folder(blind, tmp_path):
 def test_a_simulated_board(blind, taken, monkeypatch):
     """Pulses are judged when they are taken, and the rest when the board is closed."""
     # A board with a rise, or the limits that the watch judges by, would refuse the pulse itself.
-    monkeypatch.setattr("smarttouch.emulator.rules_over_time.RAMP_MS", 0)
+    monkeypatch.setattr("smarttouch.emulator.link_rules.RAMP_MS", 0)
     wider = replace(LIMITS, current_ma=4.0, full_ma=4.0)
     vars(wider)[watch.OF_PROFILE] = Bounds.of_limits(LIMITS)
     driver = SimulatedDriver("", wider)
