@@ -20,6 +20,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
 from smarttouch.emulator.skin import SkinCircuit
@@ -77,21 +78,6 @@ FORMS = {
 }
 
 
-@dataclass(frozen=True)
-class _Drift:
-    start_s: float
-    factor: float
-    target: float
-    lasts_s: float
-
-    def at(self, now_s: float) -> float:
-        """Return the factor at a time; equal times change it by equal ratios."""
-        share = 1.0
-        if now_s < self.start_s + self.lasts_s:
-            share = max(0.0, now_s - self.start_s) / self.lasts_s
-        return float(self.factor * (self.target / self.factor) ** share)
-
-
 def parse_event(text: str) -> DeviceEvent:
     event = parse(text, FORMS)
     most = {"drift": math.inf, "peel": 1.0}.get(event.kind)
@@ -118,8 +104,9 @@ class EmulatedFinger:
         self._switched = [
             (event.time_s, event.kind == "emergency") for event in parsed if event.kind in switch
         ]
-        self._touches, self._pressure_n = True, FORCE_N
-        self._drifts: dict[int, _Drift] = {}
+        self._touches, self._pressure_n, self._drifting = True, FORCE_N, False
+        self._drift = np.ones((4, electrodes))
+        """Factor of each impedance before and after its drift, and when that begins and ends, s."""
         self._drifted, self._area = np.ones(electrodes), np.ones(electrodes)
         self._open = np.zeros(electrodes, np.bool_)
         self._shorted = np.zeros(electrodes, np.bool_)
@@ -140,17 +127,21 @@ class EmulatedFinger:
         while self._due and self._due[0].time_s <= now_s:
             self._happen(self._due.popleft())
             changed = True
-        for electrode, drift in list(self._drifts.items()):
-            factor = drift.at(now_s)
-            over = now_s >= drift.start_s + drift.lasts_s
+        if self._drifting:
+            factor = self._factor(now_s)
+            self._drifting = bool((now_s < self._drift[3]).any())
             # The circuit is solved again for each change: in steps too small to matter.
-            if over or abs(math.log(factor / self._drifted[electrode])) > _FINEST:
-                self._drifted[electrode] = factor
-                changed = True
-            if over:
-                del self._drifts[electrode]
+            step = np.abs(np.log(factor / self._drifted)).max()
+            if step > _FINEST or not self._drifting:
+                self._drifted, changed = factor, True
         if changed:
             self._apply(skin)
+
+    def _factor(self, now_s: float) -> NDArray[np.float64]:
+        """Return the factors of impedances; in equal times they change by equal ratios."""
+        before, after, begins_s, ends_s = self._drift
+        share = (now_s - begins_s) / np.maximum(ends_s - begins_s, 1e-9)
+        return np.asarray(before * (after / before) ** np.clip(share, 0, 1))
 
     def _happen(self, event: DeviceEvent) -> None:
         electrode, values = event.electrode, event.values
@@ -160,10 +151,9 @@ class EmulatedFinger:
             case "force":
                 self._pressure_n = values[0]
             case "drift":
-                now = float(self._drifted[electrode])
-                if electrode in self._drifts:
-                    now = self._drifts[electrode].at(event.time_s)
-                self._drifts[electrode] = _Drift(event.time_s, now, *values)
+                now, (factor, lasts_s) = self._factor(event.time_s)[electrode], values
+                self._drift[:, electrode] = now, factor, event.time_s, event.time_s + lasts_s
+                self._drifting = True
             case "peel":
                 self._area[electrode] = values[0]
             case "open":
@@ -171,8 +161,7 @@ class EmulatedFinger:
             case "short":
                 self._shorted[electrode] = True
             case "heal":
-                self._drifts.pop(electrode, None)
-                self._drifted[electrode] = self._area[electrode] = 1.0
+                self._drift[:, electrode] = self._drifted[electrode] = self._area[electrode] = 1.0
                 self._open[electrode] = self._shorted[electrode] = False
 
     def _apply(self, skin: SkinCircuit) -> None:

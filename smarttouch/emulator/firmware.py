@@ -123,22 +123,14 @@ def read_state(folder: Path) -> dict[str, object]:
     return state
 
 
-def read_slots(folder: Path) -> NDArray[Any]:
-    """Return every pulse of a slot that an emulator delivered, a structured array (N,).
+def read_slots(folder: Path, recharges: bool = False) -> NDArray[Any]:
+    """Return every pulse of a slot that an emulator delivered, or every recharge phase, a
+    structured array (N,).
 
     Its fields are ``number``, ``slot``, ``site``, ``time_us``, and per electrode (E,)
     ``current_ua`` (mean over the pulse), ``charge_uc`` of the pulse, ``volts`` (against the tissue
     at its end) and ``residual_uc`` (charge left after the discharge), all positive cathodic.
     """
-    return _records(folder, recharges=False)
-
-
-def read_recharges(folder: Path) -> NDArray[Any]:
-    """Return every recharge phase an emulator delivered, as `read_slots` does; (N,)."""
-    return _records(folder, recharges=True)
-
-
-def _records(folder: Path, recharges: bool) -> NDArray[Any]:
     kind = _record(int(str(read_state(folder)["electrodes"])))
     data = (folder / DELIVERED_FILE).read_bytes()
     records = np.frombuffer(data[: len(data) // kind.itemsize * kind.itemsize], kind)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from smarttouch.emulator.firmware import read_recharges, read_slots
+from smarttouch.emulator.firmware import read_slots
 from smarttouch.testing.pulses import SentPulse
 
 
@@ -82,7 +82,7 @@ def _no_number():
 
 def pulses_in_books(folder):
     """Return the pulses that an emulated link board has delivered."""
-    slots = np.concatenate([read_slots(folder), read_recharges(folder)])
+    slots = np.concatenate([read_slots(folder), read_slots(folder, recharges=True)])
     slots = slots[np.argsort(slots["time_us"], kind="stable")]
     found = []
     for number, slot in enumerate(slots):

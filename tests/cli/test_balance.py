@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardError
-from smarttouch.emulator.firmware import read_recharges
+from smarttouch.emulator.firmware import read_slots
 
 from ..boards.fresh import fresh_state
 from .conftest import refused, says
@@ -52,7 +52,7 @@ def test_a_board_on_a_line_makes_them(live, start_emulator):
     figures = live(options).fine().figures
     assert figures["emulator_violations"] == 0
     state = fresh_state(books)
-    assert state["recharges"] == len(read_recharges(books)) > 0
+    assert state["recharges"] == len(read_slots(books, recharges=True)) > 0
     assert (state["unsafe"], state["violations"]) == (0, 0)
     assert np.abs(state["passed_uc"]).max() < 0.02
 

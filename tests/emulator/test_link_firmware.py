@@ -26,7 +26,7 @@ from smarttouch.boards.link.protocol import (
 )
 from smarttouch.boards.link.sequence_encoding import KernelImage, digest_of
 from smarttouch.emulator.finger_events import EmulatedFinger
-from smarttouch.emulator.firmware import DeliveryLog, read_recharges, read_slots
+from smarttouch.emulator.firmware import DeliveryLog, read_slots
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_rules import Room
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
@@ -337,7 +337,7 @@ def test_a_recharge_takes_back_what_the_slots_have_passed(tmp_path):
     assert rig.books.max_charge_uc == pytest.approx(0.03)
     assert rig.books.max_net_charge_uc < 1e-3
     rig.books.write()
-    (phase,) = read_recharges(tmp_path)
+    (phase,) = read_slots(tmp_path, recharges=True)
     assert (phase["number"], phase["time_us"]) == (1, 300)
     assert phase["current_ua"].tolist() == BACK
     slots = read_slots(tmp_path)
