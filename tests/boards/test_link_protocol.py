@@ -56,7 +56,7 @@ def columns(current, seed=0):
 def test_switched_survives_the_wire(output, current):
     payload = sequence_payload(output, 9000, *columns(current), current)
     wire = decode_sequence(payload, current.shape[1], output)
-    np.testing.assert_array_equal(wire.state, np.sign(current))
+    np.testing.assert_array_equal(wire.rows, np.sign(current))
     np.testing.assert_array_equal(wire.source_ua, np.maximum(current, 0).sum(axis=1))
 
 
@@ -120,7 +120,7 @@ def test_a_recharge_phase_survives_the_wire(current, seed, width_us):
     wire = decode_sequence(payload, current.shape[1])
     assert (wire.measure, wire.times, wire.recharge_us) == (True, 2, width_us)
     np.testing.assert_array_equal(wire.recharge_ua, recharge)
-    np.testing.assert_array_equal(wire.current_ua, current)
+    np.testing.assert_array_equal(wire.rows, current)
     for wrong in (payload[:-1], payload + b"\0", payload[: -2 * current.shape[1]]):
         with pytest.raises(ValueError):
             decode_sequence(wrong, current.shape[1])
