@@ -22,6 +22,7 @@ POOR = 0.01
 """Goodness of fit below which it is called poor."""
 _FALLING = -2.58  # trend, in standard deviations, of falling answers: one in two hundred by chance
 _CURVE_POINTS = 301
+_BOUNDED = ("threshold", "weber", "middle", "lower", "lower_weber")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,7 @@ class Finding:
             return []
         notes = []
         if self.fit.sudden:
-            around = self.fit.at(0.5)
+            around = self.fit.bounded(0.5).value
             notes.append(f"answers change too suddenly around {around:.4g} to determine the slope")
         lowest, highest = self.answers.comparison.min(), self.answers.comparison.max()
         if self.threshold.low < lowest or self.threshold.high > highest:
@@ -153,7 +154,7 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
             "one comparison",
             f"{said} {successes / total:.0%} of {total} times, but all were at {low:.4g}",
         )
-    found = fit(counts, model)
+    found = fit(counts, model, answers.standard)
     if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
         if _trend(counts) < _FALLING:
             return none(
@@ -166,7 +167,8 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
             f"answers do not depend on the comparison: {said} {successes / total:.0%} of {total} "
             f"times, without a clear rise from {low:.4g} to {high:.4g}; more trials may show one",
         )
-    threshold = found.threshold
+    threshold = found.bounded(model.level).value
+    low, high = (float(each) for each in model.stimulus(found.ends))
     if not low <= threshold <= high:
         beyond = 1 if threshold > high else -1
         end = f"above {high:.4g}" if beyond > 0 else f"below {low:.4g}"
@@ -215,7 +217,7 @@ def _chance_of_flat(found: Fit, share: float) -> float:
     """
     n, k = found.counts.n, found.counts.k
     constant = float(k.sum() * math.log(share) + (n - k).sum() * math.log1p(-share))
-    return math.exp(min(0.0, constant - float(found.log_likelihood)))
+    return math.exp(min(0.0, constant - float(found.log_likelihoods.max())))
 
 
 def _guessing(answers: Answers, model: Model) -> float:
@@ -249,15 +251,11 @@ def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
             "function": each.model.shape.value,
             "logarithmic": each.model.logarithmic,
             "at": each.model.share,
-            "threshold": _ends(each.threshold),
-            "weber": _ends(each.weber),
-            "middle": _ends(each.middle),
-            "lower": _ends(each.lower),
-            "lower_weber": _ends(each.lower_weber),
-            "spread": each.fit and each.fit.spread,
-            "slope": each.fit and each.fit.slope,
-            "lapse": each.fit and each.fit.lapse,
-            "guess": each.fit and each.fit.guess,
+            **{name: _ends(getattr(each, name)) for name in _BOUNDED},
+            **{
+                name: each.fit and float(getattr(each.fit.parameters, name)[0])
+                for name in ("spread", "lapse", "guess")
+            },
             "deviance": each.fit and each.fit.deviance,
             "goodness": each.goodness,
             "verdict": each.verdict,
@@ -270,7 +268,7 @@ def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
 def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str]]:
     """Return a heading, and a row of words for each finding that has a threshold."""
     share = findings[0].model.share if findings else 0.0
-    heading = ["n", f"{share:.0%} at", "slope", "lapse", "p"]
+    heading = ["n", f"{share:.0%} at", "spread", "lapse", "p"]
     if compares:
         heading = ["standard", *heading[:2], "Weber", "lower", "middle", *heading[2:]]
     rows = [heading]
@@ -280,9 +278,16 @@ def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str
         cells = [str(each.answers.answered), in_words(each.threshold)]
         if compares:
             lower = "" if each.lower_weber is None else f"{each.lower_weber.value:.0%}"
-            cells += [in_percent(each.weber), lower, f"{each.fit.at(0.5):.3g}"]
+            cells += [in_percent(each.weber), lower, f"{each.fit.bounded(0.5).value:.3g}"]
             cells.insert(0, f"{each.answers.standard:g}")
-        rows.append([*cells, f"{each.fit.slope:.2g}", f"{each.fit.lapse:.2f}", goodness])
+        rows.append(
+            [
+                *cells,
+                f"{each.fit.parameters.spread[0]:.2g}",
+                f"{each.fit.parameters.lapse[0]:.2f}",
+                goodness,
+            ]
+        )
     return rows
 
 

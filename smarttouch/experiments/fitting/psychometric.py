@@ -1,8 +1,7 @@
 """Psychometric functions: the probability that a stimulus is judged higher, felt, or named.
 
-``p = guess + (1 - guess - lapse) F((x - threshold) / spread + F⁻¹(level))``, x a stimulus or its
-natural logarithm, as in Wichmann and Hill (Perception & Psychophysics 63, 2001, Eq. 1), with the
-threshold itself as parameter of place."""
+``p = guess + (1 - guess - lapse) F((x - middle) / spread)``, x a stimulus or its natural logarithm,
+as in Wichmann and Hill (Perception & Psychophysics 63, 2001, Eq. 1)."""
 
 import math
 from dataclasses import dataclass
@@ -35,16 +34,14 @@ class Shape(StrEnum):
     LOGISTIC = "logistic"
     WEIBULL = "weibull"
 
-    def rises(self, z: Array) -> tuple[Array, Array]:
-        """Return F and its slope at z."""
+    def rise(self, z: Array) -> Array:
+        """Return F at z."""
         if self is Shape.NORMAL:
-            return ndtr(z), np.exp(-(z**2) / 2) / math.sqrt(2 * math.pi)
+            return np.asarray(ndtr(z))
         if self is Shape.LOGISTIC:
-            part = expit(z)
-            return part, part * (1 - part)
+            return np.asarray(expit(z))
         # Beyond 7 nothing is left of 1 - F, and the exponential would overflow.
-        power = math.log(2) * np.exp(np.minimum(z, 7.0))
-        return -np.expm1(-power), power * np.exp(-power)
+        return -np.expm1(-math.log(2) * np.exp(np.minimum(z, 7.0)))
 
     def inverse(self, part: float) -> float:
         """Return the z at which F equals the given part of 1."""
@@ -56,12 +53,10 @@ class Shape(StrEnum):
 
 
 class Parameters(NamedTuple):
-    """Parameters, each one number or (B,) of many functions."""
+    """Parameters, each one number or (G,) of many functions."""
 
-    # stimulus at the model's level, on its axis: a logarithm if that is logarithmic
-    threshold: Array
-    # logarithm of the spread on that axis, which is the standard deviation of a normal F
-    log_spread: Array
+    middle: Array  # where F is a half, on the model's axis: a logarithm if that is logarithmic
+    spread: Array  # on that axis; the standard deviation of a normal F
     # lapse, guess: shares
     lapse: Array
     guess: Array
@@ -132,25 +127,12 @@ class Model:
 
     def place(self, part: float, parameters: Parameters) -> Array:
         """Return the place on the axis at which F equals the given part of 1."""
-        apart = self.shape.inverse(part) - self.shape.inverse(self.level)
-        return np.asarray(parameters.threshold + apart * np.exp(parameters.log_spread))
+        return np.asarray(parameters.middle + self.shape.inverse(part) * parameters.spread)
 
     def probability(self, x: Array, parameters: Parameters) -> Array:
-        """Return the probability of a success, (..., B, K), at places on the axis, (K,)."""
-        return self.slopes(x, parameters)[0]
-
-    def slopes(self, x: Array, parameters: Parameters) -> tuple[Array, Array]:
-        """Return probabilities, (B, K), and their derivatives by each parameter, (B, 4, K)."""
-        threshold, log_spread, lapse, guess = (np.asarray(each)[..., None] for each in parameters)
-        spread = np.exp(log_spread)
-        apart = (x - threshold) / spread
-        rise, slope = self.shape.rises(apart + self.shape.inverse(self.level))
-        height = 1 - guess - lapse
-        # At minus infinity the slope is 0, and so is its product with any distance.
-        apart = np.where(np.isfinite(apart), apart, 0.0)
-        by_lapse = 1 - 2 * rise if self.guess == "equal" else -rise
-        changes = (-height * slope / spread, -height * slope * apart, by_lapse, 1 - rise)
-        return guess + height * rise, np.stack(changes, axis=-2)
+        """Return the probability of a success, (G, K), at places on the axis, (K,)."""
+        middle, spread, lapse, guess = (np.asarray(each)[..., None] for each in parameters)
+        return np.asarray(guess + (1 - guess - lapse) * self.shape.rise((x - middle) / spread))
 
 
 @dataclass(frozen=True)
@@ -167,9 +149,4 @@ def log_likelihood(likely: Array, n: Array, k: Array) -> Array:
     have these probabilities."""
     # Away from 0 and 1, so that any answer has a finite one.
     likely = np.clip(likely, 1e-9, 1 - 1e-9)
-    return np.asarray((k * np.log(likely) + (n - k) * np.log1p(-likely)).sum(axis=-1))
-
-
-def saturated(n: Array, k: Array) -> float:
-    """Return the log likelihood of the saturated model: the observed shares themselves."""
-    return float(log_likelihood(k / n, n, k))
+    return np.asarray(np.log(likely) @ k + np.log1p(-likely) @ (n - k))

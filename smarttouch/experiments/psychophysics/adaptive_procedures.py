@@ -184,7 +184,7 @@ class QuestPlus:
         grid = np.meshgrid(self._thresholds, np.log(spreads), lapses, indexing="ij")
         threshold, log_spread, lapse = (each.ravel() for each in grid)
         guess = lapse if self.model.guess == "equal" else np.full_like(lapse, self.model.guess)
-        parameters = Parameters(threshold, log_spread, lapse, guess)
+        parameters = Parameters(threshold, np.exp(log_spread), lapse, guess)
         self._likely = self.model.probability(self._places, parameters).T
         self._unsure = entropy(self._likely)
         self._posterior = np.full(len(threshold), 1 / len(threshold))

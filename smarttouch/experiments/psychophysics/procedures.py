@@ -251,7 +251,7 @@ class ConstantStimuli:
         self._answers.append(success)
 
     def estimate(self) -> Estimate | None:
-        """Return the threshold by maximum likelihood; None if there are several standards."""
+        """Return the median threshold of the posterior; None if there are several standards."""
         shown = self._plan[: len(self._answers)]
         if len({each.standard for each in shown}) != 1:
             return None

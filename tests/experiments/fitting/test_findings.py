@@ -105,7 +105,7 @@ def test_beyond_the_range():
     assert found.reason == "outside"
     assert numbers(found.verdict) == [75, 60]
     assert found.beyond == 1
-    assert found.fit.threshold > 60
+    assert found.fit.bounded(0.75).value > 60
     low = of_counts([5, 6, 7, 8, 10], [60] * 5, [40, 44, 50, 55, 60])
     assert (verdict(low).reason, verdict(low).beyond) == ("outside", -1)
 
@@ -117,9 +117,9 @@ def test_separated_answers_are_reported():
     low, high = ratio_pairs([30.0])[4][1], ratio_pairs([30.0])[5][1]
     assert found.threshold.high - found.threshold.low > 0.6 * (high - low)
     # All curves with their middle between the two fit alike.
-    assert low < found.fit.at(0.5) < high
+    assert low < found.fit.bounded(0.5).value < high
     assert found.fit.sudden
-    assert f"{found.fit.at(0.5):.4g}" in found.notes[0]
+    assert f"{found.fit.bounded(0.5).value:.4g}" in found.notes[0]
 
 
 def test_one_sided_and_of_two_intervals_are_tested_against_guessing():

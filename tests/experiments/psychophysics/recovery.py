@@ -22,7 +22,7 @@ TASKS = ("discrimination", "detection")
 class Recovery:
     """Results of subjects, on average.
 
-    Natural logarithms of estimate over truth, by maximum likelihood and by the procedure itself;
+    Natural logarithms of estimate over truth, by the fit and by the procedure itself;
     subjects without a threshold, trials, and the share of intervals that hold the truth.
     """
 
@@ -84,7 +84,7 @@ def recover(task, name, subjects, covering=0, seed=0):
         found = judge_answers(answers, usual_model([answers]))
         if found.verdict is not None:
             continue
-        fitted.append(np.log(found.fit.threshold / subject.threshold))
+        fitted.append(np.log(found.threshold.value / subject.threshold))
         if index < covering:
             held.append(found.threshold.low <= subject.threshold <= found.threshold.high)
     return Recovery(
