@@ -41,7 +41,7 @@ def sit(folder, standards_hz, repetitions):
     path = Path(folder) / "frequency-RA.csv"
     about = About("frequency-RA", made.method, "S1", "", 1)
     timing = TrialTiming(patience_s=10.0)
-    with open_experiment(made, profile, timing, about, path, overwrite=False) as sitting:
+    with open_experiment(made, profile, timing, about, path) as sitting:
         source = sitting.source()
         observer = sitting.subject(source, "model", 1)
         st.run(source, st.open_display("simulated:", profile), seed=1, listeners=[observer])

@@ -186,7 +186,7 @@ def _run_trials(
         afferent.name, scan="points", seed=order, subject=who.subject, note=who.session,
         paced=not simulated,
     )  # fmt: skip
-    with open_experiment(made, chosen, timing, about, path, overwrite=False) as sitting:
+    with open_experiment(made, chosen, timing, about, path) as sitting:
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
         _present(sitting, run, config, who.simulate)
@@ -341,6 +341,8 @@ def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
         heading, *rows = threshold_rows([each for each in findings if not each.verdict], compares)
         if rows:
             print_table(rows, heading, left=0)
+        if table.cut:
+            console.print("the last line of the file is not whole, and is left out", style="dim")
         for each in findings:
             about = f"{each.answers.standard:g}: " if compares else ""
             if each.verdict is not None:

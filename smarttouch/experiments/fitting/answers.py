@@ -1,6 +1,5 @@
 """Answers to be fitted, and their reader from CSV files."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.base.files import read_text
-from smarttouch.base.tables import finite, parse_csv
+from smarttouch.experiments.fitting.answer_cells import read_cells
 from smarttouch.experiments.fitting.psychometric import MOST_LAPSES, Guess, Model, Shape
 
 Array = NDArray[np.float64]
@@ -97,13 +95,6 @@ def usual_model(
     return Model(shape, not signed if logarithmic is None else logarithmic, guess, at, most_lapses)
 
 
-_DELIMITERS = (",", ";", "\t")
-_YES = {"1", "1.0", "true", "yes", "y", "correct"}
-_NO = {"0", "0.0", "false", "no", "n", "incorrect", "wrong"}
-_NONE = {"", "nan", "na", "n/a", "none"}
-_Cells = dict[str, str]
-
-
 @dataclass(frozen=True, eq=False)
 class AnswerTable:
     """The answers of one file."""
@@ -111,6 +102,7 @@ class AnswerTable:
     name: str  # of the file, without its ending
     unit: str  # of standards and comparisons, if stated
     answers: tuple[Answers, ...]  # to each standard, rising
+    cut: bool = False  # whether a last line that is not whole was left out
 
 
 def read_table(
@@ -122,89 +114,40 @@ def read_table(
     y: str = "success",
     standard: str = "standard",
 ) -> AnswerTable:
-    """Read comparisons and answers.
+    """Read comparisons and answers, see `parse_cells`.
 
-    Comma, semicolon or tab separate the cells. With a semicolon a decimal comma is one. An answer
-    is 1, true, yes, correct or their contraries; an empty cell is none. If the file does not end
-    in a line break its last line was cut off where it has fewer cells than the others: it is
-    dropped.
+    An answer is 1, true, yes, correct or their contraries; an empty cell is none.
     """
-    head, lines = _cells(path)
-    for parameter, name in (("x", x), ("y", y), ("standard", standard)):
-        if name not in head and name != "standard":
+    table = read_cells(path)
+    for option, name in (("x", x), ("y", y), ("standard", standard)):
+        if name not in table.head and name != "standard":
             raise ExperimentError(
-                f"{path} has no column {name!r} for {parameter}: choose {' or '.join(head)}"
+                f"{path} has no column {name!r} for {option}: choose {' or '.join(table.head)}"
             )
-    rows = []
-    for number, cells in lines:
-        where = f"{path}, line {number}"
-        interval = cells.get("comparison_interval", "")
-        rows.append(
-            (
-                _number(cells.get(standard, ""), where, standard) if cells.get(standard) else 0.0,
-                _number(cells[x], where, x),
-                _success(cells[y], where, y),
-                int(_number(interval, where, "comparison_interval")) if interval else 0,
-            )
-        )
-    if not rows:
+
+    def number(line: int, column: str) -> float:
+        return table.number(line, column) if table.lines[line][1].get(column, "").strip() else 0.0
+
+    if not table.lines:
         raise ExperimentError(f"{path} has no trials below its first line: give one that has")
-    table = np.array(rows, np.float64)
-    alternatives = _alternatives([cells for _, cells in lines])
+    rows = np.array([
+        (number(line, standard), table.number(line, x), table.success(line, y),
+         number(line, "comparison_interval"))
+        for line in range(len(table.lines))
+    ])  # fmt: skip
+    cells = [each for _, each in table.lines]
+    alternatives = _alternatives(cells)
     found = []
-    for each in np.unique(table[:, 0]):
-        _, comparison, success, interval = table[table[:, 0] == each].T
+    for each in np.unique(rows[:, 0]):
+        _, comparison, success, interval = rows[rows[:, 0] == each].T
         found.append(
             Answers(float(each), comparison, success, interval.astype(np.int64), alternatives)
         )
-    units = {cells.get("unit", "") for _, cells in lines}
-    return AnswerTable(path.stem, units.pop() if len(units) == 1 else "", tuple(found))
+    units = {each.get("unit", "").strip() for each in cells}
+    return AnswerTable(path.stem, units.pop() if len(units) == 1 else "", tuple(found), table.cut)
 
 
-def _cells(path: Path) -> tuple[tuple[str, ...], list[tuple[int, _Cells]]]:
-    """Return names of columns, and the cells of each line with its number in the file."""
-    text = read_text(path, ExperimentError)
-    first = text.partition("\n")[0]
-    delimiter = max(_DELIMITERS, key=first.count)
-    table = parse_csv(text, path, ExperimentError, delimiter, strict=True)
-    head, rows = table.head, table.rows
-    if not head:
-        raise ExperimentError(f"{path} is empty: give a file of answers")
-    if rows and not text.endswith("\n") and len(rows[-1]) < len(head):
-        rows.pop()
-    found = []
-    for number, row in zip(table.lines, rows, strict=False):
-        if len(row) < len(head):
-            raise ExperimentError(
-                f"{path}, line {number}: {len(row)} cells, not {len(head)} as in the first line; "
-                "correct or delete it"
-            )
-        cells = dict(zip(head, map(str.strip, row), strict=False))
-        if delimiter == ";":
-            cells = {name: cell.replace(",", ".") for name, cell in cells.items()}
-        found.append((number, cells))
-    return head, found
-
-
-def _number(text: str, where: str, column: str) -> float:
-    number = finite(text)
-    if math.isnan(number):
-        raise ExperimentError(f"{where}: {column} is {text!r}, not a number; correct or delete it")
-    return number
-
-
-def _success(text: str, where: str, column: str) -> float:
-    word = text.lower()
-    if word in _NONE:
-        return math.nan
-    if word not in _YES | _NO:
-        raise ExperimentError(
-            f"{where}: {column} is {text!r}, not 1 or 0; name another column with --y"
-        )
-    return float(word in _YES)
-
-
-def _alternatives(lines: list[_Cells]) -> int:
+def _alternatives(lines: list[dict[str, str]]) -> int:
     """Return the number of alternatives; 0 if *yes* and *no*, or not known."""
     if any(cells.get("comparison_interval") for cells in lines):
         return 2

@@ -229,11 +229,9 @@ def open_experiment(
     course: TrialTiming,
     about: About,
     path: Path,
-    *,
-    overwrite: bool,
 ) -> Iterator[ExperimentSession]:
     """Open the file of an experiment's answers for a block, and go on where it ends."""
-    with RowFile(path, about, overwrite) as file:
+    with RowFile(path, about) as file:
         begun = datetime.now().astimezone().isoformat(timespec="seconds")
         session = TrialSession(made.task, made.procedure, file, begun)
         yield ExperimentSession(made, session, profile, course, path)

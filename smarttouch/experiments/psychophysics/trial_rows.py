@@ -1,10 +1,7 @@
 """CSV file with one row for each trial, in PsychoPy's layout; each row on disk at once."""
 
-import csv
-import io
 import math
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import NoneType
@@ -13,53 +10,19 @@ from typing import Any, get_args
 from smarttouch.base.errors import ExperimentError
 from smarttouch.base.files import (
     MOST_TABLE_BYTES,
-    decoded,
     open_alone,
     read_bytes,
     require_file,
     unwritable,
 )
 from smarttouch.base.stopping import Closing
-from smarttouch.base.tables import parse_csv
-
-
-def read_cell(text: str, kind: Any) -> str | bool | float | None:
-    """Return the value in a cell; kinds are those of the attributes of `TrialRow`."""
-    if kind is str:
-        return text
-    kinds = get_args(kind) or (kind,)
-    if not text and NoneType in kinds:
-        return None
-    if bool in kinds:
-        return bool(("0", "1").index(text))
-    if int in kinds:
-        return int(text)
-    number = float(text)
-    if not math.isfinite(number):
-        raise ValueError(text)
-    return number
-
-
-def write_cell(value: str | float | None, column: str) -> str:
-    """Return the text of a cell."""
-    if isinstance(value, str):
-        if "\n" in value or "\r" in value:
-            raise ExperimentError(f"{column} {value!r} has a line break: leave it out")
-        return value
-    if value is None:
-        return ""
-    if not math.isfinite(value):
-        raise ExperimentError(f"{column} is {value}, which no trial can be: give a number")
-    # What comes from numpy would be written with its type's name.
-    return repr(float(value)) if isinstance(value, float) else str(int(value))
-
-
-def write_line(cells: Iterable[str]) -> bytes:
-    """Return a line of the file, in UTF-8."""
-    line = io.StringIO(newline="")
-    csv.writer(line, lineterminator="\n").writerow(cells)
-    return line.getvalue().encode()
-
+from smarttouch.base.version import __version__
+from smarttouch.experiments.fitting.answer_cells import (
+    AnswerCells,
+    Dialect,
+    parse_cells,
+    read_cells,
+)
 
 _BOM = "\N{ZERO WIDTH NO-BREAK SPACE}".encode()
 """Byte order mark by which spreadsheets detect UTF-8."""
@@ -126,55 +89,82 @@ class About:
 class RowFile(Closing):
     """CSV file that rows are added to, each on disk before `append` returns.
 
-    An existing file is continued if it is of the same identity; a line that was cut off when a
-    program was killed is dropped from it first. As long as it is open no other run can write to it.
+    An existing file is continued in its own dialect if it is of the same identity. Of its content
+    only a line that this program began and could not end is removed. As long as it is open no
+    other run can write to it.
     """
 
-    def __init__(self, path: Path, about: About, overwrite: bool = False) -> None:
+    def __init__(self, path: Path, about: About) -> None:
         self.path: Path = path
         self.about: About = about
+        self.rows: list[TrialRow] = []
+        self._dialect = Dialect()
         if path.suffix.lower() != ".csv":
             raise ExperimentError(f"answers go into a .csv file, not {path}: give such a name")
         if path.exists():
             require_file(path, ExperimentError, MOST_TABLE_BYTES)
         self._file = open_alone(path, ExperimentError)
         try:
-            self._begin(b"" if overwrite else read_bytes(path, ExperimentError))
+            self._begin(read_bytes(path, ExperimentError))
         except BaseException:
             self._file.close()
             raise
 
     def _begin(self, data: bytes) -> None:
-        """Read existing lines, and drop one that was cut off."""
-        whole = data[: data.rfind(b"\n") + 1]
-        self.rows: list[TrialRow] = _parse(whole, self.path) if whole else []
+        """Read existing lines, and go to where the next belongs."""
+        head = _BOM + self._dialect.line(COLUMNS.values())
+        if head.startswith(data) and data != head:
+            self._write(head, 0)
+            return
+        cells = parse_cells(data, self.path)
+        self.rows, self._dialect = _parse(cells), cells.dialect
         self._require_same(self.rows[:1] + self.rows[-1:])
-        try:
-            self._file.truncate(len(whole))
-            self._file.seek(len(whole))
-            if not whole:
-                self._write(_BOM + write_line(COLUMNS.values()))
-        except OSError as error:
-            raise unwritable(ExperimentError, self.path, error) from None
+        begun = cells.cut
+        if self.rows and not cells.ended and not cells.cut:
+            last = self.rows[-1].version
+            begun = last != __version__ and __version__.startswith(last)
+            del self.rows[len(self.rows) - begun :]
+        if begun and not data.startswith(head):
+            raise ExperimentError(
+                f"{self.path} ends in a line that is not whole: complete or delete it"
+            )
+        end = data.rfind(b"\n") + 1 if begun else len(data)
+        self._write(b"" if cells.ended or begun else self._dialect.line_end.encode(), end)
 
     def append(self, row: TrialRow) -> None:
         """Add one trial."""
         self._require_same([row])
-        line = write_line(write_cell(getattr(row, name), COLUMNS[name]) for name in COLUMNS)
-        try:
-            self._write(line)
-        except OSError as error:
-            raise unwritable(ExperimentError, self.path, error) from None
+        cells = [self._cell(getattr(row, name), name) for name in COLUMNS]
+        self._write(self._dialect.line(cells), self._end)
         self.rows.append(row)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
-    def _write(self, data: bytes) -> None:
-        self._file.write(data)
-        self._file.flush()
-        os.fsync(self._file.fileno())
+    def _write(self, data: bytes, at: int) -> None:
+        """Write at a place; what a failed write left beyond it is removed."""
+        try:
+            if self._file.seek(0, os.SEEK_END) > at:
+                self._file.truncate(at)
+            self._file.seek(at)
+            self._file.write(data)
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise unwritable(ExperimentError, self.path, error) from None
+        self._end = at + len(data)
+
+    def _cell(self, value: str | float | None, column: str) -> str:
+        if value is None:
+            return ""
+        if isinstance(value, str):
+            if "\n" in value or "\r" in value:
+                raise ExperimentError(f"{column} {value!r} has a line break: leave it out")
+            return value
+        if not math.isfinite(value):
+            raise ExperimentError(f"{column} is {value}, which no trial can be: give a number")
+        return self._dialect.number(value)
 
     def _require_same(self, rows: list[TrialRow]) -> None:
         for row in rows:
@@ -182,37 +172,39 @@ class RowFile(Closing):
                 has, wanted = getattr(row, name), getattr(self.about, name)
                 if has != wanted:
                     raise ExperimentError(
-                        f"{self.path} has {name} {has!r}, not {wanted!r}: give another file, or "
-                        "remove it"
+                        f"{self.path} has {name} {has!r}, not {wanted!r} (unless a spreadsheet has "
+                        "changed it): give another file, or remove it"
                     )
 
 
 def read_rows(path: Path) -> list[TrialRow]:
     """Return the trials of a file; a line that was cut off at its end is dropped."""
-    data = read_bytes(path, ExperimentError)
-    return _parse(data[: data.rfind(b"\n") + 1], path)
+    return _parse(read_cells(path))
 
 
-def _parse(data: bytes, path: Path) -> list[TrialRow]:
-    table = parse_csv(decoded(data, path, ExperimentError), path, ExperimentError, strict=True)
-    head = table.head
+def _parse(cells: AnswerCells) -> list[TrialRow]:
     for column in COLUMNS.values():
-        if column not in head:
+        if column not in cells.head:
             raise ExperimentError(
-                f"{path} has no column {column} in its first line: give a file of answers"
+                f"{cells.path} has no column {column} in its first line: give a file of answers"
             )
-    place = {each.name: head.index(COLUMNS[each.name]) for each in fields(TrialRow)}
-    kinds = {each.name: each.type for each in fields(TrialRow)}
-    rows, name = [], ""
-    for number, line in zip(table.lines, table.rows, strict=True):
-        try:
-            values: dict[str, Any] = {}
-            for name, kind in kinds.items():
-                values[name] = read_cell(line[place[name]], kind)
-            rows.append(TrialRow(**values))
-        except (IndexError, ValueError):
-            raise ExperimentError(
-                f"{path}, line {number}: {COLUMNS[name]} is missing or not what belongs there; "
-                "correct or delete the line"
-            ) from None
-    return rows
+    kinds = {each.name: (COLUMNS[each.name], each.type) for each in fields(TrialRow)}
+    return [
+        TrialRow(**{
+            name: _value(cells, line, column, kind) for name, (column, kind) in kinds.items()
+        })
+        for line in range(len(cells.lines))
+    ]  # fmt: skip
+
+
+def _value(cells: AnswerCells, line: int, column: str, kind: Any) -> Any:
+    """Return the value in a cell; kinds are those of the attributes of `TrialRow`."""
+    if kind is str:
+        return cells.lines[line][1][column]
+    kinds = get_args(kind) or (kind,)
+    if NoneType in kinds and not cells.lines[line][1][column].strip():
+        return None
+    if bool in kinds:
+        return bool(cells.success(line, column))
+    number = cells.number(line, column)
+    return int(number) if int in kinds else number

@@ -2,12 +2,15 @@
 
 import dataclasses
 import os
+import re
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import ExperimentError
+from smarttouch.base.version import __version__
+from smarttouch.experiments.fitting.answers import read_table
 from smarttouch.experiments.psychophysics.trial_rows import (
     COLUMNS,
     About,
@@ -21,7 +24,7 @@ from ...raising import raises
 ABOUT = About("frequency", "constant", "p1", "1", 7)
 ROW = TrialRow(
     0, 3, 3, 12, "frequency", "constant", 30.0, 39.0, 2, "Hz", "2", "1", False, 0.84, 61.5, 0.7,
-    "p1", "1", "2026-01-02 10:00", 7, 200.0, "1.0",
+    "p1", "1", "2026-01-02 10:00", 7, 200.0, __version__,
 )  # fmt: skip
 
 _words = st.text(st.characters(blacklist_categories=("Cs", "Cc")), max_size=8)
@@ -57,7 +60,7 @@ def test_columns_as_psychopy_has_them(tmp_path):
     )
     assert lines[1] == (
         b"0,3,3,12,frequency,constant,30.0,39.0,2,Hz,2,1,0,0.84,61.5,0.7,p1,1,"
-        b"2026-01-02 10:00,7,200.0,1.0"
+        b"2026-01-02 10:00,7,200.0," + __version__.encode()
     )
     assert lines[2:] == [b""]
 
@@ -69,12 +72,54 @@ def test_cut_anywhere_loses_the_cut_line_alone(tmp_path_factory, rows, data):
     whole = path.read_bytes()
     cut = whole[: data.draw(st.integers(0, len(whole)))]
     path.write_bytes(cut)
-    kept = max(cut.count(b"\n") - 1, 0)
     with RowFile(path, ABOUT) as file:
-        assert file.rows == rows[:kept]
+        kept = len(file.rows)
+        # A line of which only the end is missing is whole.
+        assert kept in {max(cut.count(b"\n") - 1, 0), cut.count(b"\n")}
         for row in rows[kept:]:
             file.append(row)
-    assert path.read_bytes() == whole
+    assert read_rows(path) == rows
+    assert path.read_bytes().startswith(cut[: cut.rfind(b"\n") + 1])
+
+
+SHEETS = {
+    "carriage returns": (",", ".", "\r", True),
+    "Windows": (",", ".", "\r\n", True),
+    "German": (";", ",", "\r\n", True),
+    "tabs": ("\t", ",", "\n", True),
+    "no last line end": (",", ".", "\n", False),
+    "no last carriage return": (",", ".", "\r", False),
+}
+
+
+@pytest.mark.parametrize("name", SHEETS)
+def test_what_a_spreadsheet_saves_is_read_and_continued(tmp_path, name):
+    delimiter, point, line_end, ended = SHEETS[name]
+    path = written(tmp_path / "a.csv", [ROW, ROW])
+    lines = path.read_text("utf-8-sig").splitlines()
+    table = [[cell.replace(".", point) for cell in line.split(",")] for line in lines]
+    table[1:] = [[*cells[:-1], __version__] for cells in table[1:]]
+    text = line_end.join(delimiter.join(cells) for cells in table) + line_end * ended
+    path.write_bytes(text.encode())
+    with RowFile(path, ABOUT) as file:
+        assert file.rows == [ROW, ROW]
+        file.append(ROW)
+    assert read_rows(path) == [ROW] * 3
+    assert path.read_bytes().startswith(text.encode())
+    assert path.read_bytes().endswith(line_end.encode())
+    assert read_table(path).answers[0].presented == 3
+
+
+@pytest.mark.parametrize("content", [
+    "a note of one line", "a,b\r1,2\r", "1.5,2\n", "{head}\n0,3,x", "{head};more\n0;3",
+])  # fmt: skip
+def test_nothing_that_others_wrote_is_removed(tmp_path, content):
+    path = tmp_path / "a.csv"
+    path.write_text(content.replace("{head}", ",".join(COLUMNS.values())))
+    before = path.read_bytes()
+    with pytest.raises(ExperimentError, match=re.escape(str(path))):
+        RowFile(path, ABOUT)
+    assert path.read_bytes() == before
 
 
 def test_each_row_is_on_disk_before_append_returns(tmp_path, monkeypatch):
@@ -104,10 +149,11 @@ def test_no_other_session_goes_on(tmp_path, name, wanted):
     # Whoever is refused leaves the file free.
     with RowFile(path, ABOUT) as file:
         assert file.rows == [ROW]
-    with RowFile(path, about, overwrite=True) as file:
-        assert file.rows == []
-        with raises(ExperimentError, names=name, value=has, allowed=wanted):
-            file.append(ROW)
+    with (
+        RowFile(tmp_path / "b.csv", about) as file,
+        raises(ExperimentError, names=name, value=has, allowed=wanted),
+    ):
+        file.append(ROW)
 
 
 @pytest.mark.parametrize(("column", "cell"), [
@@ -125,7 +171,7 @@ def test_a_bad_line_is_named(tmp_path, column, cell):
 
 
 @pytest.mark.parametrize(
-    ("data", "about"), [(b"\xff\xfe\x00\n", "file"), (b"a,b\n1,2\n", "thisRepN"), (b"", "thisRepN")]
+    ("data", "about"), [(b"\xff\xfe\x00\n", "file"), (b"a,b\n1,2\n", "thisRepN"), (b"", "empty")]
 )
 def test_what_is_no_such_file(tmp_path, data, about):
     path = tmp_path / "a.csv"
@@ -152,11 +198,9 @@ def test_what_no_cell_can_hold(tmp_path, change):
 
 
 def test_nobody_else_writes_a_file_meanwhile(tmp_path):
-    """Neither going on nor beginning anew touches what is being written."""
     path = written(tmp_path / "a.csv", [ROW])
     with RowFile(path, ABOUT) as file:
         file.append(ROW)
-        for overwrite in (False, True):
-            with raises(ExperimentError, names="file", value=path):
-                RowFile(path, ABOUT, overwrite)
+        with raises(ExperimentError, names="file", value=path):
+            RowFile(path, ABOUT)
     assert read_rows(path) == [ROW, ROW]
