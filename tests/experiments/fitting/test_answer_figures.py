@@ -44,7 +44,7 @@ def bars(axes):
     return [each.lines[0].get_xydata() for each in axes.containers]
 
 
-def test_one_mode():
+def test_two_modes():
     figure = discrimination_figure(
         [
             series(
@@ -53,57 +53,32 @@ def test_one_mode():
                 judged(60.0, (90.0, 75.0, np.inf)),
                 judged(75.0, beyond=1),
                 judged(90.0, curve=False),
-            )
-        ]
-    )
-    shares, thresholds = figure.axes
-    assert [each.get_text() for each in shares.get_legend().get_texts()] == [
-        "30 Hz",
-        "60 Hz",
-        "75 Hz",
-        "90 Hz",
-    ]
-    dots = np.asarray(shares.collections[-1].get_offsets())
-    assert dots[:, 0] == pytest.approx(RATIOS, rel=0.02)
-    assert dots[:, 1] == pytest.approx([0, 0.2, 0.8, 1.0])
-    # A curve of each but the last; dashed where it gives no threshold.
-    curves = [line for line in shares.lines if len(line.get_xdata()) == 50]
-    assert [line.get_linestyle() for line in curves] == ["-", "-", "--"]
-    upper, lower = bars(thresholds)
-    assert upper[:2] == pytest.approx(np.array([[30, 0.2], [60, 0.5]]))
-    assert np.isnan(upper[2:, 1]).all()
-    assert lower[0] == pytest.approx([30, -0.1])
-    # The end of the range beyond which it lies; nothing where none was found.
-    assert [numbers_in(each) for each in words(thresholds)] == [[1], []]
-    assert "75%" in thresholds.get_ylabel()
-    assert [tick.get_text() for tick in thresholds.get_xticklabels()] == ["30", "60", "75", "90"]
-
-
-def test_intervals_are_drawn_where_they_are():
-    figure = discrimination_figure([series("RA", judged(30.0, (36.0, 33.0, 39.0)))])
-    (container, _) = figure.axes[1].containers
-    (segment,) = container.lines[2][0].get_segments()
-    assert segment[:, 1] == pytest.approx([0.1, 0.3])
-
-
-def test_two_modes_share_the_thresholds():
-    figure = discrimination_figure(
-        [
-            series("RA", judged(30.0, (36.0, 33, 39)), judged(60.0, beyond=-1)),
-            series("PC", judged(60.0, (66.0, 63, 69))),
+            ),
+            series("PC", judged(60.0, (66.0, 63, 69)), judged(90.0, beyond=-1)),
         ]
     )
     ra, pc, thresholds = figure.axes
-    assert (ra.get_title(loc="left"), pc.get_title(loc="left")) == ("(a) RA", "(b) PC")
-    assert [each.get_text() for each in thresholds.get_legend().get_texts()] == [
-        f"{name}, {side}" for name in ("RA", "PC") for side in ("above", "below")
-    ]
-    assert [numbers_in(each) for each in words(thresholds)] == [[-0.5]]
-    # The same standard has the same color in both panels.
-    colors = [axes.collections[-1].get_facecolor().tolist() for axes in (ra, pc)]
-    assert colors[0] == colors[1]
-    places = [bar[~np.isnan(bar[:, 1])][:, 0] for bar in bars(thresholds) if len(bar)]
-    assert places[0][0] < 30 < 60 < places[2][0]
+    assert (ra.get_title(loc="left"), pc.get_title(loc="left")) == ("RA", "PC")
+    assert [each.get_text() for each in ra.get_legend().get_texts()] == [
+        "30 Hz", "60 Hz", "75 Hz", "90 Hz",
+    ]  # fmt: skip
+    dots = np.asarray(ra.collections[-1].get_offsets())
+    assert dots[:, 0] == pytest.approx(RATIOS, rel=0.02)
+    assert dots[:, 1] == pytest.approx([0, 0.2, 0.8, 1.0])
+    # A curve of each but the last; dashed where it gives no threshold.
+    curves = [line for line in ra.lines if len(line.get_xdata()) == 50]
+    assert [line.get_linestyle() for line in curves] == ["-", "-", "--"]
+    upper, lower, other, _ = bars(thresholds)
+    assert upper[:2] == pytest.approx(np.array([[30, 0.2], [60, 0.5]]), rel=0.01)
+    assert np.isnan(upper[2:, 1]).all()
+    assert lower[0] == pytest.approx([30, -0.1], rel=0.01)
+    assert upper[1, 0] < 60 < other[0, 0]
+    (segment, *_) = thresholds.containers[0].lines[2][0].get_segments()
+    assert segment[:, 1] == pytest.approx([0.1, 0.3])
+    # The end of the range beyond which it lies; nothing where none was found.
+    assert [numbers_in(each) for each in words(thresholds)] == [[1], [], [-0.5]]
+    assert "75%" in thresholds.get_ylabel()
+    assert [tick.get_text() for tick in thresholds.get_xticklabels()] == ["30", "60", "75", "90"]
 
 
 def test_without_standards(tmp_path):
