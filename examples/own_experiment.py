@@ -14,7 +14,7 @@ from tempfile import mkdtemp
 
 import numpy as np
 
-from smarttouch.lab import ConstantStimuli, Design, Experiment, in_two_intervals
+from smarttouch.lab import Design, Experiment, constant_stimuli, in_two_intervals
 
 
 class GapTask:
@@ -37,7 +37,7 @@ class GapTask:
 def make(stimuli, options, method):
     """Return the task, and gaps of 2 to 10 mm, ten times each if nothing else is asked for."""
     pairs = [(0, gap_mm) for gap_mm in (2, 6, 10)]
-    procedure = ConstantStimuli(pairs, options.repetitions or 10, seed=options.seed)
+    procedure = constant_stimuli(pairs, options.repetitions or 10, seed=options.seed)
     return Design(GapTask(stimuli), procedure, method)
 
 

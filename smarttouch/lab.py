@@ -19,8 +19,8 @@ from smarttouch.experiments.psychophysics.experiment_session import (
     open_experiment as open_experiment,
 )
 from smarttouch.experiments.psychophysics.procedures import Condition as Condition
-from smarttouch.experiments.psychophysics.procedures import ConstantStimuli as ConstantStimuli
 from smarttouch.experiments.psychophysics.procedures import Procedure as Procedure
+from smarttouch.experiments.psychophysics.procedures import constant_stimuli as constant_stimuli
 from smarttouch.experiments.psychophysics.tasks import in_two_intervals as in_two_intervals
 from smarttouch.experiments.psychophysics.trial_rows import About as About
 from smarttouch.experiments.psychophysics.trials import Stimuli as Stimuli

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from smarttouch.base.errors import ExperimentError, SmartTouchError
 from smarttouch.cli.experiment import fit
-from smarttouch.experiments.psychophysics.procedures import ConstantStimuli, ratio_pairs
+from smarttouch.experiments.psychophysics.procedures import constant_stimuli, ratio_pairs
 
 from ..experiments.psychophysics.simulated import Subject, answer_all
 from .conftest import says
@@ -39,7 +39,7 @@ def session(path, thresholds, seed=0):
         writer = csv.writer(file)
         writer.writerow(["standard", "comparison", "comparison_interval", "unit", "success"])
         for standard, threshold in thresholds.items():
-            procedure = ConstantStimuli(ratio_pairs([standard]), 20, seed=seed)
+            procedure = constant_stimuli(ratio_pairs([standard]), 20, seed=seed)
             subject = Subject(threshold or 1.0, 0.2)
             answers = answer_all(procedure, subject.probability, seed + int(standard))
             success = answers.success if threshold else answers.interval == 1

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from smarttouch.experiments.fitting.answers import Answers, Array, Counts, usual_model
+from smarttouch.experiments.fitting.answers import Answers, Array, Counts
 from smarttouch.experiments.fitting.fit import Bounded, Fit, fit
-from smarttouch.experiments.fitting.psychometric import Estimate, Model
+from smarttouch.experiments.fitting.psychometric import Model
 
 FEWEST_ANSWERS = 15
 MOST_UNANSWERED = 0.5
@@ -175,16 +175,6 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
         why = f"{model.share:.0%} is not within the range tested: the threshold lies {end}"
         return none("outside", why, beyond, found)
     return Finding(answers, model, found)
-
-
-def estimate(answers: Answers) -> Estimate | None:
-    """Return threshold and spread of the answers to one standard; None if there is none."""
-    found = judge_answers(answers, usual_model([answers]))
-    if found.threshold is None:
-        return None
-    value, low, high = found.threshold
-    # Of a normal distribution, between whose 2.5 and 97.5 % lie 3.92 standard deviations.
-    return Estimate(value, (high - low) / 3.92, answers.answered)
 
 
 def _unusable(answers: Answers) -> tuple[str, str] | None:

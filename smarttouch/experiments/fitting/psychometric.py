@@ -135,15 +135,6 @@ class Model:
         return np.asarray(guess + (1 - guess - lapse) * self.shape.rise((x - middle) / spread))
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """Threshold that a procedure estimates from its own answers."""
-
-    threshold: float  # in the unit of the comparison
-    spread: float  # its standard deviation, in the same unit
-    trials: int  # answered ones
-
-
 def log_likelihood(likely: Array, n: Array, k: Array) -> Array:
     """Return the logarithm of the likelihood, (...,), of k successes in n trials, (..., K), that
     have these probabilities."""

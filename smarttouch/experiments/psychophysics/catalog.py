@@ -4,7 +4,7 @@ What fails in those of a user's file or of another package is one sentence."""
 
 import runpy
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,10 +19,12 @@ from smarttouch.experiments.psychophysics.procedures import (
     REPETITIONS,
     STANDARDS_HZ,
     Condition,
-    ConstantStimuli,
     Procedure,
-    Repeats,
+    constant_stimuli,
+    detection_procedure,
+    frequency_procedure,
     ratio_pairs,
+    repeats,
 )
 from smarttouch.experiments.psychophysics.tasks import (
     DetectionTask,
@@ -124,6 +126,7 @@ class Design:
     task: Task
     procedure: Procedure
     method: str  # the procedure's name
+    total: int | None = None  # number of trials; None if it depends on the answers
     again: bool = True  # whether a trial may be repeated
     notes: list[str] = field(default_factory=list)  # warnings for the user
 
@@ -191,6 +194,11 @@ def new_experiment(name: str, profile: Profile, wanted: ExperimentOptions) -> De
     if name in CATALOG:
         return entry.make(stimuli, wanted, method)
     made = called(name, entry.make, Design, stimuli, wanted, method)
+    if not isinstance(made.procedure, Generator):
+        raise ExperimentError(
+            f"{name}: the procedure of its Design is a {type(made.procedure).__name__}: give a "
+            "generator of conditions, such as constant_stimuli makes"
+        )
     return replace(made, task=OwnTask(made.task, name))
 
 
@@ -204,9 +212,11 @@ def _rate_hz(stimuli: Stimuli, wanted: ExperimentOptions) -> float:
 
 def _constant(
     pairs: Sequence[tuple[float, float]], wanted: ExperimentOptions, two_intervals: bool, usual: int
-) -> ConstantStimuli:
+) -> tuple[Procedure, int]:
+    """Return the procedure, and its number of trials."""
     repetitions = usual if wanted.repetitions is None else wanted.repetitions
-    return ConstantStimuli(pairs, repetitions, two_intervals, wanted.seed)
+    procedure = constant_stimuli(pairs, repetitions, two_intervals, wanted.seed)
+    return procedure, len(pairs) * repetitions
 
 
 def _frequency(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
@@ -228,12 +238,12 @@ def _frequency(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Desi
                 f"{left_out} comparisons above the profile's limit of {highest_hz:g} Hz are not "
                 "offered"
             )
-        procedure: Procedure = _constant(pairs, wanted, True, REPETITIONS)
+        procedure, total = _constant(pairs, wanted, True, REPETITIONS)
     else:
-        from smarttouch.experiments.psychophysics.adaptive_procedures import frequency_procedures
-
-        procedure = frequency_procedures(method, standards, highest_hz, wanted.trials, wanted.seed)
-    return Design(FrequencyTask(stimuli, _site(stimuli, wanted)), procedure, method, notes=notes)
+        procedure = frequency_procedure(method, standards, highest_hz, wanted.trials, wanted.seed)
+        total = None
+    task = FrequencyTask(stimuli, _site(stimuli, wanted))
+    return Design(task, procedure, method, total, notes=notes)
 
 
 def _detection(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
@@ -246,16 +256,15 @@ def _detection(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Desi
         if not wanted.two_intervals:
             levels = [0.0, *levels]
         pairs = [(0.0, each) for each in levels]
-        procedure: Procedure = _constant(pairs, wanted, wanted.two_intervals, REPETITIONS)
+        procedure, total = _constant(pairs, wanted, wanted.two_intervals, REPETITIONS)
     else:
-        from smarttouch.experiments.psychophysics.adaptive_procedures import detection_procedure
-
+        total = None
         procedure = detection_procedure(
             method, threshold_ma, full_ma, wanted.two_intervals, wanted.trials, wanted.seed
         )
     task = DetectionTask(stimuli, site, _rate_hz(stimuli, wanted))
     # A repetition would give more information than one presentation.
-    return Design(task, procedure, method, again=False)
+    return Design(task, procedure, method, total, again=False)
 
 
 def _discomfort(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
@@ -266,7 +275,8 @@ def _discomfort(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Des
             f"trains last {slowest_s:g} s or more"
         )
     task = DiscomfortTask(stimuli, _site(stimuli, wanted), _rate_hz(stimuli, wanted))
-    return Design(task, Repeats(wanted.repetitions or 5), method, again=False)
+    total = 5 if wanted.repetitions is None else wanted.repetitions
+    return Design(task, repeats(total), method, total, again=False)
 
 
 def _two_point(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
@@ -277,8 +287,8 @@ def _two_point(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Desi
             "profile"
         )
     nearest = apart_mm[: 2 * _FARTHEST]
-    procedure = _constant([(0.0, each) for each in nearest], wanted, True, REPETITIONS)
-    return Design(TwoPointTask(stimuli, _rate_hz(stimuli, wanted)), procedure, method)
+    procedure, total = _constant([(0.0, each) for each in nearest], wanted, True, REPETITIONS)
+    return Design(TwoPointTask(stimuli, _rate_hz(stimuli, wanted)), procedure, method, total)
 
 
 def _localization(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
@@ -291,7 +301,8 @@ def _localization(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> D
         )
     pairs = [(0.0, sign * each) for each in far_mm for sign in (-1, 1)]
     task = LocalizationTask(stimuli, site, _rate_hz(stimuli, wanted))
-    return Design(task, _constant(pairs, wanted, False, REPETITIONS), method)
+    procedure, total = _constant(pairs, wanted, False, REPETITIONS)
+    return Design(task, procedure, method, total)
 
 
 def _letters(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
@@ -301,8 +312,9 @@ def _letters(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design
     drawn = {each: draw_letter(each, stimuli.profile) for each in letters}
     pairs = [(0.0, float(place)) for place in range(len(letters))]
     task = LetterTask(stimuli, drawn, _rate_hz(stimuli, wanted))
+    procedure, total = _constant(pairs, wanted, False, 4)
     notes = [f"right by chance: 1 in {len(letters)}"]
-    return Design(task, _constant(pairs, wanted, False, 4), method, notes=notes)
+    return Design(task, procedure, method, total, notes=notes)
 
 
 CATALOG = {

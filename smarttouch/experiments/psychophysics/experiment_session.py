@@ -14,19 +14,19 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import ExperimentError, SmartTouchError
 from smarttouch.base.version import __version__
+from smarttouch.experiments.fitting.answers import read_table, usual_model
+from smarttouch.experiments.fitting.findings import in_words, judge_answers
 from smarttouch.experiments.psychophysics.catalog import LIMITS, Design
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
 from smarttouch.experiments.psychophysics.perceived_spikes import FITTED
 from smarttouch.experiments.psychophysics.procedures import (
     Condition,
-    Interleaved,
-    Procedure,
     middle_and_spread,
 )
 from smarttouch.experiments.psychophysics.simulated_subject import Subject, make_observer
 from smarttouch.experiments.psychophysics.tasks import FrequencyTask, LetterTask
 from smarttouch.experiments.psychophysics.trial_rows import About, RowFile, TrialRow
-from smarttouch.experiments.psychophysics.trials import Answer, Task, Trial, TrialTiming
+from smarttouch.experiments.psychophysics.trials import Answer, Trial, TrialTiming
 from smarttouch.profile import Profile
 
 _SAME = 1e-6  # relative difference by which a condition may change when written and read
@@ -39,16 +39,19 @@ class TrialSession:
     arguments, which leads to the trial that comes next. A trial without its row is presented again.
     """
 
-    def __init__(self, task: Task, procedure: Procedure, file: RowFile, date: str) -> None:
+    def __init__(self, design: Design, file: RowFile, date: str) -> None:
         self.title: str = file.about.experiment
-        self._task, self._procedure, self._file, self._date = task, procedure, file, date
+        self.total: int | None = design.total  # trials; None if it depends on the answers
+        self._task, self._procedure = design.task, design.procedure
+        self._file, self._date = file, date
+        self._condition: Condition | None = next(design.procedure, None)
         for number, row in enumerate(file.rows):
-            if procedure.done or not _same(procedure.next(), row):
+            if self._condition is None or not _same(self._condition, row):
                 raise ExperimentError(
                     f"{file.path}, trial {number + 1}, is not of this experiment: go on with the "
                     "options it was begun with, remove the file, or give another --output"
                 )
-            procedure.answer(row.success)
+            self._answer(row.success)
         self.resumed: int = len(file.rows)
 
     @property
@@ -57,14 +60,9 @@ class TrialSession:
         return len(self._file.rows)
 
     @property
-    def total(self) -> int | None:
-        """Number of trials; None if it depends on the answers."""
-        return self._procedure.total
-
-    @property
     def over(self) -> bool:
         """Whether there is no next trial."""
-        return self._procedure.done
+        return self._condition is None
 
     @property
     def rows(self) -> list[TrialRow]:
@@ -73,7 +71,7 @@ class TrialSession:
 
     def next(self) -> Trial | None:
         """Return the next trial; None after the last."""
-        return None if self._procedure.done else self._task.trial(self._procedure.next())
+        return None if self._condition is None else self._task.trial(self._condition)
 
     def record(self, trial: Trial, answer: Answer) -> None:
         """Write an answer, and pass it to the procedure."""
@@ -91,7 +89,13 @@ class TrialSession:
             session=about.session, date=self._date, seed=about.seed, frame_rate_hz=None,
             version=__version__,
         ))  # fmt: skip
-        self._procedure.answer(success)
+        self._answer(success)
+
+    def _answer(self, success: bool | None) -> None:
+        try:
+            self._condition = self._procedure.send(success)
+        except StopIteration:
+            self._condition = None
 
 
 def _same(condition: Condition, row: TrialRow) -> bool:
@@ -120,8 +124,8 @@ def summarize(design: Design, session: TrialSession, path: Path) -> list[str]:
         if len(enough) < len(rows):
             lines.append(f"{len(rows) - len(enough)} times it was never enough")
         return lines
-    else:
-        lines += _estimates(design, rows[0].unit if rows else "")
+    elif answered:
+        lines += _thresholds(path)
     if answered:
         lines.append(f"fit it: smarttouch experiment fit {path}")
     return lines
@@ -136,16 +140,15 @@ def _progress(session: TrialSession) -> str:
     return f"{session.done}{total} trials{before}{without}{rest}"
 
 
-def _estimates(design: Design, unit: str) -> list[str]:
-    """Return the procedure's own estimates, a line for each standard."""
-    if isinstance(design.procedure, Interleaved):
-        found = design.procedure.estimates()
-    else:
-        found = [design.procedure.estimate()]
+def _thresholds(path: Path) -> list[str]:
+    """Return the thresholds of the answers, a line for each standard that has one."""
+    table = read_table(path)
+    model = usual_model(table.answers)
+    found = [judge_answers(each, model) for each in table.answers]
     return [
-        f"threshold {each.threshold:.4g} {unit} (spread {each.spread:.2g}), {each.trials} trials"
+        f"threshold {in_words(each.threshold)} {table.unit}, {each.answers.answered} trials"
         for each in found
-        if each is not None
+        if each.threshold is not None
     ]
 
 
@@ -233,7 +236,7 @@ def open_experiment(
     """Open the file of an experiment's answers for a block, and go on where it ends."""
     with RowFile(path, about) as file:
         begun = datetime.now().astimezone().isoformat(timespec="seconds")
-        session = TrialSession(made.task, made.procedure, file, begun)
+        session = TrialSession(made, file, begun)
         yield ExperimentSession(made, session, profile, course, path)
 
 

@@ -1,19 +1,19 @@
-"""Procedures that choose the next stimulus: their interface, repeats, and constant stimuli."""
+"""Procedures: generators that yield the condition of the next trial, and get its answer.
+
+The answer is True for a success (judged higher, felt, or right), False, or None where none came.
+The same arguments and answers lead to the same conditions: a session is resumed by giving it the
+same answers again.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.fitting.answers import Answers
-from smarttouch.experiments.fitting.findings import estimate
-from smarttouch.experiments.fitting.psychometric import Estimate
-
-PAIRS_IN_A_BLOCK = 4  # trials, of every eight of an adaptive procedure, with the comparison first
+from smarttouch.experiments.fitting.psychometric import Array, Model, Parameters
 
 
 @dataclass(frozen=True)
@@ -31,127 +31,26 @@ class Condition:
     trial: int = 0
 
 
-class Procedure(Protocol):
-    """Procedure: until `done`, show the condition of `next`, then pass its result to `answer`.
-
-    The same arguments and answers lead to the same conditions: a session is resumed by
-    giving it the same answers again.
-    """
-
-    @property
-    def total(self) -> int | None:
-        """Number of trials, as far as it is known; None if it depends on the answers."""
-        return None
-
-    @property
-    def done(self) -> bool:
-        """Whether there is no next trial."""
-
-    def next(self) -> Condition:
-        """Return the condition of the next trial; the same until it is answered."""
-
-    def answer(self, success: bool | None) -> None:
-        """Accept the result: judged higher, felt, or correct; None if there was no answer."""
-
-    def estimate(self) -> Estimate | None:
-        """Return the threshold; None if it is not determined, or is not what was asked."""
-        return None
+Procedure = Generator[Condition, bool | None, None]
 
 
-class Interleaved:
-    """Several procedures at once, one of each standard for example, with trials mixed at random."""
-
-    def __init__(self, procedures: Sequence[Procedure], seed: int = 0) -> None:
-        if not procedures:
-            raise ExperimentError("there is no procedure to interleave: give at least one standard")
-        self.procedures: tuple[Procedure, ...] = tuple(procedures)
-        self._random = np.random.default_rng([seed, len(procedures)])
-        self._chosen: int | None = None
-
-    @property
-    def total(self) -> int | None:
-        """Number of trials of all; None if that of one is unknown."""
-        totals = [each.total for each in self.procedures]
-        known = [total for total in totals if total is not None]
-        return sum(known) if len(known) == len(totals) else None
-
-    @property
-    def done(self) -> bool:
-        """Whether all procedures are done."""
-        return all(each.done for each in self.procedures)
-
-    def next(self) -> Condition:
-        """Return the next condition of a procedure that is not done, with its index."""
-        if self._chosen is None:
-            waiting = [i for i, each in enumerate(self.procedures) if not each.done]
-            if not waiting:
-                raise ExperimentError("all trials are done: there is no next one")
-            self._chosen = int(self._random.choice(waiting))
-        return replace(self.procedures[self._chosen].next(), index=self._chosen)
-
-    def answer(self, success: bool | None) -> None:
-        """Pass the answer to the procedure of the last condition."""
-        self.next()
-        assert self._chosen is not None
-        self.procedures[self._chosen].answer(success)
-        self._chosen = None
-
-    def estimate(self) -> Estimate | None:
-        """Return the only procedure's threshold; None if there are several: see `estimates`."""
-        return self.procedures[0].estimate() if len(self.procedures) == 1 else None
-
-    def estimates(self) -> list[Estimate | None]:
-        """Return the threshold of each procedure, in their order."""
-        return [each.estimate() for each in self.procedures]
+def repeats(count: int) -> Procedure:
+    """Repeat a trial whose comparison is not a number but the result of the trial."""
+    for repetition in range(count):
+        yield Condition(0.0, math.nan, 0, repetition, 0)
 
 
-class IntervalOrder:
-    """Balanced order of intervals: the comparison of an adaptive procedure is in each half the
-    time.
-    """
-
-    def __init__(self, two_intervals: bool, seed: int) -> None:
-        self._two = two_intervals
-        self._random = np.random.default_rng([seed, 2])
-        self._block: list[int] = []
-
-    def next(self) -> int:
-        """Return 1 or 2; 0 where there are no two intervals."""
-        if not self._two:
-            return 0
-        if not self._block:
-            block = [1] * PAIRS_IN_A_BLOCK + [2] * PAIRS_IN_A_BLOCK
-            self._block = [int(each) for each in self._random.permutation(block)]
-        return self._block.pop()
-
-
-class Repeats(Procedure):
-    """Repeated trials whose comparison is not a number but the result of the trial."""
-
-    def __init__(self, repetitions: int) -> None:
-        if repetitions < 1:
-            raise ExperimentError(f"{repetitions} repetitions are no experiment: give at least one")
-        self._count, self._answers = repetitions, 0
-
-    @property
-    def total(self) -> int:
-        """Number of repetitions."""
-        return self._count
-
-    @property
-    def done(self) -> bool:
-        """Whether all repetitions are over."""
-        return self._answers >= self._count
-
-    def next(self) -> Condition:
-        """Return the same condition, with the next number."""
-        if self.done:
-            raise ExperimentError("all trials are done: there is no next one")
-        return Condition(0.0, math.nan, 0, repetition=self._answers, index=0)
-
-    def answer(self, success: bool | None) -> None:
-        """Count the trial; its measurement is in the rows."""
-        self._answers += 1
+def interleave(procedures: Sequence[Procedure], seed: int = 0) -> Procedure:
+    """Mix trials of several procedures at random, one of each standard for example."""
+    random = np.random.default_rng([seed, len(procedures)])
+    waiting = {index: next(each) for index, each in enumerate(procedures)}
+    while waiting:
+        index = int(random.choice(list(waiting)))
+        success = yield replace(waiting[index], index=index)
+        try:
+            waiting[index] = procedures[index].send(success)
+        except StopIteration:
+            del waiting[index]
 
 
 def middle_and_spread(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:
@@ -189,83 +88,227 @@ def ratio_pairs(
     return pairs
 
 
-class ConstantStimuli:
-    """Procedure that shows each pair a fixed number of times, in a new random order each time.
+def constant_stimuli(
+    # standards and comparisons; the standard is 0 where there is none
+    pairs: Sequence[tuple[float, float]],
+    repetitions: int = REPETITIONS,  # of each pair
+    two_intervals: bool = True,  # whether standard and comparison come one after the other
+    seed: int = 0,  # of all orders
+) -> Procedure:
+    """Show each pair a fixed number of times, in a new random order each time.
 
     In two intervals the comparison comes first in half the trials of each pair, so that who
     always answers *the first* is right half the time. A trial without an answer comes again at the
     end, once.
     """
-
-    def __init__(
-        self,
-        # standards and comparisons; the standard is 0 where there is none
-        pairs: Sequence[tuple[float, float]],
-        repetitions: int = REPETITIONS,  # of each pair
-        two_intervals: bool = True,  # whether standard and comparison come one after the other
-        seed: int = 0,  # of all orders
-    ) -> None:
-        if not pairs or repetitions < 1:
-            raise ExperimentError(
-                f"{len(pairs)} conditions and {repetitions} repetitions are no experiment: give at "
-                "least one of each"
-            )
-        random = np.random.default_rng([seed, len(pairs), repetitions])
-        first = _first_intervals(len(pairs), repetitions, random)
-        self._plan = [
-            Condition(
-                standard=float(pairs[index][0]),
-                comparison=float(pairs[index][1]),
-                comparison_interval=int(first[index, repetition]) if two_intervals else 0,
-                repetition=repetition,
-                index=int(index),
-                trial=trial,
-            )
-            for repetition in range(repetitions)
-            for trial, index in enumerate(random.permutation(len(pairs)))
-        ]
-        self._once = len(self._plan)
-        self._answers: list[bool | None] = []
-
-    @property
-    def total(self) -> int:
-        """Number of trials, with the repeated ones."""
-        return len(self._plan)
-
-    @property
-    def done(self) -> bool:
-        """Whether each trial has an answer, or was repeated without one."""
-        return len(self._answers) == len(self._plan)
-
-    def next(self) -> Condition:
-        """Return the next condition."""
-        if self.done:
-            raise ExperimentError("all trials are done: there is no next one")
-        return self._plan[len(self._answers)]
-
-    def answer(self, success: bool | None) -> None:
-        """Take an answer; None repeats the trial at the end, once."""
-        condition = self.next()
-        if success is None and len(self._answers) < self._once:
-            self._plan.append(condition)
-        self._answers.append(success)
-
-    def estimate(self) -> Estimate | None:
-        """Return the median threshold of the posterior; None if there are several standards."""
-        shown = self._plan[: len(self._answers)]
-        if len({each.standard for each in shown}) != 1:
-            return None
-        success = np.array([math.nan if each is None else each for each in self._answers])
-        comparison = np.array([each.comparison for each in shown])
-        interval = np.array([each.comparison_interval for each in shown])
-        two = 2 if interval.any() else 0
-        return estimate(Answers(shown[0].standard, comparison, success, interval, two))
-
-
-def _first_intervals(
-    pairs: int, repetitions: int, random: np.random.Generator
-) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
-    """Return the interval of each comparison, (P, R), 1 or 2, balanced in each row."""
+    if not pairs or repetitions < 1:
+        raise ExperimentError(
+            f"{len(pairs)} conditions and {repetitions} repetitions are no experiment: give at "
+            "least one of each"
+        )
+    random = np.random.default_rng([seed, len(pairs), repetitions])
     # The odd repetition, where there is one, is a first for every second pair.
-    balanced = (np.arange(repetitions) + np.arange(pairs)[:, None]) % 2 + 1
-    return np.asarray(random.permuted(balanced, axis=1))
+    balanced = (np.arange(repetitions) + np.arange(len(pairs))[:, None]) % 2 + 1
+    interval = random.permuted(balanced, axis=1) * two_intervals
+    plan = [
+        Condition(
+            standard=float(pairs[index][0]),
+            comparison=float(pairs[index][1]),
+            comparison_interval=int(interval[index, repetition]),
+            repetition=repetition,
+            index=int(index),
+            trial=trial,
+        )
+        for repetition in range(repetitions)
+        for trial, index in enumerate(random.permutation(len(pairs)))
+    ]
+    return _ask_all(plan)
+
+
+def _ask_all(plan: list[Condition]) -> Procedure:
+    missed = []
+    for condition in plan:
+        if (yield condition) is None:
+            missed.append(condition)
+    for condition in missed:
+        yield condition
+
+
+def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
+    """Yield 1 and 2, four times each in every eight; 0 where there are no two intervals."""
+    random = np.random.default_rng([seed, 2])
+    while True:
+        block = [int(each) for each in random.permutation([1] * 4 + [2] * 4)][::-1]
+        yield from block if two_intervals else [0]
+
+
+_COARSE_FACTOR, _COARSE_REVERSALS = 2.0, 2
+"""Factor of steps until the second reversal (our own choice)."""
+_PINNED_TRIALS = 4
+"""Answers in a row toward the end of the range, after which the threshold lies beyond it."""
+
+
+def weighted_staircase(
+    # start, lowest, highest: comparison to begin with, and its range, above 0
+    start: float,
+    lowest: float,
+    highest: float,
+    step: float,  # down, once it is fine, as a part of the comparison
+    standard: float = 0.0,  # standard; 0 if there is none
+    target: float = 0.75,  # share of successes that is looked for
+    # reversals, most_trials: limits, the first of which ends it
+    reversals: int = 14,
+    most_trials: int = 80,
+    two_intervals: bool = True,  # whether standard and comparison come one after the other
+    seed: int = 0,  # of the interval in which the comparison comes
+) -> Procedure:
+    """Step down after a success, and up after a failure.
+
+    Steps up are target / (1 - target) times as large as steps down, so that it comes to rest
+    where the target share of answers are successes (Kaernbach, Perception & Psychophysics 49,
+    1991, Eq. 1). A trial without an answer is shown again, and counts as one of the most trials.
+    """
+    if not (0 < lowest <= start <= highest and lowest < highest):
+        raise ExperimentError(
+            f"a staircase cannot begin at {start:g} in a range from {lowest:g} to {highest:g}: "
+            "begin within it, above 0"
+        )
+    if not (step > 0 and 0 < target < 1):
+        raise ExperimentError(
+            f"a staircase needs a step above 0 and a target between 0 and 1, not {step:g} and "
+            f"{target:g}"
+        )
+    intervals = _intervals(two_intervals, seed)
+
+    def steps() -> Procedure:
+        level, low, high = math.log(start), math.log(lowest), math.log(highest)
+        turns, pinned, rising = 0, 0, None
+        shown: Condition | None = None
+        for trial in range(most_trials):
+            if shown is None:
+                shown = Condition(standard, math.exp(level), next(intervals), trial, 0)
+            success = yield replace(shown, repetition=trial)
+            if success is None:
+                continue
+            turns += rising is not None and rising == success
+            shown, rising = None, not success
+            down = math.log1p(step) * (_COARSE_FACTOR if turns < _COARSE_REVERSALS else 1)
+            wanted = level - down if success else level + down * target / (1 - target)
+            pinned = pinned + 1 if wanted < low or wanted > high else 0
+            level = min(max(wanted, low), high)
+            if turns >= reversals or pinned >= _PINNED_TRIALS:
+                return
+
+    return steps()
+
+
+_STIMULI, _THRESHOLDS, _SLOPES = 41, 61, 9
+_LAPSES = (0.0, 0.02, 0.05, 0.1)
+"""Lapse rates of the grid, all equally likely beforehand (our own choice)."""
+_NARROWEST, _WIDEST = 1 / 40, 1.0  # spreads of the grid, in spans of the stimuli
+
+
+def quest_plus(
+    # lowest, highest: range of stimuli and thresholds
+    lowest: float,
+    highest: float,
+    guess: float = 0.5,  # share of successes by guessing
+    standard: float = 0.0,  # standard; 0 if there is none
+    most_trials: int = 60,
+    two_intervals: bool = True,  # whether standard and comparison come one after the other
+    seed: int = 0,  # of the interval in which the comparison comes
+) -> Procedure:
+    """Show the stimulus whose answer is expected to say most, on a grid of threshold, slope and
+    lapse (QUEST+, Watson, Journal of Vision 17(3):10, 2017).
+
+    The expected entropy of the posterior is least where the answer's own entropy exceeds most
+    what is expected of it given the parameters: the same stimulus, found without one posterior for
+    each. No answer leaves the posterior as it is, and uses the trial.
+    """
+    if not 0 < lowest < highest:
+        raise ExperimentError(
+            f"stimuli from {lowest:g} to {highest:g} are no range: begin above 0, and below its end"
+        )
+    low, high = math.log(lowest), math.log(highest)
+    places = np.linspace(low, high, _STIMULI)
+    spreads = (high - low) * np.geomspace(_NARROWEST, _WIDEST, _SLOPES)
+    axes = np.linspace(low, high, _THRESHOLDS), spreads, _LAPSES
+    middle, spread, lapse = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    functions = Parameters(middle, spread, lapse, np.full_like(lapse, guess))
+    likely = Model(guess=guess).probability(places, functions).T
+    intervals = _intervals(two_intervals, seed)
+
+    def trials() -> Procedure:
+        unsure = _entropy(likely)
+        posterior = np.full(len(middle), 1 / len(middle))
+        for trial in range(most_trials):
+            place = int((_entropy(likely @ posterior) - unsure @ posterior).argmax())
+            comparison = math.exp(places[place])
+            success = yield Condition(standard, comparison, next(intervals), trial, 0)
+            if success is not None:
+                posterior = posterior * (likely[place] if success else 1 - likely[place])
+                posterior /= posterior.sum()
+
+    return trials()
+
+
+def _entropy(likely: Array) -> Array:
+    """Return the entropy of an answer, in nats."""
+    likely = np.clip(likely, 1e-12, 1 - 1e-12)
+    return np.asarray(-(likely * np.log(likely) + (1 - likely) * np.log1p(-likely)))
+
+
+_NARROWEST_RATIO = 1.01
+_START_RATIO = 1.6  # first ratio of a staircase: clearly faster (our own choice)
+_STEP = 0.03
+"""Step of a staircase of frequencies: a quarter of the mechanical threshold of about 20 % is 5 %.
+"""
+_DETECTION_STEP = 0.05
+_DETECTION_RANGE = (0.3, 3.0)  # range of detection, as parts of the profile's threshold
+
+
+def frequency_procedure(
+    method: str, standards: Sequence[float], highest_hz: float, trials: int | None, seed: int
+) -> Procedure:
+    """Return a staircase or QUEST+ of each standard, mixed at random.
+
+    Comparisons are faster than the standard: the upper threshold is looked for.
+    """
+    procedures = []
+    for index, standard in enumerate(standards):
+        low, high = _NARROWEST_RATIO * standard, min(WIDEST_RATIO * standard, highest_hz)
+        if high <= low:
+            raise ExperimentError(
+                f"nothing can be faster than a standard of {standard:g} Hz within the profile's "
+                f"limit of {highest_hz:g} Hz: give lower standards"
+            )
+        order = seed + 1000 * index
+        if method == "staircase":
+            first = min(_START_RATIO * standard, high)
+            made = weighted_staircase(
+                first, low, high, _STEP, standard, most_trials=trials or 80, seed=order
+            )
+        else:
+            made = quest_plus(low, high, 0.5, standard, trials or 60, seed=order)
+        procedures.append(made)
+    return interleave(procedures, seed)
+
+
+def detection_procedure(
+    method: str,
+    threshold_ma: float,
+    full_ma: float,
+    two_intervals: bool,
+    trials: int | None,
+    seed: int,
+) -> Procedure:
+    """Return a staircase or QUEST+ of current, up to the strongest comfortable one."""
+    low = _DETECTION_RANGE[0] * threshold_ma
+    high = min(_DETECTION_RANGE[1] * threshold_ma, full_ma)
+    if method == "staircase":
+        return weighted_staircase(
+            min(1.5 * threshold_ma, high), low, high, _DETECTION_STEP, most_trials=trials or 80,
+            two_intervals=two_intervals, seed=seed,
+        )  # fmt: skip
+    guess = 0.5 if two_intervals else 0.0
+    return quest_plus(low, high, guess, 0.0, trials or 60, two_intervals, seed)

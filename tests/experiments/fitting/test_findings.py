@@ -10,20 +10,17 @@ from hypothesis import strategies as st
 from smarttouch.experiments.fitting.answers import Answers, usual_model
 from smarttouch.experiments.fitting.findings import POOR, judge_answers
 from smarttouch.experiments.fitting.psychometric import Model, Shape
-from smarttouch.experiments.psychophysics.procedures import ConstantStimuli, ratio_pairs
+from smarttouch.experiments.psychophysics.procedures import constant_stimuli, ratio_pairs
 
-from ..psychophysics.simulated import Subject, answer_all, as_answers, of_counts
+from ..psychophysics.simulated import Subject, answer_all, as_answers, ask_all, of_counts
 
 RATIO = 2 ** (np.arange(-9, 10, 2) / 9)
 
 
 def session(answers, standard=30.0, repetitions=10, seed=0):
     """Return the answers that a function of the condition gives."""
-    procedure = ConstantStimuli(ratio_pairs([standard]), repetitions, seed=seed)
-    shown = []
-    while not procedure.done:
-        shown.append(procedure.next())
-        procedure.answer(True)
+    procedure = constant_stimuli(ratio_pairs([standard]), repetitions, seed=seed)
+    shown = ask_all(procedure)
     return as_answers(shown, [answers(each, n) for n, each in enumerate(shown)])
 
 
@@ -42,7 +39,7 @@ def verdict(answers):
 
 def test_a_good_subject():
     subject = Subject(36.0, 0.25)
-    answers = answer_all(ConstantStimuli(ratio_pairs([30.0]), 30), subject.probability, 3)
+    answers = answer_all(constant_stimuli(ratio_pairs([30.0]), 30), subject.probability, 3)
     found = judge_answers(answers, usual_model([answers]))
     assert (found.verdict, found.reason) == (None, "")
     assert found.threshold.low < 36 < found.threshold.high
@@ -100,7 +97,7 @@ def test_upside_down():
 
 def test_beyond_the_range():
     subject = Subject(90.0, 0.8)
-    answers = answer_all(ConstantStimuli(ratio_pairs([30.0]), 60), subject.probability, 2)
+    answers = answer_all(constant_stimuli(ratio_pairs([30.0]), 60), subject.probability, 2)
     found = verdict(answers)
     assert found.reason == "outside"
     assert numbers(found.verdict) == [75, 60]

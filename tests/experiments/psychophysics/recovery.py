@@ -6,9 +6,12 @@ import numpy as np
 
 from smarttouch.experiments.fitting.answers import usual_model
 from smarttouch.experiments.fitting.findings import judge_answers
-from smarttouch.experiments.fitting.psychometric import Model
-from smarttouch.experiments.psychophysics.adaptive_procedures import QuestPlus, WeightedStaircase
-from smarttouch.experiments.psychophysics.procedures import ConstantStimuli, Procedure, ratio_pairs
+from smarttouch.experiments.psychophysics.procedures import (
+    constant_stimuli,
+    quest_plus,
+    ratio_pairs,
+    weighted_staircase,
+)
 
 from .simulated import Subject, answer_all
 
@@ -22,12 +25,11 @@ TASKS = ("discrimination", "detection")
 class Recovery:
     """Results of subjects, on average.
 
-    Natural logarithms of estimate over truth, by the fit and by the procedure itself;
+    Natural logarithms of estimate over truth,
     subjects without a threshold, trials, and the share of intervals that hold the truth.
     """
 
     fitted: np.ndarray
-    own: np.ndarray
     without: int
     trials: float
     covered: float
@@ -35,10 +37,8 @@ class Recovery:
     @property
     def cells(self):
         cells = {"trials": f"{self.trials:.1f}", "without threshold": self.without}
-        for name, error in (("the fit", self.fitted), ("its own", self.own)):
-            cells[f"bias, SD of {name} (n)"] = (
-                f"{error.mean():+.3f}, {error.std():.3f} ({len(error)})"
-            )
+        error = self.fitted
+        cells["bias, SD (n)"] = f"{error.mean():+.3f}, {error.std():.3f} ({len(error)})"
         return cells | {"95 % interval holds": f"{self.covered:.2f}"}
 
 
@@ -46,17 +46,17 @@ def open_procedure(task, name, seed):
     """Return a procedure as it is used with real subjects."""
     if task == "discrimination":
         if name == "constant":
-            return ConstantStimuli(ratio_pairs([STANDARD]), seed=seed)
+            return constant_stimuli(ratio_pairs([STANDARD]), seed=seed)
         low, high = 1.01 * STANDARD, 2 * STANDARD
         if name == "staircase":
-            return WeightedStaircase(1.6 * STANDARD, low, high, 0.03, STANDARD, seed=seed)
-        return QuestPlus(low, high, Model(guess=0.5), STANDARD, seed=seed)
+            return weighted_staircase(1.6 * STANDARD, low, high, 0.03, STANDARD, seed=seed)
+        return quest_plus(low, high, 0.5, STANDARD, seed=seed)
     if name == "constant":
         pairs = [(0.0, float(each)) for each in LEVELS]
-        return ConstantStimuli(pairs, two_intervals=False, seed=seed)
+        return constant_stimuli(pairs, two_intervals=False, seed=seed)
     if name == "staircase":
-        return WeightedStaircase(1.0, 0.1, 2.0, 0.05, target=0.5, two_intervals=False, seed=seed)
-    return QuestPlus(0.1, 2.0, Model(guess=0.0), two_intervals=False, seed=seed)
+        return weighted_staircase(1.0, 0.1, 2.0, 0.05, target=0.5, two_intervals=False, seed=seed)
+    return quest_plus(0.1, 2.0, 0.0, two_intervals=False, seed=seed)
 
 
 def draw_subject(task, random):
@@ -72,15 +72,11 @@ def draw_subject(task, random):
 def recover(task, name, subjects, covering=0, seed=0):
     """Let subjects go through a procedure; of so many, look at the interval, too."""
     random = np.random.default_rng(seed)
-    fitted, own, held, trials = [], [], [], []
+    fitted, held, trials = [], [], []
     for index in range(subjects):
         subject = draw_subject(task, random)
-        procedure: Procedure = open_procedure(task, name, index)
-        answers = answer_all(procedure, subject.probability, [seed, index])
+        answers = answer_all(open_procedure(task, name, index), subject.probability, [seed, index])
         trials.append(answers.answered)
-        estimate = None if name == "constant" else procedure.estimate()
-        if estimate is not None:
-            own.append(np.log(estimate.threshold / subject.threshold))
         found = judge_answers(answers, usual_model([answers]))
         if found.verdict is not None:
             continue
@@ -88,6 +84,6 @@ def recover(task, name, subjects, covering=0, seed=0):
         if index < covering:
             held.append(found.threshold.low <= subject.threshold <= found.threshold.high)
     return Recovery(
-        np.array(fitted), np.array(own or fitted), subjects - len(fitted), float(np.mean(trials)),
+        np.array(fitted), subjects - len(fitted), float(np.mean(trials)),
         float(np.mean(held)) if held else np.nan,
     )  # fmt: skip

@@ -33,13 +33,27 @@ class Subject:
 def answer_all(procedure, probability, seed=0):
     """Go through a procedure; answers are drawn from the probability of each comparison."""
     random = np.random.default_rng(seed)
-    shown, success = [], []
-    while not procedure.done:
-        condition = procedure.next()
-        success.append(bool(random.random() < probability(condition.comparison)))
-        shown.append(condition)
-        procedure.answer(success[-1])
+    success = []
+    shown = ask_all(
+        procedure,
+        lambda each: (
+            success.append(bool(random.random() < probability(each.comparison))) or success[-1]
+        ),
+    )
     return as_answers(shown, success)
+
+
+def ask_all(procedure, answer=lambda _condition: True):
+    """Return all conditions of a procedure; a function of each gives its answer."""
+    shown = []
+    condition = next(procedure, None)
+    while condition is not None:
+        shown.append(condition)
+        try:
+            condition = procedure.send(answer(condition))
+        except StopIteration:
+            break
+    return shown
 
 
 def as_answers(shown, success, standard=None):

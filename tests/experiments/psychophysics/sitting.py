@@ -64,7 +64,7 @@ def sit(
     about = About(experiment, made.method, "p1", "s1", 0)
     display = Display("simulated:", profile)
     with RowFile(path, about) as file:
-        session = TrialSession(made.task, made.procedure, file, DATE)
+        session = TrialSession(made, file, DATE)
         source = ExperimentSource(session, profile, course or TrialTiming())
         controls = controls or Controls(ControlState(Mode.RA))
 

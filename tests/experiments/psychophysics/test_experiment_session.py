@@ -34,7 +34,7 @@ def respond(path, answers, method="constant", most=1000, seed=0):
     )
     made = new_experiment("frequency", MOUSE, wanted)
     with RowFile(path, About("f", made.method, "p", "s", seed)) as file:
-        session = TrialSession(made.task, made.procedure, file, DATE)
+        session = TrialSession(made, file, DATE)
         for _ in range(most):
             trial = session.next()
             if trial is None:
@@ -132,12 +132,13 @@ def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path, more):
     made = new_experiment(
         "frequency", MOUSE, ExperimentOptions(standards=standards, repetitions=1, seed=3)
     )
-    for _ in range(3 if more else 0):
-        made.procedure.next()
-        made.procedure.answer(True)
+    if more:
+        # All but the last are taken already.
+        for _ in range(19):
+            next(made.procedure)
     file = RowFile(path, About("f", "constant", "p", "s", 3))
     with file, raises(ExperimentError, names="trial", value=1):
-        TrialSession(made.task, made.procedure, file, DATE)
+        TrialSession(made, file, DATE)
 
 
 def test_a_level_that_rose_is_kept_as_it_was_reached(tmp_path, profile):
@@ -146,9 +147,9 @@ def test_a_level_that_rose_is_kept_as_it_was_reached(tmp_path, profile):
     for expected in (1, 2):
         made = new_experiment("discomfort", profile, ExperimentOptions(repetitions=2))
         with RowFile(path, About("d", "limits", "p", "s", 0)) as file:
-            session = TrialSession(made.task, made.procedure, file, DATE)
+            session = TrialSession(made, file, DATE)
             assert session.done == expected - 1
             session.record(session.next(), Answer("y", None, 4.0, 1.0, reached=1.5 + expected))
     assert [(row.comparison, row.success) for row in read_rows(path)] == [(2.5, True), (3.5, True)]
     rising = new_experiment("discomfort", profile, ExperimentOptions())
-    assert np.isnan(made.task.trial(rising.procedure.next()).condition.comparison)
+    assert np.isnan(made.task.trial(next(rising.procedure)).condition.comparison)

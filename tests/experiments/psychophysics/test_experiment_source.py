@@ -202,7 +202,7 @@ class OneTrial:
 
     def __init__(self, profile, name="frequency", train_s=0.1):
         made = new_experiment(name, profile, ExperimentOptions(train_s=train_s))
-        self.trial = made.task.trial(made.procedure.next())
+        self.trial = made.task.trial(next(made.procedure))
         self.answers = []
 
     def next(self):

@@ -12,7 +12,7 @@ from smarttouch.experiments.psychophysics.catalog import (
     find_experiment,
     new_experiment,
 )
-from smarttouch.lab import ConstantStimuli, Stimuli
+from smarttouch.lab import Stimuli, constant_stimuli
 from smarttouch.profile import load_profile
 
 from ...installed import install
@@ -23,7 +23,7 @@ EXAMPLE = Path(__file__).parents[3] / "examples/own_experiment.py"
 MOUSE = load_profile("electric-mouse")
 WANTED = ExperimentOptions(repetitions=3, seed=4)
 FILE = """
-from smarttouch.lab import ConstantStimuli, Design, Experiment, in_two_intervals
+from smarttouch.lab import Design, Experiment, constant_stimuli, in_two_intervals
 class Mine:
     def trial(self, condition):
         return {trial}
@@ -33,7 +33,7 @@ def make(stimuli, options, method):
 """
 GOOD = {
     "trial": "None",
-    "design": "Design(Mine(), ConstantStimuli([(0, 1)], 1), method)",
+    "design": "Design(Mine(), constant_stimuli([(0, 1)], 1), method)",
     "experiment": "mine = Experiment('what is it', make)",
 }
 
@@ -51,7 +51,7 @@ def test_a_file_is_an_experiment(tmp_path, bank):
     rows = [(row.unit, row.comparison, row.success) for row in sat.session.rows]
     assert sorted(rows) == [("mm", gap_mm, True) for gap_mm in (2, 6, 10)]
     assert sat.figures["emulator_violations"] == 0
-    trial = made.task.trial(ConstantStimuli([(0, 2)]).next())
+    trial = made.task.trial(next(constant_stimuli([(0, 2)])))
     gap, whole = sorted(trial.intervals, key=lambda each: each.activation.sum())
     assert (whole.activation - gap.activation).sum() == 2
     assert trial.intervals[int(trial.target) - 1] is gap
@@ -62,7 +62,7 @@ def test_another_package_has_one(tmp_path, monkeypatch):
     points = {"smarttouch.experiments": {"gap": "their_gap:experiment", "other": "their_gap:make"}}
     install(tmp_path, "theirs", points, {"their_gap": EXAMPLE.read_text("utf-8")})
     assert find_experiment("gap").about == "which had a gap: width, mm"
-    assert new_experiment("gap", MOUSE, WANTED).procedure.total == 9
+    assert len(list(new_experiment("gap", MOUSE, WANTED).procedure)) == 9 + 9
     with raises(ExperimentError, value="Experiment", names="other"):
         find_experiment("other")
     install(tmp_path, "more", points, {})
@@ -77,7 +77,8 @@ def test_another_package_has_one(tmp_path, monkeypatch):
     ({"experiment": "1 +"}, ["line 8", "SyntaxError"]),
     ({"design": "None"}, ["make", "NoneType", "Design"]),
     ({"design": "1 / 0"}, ["line 7", "ZeroDivisionError"]),
-    ({"design": "Design(Mine(), ConstantStimuli([], 1), method)"}, ["0 conditions"]),
+    ({"design": "Design(Mine(), constant_stimuli([], 1), method)"}, ["0 conditions"]),
+    ({"design": "Design(Mine(), [(0, 1)], method)"}, ["procedure", "list", "generator"]),
     ({}, ["trial", "NoneType", "Trial"]),
     ({"trial": "condition.gap"}, ["line 5", "AttributeError", "gap"]),
 ])  # fmt: skip
@@ -85,7 +86,7 @@ def test_what_is_wrong_in_it_is_one_sentence(tmp_path, changed, words):
     path = tmp_path / "mine.py"
     path.write_text(FILE.format(**GOOD | changed), encoding="utf-8")
     with pytest.raises(ExperimentError) as error:
-        new_experiment(str(path), MOUSE, WANTED).task.trial(ConstantStimuli([(0, 1)]).next())
+        new_experiment(str(path), MOUSE, WANTED).task.trial(next(constant_stimuli([(0, 1)])))
     assert all(each in str(error.value) for each in words)
     assert "\n" not in str(error.value)
 

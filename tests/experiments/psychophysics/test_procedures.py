@@ -11,20 +11,12 @@ from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.psychophysics.procedures import (
     RATIOS,
     STANDARDS_HZ,
-    ConstantStimuli,
+    constant_stimuli,
     ratio_pairs,
 )
 
 from ...raising import raises
-from .simulated import Subject, answer_all
-
-
-def all_of(procedure, answers=lambda _: True):
-    shown = []
-    while not procedure.done:
-        shown.append(procedure.next())
-        procedure.answer(answers(len(shown)))
-    return shown
+from .simulated import ask_all
 
 
 def test_the_papers_experiment():
@@ -35,14 +27,14 @@ def test_the_papers_experiment():
     # Symmetric, alike in logarithms, and never the standard itself.
     assert np.log(RATIOS) == pytest.approx(-np.log(RATIOS[::-1]))
     assert np.diff(np.log(RATIOS)) == pytest.approx(np.full(9, np.log(4) / 9))
-    assert ConstantStimuli(pairs).total == len(STANDARDS_HZ) * 10 * 10
+    assert len(ask_all(constant_stimuli(pairs))) == len(STANDARDS_HZ) * 10 * 10
 
 
 @settings(deadline=None)
 @given(st.integers(1, 6), st.integers(1, 7), st.integers(0, 2**31), st.booleans())
 def test_balanced(count, repetitions, seed, two_intervals):
     pairs = [(10.0, 10.0 + each) for each in range(count)]
-    shown = all_of(ConstantStimuli(pairs, repetitions, two_intervals, seed))
+    shown = ask_all(constant_stimuli(pairs, repetitions, two_intervals, seed))
     assert Counter((each.standard, each.comparison) for each in shown) == dict.fromkeys(
         pairs, repetitions
     )
@@ -62,7 +54,7 @@ def test_balanced(count, repetitions, seed, two_intervals):
 
 def test_order_is_the_seeds():
     def order(seed):
-        return all_of(ConstantStimuli(ratio_pairs([30.0]), seed=seed))
+        return ask_all(constant_stimuli(ratio_pairs([30.0]), seed=seed))
 
     assert order(1) == order(1)
     assert order(1) != order(2)
@@ -73,29 +65,13 @@ def test_order_is_the_seeds():
 @settings(deadline=None)
 @given(st.sets(st.integers(1, 24)), st.sets(st.integers(25, 40)))
 def test_unanswered_trials_come_again_once(missed, missed_again):
-    procedure = ConstantStimuli(ratio_pairs([30.0], RATIOS[:4]), 6, seed=3)
-    shown = all_of(procedure, lambda n: None if n in missed | missed_again else False)
-    assert len(shown) == procedure.total == 24 + len(missed)
+    procedure = constant_stimuli(ratio_pairs([30.0], RATIOS[:4]), 6, seed=3)
+    count = iter(range(1, 1000))
+    shown = ask_all(procedure, lambda _: None if next(count) in missed | missed_again else False)
+    assert len(shown) == 24 + len(missed)
     assert shown[24:] == [shown[n - 1] for n in sorted(missed)]
 
 
 def test_errors():
     with raises(ExperimentError, names="conditions", value=0):
-        ConstantStimuli([])
-    procedure = ConstantStimuli([(1.0, 2.0)], 1)
-    procedure.answer(True)
-    with raises(ExperimentError, names="trial"):
-        procedure.next()
-
-
-def test_estimate():
-    subject = Subject(36.0, 0.2, lapse=0.01)
-    procedure = ConstantStimuli(ratio_pairs([30.0]), 40, seed=1)
-    assert procedure.estimate() is None
-    answer_all(procedure, subject.probability, seed=1)
-    found = procedure.estimate()
-    assert found.trials == 400
-    assert abs(found.threshold - 36) < 4 * found.spread < 8
-    two = ConstantStimuli(ratio_pairs([30.0, 60.0]), 40)
-    answer_all(two, subject.probability)
-    assert two.estimate() is None
+        constant_stimuli([])

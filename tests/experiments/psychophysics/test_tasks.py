@@ -12,15 +12,12 @@ from smarttouch.experiments.psychophysics.procedures import Condition
 from smarttouch.profile import load_profile
 
 from ...raising import raises
+from .simulated import ask_all
 
 
 def conditions(made):
     """Walk through an experiment, all answered right."""
-    shown = []
-    while not made.procedure.done:
-        shown.append(made.procedure.next())
-        made.procedure.answer(True)
-    return shown
+    return ask_all(made.procedure)
 
 
 def sites(train, afferent=Afferent.RA):
@@ -158,7 +155,7 @@ def test_letters_are_asked_for_by_their_names(profile):
 def test_every_experiment_has_a_question_and_answers(profile):
     for name in CATALOG:
         made = new_experiment(name, profile, ExperimentOptions())
-        trial = made.task.trial(made.procedure.next())
+        trial = made.task.trial(next(made.procedure))
         assert trial.question
         assert trial.alternatives
         assert trial.words
