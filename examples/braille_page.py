@@ -15,14 +15,11 @@ import matplotlib.pyplot as plt
 import smarttouch as st
 from smarttouch.lab import (
     Braille,
-    LineFeed,
     ReadingMaterial,
     ReadingSource,
-    SweepingCursor,
     lay_out,
     open_table,
     profile_for_reading,
-    reading_force_n,
 )
 
 # %%
@@ -39,17 +36,16 @@ own = st.load_profile("electric-mouse")
 profile = profile_for_reading(own)
 braille = Braille("en-1")
 text = ReadingMaterial("text:a sensor sees")
-feed = LineFeed(braille.lines(text, profile))
+lines = braille.lines(text, profile)
 with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
-    feed.start().wait_for(0)
-    cursor = SweepingCursor(feed, braille.motion(profile, 20.0), reading_force_n(profile))
-    source = ReadingSource(text.title, profile, feed, cursor)
+    source = ReadingSource(text.title, profile, lines, braille.motion(profile, 20.0))
+    source.wait_for(0)
     display = st.open_display("simulated:", profile)
     statistics = st.run(
         source, display, mode="RA", tone=braille.tone, listeners=[st.DeliveredPicture(felt)]
     )
-    feed.close()
+    source.close()
     picture = plt.imread(felt)
 print(f"{statistics.slots} slots in {statistics.frames} frames")
 

@@ -13,14 +13,11 @@ import matplotlib.pyplot as plt
 
 import smarttouch as st
 from smarttouch.lab import (
-    LineFeed,
     ReadingMaterial,
     ReadingSource,
     Shapes,
-    SweepingCursor,
     data_folder,
     profile_for_reading,
-    reading_force_n,
 )
 
 # %%
@@ -37,17 +34,16 @@ own = st.load_profile("electric-mouse")
 profile = profile_for_reading(own)
 shapes = Shapes()
 text = ReadingMaterial(str(path))
-feed = LineFeed(shapes.lines(text, profile))
+lines = shapes.lines(text, profile)
 with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
-    feed.start().wait_for(0)
-    cursor = SweepingCursor(feed, shapes.motion(profile), reading_force_n(profile))
-    source = ReadingSource(text.title, profile, feed, cursor)
+    source = ReadingSource(text.title, profile, lines, shapes.motion(profile))
+    source.wait_for(0)
     with st.open_display("simulated:", profile) as display:
         statistics = st.run(
             source, display, tone=shapes.tone, seconds=5, listeners=[st.DeliveredPicture(felt)]
         )
-    feed.close()
+    source.close()
     picture = plt.imread(felt)
 print(f"{statistics.slots} slots in {statistics.frames} frames")
 

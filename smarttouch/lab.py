@@ -56,9 +56,7 @@ from smarttouch.physiology.membrane import weiss_fit as weiss_fit
 from smarttouch.physiology.potential import line_in_plane as line_in_plane
 from smarttouch.reading.braille_lines import Braille as Braille
 from smarttouch.reading.letter_shapes import Shapes as Shapes
-from smarttouch.reading.line_feed import LineFeed as LineFeed
 from smarttouch.reading.line_source import ReadingSource as ReadingSource
-from smarttouch.reading.line_source import SweepingCursor as SweepingCursor
 from smarttouch.reading.material import ReadingMaterial as ReadingMaterial
 from smarttouch.running.check_recording import assert_replays as assert_replays
 from smarttouch.running.check_recording import check_recording as check_recording

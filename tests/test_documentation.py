@@ -36,7 +36,7 @@ BLOCK = re.compile(
 SHORT = {
     "live": ("--seconds", "1"),
     "read": ("--seconds", "1"),
-    "braille-display": (f"listen:{free_port()}", "--seconds", "1"),
+    "braille-display": (str(free_port()), "--seconds", "1"),
     "experiment": ("--board", "simulated:"),
 }
 """Arguments of commands that run until somebody ends them, or for minutes."""

@@ -26,16 +26,16 @@ from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile, load_profile
-from smarttouch.reading.delivered_lines import (
+from smarttouch.reading.legibility import (
     DeliveredLine,
     LineDelivery,
+    character_error_rate,
     deliver_pulses,
     read_at_nerve,
+    read_pictures,
 )
-from smarttouch.reading.legibility import character_error_rate, read_pictures
 from smarttouch.reading.letter_shapes import Shapes, shape_line
-from smarttouch.reading.line_feed import TouchLine
-from smarttouch.reading.line_source import LineMotion
+from smarttouch.reading.line_source import LineMotion, TouchLine
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import recognized_lines
 from smarttouch.running.config import RunConfig

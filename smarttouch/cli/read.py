@@ -1,13 +1,11 @@
 """``smarttouch read``, ``braille`` and ``braille-display``: text under a finger."""
 
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.base import terminal
 from smarttouch.base.command_options import argument, option
 from smarttouch.cli.options import ModeOption, RateOption, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
@@ -50,31 +48,25 @@ def read(
     Keys: arrows choose a line, r repeats it, and those of live.
     """
     from smarttouch.cli.options import parse_mode
-    from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
-    from smarttouch.reading.line_feed import LineFeed
-    from smarttouch.reading.line_source import ReadingSource, SweepingCursor
+    from smarttouch.imaging.array_window import profile_for_reading
+    from smarttouch.reading.line_source import ReadingSource
     from smarttouch.reading.material import ReadingMaterial
     from smarttouch.views.progress import first_line_awaited
 
     own = run.load_profile()
     chosen = profile_for_reading(own)
-    plain = own.defaults.plain or not (run.quiet or terminal.draws())
-    presentation, speed_mm_s = feel.presentation(
-        own.defaults.read_as, document.languages, plain if run.plain is None else run.plain
-    )
+    presentation, speed_mm_s = feel.presentation(own.defaults.read_as, document.languages)
     motion = presentation.motion(chosen, speed_mm_s, rate_hz)
     notes: list[str] = []
     text = ReadingMaterial(*document.recognition(source), notes.append)
     config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=presentation.tone)
-    with closing(LineFeed(presentation.lines(text, chosen))) as feed:
-        feed.start()
-        first_line_awaited(lambda: feed.wait_for(0), run.quiet)
-        cursor = SweepingCursor(feed, motion, reading_force_n(chosen), pause_s)
-        reading = ReadingSource(text.title, chosen, feed, cursor)
+    lines = presentation.lines(text, chosen)
+    with ReadingSource(text.title, chosen, lines, motion, pause_s) as reading:
         reading.url, reading.notes = source, notes
+        first_line_awaited(lambda: reading.wait_for(0), run.quiet)
         run.start(
             reading, chosen, _at_level(config, presentation, run.on_a_finger), keys=reading.keys,
-            keys_help="← → line    r again    ",
+            keys_help=reading.keys_help,
         )  # fmt: skip
 
 
@@ -121,7 +113,7 @@ def braille(
     from smarttouch.base.files import write_bytes
     from smarttouch.braille.brf import format_brf
     from smarttouch.braille.code_tables import open_table
-    from smarttouch.reading.document_cells import document_cells, forget_pages
+    from smarttouch.reading.braille_lines import document_cells
     from smarttouch.reading.material import ReadingMaterial
 
     if tables:
@@ -136,7 +128,7 @@ def braille(
     material = ReadingMaterial(*document.recognition(source), say)
     if code.note and not material.holds_cells:
         say(code.note)
-    cells = document_cells(material, code, say, output)
+    cells = document_cells(material, code, say)
     if back:
         given = "\n".join(cells.paragraphs)
         text = code.to_text(given)
@@ -149,7 +141,6 @@ def braille(
         pages = cells.laid_out(columns, rows)
         write_bytes(output, format_brf(pages), BrailleError)
         print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
-        forget_pages(output)
 
 
 def _require_new_brf(output: Path, back: bool) -> None:
@@ -203,11 +194,11 @@ def braille_display(
     address: Annotated[
         str,
         argument(
-            "listen:PORT, where BRLTTY connects, or HOST:PORT, where it listens. Options "
-            "follow: 'listen:35752?cells=10&show=cell&speed_mm_s=60&pan'.",
+            "PORT or HOST:PORT of this machine, where BRLTTY connects. Options follow: "
+            "'35752?cells=10&speed_mm_s=60'.",
             "[ADDRESS]",
         ),
-    ] = "listen:35752",
+    ] = "35752",
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
 ) -> None:

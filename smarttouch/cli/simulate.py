@@ -13,7 +13,7 @@ from smarttouch.cli.options import (
     ModeOption,
     takes_options,
 )
-from smarttouch.cli.source_options import DocumentOptions, FormOptions, or_standard_input
+from smarttouch.cli.source_options import DocumentOptions, or_standard_input
 
 simulate: Commands = Commands(
     help="Put pages or a study on simulated fingers.",
@@ -24,12 +24,11 @@ simulate: Commands = Commands(
 @simulate.command("page")
 @takes_options
 def simulate_page(
-    feel: FormOptions,
     document: DocumentOptions,
     source: Annotated[
         str,
         argument(
-            "A page, a text, Braille or words, as for smarttouch read.",
+            "A page, a text or words, as for smarttouch read.",
             "FILE",
             callback=or_standard_input,
         ),
@@ -45,14 +44,17 @@ def simulate_page(
     json_file: JsonOption = None,
 ) -> None:
     """Run a page on a simulated board and read the result with Tesseract."""
+    from dataclasses import fields
+
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.base.terminal import print_table
     from smarttouch.cli.options import parse_mode
-    from smarttouch.imaging.array_window import profile_for_reading
+    from smarttouch.imaging.array_window import profile_for_reading, rows_of
     from smarttouch.kernels.bank import load_bank
+    from smarttouch.pages.file_kinds import read_plain_text
     from smarttouch.profile import load_profile
-    from smarttouch.reading.delivered_lines import LineDelivery
-    from smarttouch.reading.legibility import measure_legibility
+    from smarttouch.reading.legibility import LineDelivery, legibility_of_shapes
+    from smarttouch.reading.letter_shapes import Shapes
     from smarttouch.reading.material import ReadingMaterial
     from smarttouch.running.config import RunConfig
     from smarttouch.views.progress import bank_progress, lines_progress
@@ -61,18 +63,29 @@ def simulate_page(
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
     text = ReadingMaterial(*document.recognition(source), notes.append)
-    presentation, speed_mm_s = feel.presentation(chosen.defaults.read_as)
-    motion = presentation.motion(chosen, speed_mm_s)
+    shapes = Shapes()
     with bank_progress(quiet=False) as progress:
         bank = load_bank(chosen, progress)
-    sharing = RunConfig().sharing(chosen)
-    reading = LineDelivery(chosen, bank, presentation.tone, motion, parse_mode(mode), sharing)
+    reading = LineDelivery(
+        chosen, bank, shapes.tone, shapes.motion(chosen), parse_mode(mode),
+        RunConfig().sharing(chosen),
+    )  # fmt: skip
+    true_text = text.words if truth is None else read_plain_text(truth)
     with lines_progress(quiet=False) as advance:
-        found = measure_legibility(text, reading, presentation, truth, advance)
-    figures = {"source": source, "profile": chosen.name, "notes": notes, **found.figures}
+        found = legibility_of_shapes(text, reading, true_text, advance)
     if json_file is not None:
+        figures = {"source": source, "profile": chosen.name, "rows": rows_of(chosen)}
+        figures |= {"speed_mm_s": reading.motion.speed_mm_s, "notes": notes}
+        figures |= {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}
         write_json(json_file, figures)
-    print_table(found.rows, left=2)
+    rate = found.page_error_rate
+    rows = [
+        ("characters", str(len(found.truth))),
+        ("lines", str(found.lines)),
+        ("error rate, page", "-" if rate is None else f"{rate:.3f}"),
+        ("error rate, delivered", f"{found.character_error_rate:.3f}"),
+    ]
+    print_table(rows, left=2)
     typer.echo(f"\nWhat was read from the delivered pulses:\n{found.text}")
     for note in notes:
         typer.echo(note, err=True)

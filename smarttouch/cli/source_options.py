@@ -126,7 +126,6 @@ class _Form:
     """Options that follow the name of a form in ``--as``."""
 
     table: str | None = None
-    cells: str = "line"
     speed_mm_s: float | None = None
 
 
@@ -138,14 +137,14 @@ class FormOptions(OptionGroup):
         str | None,
         option(
             "Read shapes or braille. Options follow: 'shapes?speed_mm_s=20', "
-            "'braille?table=en-2&cells=cell&speed_mm_s=40'.",
+            "'braille?table=en-2&speed_mm_s=40'.",
             "FORM",
             "--as",
         ),
     ] = None
 
     def presentation(
-        self, usual: str, language: str | None = None, named: bool = False
+        self, usual: str, language: str | None = None
     ) -> "tuple[Shapes | Braille, float | None]":
         """Return letter shapes or Braille, and the speed asked for, mm/s.
 
@@ -153,7 +152,7 @@ class FormOptions(OptionGroup):
         """
         from smarttouch.base.errors import ReadingError, choice_of
         from smarttouch.base.url_options import options_of, read_options
-        from smarttouch.reading.braille_lines import Braille, Presentation
+        from smarttouch.reading.braille_lines import Braille
         from smarttouch.reading.letter_shapes import Shapes
 
         text, given = read_options(_Form, self.kind or usual, ReadingError)
@@ -162,9 +161,6 @@ class FormOptions(OptionGroup):
             message = f"{text!r} has an option that there is not: choose {known}"
             raise ReadingError(message)
         form = _Form(**given)
-        shapes = Shapes(named=named)
-        presentation = choice_of("cells", form.cells, Presentation)
         if choice_of("kind", text, ("shapes", "braille")) == "shapes":
-            return shapes, form.speed_mm_s
-        table = table_of(form.table, language)
-        return Braille(table, presentation), form.speed_mm_s
+            return Shapes(), form.speed_mm_s
+        return Braille(table_of(form.table, language)), form.speed_mm_s

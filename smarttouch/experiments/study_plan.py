@@ -22,8 +22,13 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import ResponseQuality
 from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.toml_tables import Table, UnfitError, load_model
-from smarttouch.reading.delivered_lines import LineDelivery, NerveReading
-from smarttouch.reading.legibility import Legibility, legibility_of_shapes, legibility_on_finger
+from smarttouch.reading.legibility import (
+    Legibility,
+    LineDelivery,
+    NerveReading,
+    legibility_of_shapes,
+    legibility_on_finger,
+)
 from smarttouch.reading.letter_responses import (
     letter_sequences,
     letter_templates,

@@ -2,7 +2,6 @@
 
 import math
 import textwrap
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import cv2
@@ -126,8 +125,6 @@ class PreparedPage:
     words: tuple[str, ...] = ()  # words of each line, where the page brings them
     known: dict[int, tuple[str, float]] = field(default_factory=dict)
     """Text of lines that were recognized already, with a confidence in [0, 1]."""
-    others: Iterator[tuple[str, float]] | None = None
-    """The same of all other lines, where their recognition has begun."""
 
     def strip(self, index: int, height_px: int) -> NDArray[np.uint8]:
         """Return a line straightened, (height_px, W) uint8, ascenders to descenders filling it."""

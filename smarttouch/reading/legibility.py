@@ -1,34 +1,39 @@
-"""Legibility: the part of a text or of cells that can be read from the delivered pulses."""
+"""Legibility: the part of a page that can be read from delivered pulses, or from spikes."""
 
 import unicodedata
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from statistics import fmean
 from typing import Any
 
 import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
+from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ReadingError
 from smarttouch.base.lazy_names import import_extra
-from smarttouch.braille.code_tables import open_table
-from smarttouch.imaging.array_window import rows_of
-from smarttouch.pages.file_kinds import read_plain_text
+from smarttouch.emulator.emulated_boards import SimulatedDriver
+from smarttouch.imaging.array_window import pixel_pitch_mm
+from smarttouch.imaging.tactile_mapper import Tone
+from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.anatomy import Anatomy
 from smarttouch.physiology.finger import Finger
-from smarttouch.reading.braille_lines import Braille
-from smarttouch.reading.delivered_lines import (
-    DeliveredLine,
-    LineDelivery,
-    NerveReading,
-    deliver_lines,
-    read_at_nerve,
-)
-from smarttouch.reading.letter_shapes import Shapes, require_rows, shape_line
-from smarttouch.reading.line_feed import TouchLine
+from smarttouch.physiology.response import ignore_nan, response_quality
+from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.profile import Profile
+from smarttouch.reading.letter_shapes import require_rows, shape_line
+from smarttouch.reading.line_source import LineMotion, ReadingSource, TouchLine
 from smarttouch.reading.material import ReadingMaterial
-from smarttouch.reading.ocr import Layout, recognize
-from smarttouch.reading.recognition import recognized_lines
-from smarttouch.running.delivered import LinePicture
+from smarttouch.reading.recognition import BLOCK, recognize, recognized_lines
+from smarttouch.running.config import RunConfig
+from smarttouch.running.delivered import FIELD_MM, DeliveredResponses, LinePicture, delivered_spikes
+from smarttouch.running.display import Display
+from smarttouch.running.runner import Runner
+from smarttouch.running.step import StepResult
+from smarttouch.sources.source_contract import Pose
+from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 
 _SAME_SIGNS = str.maketrans(
     dict.fromkeys("‘’‚‛′`´", "'")
@@ -71,22 +76,135 @@ def _levenshtein() -> Any:
     ).distance
 
 
-Progress = Callable[[int, int], None]  # callback with the number of finished lines and of all
+@dataclass(frozen=True)
+class LineDelivery:
+    """Presentation of lines under the finger, for a profile of `profile_for_reading`."""
+
+    profile: Profile
+    bank: KernelBank
+    tone: Tone  # from ink to activation
+    motion: LineMotion
+    mode: Mode = Mode.RA
+    sharing: SlotPolicy = NO_SHARING
+    intensity: float = 1.0  # in [0, 1], of the highest comfortable current
 
 
-def no_progress(_done: int, _total: int) -> None:
-    """Report nothing."""
+@dataclass(frozen=True, eq=False)
+class DeliveredLine:
+    """A line as it was delivered to the skin, sequence by sequence."""
+
+    picture: LinePicture
+    length_mm: float
+    poses: dict[int, Pose]  # by number of the sequence
+    meant: dict[int, NDArray[np.bool_]]  # (E,) electrodes that were to stimulate, likewise
+    answers: dict[int, NDArray[np.float32]]  # (E,) in [0, 1], by number of the sequence
+    numbers: NDArray[np.uint32]  # (N,), sequence of each delivered slot
+    width_us: NDArray[np.float32]  # (N,)
+    current_ua: NDArray[np.int16]  # (N, E), positive is cathodic
 
 
-def _deliver(
-    lines: Sequence[TouchLine], reading: LineDelivery, before: int, total: int, progress: Progress
-) -> list[DeliveredLine]:
-    """Return all lines as delivered, and report each as it comes."""
-    delivered: list[DeliveredLine] = []
-    for line in deliver_lines(lines, reading):
-        delivered.append(line)
-        progress(before + len(delivered), total)
-    return delivered
+def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
+    """Read a line with a virtual finger on a simulated board.
+
+    Frames, kernels, pressure gate, soft start, the proof of safety, the bytes and the board's own
+    check are those of a live run; only the clock is virtual.
+    """
+    profile = reading.profile
+    source = ReadingSource("a line", profile, iter([line]), reading.motion)
+    # Wait for the end of the text, too, so that the frames do not depend on the computer's speed.
+    source.wait_for(1)
+    answers = DeliveredResponses(profile, reading.bank, reading.mode.afferents)
+    meant: dict[int, NDArray[np.bool_]] = {}
+
+    def watch(sent: StepResult) -> None:
+        answers.watch(sent)
+        if sent.number in answers.poses:
+            meant[sent.number] = np.asarray(sent.step.tactile.activation.any(axis=0))
+
+    config = RunConfig(
+        mode=reading.mode, tone=reading.tone, scan=reading.sharing, intensity=reading.intensity
+    )
+    with Display("simulated:", profile) as display:
+        Runner(
+            source, display, config, listeners=[watch], load_kernels=lambda _: reading.bank
+        ).run()
+        driver = display.board.driver
+        assert isinstance(driver, SimulatedDriver)
+        pulses = driver.take_pulses()
+        answers.deliver(*pulses)
+    source.close()
+    length_mm = int(line.image.shape[1]) * pixel_pitch_mm(profile)
+    picture = LinePicture(profile.electrodes, length_mm)
+    for pose, answer in answers:
+        picture.add(pose.x_mm, answer)
+    return DeliveredLine(picture, length_mm, answers.poses, meant, answers.answer, *pulses)
+
+
+def deliver_lines(lines: Sequence[TouchLine], reading: LineDelivery) -> Iterator[DeliveredLine]:
+    """Deliver many lines on all cores; yield each as it is ready."""
+    # A process takes longer to start than one line to deliver.
+    work = Parallel(n_jobs=-1 if len(lines) > 1 else 1, return_as="generator", max_nbytes=None)
+    yield from work(delayed(deliver_pulses)(line, reading) for line in lines)
+
+
+_FULL_QUANTILE = 0.99
+
+
+@dataclass(frozen=True, eq=False)
+class NerveReading:
+    """Lines as one finger responded to them, and means of `ResponseQuality` over the sequences that
+    had slots, each by itself; NaN if none of these fired.
+    """
+
+    pictures: list[LinePicture]
+    shown: list[list[NDArray[np.float32]]]  # (E,) in [0, 1] for each pose of each line
+    silent_points: float
+    wrong_class: float
+    misplaced: float
+
+
+def read_at_nerve(
+    lines: Sequence[DeliveredLine], finger: Finger, wanted: Collection[Afferent]
+) -> NerveReading:
+    """Return the response of a finger to delivered lines that were meant for some classes.
+
+    Each electrode has the spikes of the receptors around it, of all classes, relative to nearly the
+    most that any electrode has.
+    """
+    profile = finger.profile
+    places = profile.electrodes.position_mm
+    away = finger.receptor_mm[:, None] - places
+    field = np.exp(-(away**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
+    silent = np.zeros(len(field), np.intp)
+    found, model = [], SpikeModel(finger)
+    values: list[list[NDArray[np.float32]]] = []
+    for line in lines:
+        periods = dict.fromkeys(line.poses, round(1e6 / profile.pulse.rate_hz))
+        slots = line.numbers, line.width_us, line.current_ua
+        # Products are small: a second thread would only wait.
+        with threadpool_limits(limits=1, user_api="blas"):
+            spikes = delivered_spikes(finger, *slots, periods, model=model)
+        counts = {number: spikes.get(number, silent) for number in line.poses}
+        values.append([each @ field for each in counts.values()])
+        found += [
+            response_quality(finger, counts[number], line.meant[number], wanted)
+            for number in line.poses
+            if number in line.answers
+        ]
+    full = float(np.quantile([each.max() for line in values for each in line], _FULL_QUANTILE))
+    pictures = [LinePicture(profile.electrodes, line.length_mm) for line in lines]
+    shown = [
+        [np.clip(each / max(full, 1e-9), 0, 1).astype(np.float32) for each in line]
+        for line in values
+    ]
+    for line, picture, those in zip(lines, pictures, shown, strict=True):
+        for pose, each in zip(line.poses.values(), those, strict=True):
+            picture.add(pose.x_mm, each)
+    measures = (
+        ignore_nan(fmean, (getattr(each, name) for each in found))
+        for name in ("silent_points", "wrong_class", "misplaced")
+    )
+    return NerveReading(pictures, shown, *measures)
 
 
 _LINE_PIXELS = 56  # height of delivered lines for recognition: ascender to descender
@@ -114,12 +232,14 @@ def legibility_of_shapes(
     source: ReadingMaterial,
     reading: LineDelivery,
     truth: str | None = None,
-    progress: Progress = no_progress,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Legibility:
     """Deliver letter shapes, and compare the text recognized in what was delivered with the truth.
 
-    The truth is Tesseract's text of the page itself if not given.
+    The truth is Tesseract's text of the page itself if not given. ``progress`` is told how many
+    lines are done, of how many.
     """
+    require_rows(reading.profile, source.note)
     _levenshtein()  # before a long run that would end without it
     options = source.options
     page_texts: list[str] = []
@@ -130,7 +250,10 @@ def legibility_of_shapes(
         indices = range(len(page.lines))
         page_texts += [text for _, text in recognized_lines(page, options, source.note)]
         lines = [shape_line(page, index, reading.profile) for index in indices]
-        shown = _deliver(lines, reading, total, total + len(indices), progress)
+        shown: list[DeliveredLine] = []
+        for line in deliver_lines(lines, reading):
+            shown.append(line)
+            progress(total + len(shown), total + len(lines))
         delivered.append((shown, options.languages))
         texts.append(read_pictures([each.picture for each in shown], options.languages))
         total += len(indices)
@@ -178,83 +301,4 @@ def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
     for index, strip in enumerate(strips):
         top = gap + index * (_LINE_PIXELS + gap)
         sheet[top : top + _LINE_PIXELS, gap : gap + strip.shape[1]] = strip
-    return recognize(sheet, languages=languages, layout=Layout.BLOCK)
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Legibility of a text: figures for a JSON file, the main ones by name, and the text read."""
-
-    figures: dict[str, Any]
-    rows: list[tuple[str, str]]
-    text: str
-
-
-def measure_legibility(
-    source: ReadingMaterial,
-    reading: LineDelivery,
-    presented: Shapes | Braille,
-    truth: Path | None = None,
-    progress: Progress = no_progress,
-) -> Measured:
-    """Deliver a text as shapes or Braille, and read it back.
-
-    ``truth`` is a file of the true text of shapes.
-    """
-    if isinstance(presented, Braille):
-        return _measured_braille(source, reading, presented, progress)
-    require_rows(reading.profile, source.note)
-    true_text = source.words if truth is None else read_plain_text(truth)
-    found = legibility_of_shapes(source, reading, true_text, progress)
-    rate = found.page_error_rate
-    rows = [
-        ("characters", str(len(found.truth))),
-        ("lines", str(found.lines)),
-        ("error rate, page", "-" if rate is None else f"{rate:.3f}"),
-        ("error rate, delivered", f"{found.character_error_rate:.3f}"),
-    ]
-    figures = {
-        "as": "shapes",
-        "rows": rows_of(reading.profile),
-        "speed_mm_s": reading.motion.speed_mm_s,
-    }
-    figures |= {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}
-    return Measured(figures, rows, found.text)
-
-
-def _measured_braille(
-    source: ReadingMaterial, reading: LineDelivery, braille: Braille, progress: Progress
-) -> Measured:
-    """Deliver cells, and decode the delivered dots."""
-    lines = list(braille.lines(source, reading.profile))
-    wanted = [line.cells for line in lines]
-    delivered = [
-        braille.layout(reading.profile, cells).decode(
-            line.picture, cells, apart=reading.motion.gaps
-        )
-        for cells, line in zip(
-            wanted, _deliver(lines, reading, 0, len(lines), progress), strict=True
-        )
-    ]
-    pairs = list(zip("".join(wanted), "".join(delivered), strict=True))
-    rate = sum(one != other for one, other in pairs) / len(pairs)
-    table, shown = open_table(braille.table), "\n".join(delivered)
-    text = table.to_text(shown) if table.code.goes_back else None
-    figures = {
-        "as": "braille",
-        "table": braille.table,
-        "cells_as": braille.presentation.value,
-        "speed_mm_s": reading.motion.speed_mm_s,
-        "cell_error_rate": rate,
-        "cells": len(pairs),
-        "lines": len(lines),
-        "wanted": "\n".join(wanted),
-        "delivered": shown,
-        "text": text,
-    }
-    rows = [
-        ("cells", str(len(pairs))),
-        ("lines", str(len(lines))),
-        ("error rate, delivered", f"{rate:.3f}"),
-    ]
-    return Measured(figures, rows, shown if text is None else text)
+    return recognize(sheet, languages, BLOCK)

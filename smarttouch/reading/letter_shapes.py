@@ -21,8 +21,7 @@ from smarttouch.imaging.registration import PIXELS_PER_CELL, Registration
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.pages.prepared_page import PreparedPage
 from smarttouch.profile import Profile
-from smarttouch.reading.line_feed import TouchLine
-from smarttouch.reading.line_source import LineMotion
+from smarttouch.reading.line_source import LineMotion, TouchLine
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import Note, recognized_lines
 
@@ -47,8 +46,6 @@ class Shapes:
 
     graded: bool = False
     """Whether activation is in proportion to the ink in a cell, as simulations need it."""
-    named: bool = False
-    """Whether lines come with their words, by Tesseract where these are not known."""
 
     @property
     def tone(self) -> Tone:
@@ -62,22 +59,19 @@ class Shapes:
         return LineMotion(usual_speed_mm_s(profile, rate_hz) if speed_mm_s is None else speed_mm_s)
 
     def lines(self, source: ReadingMaterial, profile: Profile) -> Iterator[TouchLine]:
-        """Yield lines of letter shapes."""
+        """Yield lines of letter shapes and their words, by Tesseract where these are not known."""
         require_rows(profile, source.note)
         if source.holds_cells:
             raise ReadingError(f"{source.name} holds Braille, not letters: read it as Braille")
         for prepared in source.prepared():
-            words = _words_of(prepared, source) if self.named else iter(())
+            words = _words_of(prepared, source)
             for index in range(len(prepared.lines)):
                 line = shape_line(prepared, index, profile)
                 yield replace(line, text=next(words, ""))
 
 
 def _words_of(prepared: PreparedPage, source: ReadingMaterial) -> Iterator[str]:
-    """Yield the words of each line; without Tesseract only those that are known."""
-    if prepared.words:
-        yield from prepared.words
-        return
+    """Yield the words of each line; none without Tesseract."""
     try:
         for _, words in recognized_lines(prepared, source.options, source.note):
             yield words

@@ -1,19 +1,23 @@
-"""Lines under the finger as a source of frames, and the cursor over them."""
+"""Lines of text under the finger: a thread prepares them, and a virtual finger sweeps them."""
 
+import atexit
+import contextlib
 import math
+import queue
+import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.base.errors import ReadingError, require_within
 from smarttouch.base.events import Note
-from smarttouch.imaging.array_window import pixel_pitch_mm
+from smarttouch.imaging.array_window import pixel_pitch_mm, reading_force_n
 from smarttouch.pages.page_image import Page
 from smarttouch.profile import Profile
-from smarttouch.reading.line_feed import LineFeed, TouchLine
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 
 LAND_S = 0.15  # time of landing on a line, when intensity begins to rise
@@ -21,61 +25,103 @@ SETTLE_S = 0.75
 """Time of rest at the line's start while intensity rises; a point marks the start meanwhile."""
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
-GAP = 0.2
-"""Silent part of each step of text that moves in steps: two equal cells would be felt as one."""
+LINE_GAP_MM = 4.0
+"""Gap between lines where their poses are placed on one sheet, one below the other."""
+AHEAD, BEHIND = 30, 60  # lines prepared in advance, and past lines kept for going back
+_JOIN_S, _AGAIN_S = 0.3, 0.1
 
 
-@dataclass(frozen=True)
-class Spot:
-    """Position of the finger on a line."""
+@dataclass(frozen=True, eq=False)
+class TouchLine:
+    """A line of letter shapes or Braille cells, at the size of the array."""
 
-    index: int
-    line: TouchLine | None  # None where there is nothing under the finger
-    x_mm: float = 0.0  # of the array's middle, from the line's left end
-    force_n: float = 0.0
-    marked: bool = False
-    """Whether a point in the middle of the array marks the line's start: intensity rises with
-    delivered pulses alone, and with these before those of the text."""
+    image: NDArray[np.uint8]  # (H, W), dark on 255, as high as the array
+    start_mm: float  # first and last place of the array's middle, from the image's left edge
+    end_mm: float
+    text: str = ""
+    cells: str = ""
 
 
 @dataclass(frozen=True)
 class LineMotion:
-    """Motion of lines under the finger: smooth if the step is 0; with ``gaps`` steps begin
-    silently.
-    """
+    """Motion of lines under the finger, smooth if the step is 0."""
 
     speed_mm_s: float
     step_mm: float = 0.0
-    gaps: bool = False
 
     def __post_init__(self) -> None:
         require_within(ReadingError, "speed_mm_s", self.speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
 
 
-class SweepingCursor:
-    """Cursor that sweeps line after line, pressing with ``press_n``, with a pause after each.
+class ReadingSource(OpticalSource):
+    """Frames of lines that pass under the finger, for a profile of `profile_for_reading`.
 
-    After an infinite pause the next line comes only when a key asks for it.
+    The pose of a frame is on a sheet on which all lines lie below each other, at the scale of the
+    array. An error of the lines is raised where the finger reaches it.
+
+    Parameters
+    ----------
+    title : str
+        Name of the text.
+    profile : Profile
+        Array that reads.
+    lines : iterator of TouchLine
+        Lines, taken by a thread a few ahead of the finger.
+    motion : LineMotion
+        Speed and steps.
+    pause_s : float, s
+        Pause after each line; if infinite, the next line comes only when a key asks for it.
+
+    Attributes
+    ----------
+    index : int
+        Index of the line under the finger.
+    total : int, optional
+        Number of lines, once all were prepared.
     """
+
+    knows_force = True
+    ended = "end of the text"
+    keys_help = "← → line    r again    "
 
     def __init__(
         self,
-        feed: LineFeed,
+        title: str,
+        profile: Profile,
+        lines: Iterator[TouchLine],
         motion: LineMotion,
-        press_n: float,
         pause_s: float = 0.0,
     ) -> None:
+        super().__init__(title)
         if pause_s != math.inf:
             require_within(ReadingError, "pause_s", pause_s, 0, LONGEST_PAUSE_S)
-        self._feed, self._motion = feed, motion
-        self._press_n, self._pause_s = press_n, pause_s
-        self._index, self._line_s = 0, 0.0  # index of the line, and the time spent on it
+        self.index: int = 0
+        self.total: int | None = None
+        self._name, self._motion, self._pause_s = title, motion, pause_s
+        self._press_n = reading_force_n(profile)
+        self._pixel_mm = pixel_pitch_mm(profile)
+        self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
+        wide_mm, high_mm = profile.electrodes.cell_mm
+        self._mark_px = (round(high_mm / self._pixel_mm), round(wide_mm / self._pixel_mm))
+        self._line_s = 0.0  # time spent on the line
         self._before_ns: int | None = None
-        self._paused = False
+        self._paused = self._again = False
         self._asked: deque[int] = deque()
+        self._under: tuple[int, TouchLine] | None = None
+        self._texts: dict[int, str] = {}
+        self._queue: queue.Queue[TouchLine | Exception | None] = queue.Queue(AHEAD)
+        self._lines: deque[TouchLine] = deque(maxlen=BEHIND)
+        self._count = 0  # lines taken from the queue
+        self._end: Exception | None = None
+        self._is_over = False
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._prepare, args=(lines,), daemon=True)
+        self._thread.start()
+        # An interpreter that exits while a library works on a thread aborts.
+        atexit.register(self._stop)
 
     @property
-    def keys(self) -> dict[str, Callable[[], None]]:
+    def keys(self) -> Mapping[str, Callable[[], None]]:
         """Forward and back by a line, the line again, and a pause."""
         return {
             "right": lambda: self._asked.append(1),
@@ -83,90 +129,8 @@ class SweepingCursor:
             "left": lambda: self._asked.append(-1),
             "p": lambda: self._asked.append(-1),
             "r": lambda: self._asked.append(0),
-            " ": self.toggle_pause,
+            " ": self._toggle_pause,
         }
-
-    def toggle_pause(self) -> None:
-        """Pause or resume."""
-        self._paused = not self._paused
-
-    def at(self, time_ns: int) -> Spot | None:
-        """Advance by the time that has passed."""
-        elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
-        self._before_ns = time_ns
-        while self._asked:
-            self._go_to(max(self._feed.earliest, self._index + self._asked.popleft()))
-        line = self._feed.line(self._index)
-        if line is None:
-            # A key may have moved beyond the last line.
-            return None if self._feed.ended(self._index) else Spot(self._index, None)
-        if not self._paused:
-            self._line_s += elapsed_s
-        way_mm = (self._line_s - SETTLE_S) * self._motion.speed_mm_s
-        length_mm = line.end_mm - line.start_mm
-        if way_mm <= length_mm:
-            return self._on_line(line, max(0.0, way_mm))
-        pause_s = self._pause_s
-        if pause_s == math.inf and self._feed.ended(self._index + 1):
-            pause_s = 0.0
-        if self._line_s > SETTLE_S + length_mm / self._motion.speed_mm_s + pause_s:
-            self._go_to(self._index + 1)
-        return Spot(self._index, None)
-
-    def _go_to(self, index: int) -> None:
-        self._index, self._line_s = index, 0.0
-        self._feed.reach(index)
-
-    def _on_line(self, line: TouchLine, way_mm: float) -> Spot:
-        shown: TouchLine | None = line
-        step_mm = self._motion.step_mm
-        if step_mm:
-            steps = way_mm / step_mm + 1e-6
-            if self._motion.gaps and steps % 1 < GAP:
-                shown = None
-            way_mm = math.floor(steps) * step_mm
-            if self._motion.gaps and self._line_s < SETTLE_S:
-                # All steps are equally strong and long, the first one too.
-                shown, way_mm = None, -step_mm
-        press_n = self._press_n if self._line_s >= LAND_S else 0.0
-        marked = self._line_s < SETTLE_S
-        return Spot(self._index, shown, line.start_mm + way_mm, press_n, marked)
-
-
-LINE_GAP_MM = 4.0
-"""Gap between lines where their poses are placed on one sheet, one below the other."""
-
-
-class ReadingSource(OpticalSource):
-    """Frames of lines that pass under the finger, for a profile of `profile_for_reading`.
-
-    The pose of a frame is on a sheet on which all lines lie below each other, at the scale of the
-    array.
-    """
-
-    frames: int
-
-    knows_force = True
-    ended = "end of the text"
-
-    def __init__(
-        self, title: str, profile: Profile, feed: LineFeed, cursor: SweepingCursor
-    ) -> None:
-        super().__init__(title)
-        self._name = title
-        self.index: int = -1  # index of the line under the finger
-        self._feed, self._cursor = feed, cursor
-        self._titled = self._marked = self._announced = False
-        self._texts: dict[int, str] = {}
-        self._pixel_mm = pixel_pitch_mm(profile)
-        self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
-        wide_mm, high_mm = profile.electrodes.cell_mm
-        self._cell_px = (round(high_mm / self._pixel_mm), round(wide_mm / self._pixel_mm))
-
-    @property
-    def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Keys of the cursor: forward, back, again, pause."""
-        return self._cursor.keys
 
     @property
     def account(self) -> str:
@@ -183,60 +147,139 @@ class ReadingSource(OpticalSource):
     @property
     def sheet(self) -> Sheet | None:
         """Return the line under the finger."""
-        line = self._feed.line(self.index) if self.index >= 0 else None
-        if line is None:
+        if self._under is None:
             return None
-        middle_mm = self.index * self.line_step_mm
-        top_mm = middle_mm - line.image.shape[0] * self._pixel_mm / 2
-        return Sheet(self.index, Page(line.image, self._pixel_mm), (0.0, top_mm))
+        index, line = self._under
+        top_mm = index * self.line_step_mm - line.image.shape[0] * self._pixel_mm / 2
+        return Sheet(index, Page(line.image, self._pixel_mm), (0.0, top_mm))
 
     @property
     def line_step_mm(self) -> float:
         """Distance of lines on the sheet, from middle to middle."""
         return self._shape[0] * self._pixel_mm + LINE_GAP_MM
 
+    def wait_for(self, index: int) -> TouchLine | None:
+        """Return a line as soon as it is ready; None if there is none, or it was long ago."""
+        return self._line(index, wait=True)
+
     def read(self, time_ns: int) -> Frame | None:
         """Return the image under the array at a time; None after the last line."""
-        spot = self._cursor.at(time_ns)
+        elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
+        self._before_ns = time_ns
+        while self._asked:
+            earliest = self._count - len(self._lines)
+            self._go_to(max(earliest, self.index + self._asked.popleft()))
+        line = self._line(self.index)
         self.tell_notes(time_ns)
-        if spot is None:
+        if line is None and self._is_over:
             return None
-        if spot.index != self.index or not self._titled:
-            self.index = spot.index
-            line = self._feed.line(self.index)
-            # A line that is still being recognized is named when it is there.
-            self._titled = line is not None
-            if line is not None:
-                text = f": {line.text}" if line.text else ""
-                total = self._feed.total
-                of = "" if total is None else f" of {total}"
-                self.title: str = f"{self._name}, line {self.index + 1}{of}{text}"
-                self._texts[self.index] = line.text
-            self._announced = True
-        if spot.marked and not self._marked:
-            # A key has asked for the line again.
-            if not self._announced:
-                self.emit(Note(time_ns, self.title))
-            self._announced = False
-        self._marked = spot.marked
         image = np.full(self._shape, 255, np.uint8)
-        if spot.line is not None:
-            rows, columns = self._shape
-            # Of the window's top left pixel in the line's image.
-            left = spot.x_mm / self._pixel_mm - columns / 2
-            top = (spot.line.image.shape[0] - rows) / 2
-            cv2.warpAffine(
-                spot.line.image, np.array([[1.0, 0.0, left], [0.0, 1.0, top]]), (columns, rows),
-                dst=image, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-                borderMode=cv2.BORDER_CONSTANT, borderValue=255,
-            )  # fmt: skip
-        if spot.marked:
-            (top, left), (high, wide) = (each // 2 for each in self._shape), self._cell_px
-            image[top : top + high, left : left + wide] = 0
+        x_mm = force_n = 0.0
+        index = self.index
+        if line is not None:
+            self._announce(line, time_ns)
+            self._line_s += 0.0 if self._paused else elapsed_s
+            way_mm = max(0.0, (self._line_s - SETTLE_S) * self._motion.speed_mm_s)
+            if way_mm <= line.end_mm - line.start_mm:
+                step_mm = self._motion.step_mm
+                steps_mm = math.floor(way_mm / step_mm + 1e-6) * step_mm if step_mm else way_mm
+                x_mm = line.start_mm + steps_mm
+                force_n = self._press_n if self._line_s >= LAND_S else 0.0
+                self._draw(line, x_mm, image)
+            else:
+                self._go_on(way_mm - (line.end_mm - line.start_mm))
         self.frames += 1
-        pose = Pose(spot.x_mm, spot.index * self.line_step_mm)
-        return Frame(image, time_ns, pose, spot.force_n, number=self.frames - 1)
+        pose = Pose(x_mm, index * self.line_step_mm)
+        return Frame(image, time_ns, pose, force_n, number=self.frames - 1)
 
     def close(self) -> None:
         """Stop preparing lines."""
-        self._feed.close()
+        self._closing.set()
+        self._thread.join(_JOIN_S)
+        if not self._thread.is_alive():
+            atexit.unregister(self._stop)
+
+    def _stop(self) -> None:
+        self._closing.set()
+        self._thread.join()
+
+    def _prepare(self, lines: Iterator[TouchLine]) -> None:
+        """Put the lines into the queue, and what ends them: an error or None."""
+        count, end = 0, None
+        try:
+            for line in lines:
+                self._put(line)
+                if self._closing.is_set():
+                    return
+                count += 1
+            self.total = count
+        except Exception as error:
+            end = error
+        self._put(end)
+
+    def _put(self, item: TouchLine | Exception | None) -> None:
+        while not self._closing.is_set():
+            with contextlib.suppress(queue.Full):
+                self._queue.put(item, timeout=_AGAIN_S)
+                return
+
+    def _line(self, index: int, wait: bool = False) -> TouchLine | None:
+        """Return a line; None if it is not ready, dropped, or there is none."""
+        while index >= self._count and not self._is_over:
+            try:
+                item = self._queue.get(wait)
+            except queue.Empty:
+                return None
+            if isinstance(item, TouchLine):
+                self._lines.append(item)
+                self._count += 1
+            else:
+                self._is_over, self._end = True, item
+        if index >= self._count and self._end is not None:
+            raise self._end
+        earliest = self._count - len(self._lines)
+        return self._lines[index - earliest] if earliest <= index < self._count else None
+
+    def _toggle_pause(self) -> None:
+        self._paused = not self._paused
+
+    def _go_to(self, index: int) -> None:
+        self._again = index == self.index
+        self.index, self._line_s = index, 0.0
+
+    def _go_on(self, beyond_mm: float) -> None:
+        """Go to the next line after the pause; the last line has no pause that waits for a key."""
+        pause_s = self._pause_s
+        if pause_s == math.inf and self._line(self.index + 1) is None and self._is_over:
+            pause_s = 0.0
+        if beyond_mm > pause_s * self._motion.speed_mm_s:
+            self._go_to(self.index + 1)
+
+    def _announce(self, line: TouchLine, time_ns: int) -> None:
+        """Name a line by the title, and one that a key asked for again by a note."""
+        if self._under is None or self._under[0] != self.index:
+            self._under = (self.index, line)
+            self._texts[self.index] = line.text
+            of = "" if self.total is None else f" of {self.total}"
+            text = f": {line.text}" if line.text else ""
+            self.title: str = f"{self._name}, line {self.index + 1}{of}{text}"
+        elif self._again:
+            self.emit(Note(time_ns, self.title))
+        self._again = False
+
+    def _draw(self, line: TouchLine, x_mm: float, image: NDArray[np.uint8]) -> None:
+        """Draw what lies under the array, and the point that marks the line's start.
+
+        Intensity rises with delivered pulses alone: with those of the point, and not of the text.
+        """
+        rows, columns = self._shape
+        left = x_mm / self._pixel_mm - columns / 2
+        top = (line.image.shape[0] - rows) / 2
+        cv2.warpAffine(
+            line.image, np.array([[1.0, 0.0, left], [0.0, 1.0, top]]), (columns, rows),
+            dst=image, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=255,
+        )  # fmt: skip
+        if self._line_s < SETTLE_S:
+            (top, left), (high, wide) = (rows // 2, columns // 2), self._mark_px
+            image[top : top + high, left : left + wide] = 0

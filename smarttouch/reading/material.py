@@ -5,13 +5,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from joblib import Parallel, delayed
+
 from smarttouch.base.errors import ReadingError
 from smarttouch.pages.document import open_document, parse_pages
 from smarttouch.pages.file_kinds import FileKind, file_kind, read_plain_text
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.pandoc_text import read_pandoc_text
 from smarttouch.pages.prepared_page import PreparedPage, prepare_text
-from smarttouch.reading.paragraphs import paragraphs, printed_lines
+from smarttouch.reading.paragraphs import PrintedLine, paragraphs, printed_lines, without_heads
 from smarttouch.reading.recognition import (
     Note,
     RecognitionOptions,
@@ -20,25 +22,6 @@ from smarttouch.reading.recognition import (
 )
 
 TEXT = "text:"  # prefix of words that are not a file name
-
-
-def report_empty_pages(found: dict[int, bool], note: Note) -> None:
-    """Report pages by number on which no text was found; raise if it was found on none."""
-    if not any(found.values()):
-        raise ReadingError(
-            "no line of text was found: is it a page of print, sharp, and large enough "
-            "(letters of 6 pixels and more)?"
-        )
-    if empty := [str(number) for number, has_text in found.items() if not has_text]:
-        note(f"no line of text on page {', '.join(empty)}")
-
-
-def recognized_text(prepared: PreparedPage, options: RecognitionOptions, note: Note) -> str:
-    """Return the text of a page, a line for each paragraph, see `paragraphs`."""
-    texts = [text for _, text in recognized_lines(prepared, options, note)]
-    return "\n".join(paragraphs(printed_lines(1, prepared.lines, texts)))
-
-
 _PRINTED_AT_ONCE = 20  # lines of a text on one printed page
 
 
@@ -76,18 +59,8 @@ class ReadingMaterial:
             return read_pandoc_text(Path(self.name), self.note)
         return None
 
-    def numbers(self) -> list[int]:
-        """Return the numbers of the pages of a document that are asked for."""
-        with open_document(Path(self.name), password=self.options.password) as document:
-            return self._wanted(len(document))
-
-    def _wanted(self, count: int) -> list[int]:
-        pages = self.options.pages
-        indices = parse_pages(pages, count) if pages else range(count)
-        return [index + 1 for index in indices]
-
     def pages(self) -> Iterator[tuple[int, Page]]:
-        """Yield numbers and pages of a document, one in memory at a time.
+        """Yield numbers and pages of a document, those that are asked for.
 
         A scale that the document assumes is not reported: every line is made as high as the array.
         """
@@ -98,20 +71,21 @@ class ReadingMaterial:
             page_width_mm=options.page_width_mm,
             password=options.password,
         ) as document:
-            for number in self._wanted(len(document)):
-                yield number, document.page(number - 1)
+            count = len(document)
+            for index in parse_pages(options.pages, count) if options.pages else range(count):
+                yield index + 1, document.page(index)
 
     def prepared(self) -> Iterator[PreparedPage]:
         """Yield pages with print on them, see `upright_page`: of a document, or of a text as it is
         printed. Raise if no page has any."""
         if self.words is None:
-            found: dict[int, bool] = {}
+            has_lines: dict[int, bool] = {}
             for number, page in self.pages():
                 prepared = upright_page(number, page, self.options, self.note)
-                found[number] = bool(prepared.lines)
+                has_lines[number] = bool(prepared.lines)
                 if prepared.lines:
                     yield prepared
-            report_empty_pages(found, self.note)
+            _report_empty_pages(has_lines, self.note)
             return
         lines = self.words.splitlines()
         parts = [
@@ -120,3 +94,49 @@ class ReadingMaterial:
         ]
         for part in [part for part in parts if part.strip()] or [""]:
             yield prepare_text(part)
+
+    def paragraphs(self, progress: Note) -> list[str]:
+        """Return the paragraphs of a document, whose pages are recognized on all cores.
+
+        ``progress`` is told of pages that are done, but for a single one.
+        """
+        lines: list[PrintedLine] = []
+        has_text: dict[int, bool] = {}
+        # Tesseract is a process of its own, so threads suffice.
+        work = Parallel(
+            n_jobs=-1, backend="threading", return_as="generator", pre_dispatch="n_jobs"
+        )
+        pages = (delayed(self._printed_lines)(number, page) for number, page in self.pages())
+        for number, printed, notes in work(pages):
+            for words in notes:
+                self.note(words)
+            has_text[number] = bool(printed)
+            if len(has_text) > 1:
+                progress(f"pages done: {len(has_text)}")
+            lines += printed
+        _report_empty_pages(has_text, self.note)
+        return paragraphs(lines if self.options.keep_headers else without_heads(lines, self.note))
+
+    def _printed_lines(self, number: int, page: Page) -> tuple[int, list[PrintedLine], list[str]]:
+        """Return the number of a page, its lines, and notes."""
+        notes: list[str] = []
+        prepared = upright_page(number, page, self.options, notes.append)
+        texts = [text for _, text in recognized_lines(prepared, self.options, notes.append)]
+        return number, printed_lines(number, prepared.lines, texts), notes
+
+
+def _report_empty_pages(has_text: dict[int, bool], note: Note) -> None:
+    """Report pages by number on which no text was found; raise if it was found on none."""
+    if not any(has_text.values()):
+        raise ReadingError(
+            "no line of text was found: is it a page of print, sharp, and large enough "
+            "(letters of 6 pixels and more)?"
+        )
+    if empty := [str(number) for number, has in has_text.items() if not has]:
+        note(f"no line of text on page {', '.join(empty)}")
+
+
+def recognized_text(prepared: PreparedPage, options: RecognitionOptions, note: Note) -> str:
+    """Return the text of a page, a line for each paragraph, see `paragraphs`."""
+    texts = [text for _, text in recognized_lines(prepared, options, note)]
+    return "\n".join(paragraphs(printed_lines(1, prepared.lines, texts)))

@@ -13,31 +13,29 @@ from smarttouch.reading.recognition import Note
 
 _GAP = 1.35  # ratio of a distance of lines to the usual one from which a paragraph begins
 _LARGER = 1.2  # ratio of x-heights from which prints differ, as a heading and its text
-_INDENT, _BESIDE = 0.8, 8.0
-"""Least indent of a paragraph in x-heights, and that from which it may be beside a picture."""
+_INDENT = 0.8  # least indent of a paragraph in x-heights
 _EVEN = 0.5  # difference of right ends, in x-heights, of lines that are filled
-_LIKE, _SHORT = 0.4, 0.15  # widths of verse, to the longest; part of a line that is free
+_SHORT = 0.15  # least free part of a line that ends early before a small letter
+_OPEN = 1 / 3  # part of lines that end early in a sentence, as in verse, addresses and lists
+_LONGEST_VERSE = 60  # characters; longer lines that are full continue
 _LEADERS = re.compile(r"(?:\s?[.·…‥•]){4,}\s*;?\s*(?=\S*\d\S*$|[ivxlc]{1,7}\W*$)")
 """Dots that lead to a page's number or a price, in the same cell or the next."""
 _BLANK = re.compile(r"(?:_{3,}|(?:\s?[.…]){5,})\W*$")
 """A blank to be filled in at the end of a line."""
+_BULLETS = r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]"
 _MARK = re.compile(
-    r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]|\(?\d{1,3}(?:\.\d{1,3})*[.)]?\s|\(?[ivx]{1,5}[.)]\s|"
+    rf"{_BULLETS}|\(?\d{{1,3}}(?:\.\d{{1,3}})*[.)]?\s|\(?[ivx]{{1,5}}[.)]\s|"
     r"\(?[a-zA-Z][.)]\s|\[\w{1,5}\]\s|§+\s?\d|[-–—*>+]+\s|>"
 )
-_SURE_MARK = re.compile(
-    r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]|\(?\d{1,3}[.)]\s|\(?[a-z][.)]\s|\[\d+\]\s|§+\s?\d|>"
-)
-"""Marks of items in a list; those that are not sure may stand in the middle of a sentence."""
+"""Mark of an item in a list."""
 _HYPHENS = "-\u00ad\u2010\u2011\x02\ufffe¬"
-_LONGEST_WORD = 200  # characters that are searched at the end of a line
-_ADDRESS = re.compile(r"\w://\S*[/?&=_%#-]$")  # end of a web address that goes on
 _AND = frozenset(["and", "or", "und", "oder", "bis", "bzw"])
 """Words after which the hyphen of "pre- and post-war" stays."""
 _ALONE = frozenset(["self", "well"])  # words that are not divided from their ends
 _SAME_MM = 5.0  # difference of heights at which something repeats on several pages
 _HEAD_GAP = 1.15  # distance of a running head from the text, in usual ones
-_MOST_HEADS, _MOST_NUMBERS = 3, 3  # lines of a running head, and numbers in it
+_MOST_HEADS = 4  # lines of running heads; more of them mean copies of a page
+_NUMBER = re.compile(r"\d{1,5}|(?<=^)[ivxlc]{1,7}(?=$)", re.IGNORECASE)
 _ROMAN = dict(zip("ivxlc", (1, 5, 10, 50, 100), strict=True))
 
 
@@ -69,94 +67,65 @@ def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) ->
 def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]:
     """Return lines without running heads and page numbers: those at the top and bottom of pages
     that repeat at the same height on two or more, or count the pages there. ``note`` names them."""
-    pages = [_rows(page) for _, page in itertools.groupby(lines, lambda line: line.page)]
-    heads: dict[str, list[int]] = defaultdict(list)
+    pages = [
+        sorted(page, key=lambda line: line.y_mm)
+        for _, page in itertools.groupby(lines, lambda line: line.page)
+    ]
+    edges = [page[::way] for page in pages for way in (1, -1)]
+    same: dict[str, list[PrintedLine]] = defaultdict(list)
+    for line in {id(line): line for edge in edges for line in edge[: _MOST_HEADS + 1]}.values():
+        for key in _keys(line):
+            same[key].append(line)
+    heads: dict[str, set[int]] = defaultdict(set)
     dropped: set[int] = set()
-    for edge in (1, -1):
-        same: dict[str, list[PrintedLine]] = defaultdict(list)
-        outer = [rows[::edge][: _MOST_HEADS + 1] for rows in pages]
-        for row in itertools.chain(*outer):
-            for key in _keys(row):
-                same[key].append(row[0])
-        for rows, whole in zip(outer, pages, strict=True):
-            labels = list(itertools.takewhile(bool, (_repeated(row, same) for row in rows)))
-            if len(labels) > _MOST_HEADS:
-                # Forms or copies of one page: their numbers alone are no part of them.
-                labels = [label for label in labels[:1] if "#" in label]
-            while labels and not _are_apart(whole[::edge], len(labels)):
-                labels.pop()
-            for label, row in zip(labels, rows, strict=False):
-                heads[label].append(row[0].page)
-                dropped |= {id(line) for line in row}
-    kept = [line for line in lines if id(line) not in dropped]
+    for edge in edges:
+        outer = (_repeated(line, same) for line in edge[: _MOST_HEADS + 1])
+        labels = list(itertools.takewhile(bool, outer))
+        if len(labels) > _MOST_HEADS:
+            # Of copies of a form, only the page's number goes.
+            labels = [label for label in labels[:1] if "#" in label]
+        steps = np.abs(np.diff([line.y_mm for line in edge]))
+        usual_mm = np.median(steps[steps > _EVEN]) if (steps > _EVEN).any() else 0.0
+        while labels and not (steps[len(labels) - 1 :][:1] > _HEAD_GAP * usual_mm).any():
+            labels.pop()
+        for label, line in zip(labels, edge, strict=False):
+            heads[label].add(line.page)
+            dropped.add(id(line))
     if heads:
-        named = "; ".join(f"“{label}” on {_ranges(where)}" for label, where in heads.items())
+        named = "; ".join(
+            f"“{label}” on pages {', '.join(map(str, sorted(numbers)))}"
+            for label, numbers in heads.items()
+        )
         note(
             f"running heads and page numbers (#) are left out: {named}; ?keep_headers after the "
             "file's name keeps them"
         )
-    return kept
+    return [line for line in lines if id(line) not in dropped]
 
 
-def _are_apart(rows: Sequence[Sequence[PrintedLine]], count: int) -> bool:
-    """Return whether the first rows from an edge of a page are apart from the others."""
-    steps = np.abs(np.diff([row[0].y_mm for row in rows]))
-    return count < len(rows) and bool(steps[count - 1] > _HEAD_GAP * np.median(steps))
+def _keys(line: PrintedLine) -> Iterator[str]:
+    """Yield a line's text, and it with each of its numbers relative to the page's."""
+    yield line.text
+    for found in _NUMBER.finditer(line.text):
+        number = int(found[0]) if found[0].isdigit() else _roman(found[0].lower())
+        before, after = line.text[: found.start()], line.text[found.end() :]
+        yield f"{before}#{after}\n{number - line.page}"
 
 
-def _rows(lines: Iterable[PrintedLine]) -> list[list[PrintedLine]]:
-    """Return the lines at each height of a page, from the top down, left to right."""
-    rows: list[list[PrintedLine]] = []
-    for line in sorted(lines, key=lambda line: line.y_mm):
-        if rows and line.y_mm - rows[-1][0].y_mm < line.x_height_mm / 2:
-            rows[-1].append(line)
-        else:
-            rows.append([line])
-    return [sorted(row, key=lambda line: line.left_mm) for row in rows]
-
-
-def _keys(row: Sequence[PrintedLine]) -> Iterator[str]:
-    """Yield a row's text with # for any of its numbers, and how far these are from the page's."""
-    text = " ".join(line.text for line in row)
-    roman = re.fullmatch(r"\W*([ivxlc]{1,7})\W*", text, re.IGNORECASE)
-    parts = [text] if roman is None else ["", roman[1], ""]
-    if roman is None:
-        parts = re.split(r"(\d{1,5})", text)
-    numbers = range(1, len(parts), 2)
-    if len(numbers) <= _MOST_NUMBERS:
-        for counts in itertools.product((True, False), repeat=len(numbers)):
-            ahead = [_number(parts[k]) - row[0].page for k in itertools.compress(numbers, counts)]
-            shown = [
-                "#" if k % 2 and counts[k // 2] else part for k, part in enumerate(parts)
-            ]  # fmt: skip
-            yield f"{''.join(shown).strip()}\n{ahead}"
-
-
-def _number(text: str) -> int:
-    if text.isdigit():
-        return int(text)
-    values = [_ROMAN[letter] for letter in text.lower()]
+def _roman(text: str) -> int:
+    values = [_ROMAN[letter] for letter in text]
     return sum(
         -value if value < max(values[k:]) else value for k, value in enumerate(values)
     )  # fmt: skip
 
 
-def _repeated(row: Sequence[PrintedLine], same: dict[str, list[PrintedLine]]) -> str:
-    """Return what a row has in common with one on another page, or ""."""
-    for key in _keys(row):
-        for line in same[key]:
-            if line.page != row[0].page and abs(line.y_mm - row[0].y_mm) < _SAME_MM:
+def _repeated(line: PrintedLine, same: dict[str, list[PrintedLine]]) -> str:
+    """Return what a line has in common with one on another page, or ""."""
+    for key in _keys(line):
+        for other in same[key]:
+            if other.page != line.page and abs(other.y_mm - line.y_mm) < _SAME_MM:
                 return key.partition("\n")[0]
     return ""
-
-
-def _ranges(pages: Sequence[int]) -> str:
-    """Return page numbers in words, as in ``pages 1-3, 7``."""
-    runs = itertools.groupby(enumerate(sorted(set(pages))), lambda each: each[1] - each[0])
-    spans = [[page for _, page in run] for _, run in runs]
-    return "pages " + ", ".join(
-        f"{span[0]}-{span[-1]}" if len(span) > 1 else str(span[0]) for span in spans
-    )
 
 
 def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
@@ -199,30 +168,25 @@ class _Paragraph:
 
 
 class _Layout:
-    """Columns and blocks of lines: where they end, and which of them keep their lines."""
+    """Columns and blocks of lines: how far they reach, and which of them keep their lines."""
 
     def __init__(self, lines: Sequence[PrintedLine]) -> None:
         self._lines = lines
-        self._pages: dict[int, list[PrintedLine]] = defaultdict(list)
-        for line in lines:
-            self._pages[line.page].append(line)
+        pages = {line.page: [each for each in lines if each.page == line.page] for line in lines}
         self._step_mm: dict[int, float] = {}
-        for page, group in self._pages.items():
+        for page, group in pages.items():
             steps = np.diff([line.y_mm for line in group if not line.cell])
-            self._step_mm[page] = (
-                float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
-            )
+            steps = steps[steps > 0]
+            self._step_mm[page] = float(np.median(steps)) if len(steps) else np.inf
         self._edge_mm = [line.right_mm for line in lines]
-        self._keeps = [True] * len(lines)
-        self._is_verse = [False] * len(lines)
-        self._is_item = [False] * len(lines)
+        self._keeps, self._alone = [False] * len(lines), [True] * len(lines)
         self._hangs = [False] * len(lines)
         self.rows: dict[int, list[str]] = {}
         for run in self._runs(lambda before, line: bool(before.cell) != bool(line.cell)):
             if lines[run[0]].cell:
                 self.rows[run[0]] = _table_rows([lines[k] for k in run])
         for column in self._runs(lambda before, line: line.y_mm <= before.y_mm or bool(line.cell)):
-            self._measure(column)
+            self._measure(column, pages[lines[column[0]].page])
         for block in self._runs(self._is_apart):
             self._judge(block)
 
@@ -230,60 +194,49 @@ class _Layout:
         """Yield the indices of successive lines of a page between which nothing parts them."""
         run: list[int] = []
         for k, line in enumerate(self._lines):
-            if run and (
-                line.page != self._lines[run[-1]].page or parts(self._lines[run[-1]], line)
-            ):
+            before = self._lines[k - 1]
+            if run and (line.page != before.page or parts(before, line)):
                 yield run
                 run = []
             run.append(k)
         if run:
             yield run
 
-    def _measure(self, column: Sequence[int]) -> None:
+    def _measure(self, column: Sequence[int], page: Sequence[PrintedLine]) -> None:
         """Find how far the lines of a column may reach: as far as others of it, and not beyond what
         stands beside them."""
         lines = self._lines
-        page = self._pages[lines[column[0]].page]
         for k in column:
-            line = lines[k]
-            beside = (
+            near_mm = self._step_mm[lines[k].page] / 2
+            beside = [
                 other.left_mm for other in page
-                if other.left_mm > line.right_mm
-                and abs(other.y_mm - line.y_mm) < self._step_mm[line.page] / 2
-            )  # fmt: skip
-            limit_mm = min(beside, default=np.inf)
+                if other.left_mm > lines[k].right_mm and abs(other.y_mm - lines[k].y_mm) < near_mm
+            ]  # fmt: skip
             self._edge_mm[k] = max(
                 lines[other].right_mm for other in column
-                if lines[other].right_mm < limit_mm and self.is_alike(other, k)
+                if lines[other].right_mm < min(beside, default=np.inf) and self.is_alike(other, k)
             )  # fmt: skip
 
     def _judge(self, block: Sequence[int]) -> None:
-        """Find which lines of a block stay as they are, have the mark of an item, or hang below the
-        first of each paragraph."""
+        """Find which lines of a block stay as they are, or hang below the first of a paragraph."""
         lines = [self._lines[k] for k in block]
         pairs = list(itertools.pairwise(block))
-        ragged = [self._is_ragged(*pair) for pair in pairs]
-        full = len(pairs) - sum(ragged)
-        even = sum(itertools.starmap(self._is_even, pairs[:-1]))
+        right_mm = np.array([line.right_mm for line in lines[:-1]])
+        even = np.abs(np.diff(right_mm)) < _EVEN * lines[0].x_height_mm
+        if len(even) > 1 and even.mean() > 0.5:
+            for k in block:
+                self._edge_mm[k] = right_mm.max()
+        is_open = list(itertools.starmap(self._is_open, pairs))
         capitals = len(pairs) > 1 and not any(line.text[0].islower() for line in lines)
-        keeps = (
-            2 * full <= (len(block) if len(block) > 3 else len(pairs))
-            or (capitals and 3 * even < 2 * len(pairs))
-        ) and not any(itertools.starmap(self._divides, pairs))  # fmt: skip
-        widths = sorted(line.right_mm - line.left_mm for line in lines)
-        open_ends = any(
-            early and not _is_sentence(line.text)
-            for line, early in zip(lines, ragged, strict=False)
-        )  # fmt: skip
-        is_verse = 2 * full <= len(block) and widths[0] > _LIKE * widths[-1] and open_ends
+        keeps = 0 < _OPEN * len(pairs) <= sum(is_open) or (
+            capitals and 3 * even.sum() < 2 * len(pairs)
+        )
         left_mm = np.array([line.left_mm for line in lines])
         hanging = left_mm - left_mm.min() > _INDENT * lines[0].x_height_mm
-        marks = [_mark(line.text) for line in lines]
-        for k, mark in zip(block, marks, strict=True):
-            self._keeps[k] = keeps
-            self._is_verse[k] = len(block) > 3 and keeps and is_verse
+        for k in block:
+            self._alone[k] = not pairs
+            self._keeps[k] = keeps and not any(itertools.starmap(self._divides, pairs))
             self._hangs[k] = bool(2 * hanging.sum() > len(block))
-            self._is_item[k] = bool(mark) and marks.count(mark) > 1
 
     def is_alike(self, one: int, other: int) -> bool:
         """Return whether two lines have print of one size."""
@@ -298,10 +251,6 @@ class _Layout:
             or sizes[1] > _LARGER * sizes[0] or bool(line.cell or before.cell or line.has_initial)
         )  # fmt: skip
 
-    def _is_even(self, before: int, k: int) -> bool:
-        one, other = self._lines[before], self._lines[k]
-        return abs(one.right_mm - other.right_mm) < _EVEN * other.x_height_mm
-
     def _is_ragged(self, before: int, k: int) -> bool:
         """Return whether the first word of a line would have fitted at the end of that before."""
         line = self._lines[k]
@@ -309,6 +258,13 @@ class _Layout:
         per_character = (line.right_mm - line.left_mm) / len(line.text)
         free_mm = self._edge_mm[before] - self._lines[before].right_mm
         return free_mm > (len(word) + 1) * per_character + _EVEN * line.x_height_mm
+
+    def _is_open(self, before: int, k: int) -> bool:
+        """Return whether a line ends early within a sentence."""
+        line, edge_mm = self._lines[before], self._edge_mm[before]
+        is_short = edge_mm - line.right_mm > _SHORT * (edge_mm - line.left_mm)
+        goes_on = self._lines[k].text[0].islower() and not is_short
+        return self._is_ragged(before, k) and not goes_on and not _is_sentence(line.text)
 
     def _divides(self, before: int, k: int) -> bool:
         """Return whether a hyphen divides a word of two lines."""
@@ -320,64 +276,58 @@ class _Layout:
 
     def begins(self, paragraph: _Paragraph, k: int) -> bool:
         """Return whether a line begins another paragraph."""
-        before, line = self._lines[paragraph.last], self._lines[k]
+        first, before, line = (self._lines[j] for j in (paragraph.first, paragraph.last, k))
         if self._divides(paragraph.last, k):
             return False
         if line.page != before.page or line.y_mm <= before.y_mm:
-            return self._begins_column(paragraph, k)
-        if self._is_apart(before, line):
+            return self._begins_column(paragraph.last, k)
+        if self._is_apart(before, line) or self._is_item(paragraph, k):
             return True
-        is_item = _MARK.match(self._lines[paragraph.first].text) is not None
-        ragged = self._is_ragged(paragraph.last, k)
-        x_height_mm = line.x_height_mm
-        shift = (line.left_mm - before.left_mm) / x_height_mm
-        if _MARK.match(line.text) and (
-            _SURE_MARK.match(line.text)
-            or self._is_item[k]
-            or is_item
-            or ragged
-            or abs(shift) > _INDENT
-        ):
-            return True
-        first_mm = self._lines[paragraph.first].left_mm
-        if is_item or self._hangs[k]:
-            indent, hung = ((each.left_mm - first_mm) / x_height_mm for each in (line, before))
-            if indent > _INDENT and shift < _BESIDE:
+        indent_mm = _INDENT * line.x_height_mm
+        is_new = not line.text[0].islower() or _is_sentence(before.text)
+        if self._hangs[k] or _MARK.match(first.text):
+            if line.left_mm - first.left_mm > indent_mm:
                 return False
-            return hung > _INDENT or self._ends(paragraph.last, k)
-        short = (self._edge_mm[k] - line.right_mm) / x_height_mm
-        # What is indented in the middle of a sentence hangs below its first line.
-        is_new = ragged or not line.text[0].islower() or _is_sentence(before.text)
-        if is_new and shift > _INDENT and (shift < _BESIDE or short > _INDENT):
+            if before.left_mm - first.left_mm > indent_mm:
+                return True
+        elif is_new and line.left_mm - before.left_mm > indent_mm:
             return True
         return self._ends(paragraph.last, k)
+
+    def _is_item(self, paragraph: _Paragraph, k: int) -> bool:
+        """Return whether a line begins with a mark that does not stand within a sentence."""
+        text, before = self._lines[k].text, self._lines[paragraph.last].text
+        mark = _MARK.match(text)
+        return mark is not None and (
+            re.match(_BULLETS, text) is not None
+            or _is_sentence(before)
+            or self._is_ragged(paragraph.last, k)
+            or _kind(text) == _kind(paragraph.text)
+        )
 
     def _ends(self, before: int, k: int) -> bool:
         """Return whether a line ends early, as the last of a paragraph or each of a poem."""
-        line, after = self._lines[before], self._lines[k].text
-        ragged = self._is_ragged(before, k)
-        keeps = self._keeps[k] and self._keeps[before]
-        if keeps and after[0].islower():
-            width_mm = self._edge_mm[before] - line.left_mm
-            is_short = self._edge_mm[before] - line.right_mm > _SHORT * width_mm
-            return self._is_verse[k] or (ragged and is_short)
-        is_end = not after[0].islower() or _is_sentence(line.text)
-        return keeps or (ragged and is_end and not self._is_even(before, k))
+        text, after = self._lines[before].text, self._lines[k].text
+        is_end = not after[0].islower() or _is_sentence(text)
+        is_ragged = self._is_ragged(before, k)
+        keeps = self._keeps[before] and self._keeps[k]
+        return (keeps and (is_ragged or len(text) <= _LONGEST_VERSE)) or (is_end and is_ragged)
 
-    def _begins_column(self, paragraph: _Paragraph, k: int) -> bool:
+    def _begins_column(self, before: int, k: int) -> bool:
         """Return whether the first line of a column or page begins a paragraph."""
-        before, line = self._lines[paragraph.last], self._lines[k]
-        if not self.is_alike(paragraph.last, k) or line.has_initial or _SURE_MARK.match(line.text):
+        text, line = self._lines[before].text, self._lines[k]
+        if not self.is_alike(before, k) or line.has_initial or re.match(_BULLETS, line.text):
             return True
         following = self._lines[k + 1] if k + 1 < len(self._lines) else line
-        if following.page == line.page and following.y_mm > line.y_mm and not self._hangs[k]:
-            indent = (line.left_mm - following.left_mm) / line.x_height_mm
-            if _INDENT < indent < _BESIDE:
-                return True
-        is_whole = _is_sentence(before.text) or self._keeps[paragraph.last]
-        if line.page != before.page and is_whole and not line.text[0].islower():
+        indent_mm = line.left_mm - following.left_mm
+        is_first = following.page == line.page and following.y_mm > line.y_mm
+        if is_first and indent_mm > _INDENT * line.x_height_mm and not self._hangs[k]:
             return True
-        return self._ends(paragraph.last, k)
+        is_next = line.page != self._lines[before].page and _is_sentence(text)
+        is_whole = is_next or self._keeps[before] or self._alone[before]
+        if is_whole and not line.text[0].islower():
+            return True
+        return self._ends(before, k)
 
 
 def _is_sentence(text: str) -> bool:
@@ -385,7 +335,7 @@ def _is_sentence(text: str) -> bool:
     return text.rstrip("\"'”’»)")[-1:] in tuple(".!?:")
 
 
-def _mark(text: str) -> str:
+def _kind(text: str) -> str:
     """Return what marks of items in one list have in common, or ""."""
     mark = _MARK.match(text)
     return re.sub(r"\w+", "1", mark[0]) if mark else ""
@@ -398,18 +348,15 @@ def _table_rows(cells: Sequence[PrintedLine]) -> list[str]:
         for _, row in itertools.groupby(enumerate(cells), lambda each: each[0] - each[1].cell)
     ]
     widest = max(rows, key=len)
-    middles = np.array([(cell.left_mm + cell.right_mm) / 2 for cell in widest])
     found = []
     for row in rows:
         texts = ["-"] * len(widest)
         for cell in row:
-            overlap = [
-                min(cell.right_mm, other.right_mm) - max(cell.left_mm, other.left_mm)
+            apart_mm = [
+                max(other.left_mm - cell.right_mm, cell.left_mm - other.right_mm)
                 for other in widest
-            ]
-            place = int(np.argmax(overlap))
-            if overlap[place] < 0:
-                place = int(np.argmin(np.abs(middles - (cell.left_mm + cell.right_mm) / 2)))
+            ]  # fmt: skip
+            place = int(np.argmin(apart_mm))
             texts[place] = cell.text if texts[place] == "-" else f"{texts[place]} {cell.text}"
         alone = texts[0] != "-" and set(texts[1:]) == {"-"}
         found.append(_LEADERS.sub(" ", texts[0] if alone else "; ".join(texts)))
@@ -418,21 +365,18 @@ def _table_rows(cells: Sequence[PrintedLine]) -> list[str]:
 
 def _joined(before: str, after: str, compounds: set[str]) -> str:
     """Return two lines as one: a hyphen goes where it divides a word, and stays in North-South."""
-    tail = before[-_LONGEST_WORD:]
-    if _ADDRESS.search(tail):
+    last = before.split()[-1]
+    if "://" in last and last[-1] in "/?&=_%#-":
         return before + after
-    if before[-1] not in _HYPHENS or before[-2:-1].isspace() or not before[:-1]:
+    if before[-1] not in _HYPHENS or not before[:-1] or before[-2].isspace():
         return f"{before} {after}"
-    first, second = re.search(r"\w*$", tail[:-1]), re.match(r"\w*", after)
-    assert first is not None
-    assert second is not None
-    if before[-1] == "\u00ad":
-        return before[:-1] + after
-    if second[0] in _AND:
+    first, second = (re.findall(r"\w*", part) for part in (last[-2::-1], after))
+    one, other = first[0][::-1], second[0]
+    if other in _AND:
         return f"{before[:-1]}- {after}"
-    are_capitals = len(first[0]) > 1 and (first[0] + second[0]).isupper()
+    are_capitals = len(one) > 1 and (one + other).isupper()
     divides = after[0].islower() or are_capitals
-    is_compound = f"{first[0]}-{second[0]}".lower() in compounds or first[0].lower() in _ALONE
-    if divides and not is_compound:
+    is_compound = f"{one}-{other}".lower() in compounds or one.lower() in _ALONE
+    if before[-1] == "\u00ad" or (divides and not is_compound):
         return before[:-1] + after
     return f"{before[:-1]}-{after}"

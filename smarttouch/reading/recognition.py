@@ -1,11 +1,23 @@
-"""Recognition of a page of print: options, the turn that makes it upright, its lines as text."""
+"""Recognition of print by Tesseract: the turn that makes a page upright, and its lines as text."""
 
-from collections.abc import Callable, Iterable, Iterator
+import atexit
+import contextlib
+import io
+import itertools
+import math
+import os
+import re
+import shutil
+import subprocess
+import unicodedata
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from smarttouch.base.errors import PageError, ReadingError
 from smarttouch.braille.dot_detection import shows_dots
@@ -14,12 +26,34 @@ from smarttouch.pages.page_image import Page
 from smarttouch.pages.pdf_text import PdfPage
 from smarttouch.pages.prepared_page import DOUBTFUL, LEFT_OUT, PreparedPage, prepare_page
 from smarttouch.pages.straighten import QUARTER
-from smarttouch.reading.ocr import likely_turns, recognize_lines
-
-_STRIP_PIXELS = (32, 56)  # range of the height of lines for recognition: ascender to descender
-SURE = 0.6  # mean confidence below which a page is reported as poorly recognized
 
 Note = Callable[[str], None]
+Read = tuple[str, float]
+"""A line that was recognized, and the mean confidence of its words in [0, 1]; both may be empty."""
+
+PAGE, BLOCK, _LINE = 3, 6, 7  # page segmentation modes of Tesseract
+LARGEST_SIDE = 32_000  # largest side in pixels; Tesseract refuses images with a side above 32,767
+_TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # of a call, and for each further image
+_WORD = "5"
+"""Level of a word's row in Tesseract's table; others are pages, blocks, paragraphs and lines."""
+_COLUMNS = 12
+"""Columns of Tesseract's table: level, page, block, paragraph, line, word, left, top, width,
+height, confidence, text.
+"""
+STRIP_MARGIN = 0.25
+"""White margin around a strip, relative to its height. Over noisy and blurred strips, 1.6 % of the
+characters were wrong with it, 3.1 % with 0.15 and 2.3 % with 0.45."""
+_STRIP_PIXELS = (32, 56)  # range of the height of lines for recognition: ascender to descender
+SURE = 0.6  # mean confidence below which a page is reported as poorly recognized
+_LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "uig", "urd", "yid"])
+"""Tesseract's codes of languages that are read from the right."""
+_FIRST, _LONGEST = 5, 3  # first lines, and longest ones, by which a page is known to be upright
+_UPRIGHT, _FEWEST_LETTERS = 0.7, 30
+"""Mean confidence of letters from which a page is upright, and the fewest that show it."""
+_MANY_LETTERS, _CLEARLY_MORE = 100, 1.5
+"""Letters of the sample, and factor by which it is more legible than upside down, from which no
+other turn is tried."""
+_MORE = 1.15  # factor by which more must be recognized after a turn for it to be kept
 
 
 @dataclass(frozen=True)
@@ -33,6 +67,140 @@ class RecognitionOptions:
     light_on_dark: bool | None = None
     languages: str = "eng"
     keep_headers: bool = False  # running heads and page numbers stay in a text
+
+
+def find_tesseract() -> Path:
+    """Return the path of the program."""
+    found = shutil.which("tesseract")
+    if found is None:
+        raise ReadingError(
+            "Tesseract is not installed: apt install tesseract-ocr (or brew install tesseract)"
+        )
+    return Path(found)
+
+
+def recognize(
+    image: NDArray[np.uint8],
+    languages: str = "eng",
+    layout: int = PAGE,
+    timeout_s: float = _TIMEOUT_S,
+) -> str:
+    """Return the lines of text on an image, (H, W) uint8, dark on bright.
+
+    ``languages`` are codes as in ``eng+deu``, and ``layout`` is `PAGE` or `BLOCK`. Tesseract does
+    not correct an image: paper should be white and evenly lit, and an x about 20 pixels high.
+    Below 10, enlarge it first, unless it is blurred.
+    """
+    lines = itertools.groupby(_words([image], languages, layout, timeout_s), lambda row: row[1:5])
+    return "\n".join(_joined(words)[0] for _, words in lines)
+
+
+def recognize_lines(strips: Sequence[NDArray[np.uint8]], languages: str = "eng") -> list[Read]:
+    """Recognize strips, (h, W_i) uint8, of one straight line each, by one call of Tesseract.
+
+    Strips are dark on white, from ascenders to descenders; a height of 24 pixels is enough.
+    """
+    framed = [
+        np.pad(strip, math.ceil(STRIP_MARGIN * len(strip)), constant_values=255) for strip in strips
+    ]
+    timeout_s = _TIMEOUT_S + _IMAGE_TIMEOUT_S * len(framed)
+    words = _words(framed, languages, _LINE, timeout_s)
+    lines = {int(page): _joined(row) for page, row in itertools.groupby(words, lambda row: row[1])}
+    return [lines.get(index, ("", 0.0)) for index in range(len(strips))]
+
+
+def _words(
+    images: Sequence[NDArray[np.uint8]], languages: str, layout: int, timeout_s: float
+) -> list[list[str]]:
+    """Return the rows of words in Tesseract's table, their page being the index of the image.
+
+    Blank and empty images have no words.
+    """
+    if not re.fullmatch(r"\w+(\+\w+)*", languages, re.ASCII):
+        raise ReadingError(f"languages {languages!r}: give codes such as eng or eng+deu")
+    find_tesseract()
+    shown = [k for k, image in enumerate(images) if image.size and image.min() < image.max()]
+    if not shown:
+        return []
+    options = ["-l", languages, "--psm", str(layout), "tsv"]
+    if layout == _LINE:
+        # They are dark on white: a poor line is not read again as light on dark.
+        options[:0] = ["-c", "tessedit_do_invert=0"]
+    pages = [Image.fromarray(_fitting(images[k])) for k in shown]
+    file = io.BytesIO()
+    pages[0].save(file, "TIFF", save_all=True, append_images=pages[1:])
+    table = _run_tesseract(options, file.getvalue(), timeout_s)
+    rows = [line.split("\t", _COLUMNS - 1) for line in table.split("\n")]
+    words = [row for row in rows if row[0] == _WORD and row[-1].strip()]
+    for row in words:
+        row[1] = str(shown[int(row[1]) - 1])
+    return words
+
+
+def _fitting(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return an image made smaller if a side of it is too long for Tesseract."""
+    scale = LARGEST_SIDE / max(image.shape)
+    if scale >= 1:
+        return np.ascontiguousarray(image)
+    height, width = (max(1, round(side * scale)) for side in image.shape)
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _run_tesseract(options: Sequence[str], image: bytes, timeout_s: float) -> str:
+    """Return what Tesseract writes about an image file."""
+    program = find_tesseract()
+    try:
+        running = subprocess.Popen(
+            [program, "stdin", "stdout", *options],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            # With more threads, most of the time goes into waiting for each other.
+            env={**os.environ, "OMP_THREAD_LIMIT": "1"},
+        )
+    except OSError as error:
+        raise ReadingError(f"{program} does not start: {error.strerror}") from None
+    with running:
+        # A program may end before its pages do, and no thread may be waiting then.
+        atexit.register(running.kill)
+        try:
+            output, said = (each.decode("utf-8", "replace")
+                            for each in running.communicate(image, timeout_s))  # fmt: skip
+        except subprocess.TimeoutExpired:
+            raise ReadingError(
+                f"Tesseract read nothing for {timeout_s:g} s: give it a smaller image"
+            ) from None
+        finally:
+            atexit.unregister(running.kill)
+            running.kill()
+    # Missing ones of several languages do not change its exit status.
+    missing = re.search(r"Failed loading language '(.+)'", said)
+    if missing is not None:
+        package = "tesseract-ocr-" + missing[1].lower().replace("_", "-")
+        raise ReadingError(
+            f"Tesseract has no data for the language {missing[1]}: apt install {package}"
+        )
+    if running.returncode:
+        reason = said.strip().split("\n")[-1] or "no message"
+        raise ReadingError(f"Tesseract failed with status {running.returncode}: {reason}")
+    return output
+
+
+def _joined(words: Iterable[list[str]]) -> Read:
+    """Return words as a line, with spaces between them but for Chinese and Japanese."""
+    text, sure, letters = "", 0.0, 0
+    for row in words:
+        word = row[-1].strip()
+        unspaced = not text or (_is_ideographic(text[-1]) and _is_ideographic(word[0]))
+        text += word if unspaced else f" {word}"
+        sure += len(word) * min(max(float(row[10]) / 100, 0.0), 1.0)
+        letters += len(word)
+    return text, sure / letters
+
+
+def _is_ideographic(sign: str) -> bool:
+    wide = unicodedata.east_asian_width(sign) in "WF"
+    return wide and not unicodedata.name(sign, "").startswith("HANGUL")
 
 
 def upright_page(number: int, page: Page, options: RecognitionOptions, note: Note) -> PreparedPage:
@@ -51,7 +219,10 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
             f"page {number} shows Braille dots, and pictures of Braille are not read: give a text "
             "or a .brf file, or leave the page out as in ?pages=1-3"
         )
-    prepared, turn_deg = _most_legible(_prepared(page, options), options)
+    prepared, turn_deg = _prepared(page, options), 0
+    # Without Tesseract a page stays as it is.
+    with contextlib.suppress(ReadingError):
+        prepared, turn_deg = _most_legible(prepared, options)
     notes = list(prepared.notes)
     if turn_deg:
         notes.insert(0, f"it was turned by {turn_deg}° to be upright")
@@ -60,49 +231,37 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
     return prepared
 
 
-_LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "uig", "urd", "yid"])
-"""Tesseract's codes of languages that are read from the right."""
-_FIRST, _LONGEST = 5, 3  # first lines, and longest ones, by which a page is known to be upright
-_UPRIGHT, _FEWEST_LETTERS = 0.7, 30
-"""Mean confidence of letters from which a page is upright, and the fewest that show it."""
-_MANY_LETTERS, _CLEARLY_MORE = 100, 1.5
-"""Letters of the sample, and factor by which it is more legible than upside down, from which no
-other turn is tried."""
-_MORE = 1.15  # factor by which more must be recognized after a turn for it to be kept
-
-
 def _most_legible(prepared: PreparedPage, options: RecognitionOptions) -> tuple[PreparedPage, int]:
     """Return a page turned so that most of it is recognized, and that turn in degrees, clockwise.
 
-    A few of its lines are read, as part of the page. Only where they are hardly legible they are
-    read upside down, and other turns tried.
+    A few of its lines are read, as part of the page. Only where they are hardly legible, they are
+    read upside down, and all turns tried.
     """
-    try:
-        best, most = _with_sample(prepared, options)
-        letters = sum(len(text) for text, _ in best.known.values())
-        if letters >= _FEWEST_LETTERS and most >= _UPRIGHT * letters:
-            return best, 0
-        best_turn_deg = 0
-        for turn_deg in _turns_to_try(prepared, list(best.known), most, options):
-            turned = np.ascontiguousarray(np.rot90(prepared.page.grey, -turn_deg // 90))
-            page = replace(prepared.page, grey=turned)
-            candidate = _prepared(page, options, quarter=False)
-            candidate, legible = _with_sample(candidate, options)
-            if legible > _MORE * most:
-                best, most, best_turn_deg = candidate, legible, turn_deg
-    except ReadingError:
-        # Without Tesseract a page stays as it is.
+    sample = _sample(prepared, options)
+    most, letters = _legible(prepared)
+    best, best_turn_deg = prepared, 0
+    if letters >= _FEWEST_LETTERS and most >= _UPRIGHT * letters:
         return prepared, 0
+    is_guess = QUARTER in prepared.notes
+    if letters >= _MANY_LETTERS and not is_guess:
+        strips = [_strip(prepared, index)[::-1, ::-1] for index in sample]
+        upside_down = sum(map(_weight, recognize_lines(strips, options.languages)))
+        if most > _CLEARLY_MORE * upside_down:
+            return prepared, 0
+    for turn_deg in (180, 90, 270):
+        turned = np.ascontiguousarray(np.rot90(prepared.page.grey, -turn_deg // 90))
+        candidate = _prepared(replace(prepared.page, grey=turned), options, quarter=False)
+        _sample(candidate, options)
+        legible, _ = _legible(candidate)
+        if legible > _MORE * most:
+            best, most, best_turn_deg = candidate, legible, turn_deg
     if not best_turn_deg:
-        return best, 0
-    notes = [
-        words for words in prepared.notes if words != DOUBTFUL and not words.startswith(LEFT_OUT)
-    ]
-    if QUARTER in notes:
-        # That turn was a guess, counterclockwise.
-        notes.remove(QUARTER)
-        best_turn_deg = (best_turn_deg - 90) % 360
-    return replace(best, notes=(*notes, *best.notes)), best_turn_deg
+        return prepared, 0
+    notes = [words for words in prepared.notes
+             if words not in (DOUBTFUL, QUARTER) and not words.startswith(LEFT_OUT)]  # fmt: skip
+    # The quarter turn that was a guess was counterclockwise.
+    turn_deg = (best_turn_deg - 90 * is_guess) % 360
+    return replace(best, notes=(*notes, *best.notes)), turn_deg
 
 
 def _prepared(page: Page, options: RecognitionOptions, quarter: bool = True) -> PreparedPage:
@@ -110,45 +269,20 @@ def _prepared(page: Page, options: RecognitionOptions, quarter: bool = True) -> 
     return prepare_page(page, options.light_on_dark, quarter=quarter, leftward=leftward)
 
 
-def _turns_to_try(
-    prepared: PreparedPage, sample: list[int], legible: float, options: RecognitionOptions
-) -> list[int]:
-    """Return clockwise turns, in degrees, by which more of a page may be legible."""
-    strips = [_strip(prepared, index)[::-1, ::-1] for index in sample]
-    read = list(recognize_lines(strips, options.languages))
-    upside_down, letters = _legible((each.text, each.confidence) for each in read)
-    turns = [180] if upside_down > _MORE * legible else []
-    if letters >= _FEWEST_LETTERS and upside_down > _UPRIGHT * letters and turns:
-        return turns
-    if QUARTER in prepared.notes:
-        # That turn was a guess.
-        turns.append(90)
-    elif letters >= _MANY_LETTERS and legible > _CLEARLY_MORE * upside_down:
-        # It is upright, and hard to read.
-        return []
-    others = likely_turns(prepared.cleaned, options.languages)
-    return turns + [each for each in others if each not in (180, *turns)]
-
-
-def _with_sample(prepared: PreparedPage, options: RecognitionOptions) -> tuple[PreparedPage, float]:
-    """Return a page with a few lines recognized, the others being so by the same call, and the
-    number of legible letters in them."""
+def _sample(prepared: PreparedPage, options: RecognitionOptions) -> list[int]:
+    """Recognize a few lines of a page, and return their indices."""
     lines = prepared.lines
     longest = sorted(range(len(lines)), key=lambda k: lines[k].left_mm - lines[k].right_mm)
     sample = sorted({*range(min(_FIRST, len(lines))), *longest[:_LONGEST]})
-    others = sorted(set(range(len(lines))) - set(sample))
-    found = _read(prepared, [*sample, *others], options)
-    known = dict(zip(sample, islice(found, len(sample)), strict=True))
-    return replace(prepared, known=known, others=found), _legible(known.values())[0]
+    _recognize(prepared, sample, options)
+    return sample
 
 
-def _read(
-    prepared: PreparedPage, indices: list[int], options: RecognitionOptions
-) -> Iterator[tuple[str, float]]:
-    """Yield texts of lines of a page, with a confidence in [0, 1], as they are recognized."""
+def _recognize(prepared: PreparedPage, indices: list[int], options: RecognitionOptions) -> None:
+    """Recognize lines of a page, by one call."""
     strips = [_strip(prepared, index) for index in indices]
-    for line in recognize_lines(strips, options.languages):
-        yield line.text, line.confidence
+    read = recognize_lines(strips, options.languages)
+    prepared.known.update(zip(indices, read, strict=True))
 
 
 def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
@@ -157,10 +291,14 @@ def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
     return prepared.strip(index, min(max(line_px, _STRIP_PIXELS[0]), _STRIP_PIXELS[1]))
 
 
-def _legible(read: Iterable[tuple[str, float]]) -> tuple[float, int]:
-    """Return the number of letters, each counted by its confidence, and their number."""
-    found = [(len(text) * confidence, len(text)) for text, confidence in read]
-    return sum(sure for sure, _ in found), sum(letters for _, letters in found)
+def _weight(read: Read) -> float:
+    return len(read[0]) * read[1]
+
+
+def _legible(prepared: PreparedPage) -> tuple[float, int]:
+    """Return the number of recognized letters, each counted by its confidence, and their number."""
+    known = prepared.known.values()
+    return sum(map(_weight, known)), sum(len(text) for text, _ in known)
 
 
 def recognized_lines(
@@ -171,13 +309,12 @@ def recognized_lines(
         yield from enumerate(prepared.words)
         return
     known = prepared.known
-    waiting = [index for index in range(len(prepared.lines)) if index not in known]
-    found = prepared.others if prepared.others is not None else _read(prepared, waiting, options)
     for index in range(len(prepared.lines)):
         if index not in known:
-            known[index] = next(found)
+            waiting = [each for each in range(len(prepared.lines)) if each not in known]
+            _recognize(prepared, waiting, options)
         yield index, known[index][0]
-    legible, letters = _legible(known.values())
+    legible, letters = _legible(prepared)
     sure = legible / max(1, letters)
     if sure < SURE:
         note(

@@ -18,7 +18,7 @@ SOURCES = Registry(
     Source,
     SourceError,
     {
-        "brltty": "smarttouch.reading.brltty_source:open_brltty",
+        "brltty": "smarttouch.reading.brltty:open_brltty",
         "camera": "smarttouch.sources.camera:open_camera",
         "frames": "smarttouch.sources.video:open_frames",
         "page": "smarttouch.sources.virtual_finger:open_page",

@@ -10,8 +10,13 @@ from pathlib import Path
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.pages.document import open_document
 from smarttouch.reading.legibility import character_error_rate
-from smarttouch.reading.ocr import Layout, recognize
-from smarttouch.reading.recognition import RecognitionOptions, recognized_lines, upright_page
+from smarttouch.reading.recognition import (
+    PAGE,
+    RecognitionOptions,
+    recognize,
+    recognized_lines,
+    upright_page,
+)
 
 
 def quiet(note: str) -> None:
@@ -31,7 +36,7 @@ def main() -> None:
             continue
         prepared = upright_page(1, page, options, quiet)
         ours = [text for _, text in recognized_lines(prepared, options, quiet)]
-        theirs = recognize(prepared.page.grey, layout=Layout.PAGE).replace("\n\n", "\n").split("\n")
+        theirs = recognize(prepared.page.grey, layout=PAGE).split("\n")
         texts = {"ours": "\n".join(ours), "Tesseract's": "\n".join(theirs)}
         truth = path.with_suffix(".txt")
         told = [path.name]

@@ -8,8 +8,7 @@ import pytest
 
 import smarttouch as st
 from smarttouch.imaging.array_window import profile_for_reading
-from smarttouch.reading.brltty_connection import Address, BrlttyConnection
-from smarttouch.reading.brltty_source import BrailleDisplaySource
+from smarttouch.reading.brltty import BrailleDisplaySource, BrlttyConnection
 from tests.reading.real_brltty import Brltty, free_port, require_brltty, wait_until
 
 HANGS_S = 120
@@ -40,9 +39,8 @@ def _shown(connection):
 def test_a_write_is_felt(row, quick, tmp_path, board):
     require_brltty()
     profile = profile_for_reading(st.load_profile("electric-mouse"))
-    address = Address("127.0.0.1", free_port(), True)
-    connection = BrlttyConnection(address, 6).open()
-    real = Brltty(f"client:{address}", tmp_path)
+    connection = BrlttyConnection(str(free_port()), 6).open()
+    real = Brltty(f"client:{connection}", tmp_path)
     real.start()
     late_ms = []
     source = BrailleDisplaySource(connection, profile)

@@ -21,8 +21,7 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import Profile, load_profile
-from smarttouch.reading.delivered_lines import LineDelivery
-from smarttouch.reading.legibility import legibility_of_shapes
+from smarttouch.reading.legibility import LineDelivery, legibility_of_shapes
 from smarttouch.reading.letter_shapes import Shapes
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.stimulation.scan_sequence import SlotPolicy

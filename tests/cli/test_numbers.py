@@ -37,7 +37,7 @@ BASES = {
     "live": f"live text:i {SMALL} {PAGE}",
     "read": f"read text:i {SMALL} {PAGE}",
     "braille": "braille hello",
-    "braille-display": f"braille-display listen:{free_port()} {SMALL} {PAGE}",
+    "braille-display": f"braille-display {free_port()} {SMALL} {PAGE}",
     "replay": f"replay {{golden}} {PAGE}",
     "design": "design --profile line-7",
     "profiles new": "profiles new mine.toml --grid 2x2 --overwrite",

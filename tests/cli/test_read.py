@@ -70,33 +70,20 @@ def test_an_image_without_a_board(program_here, tmp_path):
 
 
 def test_what_was_read_replays_to_the_bit_and_is_felt_once_more(program_here, figures_of):
-    read = figures_of("read text:ab --as braille?cells=cell --set paced=no --record run.mcap")
+    read = figures_of("read text:ab --as braille --set paced=no --record run.mcap")
     program_here("replay run.mcap --check").fine()
     assert figures_of("replay run.mcap --board simulated:")["slots"] == read["slots"] > 0
 
 
 @needs_tesseract
-def test_an_image_becomes_braille(figures_of, page_file):
-    figures = figures_of(f"simulate page {page_file} --as braille")
-    assert (figures["cell_error_rate"], figures["text"]) == (0, "a thin\nlight beam")
-
-
-@needs_tesseract
 def test_legibility_of_a_page(program_here, tmp_path, page_file):
     (tmp_path / "truth.txt").write_text("a thin light beam")
-    graded = "--as shapes --truth truth.txt --json f.json"
-    done = program_here(f"simulate page {page_file} {graded}").fine()
+    done = program_here(f"simulate page {page_file} --truth truth.txt --json f.json").fine()
     figures = done.figures
     assert figures["page_error_rate"] <= 0.05
     assert figures["character_error_rate"] <= 0.2
     assert (figures["rows"], figures["lines"]) == (8, 2)
     assert figures["text"] in done.stdout
-
-
-def test_legibility_of_braille_needs_no_tesseract(figures_of, monkeypatch):
-    monkeypatch.setenv("PATH", "")
-    figures = figures_of("simulate page 'text:Hello, 42' --as braille")
-    assert (figures["cell_error_rate"], figures["text"]) == (0, "Hello, 42")
 
 
 def test_without_tesseract_the_error_says_how_to_install_it(program_here, page_file, monkeypatch):
@@ -121,7 +108,7 @@ def test_bad_input_is_one_sentence(program_here, page_file, arguments, wrong):
 def test_a_picture_of_braille_is_refused_and_shown_by_live(program_here, figures_of, tmp_path):
     cells = open_table("en-1").to_cells("Raised\ndots of\na page").split("\n")
     Image.fromarray(draw_dots(cells)).save(tmp_path / "dots.png", dpi=(150, 150))
-    for command in ("read", "read --as braille", "braille", "simulate page --as braille"):
+    for command in ("read", "read --as braille", "braille", "simulate page"):
         says(PageError, "page 1", "Braille", ".brf")(refused(program_here(command, "dots.png")))
     assert figures_of("live page:dots.png --set paced=no --seconds 1")["slots"] > 0
 

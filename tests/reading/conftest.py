@@ -6,7 +6,7 @@ import pytest
 from smarttouch.imaging.array_window import pixel_pitch_mm, profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.reading.line_feed import LineFeed, TouchLine
+from smarttouch.reading.line_source import TouchLine
 
 
 @pytest.fixture(scope="session")
@@ -30,17 +30,5 @@ def make_line(reading):
         image[:, round(bar_mm[0] / pixel_mm) : round(bar_mm[1] / pixel_mm)] = 0
         half_mm = reading.optics.field_width_mm / 2
         return TouchLine(image, -half_mm, length_mm + half_mm, **more)
-
-    return make
-
-
-@pytest.fixture
-def feed_of():
-    """Return a maker of feeds that are ready."""
-
-    def make(*lines):
-        feed = LineFeed(iter(lines)).start()
-        feed.wait_for_end(10)
-        return feed
 
     return make

@@ -77,29 +77,26 @@ def _nabcc():
 class Brltty:
     """BRLTTY with its virtual display, restarted as often as needed.
 
-    Its device is as behind its option ``-d``; the screen is the driver of what it reads. Settings
-    are a file such as ``/etc/brltty.conf``, which then says all of this.
+    Its device is as behind its option ``-d``. Settings are a file such as ``/etc/brltty.conf``, of
+    which only the device, the screen and BrlAPI's host are replaced.
     """
 
-    def __init__(self, device: str, folder: Path, screen: str = "no", settings: str = "") -> None:
+    def __init__(self, device: str, folder: Path, settings: str = "braille-driver vr\n") -> None:
         # BrlAPI's host ":4" is port 4101 + 4.
         self.host = f":{free_port() - 4101}"
-        self.pid_file = folder / "brltty.pid"
-        options = ["-f", "/dev/null", "-b", "vr", "-d", device, "-x", screen,
-                   "-A", f"auth=none,host={self.host}"]  # fmt: skip
-        if settings:
-            own = folder / "brltty.conf"
-            settings = settings.replace("client:", device).replace("screen-driver   lx", screen)
-            own.write_text(settings.replace("host=:1", f"auth=none,host={self.host}"))
-            options = ["-f", str(own)]
-        self._options = options
+        path = folder / "brltty.conf"
+        path.write_text(
+            f"{re.sub('(?m)^(braille-device|screen-driver|api-parameters) .*', '', settings)}\n"
+            f"braille-device {device}\nscreen-driver no\n"
+            f"api-parameters auth=none,host={self.host}\n"
+        )
+        self._options = ["-f", str(path), "-P", str(folder / "brltty.pid")]
         self.process: subprocess.Popen | None = None
 
     def start(self) -> None:
         """Start it, without the greeting, which a writing program can crash (BRLTTY 6.5)."""
         self.process = subprocess.Popen(
-            ["brltty", "-q", "-n", "-E", "-e", "-t", "en-nabcc", *self._options,
-             "-P", str(self.pid_file)],
+            ["brltty", "-q", "-n", "-E", "-e", "-t", "en-nabcc", *self._options],
             stderr=subprocess.DEVNULL,
         )  # fmt: skip
 

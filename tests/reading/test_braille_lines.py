@@ -1,27 +1,35 @@
-"""Braille at its true distances on the electrodes, and back from what was delivered."""
+"""Texts and files become cells, at the distances of Braille, and come back from the pulses."""
 
+import shutil
 from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
-from smarttouch.base.errors import ReadingError
+from smarttouch.base.errors import BrailleError, PageError, ReadingError
+from smarttouch.braille.brf import format_brf
+from smarttouch.braille.code_tables import open_table
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import load_bank
+from smarttouch.pages.prepared_page import print_text
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille_lines import (
     CELL_MM,
     DOT_MM,
     Braille,
-    Presentation,
     cell_layout,
+    document_cells,
 )
-from smarttouch.reading.delivered_lines import LineDelivery, deliver_pulses
+from smarttouch.reading.legibility import LineDelivery, deliver_pulses
+from smarttouch.reading.material import ReadingMaterial
+from smarttouch.reading.recognition import RecognitionOptions
 
 from ..raising import raises
 from ..whole import WHOLE, sample
+from .delivered_cells import decode
 
 ARRAYS = ["electric-mouse", "etactilekit-32", "optacon-24x6", "smarttouch-4x4"]
 
@@ -30,11 +38,6 @@ ARRAYS = ["electric-mouse", "etactilekit-32", "optacon-24x6", "smarttouch-4x4"]
 def array(name):
     profile = profile_for_reading(load_profile(name))
     return profile, load_bank(profile)
-
-
-def test_on_a_grid_of_two_millimeters(reading):
-    layout = cell_layout(reading)
-    assert (layout.dot_x, layout.dot_y, layout.cell) == (1, 1, 3)
 
 
 @pytest.mark.parametrize("name", ARRAYS)
@@ -49,69 +52,43 @@ def test_distances_are_the_nearest_that_electrodes_have(name):
 
 
 def test_each_dot_is_one_electrode(reading):
-    layout = cell_layout(reading)
-    line = layout.moving("⠓⠊")
+    line = cell_layout(reading).line("⠓⠊")
     dots = line.image.reshape(8, 8, -1, 8).mean(axis=(1, 3)) < 128
     wanted = np.zeros((8, 6), bool)
     for row, column in ((2, 0), (3, 0), (3, 1), (3, 3), (2, 4)):
         wanted[row, column] = True
     np.testing.assert_array_equal(dots, wanted)
     assert set(np.unique(line.image)) == {0, 255}
+    assert Braille().motion(reading, 30.0).step_mm == 2.0
 
 
-def test_one_by_one_the_array_holds_one_cell_in_its_middle(reading):
-    layout = cell_layout(reading)
-    line = layout.one_by_one("⠿⠿⠿")
-    assert line.image.shape[1] == 3 * reading.optics.sensor_columns
-    columns = np.flatnonzero(line.image.min(axis=0) == 0) // 8
-    assert sorted(set(columns)) == [3, 4, 11, 12, 19, 20]
+def cells(last):
+    return st.text(st.characters(min_codepoint=0x2800, max_codepoint=last), min_size=1, max_size=9)
 
 
-cells = st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x283F), min_size=1, max_size=12)
-eight_dot = st.text(
-    st.characters(min_codepoint=0x2800, max_codepoint=0x28FF), min_size=1, max_size=8
-)
-
-
-def delivered(name, line_cells, presentation):
+def delivered(name, line, eight=False, lost=False):
     profile, bank = array(name)
-    braille = Braille(presentation=presentation)
-    layout = braille.layout(profile, line_cells)
-    apart = presentation is Presentation.CELL
-    line = layout.one_by_one(line_cells) if apart else layout.moving(line_cells)
-    # One pulse for each place is enough for a machine; gaps need some more.
-    motion = braille.motion(profile, profile.electrodes.cell_mm[0] * 20)
-    picture = deliver_pulses(line, LineDelivery(profile, bank, braille.tone, motion)).picture
-    return layout.decode(picture, line_cells, apart)
+    layout = cell_layout(profile, eight)
+    shown = layout.line(line)
+    if lost:
+        shown.image[:] = 255
+    # One pulse for each place is enough for a machine.
+    motion = Braille().motion(profile, profile.electrodes.cell_mm[0] * 20)
+    picture = deliver_pulses(shown, LineDelivery(profile, bank, Braille().tone, motion)).picture
+    return decode(picture, layout, len(line))
 
 
-@pytest.mark.parametrize("presentation", Presentation)
 @pytest.mark.parametrize("name", sample(ARRAYS))
-@settings(max_examples=4 if WHOLE else 2, deadline=None)
-@given(line=cells)
-def test_what_is_delivered_is_what_was_asked_for(name, presentation, line):
-    assert delivered(name, line, presentation) == line
+@settings(max_examples=6 if WHOLE else 3, deadline=None)
+@given(six=cells(0x283F), eight=cells(0x28FF))
+def test_what_is_delivered_is_what_was_asked_for(name, six, eight):
+    assert delivered(name, six) == six
+    if name in ("electric-mouse", "optacon-24x6"):
+        assert delivered(name, eight, eight=True) == eight
 
 
-@pytest.mark.parametrize("presentation", Presentation)
-@settings(max_examples=4 if WHOLE else 2, deadline=None)
-@given(line=eight_dot)
-def test_so_are_cells_with_eight_dots(presentation, line):
-    for name in ("electric-mouse", "optacon-24x6"):
-        assert delivered(name, line, presentation) == line
-
-
-def test_a_dot_that_was_not_delivered_is_missed():
-    """The measure can fail."""
-    profile, bank = array("electric-mouse")
-    layout = cell_layout(profile)
-    line = layout.moving("⠿⠿")
-    line.image[:24] = 255
-    braille = Braille()
-    picture = deliver_pulses(
-        line, LineDelivery(profile, bank, braille.tone, braille.motion(profile))
-    ).picture
-    assert layout.decode(picture, "⠿⠿", apart=False) == "⠶⠶"
+def test_dots_that_were_not_delivered_are_missed():
+    assert delivered("electric-mouse", "⠿⠿", lost=True) == "⠀⠀"
 
 
 @pytest.mark.parametrize(("name", "attributes"), [
@@ -121,3 +98,70 @@ def test_a_dot_that_was_not_delivered_is_missed():
 def test_arrays_without_room_are_named(name, attributes):
     with raises(ReadingError, **attributes):
         cell_layout(load_profile(name))
+
+
+def load(name, notes=None, **options):
+    notes = [] if notes is None else notes
+    material = ReadingMaterial(str(name), RecognitionOptions(**options), notes.append)
+    return document_cells(material, open_table("en-1"), notes.append)
+
+
+@pytest.mark.parametrize(("text", "paragraphs"), [
+    ("Go\n\nthere", ["⠠⠛⠕", "", "⠞⠓⠑⠗⠑"]), ("⠁⠃ ⣿\n⠉", ["⠁⠃⠀⣿", "⠉"]),
+])  # fmt: skip
+def test_a_text_becomes_cells_and_cells_stay(reading, text, paragraphs):
+    assert load(f"text:{text}").paragraphs == paragraphs
+    lines = list(Braille().lines(ReadingMaterial(f"text:{text}"), reading))
+    assert [line.cells for line in lines] == [each for each in paragraphs if each]
+    assert [line.text for line in lines] == [each for each in text.split("\n") if each]
+
+
+def test_a_brf_file_keeps_its_pages_until_it_is_laid_out_anew(reading, tmp_path):
+    pages = [["⠀⠀⠁⠃", "⠉"], ["⠀⠀⠙"]]
+    (tmp_path / "a.brf").write_bytes(format_brf(pages))
+    cells = load(tmp_path / "a.brf")
+    assert cells.paragraphs == ["⠁⠃⠀⠉", "⠙"]
+    assert cells.laid_out(None, None) == pages
+    assert cells.laid_out(10, 1) == [["⠀⠀⠁⠃⠀⠉"], ["⠀⠀⠙"]]
+    lines = Braille().lines(ReadingMaterial(str(tmp_path / "a.brf")), reading)
+    assert [line.cells for line in lines] == cells.paragraphs
+
+
+def test_characters_without_cells_are_left_out_and_named():
+    notes = []
+    assert load("text:a中", notes).paragraphs == ["⠁"]
+    assert "en-1" in notes[-1]
+    assert notes[-1].endswith("left out: 中")
+
+
+@pytest.mark.parametrize(("name", "data", "words"), [
+    ("none.brf", None, "none.brf"), ("bad.txt", b"ab\xff", "bad.txt"),
+    ("empty.txt", b"\n \n", "nothing"), ("empty.brf", b"", "empty"),
+    ("bad.pef", b"<pef/>", ".brf"), ("bad.brf", b"\xff", "ÿ"),
+])  # fmt: skip
+def test_bad_files(tmp_path, name, data, words):
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    with pytest.raises((BrailleError, PageError), match=words):
+        load(tmp_path / name)
+
+
+@pytest.mark.parametrize("text", ["", "  ", "\n\n", "⠀", "中"])
+def test_nothing_to_read(text):
+    with pytest.raises(BrailleError, match="nothing to read"):
+        load(f"text:{text}")
+
+
+@pytest.mark.skipif(shutil.which("tesseract") is None, reason="needs Tesseract")
+def test_pages_of_a_book_come_in_order_and_are_reported(reading, tmp_path):
+    path, said = tmp_path / "book.tif", []
+    pages = [
+        Image.fromarray(print_text(f"The {word}\nis a page of this book").grey)
+        for word in ("first", "second", "third")
+    ]
+    pages[0].save(path, save_all=True, append_images=pages[1:], dpi=(300, 300))
+    loaded, last = load(path, said).paragraphs, load(path, pages="3").paragraphs
+    assert loaded[-len(last) :] == last
+    assert sum("done" in words for words in said) == 2
+    lines = list(Braille().lines(ReadingMaterial(str(path)), reading))
+    assert [line.text for line in lines][2:4] == ["The second", "is a page of this book"]

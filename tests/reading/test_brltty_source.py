@@ -1,28 +1,96 @@
-"""Cells under the finger, with a clock and a connection that the test sets."""
+"""BRLTTY's messages, and cells under the finger with a clock and a connection of the test."""
 
+import re
+import socket
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ReadingError, SourceError
 from smarttouch.braille.cells import dots_to_cells
 from smarttouch.profile import load_profile
-from smarttouch.reading.braille_lines import Presentation
-from smarttouch.reading.brltty_connection import DisplayContent
-from smarttouch.reading.brltty_source import REST_S, BrailleDisplaySource, open_brltty
+from smarttouch.reading.brltty import (
+    MOST_CELLS,
+    REST_S,
+    BrailleDisplaySource,
+    BrlttyConnection,
+    DisplayContent,
+    open_brltty,
+    parse_message,
+)
 
 from ..raising import raises
+from .real_brltty import free_port, wait_until
 
 PROFILE = load_profile("electric-mouse")
-ARRAY = (8, 8)
+CELLS = st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF), min_size=1, max_size=40)
+
+
+def said(cells, text=""):
+    """Return what BRLTTY sends of cells and their text."""
+    dots = [
+        "".join(str(dot + 1) for dot in range(8) if ord(cell) >> dot & 1) or " " for cell in cells
+    ]
+    quoted = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'Visual "{quoted}"\r\nBraille "{"|".join(dots)}"\r\n'.encode()
+
+
+@given(CELLS, st.text('ab "\\ä€', max_size=9))
+def test_messages_are_texts_and_cells(cells, text):
+    visual, braille = said(cells, text).splitlines(keepends=True)
+    assert parse_message(visual) == ("Visual", text.rstrip())
+    assert parse_message(braille) == ("Braille", cells)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b'Braille "19"', b'Braille "21"', b'Braille "a"', b"Braille", b"cells 20", b"\xff",
+     b'Braille "' + b"|" * MOST_CELLS + b'"'],
+)  # fmt: skip
+def test_what_is_no_message_is_dropped(line):
+    assert parse_message(line + b"\r\n") == ("", "")
+
+
+def test_a_display_is_found_and_lost_and_found_again():
+    connection = BrlttyConnection(str(free_port()), 7).open()
+    with pytest.raises(SourceError, match="give another port"):
+        BrlttyConnection(str(connection)).open()
+    for number in (1, 2):
+        with socket.create_connection(connection.address) as line:
+            assert line.recv(99) == b"cells 7\r\n"
+            for byte in b"x" * 20_000 + b"\n" + said("⠓⠊", "hi"):
+                line.send(bytes([byte]))
+            assert wait_until(lambda: connection.shown is not None, 10)
+            shown = connection.shown
+            assert (shown.cells, shown.text, shown.number) == ("⠓⠊", "hi", number)
+            connection.send("home")
+            assert line.recv(99) == b"home\r\n"
+        assert wait_until(lambda: connection.shown is None, 10)
+        connection.send("home")
+    connection.close()
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection(connection.address)
+
+
+@pytest.mark.parametrize(("before", "now", "first"), [
+    ("⠓⠊⠀⠀", "⠓⠊⠀⠀", None),
+    ("⠓⠊⠀⠀", "⠓⠊⠞⣀", 2),  # typed: the cursor stands behind it
+    ("⠓⠊⠞⣀", "⠓⠊⣀⠀", 2),  # deleted: the cursor stands there
+    ("⠓⠊⣀⠀", "⠓⣊⠀⠀", None),  # only the cursor moved
+    ("⠓⠊⠞⠀", "⠓⠊⠙⠀", 0),  # another line, as nobody types
+    ("", "⠓⠊", 0),
+    ("⠓⠊⠞", "⠓⠊", 0),
+])  # fmt: skip
+def test_the_first_new_cell(before, now, first):
+    assert DisplayContent(now).first_new(DisplayContent(before)) == first
 
 
 class ScriptedDisplay:
     """Stands in for a connection: shows what a test says, and keeps the commands."""
-
-    address = "nowhere"
 
     def __init__(self):
         self.shown = None
@@ -33,18 +101,15 @@ class ScriptedDisplay:
         number = self.shown.number if self.shown else 0
         self.shown = DisplayContent(cells, number=number + 1)
 
-    def close(self):
-        """Have nothing to close."""
-
 
 class Finger:
-    """A source with its clock."""
+    """A source with its clock, which moves on by a cell a second."""
 
-    def __init__(self, presentation=Presentation.CELL, cells_a_s=1.0, **options):
+    def __init__(self):
         self.line = ScriptedDisplay()
-        plain = BrailleDisplaySource(self.line, PROFILE)
-        speed_mm_s = cells_a_s * plain.layout.cell_mm
-        self.source = BrailleDisplaySource(self.line, PROFILE, presentation, speed_mm_s, **options)
+        self.layout = BrailleDisplaySource(self.line, PROFILE).layout
+        speed_mm_s = self.layout.cell * self.layout.pitch_mm[0]
+        self.source = BrailleDisplaySource(self.line, PROFILE, speed_mm_s)
         self._time_ns = 0
 
     def after(self, seconds=0.0):
@@ -52,51 +117,27 @@ class Finger:
         self._time_ns += round(seconds * 1e9)
         return self.source.read(self._time_ns)
 
+    def window(self, seconds=0.0):
+        """Return which electrodes are active so many seconds later, alike for every class."""
+        activation = self.after(seconds).activation
+        np.testing.assert_array_equal(activation, np.tile(activation[:1], (len(Afferent), 1)))
+        return activation[0].reshape(8, 8) > 0
+
     def cell(self, seconds=0.0):
-        """Return the cell in the middle of the array so many seconds later; blank if none."""
-        window = self.window(self.after(seconds))
-        layout, margin = self.source.layout, self.source.layout.margin
+        """Return the cell in the middle of the array so many seconds later."""
+        window, layout = self.window(seconds), self.layout
         top = (layout.rows - layout.height) // 2
         rows = top + layout.dot_y * np.array([0, 1, 2, 0, 1, 2, 3, 3])
-        columns = margin + layout.dot_x * np.array([0, 0, 0, 1, 1, 1, 0, 1])
-        assert window.sum() == window[rows, columns].sum()
+        columns = layout.margin + layout.dot_x * np.array([0, 0, 0, 1, 1, 1, 0, 1])
         return dots_to_cells(window[rows, columns][None])
-
-    @staticmethod
-    def window(stimulus):
-        """Return which electrodes are active, alike for every class."""
-        activation = stimulus.activation
-        np.testing.assert_array_equal(activation, np.tile(activation[:1], (len(Afferent), 1)))
-        return activation[0].reshape(ARRAY) > 0
-
-
-def test_without_brltty_nothing_is_felt():
-    finger = Finger()
-    assert finger.after().stale
-    finger.line.show("⠓")
-    assert not finger.after(0.02).stale
-    finger.line.shown = None
-    assert finger.after(0.02).stale
-
-
-def test_cells_come_one_by_one_with_a_gap_before_each():
-    finger = Finger()
-    finger.line.show("⠓⠓⣊⠀⠞⠀⠀")
-    assert finger.cell() == "⠀"
-    felt = [finger.cell(1.0 if index else 0.5) for index in range(6)]
-    assert "".join(felt) == "⠓⠓⣊⠀⠞⠀"
-    assert finger.source.at_end
-    assert finger.cell(0.5) == "⠀"
 
 
 def test_a_line_moves_through_electrode_by_electrode():
-    finger = Finger(Presentation.LINE)
-    finger.line.show("⠓⠊⠞")
-    layout = finger.source.layout
-    first = finger.window(finger.after())
-    windows = [finger.window(finger.after(REST_S))]
-    for _ in range(4 * layout.cell):
-        windows.append(finger.window(finger.after(1 / layout.cell)))
+    finger = Finger()
+    finger.line.show("⠓⠊⠞⠀⠀")
+    first, cell = finger.window(), finger.layout.cell
+    windows = [finger.window(REST_S)]
+    windows += [finger.window(1 / cell) for _ in range(4 * cell)]
     np.testing.assert_array_equal(first, windows[0])
     for before, now in pairwise(windows):
         np.testing.assert_array_equal(now[:, :-1], before[:, 1:])
@@ -104,25 +145,34 @@ def test_a_line_moves_through_electrode_by_electrode():
     assert finger.source.at_end
 
 
+def test_without_brltty_nothing_is_felt_and_a_lost_line_stays_where_it_was():
+    finger = Finger()
+    assert finger.after().stale
+    finger.line.show("⠓⠊⠞")
+    assert not finger.after(0.02).stale
+    assert finger.cell(REST_S) == "⠓"
+    shown, finger.line.shown = finger.line.shown, None
+    assert finger.after(60.0).stale
+    finger.line.shown = shown
+    assert finger.cell(1.0) == "⠊"
+
+
 def test_what_was_typed_is_felt_and_not_the_line_again():
     finger = Finger()
     finger.line.show("⠓⠊⣀⠀")
-    finger.cell(0.5)
     finger.cell(9.0)
     finger.line.show("⠓⠊⠞⣀")
-    finger.cell()
-    assert finger.cell(0.5) == "⠞"
-    assert finger.cell(1.0) == "⣀"
+    assert finger.cell() == "⠞"
+    assert finger.cell(REST_S + 1.0) == "⣀"
 
 
 def test_the_cursor_is_followed_but_not_its_blinking():
     finger = Finger()
     finger.line.show("⠓⠊⠞⣀")
-    finger.cell(0.5)
-    finger.line.show("⣓⠊⠞⠀")
     finger.cell()
-    assert finger.cell(0.5) == "⣓"
-    assert finger.cell(1.0) == "⠊"
+    finger.line.show("⣓⠊⠞⠀")
+    assert finger.cell() == "⣓"
+    assert finger.cell(REST_S + 1.0) == "⠊"
     for cells in ("⠓⠊⠞⠀", "⣓⠊⠞⠀"):
         finger.line.show(cells)
         finger.cell()
@@ -132,45 +182,19 @@ def test_the_cursor_is_followed_but_not_its_blinking():
 def test_keys_move_the_finger_and_command_brltty():
     finger = Finger()
     finger.line.show("⠓⠊⠞⠎")
-    finger.cell(0.5)
+    finger.cell()
     keys = finger.source.keys
     for key, place in (("]", "⠊"), ("]", "⠞"), ("[", "⠊"), ("r", "⠓"), ("[", "⠓")):
         keys[key]()
-        finger.cell()
-        assert finger.cell(0.5) == place
-    finger.cell(2.0)
+        assert finger.cell() == place
+    finger.cell(REST_S + 2.0)
     for key in ("right", "left", "n", "p", "h", "\n", "\r"):
         keys[key]()
     assert finger.line.sent == ["fwinrt", "fwinlt", "lndn", "lnup", "home", "route 2", "route 2"]
     keys[" "]()
     assert [finger.cell(5.0) for _ in range(2)] == ["⠞", "⠞"]
     keys[" "]()
-    finger.cell()
     assert finger.cell(1.0) == "⠎"
-
-
-def test_the_window_moves_on_by_itself_once():
-    finger = Finger(pan=True)
-    finger.line.show("⠓⠊")
-    finger.after()
-    for _ in range(30):
-        finger.after(0.1)
-    assert finger.line.sent == ["fwinrt"]
-    finger.line.show("⠞⠎")
-    for _ in range(30):
-        finger.after(0.1)
-    assert finger.line.sent == ["fwinrt"] * 2
-
-
-def test_a_lost_line_stays_where_it_was():
-    finger = Finger()
-    finger.line.show("⠓⠊⠞")
-    finger.cell()
-    assert finger.cell(0.5) == "⠓"
-    shown, finger.line.shown = finger.line.shown, None
-    finger.after(60.0)
-    finger.line.shown = shown
-    assert finger.cell(1.0) == "⠊"
 
 
 def test_updates_that_were_never_read_are_counted():
@@ -182,22 +206,15 @@ def test_updates_that_were_never_read_are_counted():
     assert finger.source.frames == len(numbers) + 2
 
 
-@pytest.mark.parametrize("url", ["listen:1?show=page", "listen:0", "127.0.0.1:1?cells=0"])
-def test_what_cannot_be_opened(url):
-    rest, _, option = url.partition("?")
-    name, _, value = option.partition("=")
-    options = {name: int(value) if value.isdigit() else value} if name else {}
-    with pytest.raises(SourceError):
-        open_brltty(rest, PROFILE, **options)
+@pytest.mark.parametrize(("address", "options"), [
+    ("0", {}), ("65536", {}), ("x", {}), ("listen:1?", {}), ("::1:x", {}), ("1", {"cells": 0}),
+    ("1", {"cells": 256}), ("1", {"speed_mm_s": 0.0}), ("1", {"speed_mm_s": float("nan")}),
+])  # fmt: skip
+def test_what_cannot_be_opened(address, options):
+    with pytest.raises(SourceError, match=re.escape(address) if not options else None):
+        open_brltty(address, PROFILE, **options)
 
 
 def test_an_array_too_small_for_cells():
-    BrailleDisplaySource(ScriptedDisplay(), load_profile("smarttouch-4x4"))
     with raises(ReadingError, names="profile"):
-        open_brltty("listen:1", load_profile("line-7"))
-
-
-@pytest.mark.parametrize("speed_mm_s", [0.0, 1e5, float("nan")])
-def test_impossible_speeds(speed_mm_s):
-    with raises(SourceError):
-        BrailleDisplaySource(ScriptedDisplay(), PROFILE, speed_mm_s=speed_mm_s)
+        open_brltty("1", load_profile("line-7"))

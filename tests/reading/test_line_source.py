@@ -1,61 +1,230 @@
-"""Frames are what lies under the array."""
+"""Lines pass under the finger as fast as asked, forward and back, and are prepared in time."""
 
+import itertools
+import math
 import threading
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from smarttouch.imaging.array_window import pixel_pitch_mm
-from smarttouch.reading.line_feed import LineFeed
-from smarttouch.reading.line_source import LineMotion, ReadingSource, Spot, SweepingCursor
+from smarttouch.base.errors import ReadingError
+from smarttouch.imaging.array_window import (
+    pixel_pitch_mm,
+    profile_for_reading,
+    reading_force_n,
+)
+from smarttouch.profile import load_profile
+from smarttouch.reading.line_source import (
+    AHEAD,
+    BEHIND,
+    LAND_S,
+    SETTLE_S,
+    LineMotion,
+    ReadingSource,
+    TouchLine,
+)
 
+from ..raising import raises
 
-class Stands:
-    """A cursor at the place that the test sets."""
-
-    def __init__(self, *spots):
-        self.spots = list(spots)
-
-    def at(self, time_ns):
-        return self.spots.pop(0) if self.spots else None
-
-
-def test_a_frame_is_a_window_on_the_line(reading, feed_of, make_line):
-    line, pixel_mm = make_line(30.0, (10.0, 14.0)), pixel_pitch_mm(reading)
-    spots = [Spot(0, line, x_mm, 1.0) for x_mm in (12.0, 4.0)]
-    source = ReadingSource("x", reading, feed_of(line), Stands(*spots))
-    frames = [source.read(each) for each in range(2)]
-    assert source.read(2) is None
-    columns = reading.optics.sensor_columns
-    for frame, spot in zip(frames, spots, strict=True):
-        center_mm = spot.x_mm + (np.arange(columns) + 0.5 - columns / 2) * pixel_mm
-        ink = (center_mm > 10.0) & (center_mm < 14.0)
-        np.testing.assert_array_equal(frame.image[8] == 0, ink)
-        assert frame.pose.x_mm == spot.x_mm
-    assert (frames[0].image[-1] == 0).any()
+MS = 1_000_000
+MOTION = LineMotion(25.0)
 
 
-def test_without_a_line_there_is_paper(reading, feed_of, make_line):
-    source = ReadingSource("x", reading, feed_of(make_line()), Stands(Spot(0, None)))
-    frame = source.read(0)
-    assert (frame.image == 255).all()
-    assert frame.force_n == 0
+@pytest.fixture
+def source_of(reading):
+    """Return a maker of sources with some lines, closed at the end."""
+    opened = []
+
+    def make(*lines, motion=MOTION, pause_s=0.0):
+        lines = lines[0] if len(lines) == 1 and not isinstance(lines[0], TouchLine) else iter(lines)
+        opened.append(ReadingSource("a page", reading, lines, motion, pause_s))
+        return opened[-1]
+
+    yield make
+    for each in opened:
+        each.close()
 
 
-def test_a_point_marks_the_start_of_a_line(reading, feed_of, make_line):
-    """Without pulses before it, the first letters would be those that rise from nothing."""
-    source = ReadingSource("x", reading, feed_of(make_line()), Stands(Spot(0, None, marked=True)))
-    image = source.read(0).image
-    dark = [(image == 0).any(axis=axis).sum() for axis in (0, 1)]
-    cell_mm, pixel_mm = reading.electrodes.cell_mm, pixel_pitch_mm(reading)
-    assert dark == pytest.approx([side / pixel_mm for side in cell_mm], abs=1)
-    assert (image == 0).sum() == dark[0] * dark[1]
+def frames_of(source, step_ms=20, most=2000):
+    """Return all frames until the end, with the index of their lines and times in seconds."""
+    found = []
+    for step in range(most):
+        index = source.index
+        frame = source.read(step * step_ms * MS)
+        if frame is None:
+            return found
+        found.append((step * step_ms / 1000, index, frame))
+    raise AssertionError("it never ends")
 
 
-def test_notes_are_told_when_they_arise(reading, feed_of, make_line):
-    spots = [Spot(0, None)] * 3
-    source = ReadingSource("x", reading, feed_of(make_line()), Stands(*spots))
-    told = []
+def test_a_line_is_swept_from_before_its_start_to_after_its_end(reading, source_of, make_line):
+    line, pixel_mm = make_line(30.0), pixel_pitch_mm(reading)
+    source = source_of(line)
+    source.wait_for(1)
+    frames = [(time_s, frame) for time_s, _, frame in frames_of(source)]
+    passed = [each for each in frames if each[0] <= SETTLE_S + 46 / 25]
+    assert passed[0][1].pose.x_mm == line.start_mm
+    assert passed[-1][1].pose.x_mm == pytest.approx(line.end_mm, abs=0.6)
+    columns = (np.arange(64) + 0.5 - 32) * pixel_mm
+    for time_s, frame in passed:
+        x_mm = line.start_mm + max(0.0, time_s - SETTLE_S) * 25.0
+        assert frame.pose.x_mm == pytest.approx(x_mm)
+        assert frame.force_n == (reading_force_n(reading) if time_s >= LAND_S else 0.0)
+        ink = (x_mm + columns > 10.25) & (x_mm + columns < 13.75)
+        assert (frame.image[8][ink] < 128).all()
+    # A point marks the start: without pulses before it, the first letters would rise from nothing.
+    dark = [(frames[0][1].image == 0).any(axis=axis).sum() for axis in (0, 1)]
+    assert dark == pytest.approx([side / pixel_mm for side in reading.electrodes.cell_mm], abs=1)
+    assert (frames[int(SETTLE_S / 0.02) + 2][1].image == 255).all()
+
+
+def test_between_lines_it_is_lifted_for_as_long_as_asked(source_of, make_line):
+    source = source_of(make_line(10.0), make_line(10.0), motion=LineMotion(50.0), pause_s=0.5)
+    source.wait_for(2)
+    frames = frames_of(source)
+    lifted = [each for each in frames if each[0] > 1 and each[2].force_n == 0 and each[1] == 0]
+    assert lifted[-1][0] - lifted[0][0] == pytest.approx(0.5, abs=0.05)
+    assert all((frame.image == 255).all() for *_, frame in lifted)
+    heights = {frame.pose.y_mm for *_, frame in frames}
+    assert heights == {0, source.line_step_mm}
+    assert source.line_step_mm > 16.0
+    assert [frame.number for *_, frame in frames] == list(range(source.frames))
+
+
+def test_text_that_moves_in_steps_stands_still_between_them(source_of, make_line):
+    source = source_of(make_line(), motion=LineMotion(25.0, 2.0))
+    source.wait_for(1)
+    places = [frame.pose.x_mm for *_, frame in frames_of(source) if frame.force_n]
+    assert {round(b - a, 9) for a, b in itertools.pairwise(places)} == {0.0, 2.0}
+
+
+def test_keys_go_forward_back_and_again(source_of, make_line):
+    source = source_of(*[make_line(text=each) for each in "abcd"])
+    source.wait_for(4)
+    said, seen = [], []
+    source.emit = lambda note: said.append((note.time_ns, note.text))
+    for step, key in enumerate(["", "right", "n", "left", "p", "left", "r", "right"]):
+        if key:
+            source.keys[key]()
+        source.read(step)
+        seen.append((source.index, source.words))
+    assert [index for index, _ in seen] == [0, 1, 2, 1, 0, 0, 0, 1]
+    assert [words for _, words in seen] == ["abcd"[index] for index, _ in seen]
+    assert source.title == "a page, line 2 of 4: b"
+    # A line that a key asks for again is announced again.
+    assert said == [(5, "a page, line 1 of 4: a"), (6, "a page, line 1 of 4: a")]
+    assert source.account == "3 lines read: a / b / c"
+    assert source.sheet.number == 1
+
+
+def test_a_pause_stands_still_and_a_line_again_begins_at_its_start(source_of, make_line):
+    source = source_of(make_line())
+    source.wait_for(1)
+    source.read(0)
+    before = source.read(1500 * MS).pose.x_mm
+    assert before > -8
+    source.keys[" "]()
+    assert source.read(5000 * MS).pose.x_mm == before
+    source.keys[" "]()
+    assert source.read(5100 * MS).pose.x_mm == pytest.approx(before + 2.5)
+    source.keys["r"]()
+    assert source.read(5120 * MS).pose.x_mm == -8
+
+
+def test_a_key_can_be_waited_for(source_of, make_line):
+    source = source_of(make_line(10.0), make_line(10.0), motion=LineMotion(50.0), pause_s=math.inf)
+    source.wait_for(2)
+    for step in range(100):
+        source.read(step * 100 * MS)
+    assert source.index == 0
+    source.keys["right"]()
+    source.read(10_000 * MS)
+    assert source.index == 1
+    # After the last there is nothing to wait for.
+    assert source.read(30_000 * MS) is not None
+    assert source.read(30_020 * MS) is None
+
+
+def test_a_line_that_is_late_is_waited_for_in_silence_and_named(source_of, make_line):
+    recognized = threading.Event()
+
+    def lines():
+        yield make_line(text="one")
+        recognized.wait(60)
+        yield make_line(text="two")
+
+    source = source_of(lines())
+    assert source.wait_for(0).text == "one"
+    source.read(0)
+    source.keys["right"]()
+    frame = source.read(20 * MS)
+    assert (frame.force_n, source.total, source.account) == (0.0, None, "1 line read: one")
+    recognized.set()
+    source.wait_for(2)
+    source.read(40 * MS)
+    assert (source.account, source.total) == ("2 lines read: one / two", 2)
+
+
+def test_an_error_comes_after_the_lines_before_it(source_of, make_line):
+    torn = ReadingError("page 2 is torn")
+
+    def broken():
+        yield make_line()
+        raise torn
+
+    source = source_of(broken())
+    assert source.wait_for(0) is not None
+    assert source.read(0) is not None
+    source.keys["right"]()
+    for _ in range(2):
+        with pytest.raises(ReadingError) as caught:
+            source.wait_for(1)
+        assert caught.value is torn
+
+
+def test_of_a_book_only_what_lies_near_is_prepared_and_kept(source_of, make_line):
+    line, made = make_line(), []
+
+    def book():
+        for number in range(1000):
+            made.append(number)
+            yield line
+
+    source = source_of(book())
+    for step in range(200):
+        source.keys["right"]()
+        source.wait_for(step + 1)
+        source.read(step)
+        assert len(made) <= step + AHEAD + 4
+    assert source.index == 200
+    for step in range(200):
+        source.keys["left"]()
+        source.read(1000 + step)
+    assert source.index == 201 - BEHIND
+
+
+def test_closed_it_prepares_no_more_and_lets_go_of_where_lines_come_from(source_of, make_line):
+    let_go, go_on = threading.Event(), threading.Event()
+
+    def endless():
+        try:
+            while True:
+                yield make_line()
+                go_on.wait(60)
+        finally:
+            let_go.set()
+
+    source = source_of(endless())
+    source.wait_for(0)
+    source.close()
+    go_on.set()
+    assert let_go.wait(10)
+
+
+def test_notes_are_told_when_they_arise(source_of, make_line):
+    source, told = source_of(make_line()), []
     source.emit = told.append
     source.read(0)
     source.notes.append("page 1 is doubtful")
@@ -64,54 +233,27 @@ def test_notes_are_told_when_they_arise(reading, feed_of, make_line):
     assert [(note.time_ns, note.text) for note in told] == [(7, "page 1 is doubtful")]
 
 
-def test_a_line_that_is_asked_for_again_is_announced_again(reading, feed_of, make_line):
-    """Each line once by the title; after the key, once more by a note."""
-    marks = [(0, True), (0, False), (1, False), (1, True), (1, False), (1, True), (1, False)]
-    stands = Stands(*(Spot(index, None, marked=marked) for index, marked in marks))
-    source, said = ReadingSource("a page", reading, feed_of(make_line(), make_line()), stands), []
-    source.emit = said.append
-    titles = [(source.read(number), source.title)[1] for number in range(len(marks))]
-    assert [(each.time_ns, each.text) for each in said] == [(5, titles[5])]
-    assert len({*titles}) == 2
+@given(speed=st.floats(1, 500), keys=st.lists(st.sampled_from(["right", "left", "r", " ", ""])))
+def test_whatever_is_pressed_it_stays_on_the_text(speed, keys):
+    lines = [TouchLine(np.full((8, 40), 255, np.uint8), -4.0, 24.0) for _ in range(3)]
+    profile = profile_for_reading(load_profile("electric-mouse"))
+    with ReadingSource("x", profile, iter(lines), LineMotion(speed)) as source:
+        source.wait_for(3)
+        for step, key in enumerate(keys):
+            source.keys.get(key, lambda: None)()
+            frame = source.read(step * 50 * MS)
+            if frame is None:
+                break
+            assert -4.0 <= frame.pose.x_mm <= 24.0
 
 
-def test_lines_lie_one_below_the_other(reading, feed_of, make_line):
-    line = make_line(text="what it says")
-    stands = Stands(*(Spot(index, line, 5.0, 1.0) for index in range(3)))
-    source = ReadingSource("a page", reading, feed_of(line, line, line), stands)
-    heights = [source.read(each).pose.y_mm for each in range(3)]
-    assert np.diff(heights) == pytest.approx([source.line_step_mm] * 2)
-    assert source.line_step_mm > reading.electrodes.extent_mm[1]
-    assert source.title == "a page, line 3 of 3: what it says"
+@pytest.mark.parametrize("speed", [0.0, -1.0, math.nan, math.inf, 1e6])
+def test_impossible_speeds_are_named(speed):
+    with raises(ReadingError, names="speed_mm_s", value=speed):
+        LineMotion(speed)
 
 
-def test_a_line_that_was_late_is_named_all_the_same(reading, make_line):
-    recognized = threading.Event()
-
-    def lines():
-        yield make_line(text="one")
-        recognized.wait(10)
-        yield make_line(text="two")
-
-    feed = LineFeed(lines()).start()
-    first = feed.wait_for(0)
-    stands = Stands(Spot(0, first, 5.0, 1.0), Spot(1, None), Spot(1, None))
-    source = ReadingSource("x", reading, feed, stands)
-    source.read(0)
-    source.read(1)
-    assert source.account == "1 line read: one"
-    recognized.set()
-    assert feed.wait_for(1, 10) is not None
-    source.read(2)
-    feed.close()
-    assert source.account == "2 lines read: one / two"
-    assert source.title.endswith("two")
-
-
-def test_it_heeds_the_keys_of_its_cursor(reading, feed_of, make_line):
-    feed = feed_of(make_line(), make_line())
-    source = ReadingSource("x", reading, feed, SweepingCursor(feed, LineMotion(25.0), 1.0))
-    source.read(0)
-    source.keys["right"]()
-    source.read(20_000_000)
-    assert source.index == 1
+@pytest.mark.parametrize("pause", [-1.0, math.nan, 1e9])
+def test_impossible_pauses_are_named(pause, source_of, make_line):
+    with raises(ReadingError, names="pause_s", value=pause):
+        source_of(make_line(), pause_s=pause)

@@ -1,5 +1,7 @@
 """Texts, images, documents and files of cells, each as what it is."""
 
+import shutil
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -8,7 +10,7 @@ from smarttouch.base.errors import ReadingError
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.profile import load_profile
-from smarttouch.reading.braille_lines import Braille, Presentation
+from smarttouch.reading.braille_lines import Braille
 from smarttouch.reading.letter_shapes import Shapes, thin
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions
@@ -40,27 +42,22 @@ def source_of(tmp_path, notes):
     return make
 
 
-def test_a_text_is_printed_and_found_again(source_of, reading):
-    lines = list(Shapes().lines(source_of("text:Three lines\nof print\nare here"), reading))
-    assert len(lines) == 3
+def test_a_text_is_printed_and_fills_the_array(source_of, reading):
+    lines = list(Shapes().lines(source_of("text:Three lines\nof print\nare deeper"), reading))
+    assert [line.text for line in lines] == ["Three lines", "of print", "are deeper"]
     for line in lines:
         assert line.image.shape[0] == reading.optics.sensor_rows
-        assert line.image.min() < 40
         assert line.start_mm == -8
         assert line.end_mm > 40
+    rows = np.flatnonzero((lines[-1].image < 128).any(axis=1))
+    assert rows[0] <= 3
+    assert rows[-1] >= reading.optics.sensor_rows - 4
 
 
 @pytest.mark.parametrize("words", ["I", "HHH", "o", ".", "1 + 1 = 2"])
 def test_nothing_is_too_short_to_be_felt(source_of, reading, words):
     (line,) = Shapes().lines(source_of(f"text:{words}"), reading)
     assert (line.image < 128).any()
-
-
-def test_a_printed_line_fills_the_array_from_ascender_to_descender(source_of, reading):
-    (line,) = Shapes().lines(source_of("text:dp"), reading)
-    rows = np.flatnonzero((line.image < 128).any(axis=1))
-    assert rows[0] <= 3
-    assert rows[-1] >= reading.optics.sensor_rows - 4
 
 
 def test_optics_and_their_registration_play_no_part(profile):
@@ -76,39 +73,47 @@ def test_optics_and_their_registration_play_no_part(profile):
 def test_few_rows_are_reported_and_fewer_are_refused(source_of, notes):
     four = profile_for_reading(load_profile("smarttouch-4x4"))
     assert list(Shapes().lines(source_of("text:hi"), four))
-    assert len(notes) == 1
-    assert "smarttouch-4x4" in notes[0]
-    assert "4 rows" in notes[0]
-    assert "Braille" in notes[0]
+    (note,) = notes
+    assert all(words in note for words in ("smarttouch-4x4", "4 rows", "Braille"))
     with raises(ReadingError, names="profile", value=1, allowed=4):
         list(Shapes().lines(source_of("text:hi"), profile_for_reading(load_profile("line-7"))))
 
 
-def test_a_long_text_file_is_printed_in_parts(tmp_path, reading):
+def test_a_long_text_file_is_printed_in_parts(tmp_path):
     (tmp_path / "long.txt").write_text("\n".join(f"line number {each}" for each in range(30)))
     source = ReadingMaterial(str(tmp_path / "long.txt"))
     assert [len(page.lines) for page in source.prepared()] == [20, 10]
-    assert len(list(Shapes().lines(source, reading))) == 30
 
 
-def test_pages_come_in_the_order_asked_for(source_of, reading):
-    source = source_of("three.tif", "wide wide wide", "n", "words here", pages="2,1")
-    lengths = [line.end_mm for line in Shapes().lines(source, reading)]
+def test_pages_come_in_the_order_asked_for_and_blank_ones_are_reported(source_of, reading, notes):
+    pages = "n", "", "wide wide wide", "", "words here"
+    lengths = [
+        line.end_mm
+        for line in Shapes().lines(source_of("five.tif", *pages, pages="3,2,1,4"), reading)
+    ]
     assert len(lengths) == 2
-    assert lengths[0] < lengths[1]
-
-
-def test_blank_pages_are_reported(source_of, reading, notes):
-    source = source_of("four.tif", "", "some words", "", "and more")
-    assert len(list(Shapes().lines(source, reading))) == 2
-    (note,) = notes
-    assert note.endswith("page 1, 3")
+    assert lengths[0] > lengths[1]
+    assert notes[-1].endswith("page 2, 4")
 
 
 def test_where_nothing_is_found_that_is_the_error(source_of, reading):
     for kind in (Shapes(), Braille()):
         with pytest.raises(ReadingError, match="no line of text"):
             list(kind.lines(source_of("two.tif", "", ""), reading))
+
+
+@pytest.mark.skipif(shutil.which("tesseract") is None, reason="needs Tesseract")
+def test_paragraphs_are_put_together_across_pages(source_of):
+    text = "Some words that are di-\nvided by a line, and\nmore of them"
+    rest = (
+        "follow on the next page.\n\n"
+        "Another paragraph of it\nwhich fills all of its\nlines and ends."
+    )
+    source = source_of("two.tif", text, rest)
+    assert source.paragraphs(lambda _: None) == [
+        "Some words that are divided by a line, and more of them follow on the next page.",
+        "Another paragraph of it which fills all of its lines and ends.",
+    ]
 
 
 def test_thinning_keeps_a_hole_open():
@@ -127,27 +132,5 @@ def test_words_and_cells_are_distinguished(tmp_path, reading):
     assert ReadingMaterial(str(tmp_path / "a.txt")).words == "ab"
     assert ReadingMaterial("text:it is in a.brf").words == "it is in a.brf"
     assert not ReadingMaterial("text:it is in a.brf").holds_cells
-    for name in ("a.brf", "a.txt"):
-        lines = list(Braille().lines(ReadingMaterial(str(tmp_path / name)), reading))
-        assert [line.cells for line in lines] == ["⠁⠃"]
     with raises(ReadingError, allowed="Braille"):
         list(Shapes().lines(ReadingMaterial(str(tmp_path / "a.brf")), reading))
-
-
-def test_lines_of_braille_have_their_words(source_of, reading):
-    lines = list(Braille().lines(source_of("text:ab\n\nc"), reading))
-    assert [(line.cells, line.text) for line in lines] == [("⠁⠃", "ab"), ("⠉", "c")]
-
-
-def test_eight_dots_where_they_are_needed(source_of, reading):
-    eight = next(Braille().lines(source_of("text:⣿⠿"), reading))
-    assert eight.cells == "⣿⠿"
-    assert Braille().layout(reading, eight.cells).eight
-    assert not Braille().layout(reading, "⠿").eight
-
-
-def test_a_cell_stays_as_long_as_a_line_takes_to_move_on_by_one(reading):
-    line = Braille(presentation=Presentation.LINE).motion(reading, 30.0)
-    cell = Braille(presentation=Presentation.CELL).motion(reading, 30.0)
-    assert (line.step_mm, line.gaps, cell.gaps) == (2.0, False, True)
-    assert cell.step_mm / cell.speed_mm_s == pytest.approx(6.0 / 30.0)

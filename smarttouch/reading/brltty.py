@@ -1,0 +1,332 @@
+"""``brltty:``: the cells of a screen reader, BRLTTY, move through under the finger.
+
+BRLTTY's virtual driver connects to a port of this process. The display sends ``cells 20``, names
+of BRLTTY's commands, and ``quit``. BRLTTY sends the content of the display as ``Visual "Hello"``
+and ``Braille "1257|15|123|123|135"``: the dots of each cell between bars, and a space where there
+are none. Quotes and backslashes follow a backslash. BrlAPI cannot replace this: its clients write
+to a display, and cannot read what it shows.
+"""
+
+import contextlib
+import re
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+import cv2
+import numpy as np
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import SourceError, require_within
+from smarttouch.braille.cells import BLANK
+from smarttouch.imaging.array_window import reading_force_n, usual_speed_mm_s
+from smarttouch.profile import Profile
+from smarttouch.reading.braille_lines import CellLayout, cell_layout
+from smarttouch.reading.line_source import FASTEST_MM_S, LINE_GAP_MM, SLOWEST_MM_S
+from smarttouch.sources.source_contract import Pose, Stimulus, StimulusSource
+
+LONGEST_LINE = 16_384  # bytes of a message
+MOST_CELLS = 255
+USUAL_CELLS, USUAL_PORT = 20, 35752  # BRLTTY's virtual driver connects to this port by default
+REST_S = 0.3  # time for which the first cell after a jump stays before the others follow
+_ACCEPT_S, _JOIN_S = 0.25, 1.0
+_MESSAGE = re.compile(r'(Braille|Visual) "(.*)"\s*')
+_DOTS = re.compile(r" ?|1?2?3?4?5?6?7?8?")
+_CURSOR = 0b1100_0000
+
+
+@dataclass(frozen=True)
+class DisplayContent:
+    """Content of the display: cells, their text, the count of updates, and when it arrived."""
+
+    cells: str = ""
+    text: str = ""
+    number: int = 0
+    time_ns: int = 0  # of time.perf_counter_ns; 0 if unknown
+
+    @property
+    def cursor(self) -> int | None:
+        """Index of the cursor, the only cell with dots 7 and 8; None without one."""
+        under = [index for index, cell in enumerate(self.cells) if ord(cell) & _CURSOR == _CURSOR]
+        return under[0] if len(under) == 1 else None
+
+    @property
+    def length(self) -> int:
+        """Number of cells up to the last that is not blank."""
+        return len(self.cells.rstrip(BLANK))
+
+    def first_new(self, before: "DisplayContent") -> int | None:
+        """Return the first cell to be presented again; None if nothing but a cursor has changed.
+
+        A cursor at the first change or right behind it means typing: that cell; otherwise the
+        line is another one, presented from its beginning.
+        """
+        size = max(len(self.cells), len(before.cells))
+        now, former = (each.cells.ljust(size, BLANK) for each in (self, before))
+        for index, (cell, other) in enumerate(zip(now, former, strict=True)):
+            if (ord(cell) ^ ord(other)) & ~_CURSOR:
+                cursor = self.cursor
+                return index if cursor is not None and 0 <= cursor - index <= 1 else 0
+        return None
+
+
+def parse_message(line: bytes) -> tuple[str, str]:
+    """Return the kind of a message, ``Visual`` or ``Braille``, and its text or cells.
+
+    Both are empty if the line is not a message.
+    """
+    match = _MESSAGE.fullmatch(line.decode("utf-8", "replace"))
+    kind, content = match.groups() if match else ("", "")
+    if kind != "Braille":
+        return kind, re.sub(r"\\(.)", r"\1", content).rstrip()
+    dots = content.split("|")
+    if len(dots) > MOST_CELLS or not all(map(_DOTS.fullmatch, dots)):
+        return "", ""
+    patterns = (sum(1 << (int(dot) - 1) for dot in cell.strip()) for cell in dots)
+    return kind, "".join(chr(ord(BLANK) + pattern) for pattern in patterns)
+
+
+class BrlttyConnection:
+    """Port at which BRLTTY finds a display; keeps the newest cells and sends commands.
+
+    BRLTTY may end and connect again.
+
+    Parameters
+    ----------
+    address : str
+        ``PORT`` of this machine, or ``HOST:PORT`` of one of its addresses; 35752 by default.
+    cells : int
+        Width reported to BRLTTY.
+
+    Attributes
+    ----------
+    shown : DisplayContent, optional
+        Newest content; None without a connection.
+    """
+
+    def __init__(self, address: str, cells: int = USUAL_CELLS) -> None:
+        host, _, port = address.rpartition(":")
+        number = int(port or USUAL_PORT) if re.fullmatch(r"\d{0,5}", port) else 0
+        if not 0 < number < 65536:
+            raise SourceError(
+                f"{address!r} is not an address: give PORT or HOST:PORT, for example {USUAL_PORT}"
+            )
+        if not 1 <= cells <= MOST_CELLS:
+            raise SourceError(f"a display of {cells} cells is not possible: give 1 to {MOST_CELLS}")
+        self.address: tuple[str, int] = (host.strip("[]") or "127.0.0.1", number)
+        self.cells: int = cells
+        self.shown: DisplayContent | None = None
+        self._number = 0
+        self._closing = threading.Event()
+        self._line: socket.socket | None = None
+
+    def open(self) -> Self:
+        """Listen for BRLTTY."""
+        try:
+            listener = socket.create_server(self.address, backlog=1)
+        except (OSError, UnicodeError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise SourceError(f"cannot listen at {self}: {reason}: give another port") from None
+        listener.settimeout(_ACCEPT_S)
+        self._thread = threading.Thread(
+            target=self._keep, args=(listener,), name="brltty", daemon=True
+        )
+        self._thread.start()
+        return self
+
+    def __str__(self) -> str:
+        return ":".join(map(str, self.address))
+
+    def send(self, command: str) -> None:
+        """Send a command of BRLTTY's, such as ``fwinrt``; it is dropped without a connection."""
+        line = self._line
+        if line is not None:
+            with contextlib.suppress(OSError):
+                line.sendall(f"{command}\r\n".encode())
+
+    def close(self) -> None:
+        """End the connection; BRLTTY tries to reconnect by itself."""
+        self._closing.set()
+        if self._line is not None:
+            with contextlib.suppress(OSError):
+                self._line.shutdown(socket.SHUT_RDWR)
+        self._thread.join(_JOIN_S)
+
+    def _keep(self, listener: socket.socket) -> None:
+        with listener:
+            while not self._closing.is_set():
+                with contextlib.suppress(OSError), listener.accept()[0] as line:
+                    self._serve(line)
+                self.shown = self._line = None
+
+    def _serve(self, line: socket.socket) -> None:
+        """Read messages until the connection ends."""
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        line.settimeout(None)
+        line.sendall(f"cells {self.cells}\r\n".encode())
+        self._line = line
+        text = ""
+        with line.makefile("rb") as messages:
+            while not self._closing.is_set() and (data := messages.readline(LONGEST_LINE)):
+                kind, content = parse_message(data)
+                if kind == "Visual":
+                    text = content
+                elif kind == "Braille":
+                    self._number += 1
+                    self.shown = DisplayContent(content, text, self._number, time.perf_counter_ns())
+
+
+def open_brltty(
+    rest: str, profile: Profile, *, cells: int = USUAL_CELLS, speed_mm_s: float | None = None
+) -> "BrailleDisplaySource":
+    """Open ``brltty:PORT`` or ``brltty:HOST:PORT``, to which BRLTTY connects.
+
+    The port is 35752 of this machine if none is given; the speed follows the profile's pulse rate.
+    """
+    connection = BrlttyConnection(rest, cells)
+    source = BrailleDisplaySource(connection, profile, speed_mm_s)
+    connection.open()
+    return source
+
+
+class BrailleDisplaySource(StimulusSource):
+    """Presents the cells that BRLTTY shows, one electrode a dot; closes the connection with itself.
+
+    Changed cells are presented from the first that is new, and where only the cursor moved, from
+    there, up to the last cell. Nothing is presented without BRLTTY.
+    """
+
+    knows_force = True
+    ended = "the display is switched off"
+    keys_help = "← →  window    n p  line    [ ]  cell    r  again    Enter  route    h  cursor    "
+
+    def __init__(
+        self, connection: BrlttyConnection, profile: Profile, speed_mm_s: float | None = None
+    ) -> None:
+        super().__init__(f"BRLTTY at {connection}")
+        speed_mm_s = usual_speed_mm_s(profile) if speed_mm_s is None else speed_mm_s
+        require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
+        self.connection: BrlttyConnection = connection
+        self.layout: CellLayout = cell_layout(profile, eight=True)
+        self._name = self.title
+        self._press_n = reading_force_n(profile)
+        self._shape = (profile.optics.sensor_columns, profile.optics.sensor_rows)
+        self._columns_a_s = speed_mm_s / self.layout.pitch_mm[0]
+        self._shown = DisplayContent()
+        self._dots = np.zeros((self.layout.rows, 0), np.bool_)
+        self._first, self._since_s = 0, 0.0
+        """Cell at the start of the motion, and its duration so far."""
+        self._cursor: int | None = None
+        self._before_ns: int | None = None
+        self._paused = False
+        self._jumps = 0
+        self._place: tuple[int, int] | None = None
+        self._asked: deque[Callable[[], None]] = deque()
+
+    @property
+    def cell(self) -> int:
+        """Index of the cell in the middle of the array."""
+        return min(self._step() // self.layout.cell, max(0, len(self._shown.cells) - 1))
+
+    @property
+    def update(self) -> int:
+        """Number of the update under the finger."""
+        return self._shown.number
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the last cell has passed."""
+        return self._step() - self.layout.margin >= self._dots.shape[1]
+
+    @property
+    def keys(self) -> dict[str, Callable[[], None]]:
+        """Commands to BRLTTY and to the finger, callable from any thread."""
+        send = self.connection.send
+        return {
+            "right": lambda: send("fwinrt"),
+            "left": lambda: send("fwinlt"),
+            "n": lambda: send("lndn"),
+            "p": lambda: send("lnup"),
+            "h": lambda: send("home"),
+            "\n": lambda: send(f"route {self.cell}"),
+            "\r": lambda: send(f"route {self.cell}"),
+            "r": lambda: self._asked.append(lambda: self._go_to(0)),
+            "]": lambda: self._asked.append(lambda: self._go_to(self.cell + 1)),
+            "[": lambda: self._asked.append(lambda: self._go_to(max(0, self.cell - 1))),
+            " ": lambda: self._asked.append(self._toggle_pause),
+        }
+
+    def read(self, time_ns: int) -> Stimulus | None:
+        """Return the cells under the array at a time; stale while BRLTTY is away."""
+        shown, age_ns = self.connection.shown, 0
+        elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
+        self._before_ns = time_ns
+        while self._asked:
+            self._asked.popleft()()
+        if shown is not None and shown != self._shown:
+            age_ns = max(0, time.perf_counter_ns() - shown.time_ns)
+            self._take(shown)
+        elif shown is not None and not self._paused:
+            self._since_s += elapsed_s
+        step, layout = self._step(), self.layout
+        if self._place != (self._shown.number, step):
+            self._place = (self._shown.number, step)
+            self.frames += 1
+        self.title: str = f"{self._name}: {self._shown.text if shown else 'waiting for it'}"
+        # Columns of the text under the array; blank where there are none.
+        left = step - layout.margin
+        window = np.zeros((layout.rows, layout.columns), np.bool_)
+        first, last = max(left, 0), min(left + layout.columns, self._dots.shape[1])
+        window[:, first - left : max(first, last) - left] = self._dots[:, first:last]
+        light = np.where(window, 0, 255).astype(np.uint8)
+        image = cv2.resize(light, self._shape, interpolation=cv2.INTER_NEAREST)
+        activation = np.zeros((len(Afferent), window.size), np.float32)
+        activation[:] = window.ravel()
+        # Every jump is a line of the sheet on which poses are.
+        across, down = layout.pitch_mm
+        pose = Pose(
+            (left + layout.columns / 2) * across, self._jumps * (layout.rows * down + LINE_GAP_MM)
+        )
+        return Stimulus(
+            activation, time_ns, self._press_n, pose=pose, number=self.frames - 1,
+            age_ns=age_ns, stale=shown is None, image=np.asarray(image, np.uint8),
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """Close the connection to BRLTTY."""
+        self.connection.close()
+
+    def _toggle_pause(self) -> None:
+        self._paused = not self._paused
+
+    def _go_to(self, cell: int) -> None:
+        self._jumps += 1
+        self._first, self._since_s = cell, 0.0
+
+    def _take(self, shown: DisplayContent) -> None:
+        """Take over what BRLTTY shows, and go to its first new cell."""
+        before, self._shown = self._shown, shown
+        if shown.number == before.number:
+            return
+        missed = shown.number - before.number - 1
+        self.frames += missed
+        self.dropped_frames += missed
+        rows, columns = self.layout.dots_of(shown.cells)
+        self._dots = np.zeros((self.layout.rows, max(shown.length * self.layout.cell, 1)), np.bool_)
+        self._dots[rows, columns] = True
+        new, cursor = shown.first_new(before), shown.cursor
+        if new is None and cursor is not None and cursor != self._cursor:
+            new = cursor
+        self._cursor = self._cursor if cursor is None else cursor
+        if new is not None:
+            self._go_to(new)
+
+    def _step(self) -> int:
+        """Return the column of the text in the middle of the array; at last, that behind it."""
+        moved_s = max(0.0, self._since_s - REST_S)
+        step = self._first * self.layout.cell + int(moved_s * self._columns_a_s + 1e-6)
+        return min(step, self._shown.length * self.layout.cell + self.layout.margin)

@@ -1,0 +1,213 @@
+"""Delivered pulses are put back together, felt by fingers and compared with a text."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ReadingError, SafetyError
+from smarttouch.imaging.array_window import usual_speed_mm_s
+from smarttouch.imaging.tactile_mapper import Tone
+from smarttouch.kernels.bank import load_bank
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.response import response_quality
+from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.profile import Profile, load_profile
+from smarttouch.reading.legibility import (
+    DeliveredLine,
+    LineDelivery,
+    character_error_rate,
+    deliver_lines,
+    deliver_pulses,
+    normalize,
+    read_at_nerve,
+)
+from smarttouch.reading.letter_shapes import Shapes
+from smarttouch.reading.line_source import LineMotion
+from smarttouch.running.delivered import PIXELS_PER_PITCH, LinePicture, delivered_spikes
+from smarttouch.sources.source_contract import Pose
+from smarttouch.stimulation.scan_sequence import SlotPolicy
+
+from ..raising import raises
+
+GRADED = Tone(0.0, 1.0, prepared=True)
+
+
+@pytest.mark.parametrize(("truth", "text", "rate"), [
+    ("touch", "touch", 0), ("touch", "touches", 2 / 5), ("finger tip", "finger lip", 1 / 10),
+    ("finger tip", "fingertip", 1 / 10), ("finger tip", "", 1), ("a", "aaaa", 3),
+    ("Case counts", "case counts", 1 / 11),
+])  # fmt: skip
+def test_known_rates(truth, text, rate):
+    assert character_error_rate(truth, text) == pytest.approx(rate)
+
+
+@pytest.mark.parametrize(("one", "other"), [
+    ("“so”, ‘he’ said", "\"so\", 'he' said"), ("„so“ «so»", '"so" "so"'), ("don´t", "don't"),
+    ("1914–18 — a war", "1914-18 - a war"), ("a\N{SOFT HYPHEN}way", "away"),
+    ("ﬁnal oﬃce", "final office"), ("and so on…", "and so on..."),
+    ("e\N{COMBINING ACUTE ACCENT}te", "éte"),
+    (" two\n\nlines\t\N{NO-BREAK SPACE}of text ", "two lines of text"),
+])  # fmt: skip
+def test_what_makes_no_difference(one, other):
+    assert normalize(one) == normalize(other) == other
+    assert character_error_rate(one, other) == 0
+
+
+@given(st.text(max_size=30))
+def test_normalizing_twice_changes_nothing_more(text):
+    assert normalize(normalize(text)) == normalize(text)
+
+
+def test_there_must_be_a_truth_and_the_extra(monkeypatch):
+    with raises(ReadingError):
+        character_error_rate(" \n\t", "text")
+    for name in ("rapidfuzz", "rapidfuzz.distance", "rapidfuzz.distance.Levenshtein"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(ReadingError, match=r"smarttouch\[legibility\]"):
+        character_error_rate("a", "b")
+
+
+@pytest.fixture
+def way(reading, reading_bank):
+    return LineDelivery(reading, reading_bank, GRADED, LineMotion(usual_speed_mm_s(reading)))
+
+
+def felt_along(picture):
+    """Return the mean of each column of a picture, by millimeters."""
+    values = picture.values()
+    return (np.arange(values.shape[1]) + 0.5) * 2.0 / PIXELS_PER_PITCH, values.mean(axis=0)
+
+
+def test_bars_are_felt_where_they_are(way, make_line):
+    bars = [(10.0, 16.0), (0.0, 10.0)]
+    first, second = (
+        each.picture for each in deliver_lines([make_line(30, bar) for bar in bars], way)
+    )
+    x_mm, felt = felt_along(first)
+    assert felt[(x_mm > 12) & (x_mm < 14)].min() > 0.9
+    assert felt[(x_mm < 7) | (x_mm > 19)].max() < 0.1
+    assert (x_mm * felt).sum() / felt.sum() == pytest.approx(13.0, abs=0.2)
+    # A finger that is lifted at the end of a line makes nothing paler: what is missing from 1 are
+    # parts of a microampere.
+    x_mm, y_mm = np.meshgrid([3.0, 5.0], np.arange(1.0, 16, 2.0))
+    assert second.at(x_mm.ravel(), y_mm.ravel()).min() > 0.99
+
+
+def test_many_points_in_a_slot_are_felt_as_they_are_one_by_one(way, make_line):
+    line = make_line(20.0, (6.0, 9.0))
+    by_points = deliver_pulses(line, way).picture.values()
+    shared = replace(way, sharing=SlotPolicy((Afferent.RA,)))
+    at_once = deliver_pulses(line, shared).picture.values()
+    # Plans may fall short of the fullest activation by 4 %, which is 8 % above the threshold.
+    assert np.abs(at_once - by_points).max() < 0.12
+    assert not np.array_equal(at_once, by_points)
+
+
+def test_nothing_unsafe_is_delivered(way, make_line, reading):
+    """The board of a measurement is behind the same gate as any other."""
+    limits = reading.limits.model_copy(update={"current_ma": 0.5})
+    too_much = Profile.model_construct(**(dict(reading) | {"limits": limits}))
+    with pytest.raises(SafetyError):
+        deliver_pulses(make_line(), LineDelivery(too_much, way.bank, way.tone, way.motion))
+
+
+def test_values_count_where_their_electrodes_were(reading):
+    picture = LinePicture(reading.electrodes, 40.0)
+    values = np.zeros(64, np.float32)
+    values[8 * 3 + 5] = 1.0
+    picture.add(20.0, values)
+    picture.add(-100.0, np.ones(64, np.float32))
+    row, column = np.unravel_index(picture.values().argmax(), picture.values().shape)
+    x_mm, y_mm = reading.electrodes.position_mm[8 * 3 + 5]
+    assert (column + 0.5) / 2 == pytest.approx(20.0 + x_mm, abs=0.3)
+    assert (row + 0.5) / 2 == pytest.approx(8.0 + y_mm, abs=0.3)
+    assert (picture.values() > 0.5).sum() < 20
+    assert picture.picture(64).shape == (64, 160)
+
+
+def test_plain_shapes_are_on_or_off_and_graded_ones_are_not():
+    ink = np.linspace(0, 1, 11).astype(np.float32)
+    plain, graded = ink.copy(), ink.copy()
+    Shapes().tone.apply(plain)
+    Shapes(graded=True).tone.apply(graded)
+    assert plain.tolist() == [0.0] * 3 + [1.0] * 8
+    np.testing.assert_allclose(graded, ink)
+
+
+@pytest.fixture(scope="module")
+def delivered():
+    """Return a line of which one electrode's kernel is delivered halfway, and nothing elsewhere."""
+    profile = load_profile("smarttouch-4x4")
+    kernel = load_bank(profile).kernels(Afferent.RA)[5] * profile.full_ma[5] * 1000
+    answer = np.zeros(16, np.float32)
+    answer[5] = 1
+    line = DeliveredLine(
+        LinePicture(profile.electrodes, 20.0), 20.0,
+        {1: Pose(4.0, 0.0), 2: Pose(10.0, 0.0), 3: Pose(16.0, 0.0)},
+        dict.fromkeys((1, 2, 3), answer > 0), {2: answer},
+        np.array([2], np.uint32), np.array([200], np.float32),
+        np.round(kernel)[None].astype(np.int16),
+    )  # fmt: skip
+    return profile, line
+
+
+def test_what_is_felt_lies_around_the_electrode_that_was_delivered(delivered):
+    profile, line = delivered
+    found = read_at_nerve([line], Finger(profile, 1, "paper"), [Afferent.RA])
+    (picture,) = found.pictures
+    x_mm = profile.electrodes.position_mm[5, 0] + np.array([4.0, 10.0, 16.0])
+    y_mm = np.full(3, profile.electrodes.position_mm[5, 1] + profile.electrodes.extent_mm[1] / 2)
+    first, middle, last = picture.at(x_mm, y_mm)
+    assert middle > max(first, last)
+    assert found.silent_points == 0
+    assert 0 <= found.wrong_class <= 1
+
+
+def test_a_line_that_is_never_delivered_is_not_felt(delivered):
+    profile, line = delivered
+    nothing = replace(
+        line, answers={}, numbers=line.numbers[:0], width_us=line.width_us[:0],
+        current_ua=line.current_ua[:0],
+    )  # fmt: skip
+    found = read_at_nerve([nothing], Finger(profile, 1, "paper"), [Afferent.RA])
+    assert not found.pictures[0].values().any()
+    assert np.isnan(found.silent_points)
+
+
+@pytest.mark.parametrize("anatomy", ["paper", "branched"])
+def test_patterns_of_lines_before_change_no_spike(anatomy):
+    """A page's slots, with one model for all lines and with a new one for each: to the bit."""
+    profile = load_profile("smarttouch-4x4")
+    finger, rng = Finger(profile, 1, anatomy), np.random.default_rng(1)
+    kernels = load_bank(profile).kernels(Afferent.RA) * profile.full_ma[:, None] * 1000
+    model, fired = SpikeModel(finger), 0
+    for _ in range(4):
+        site, level = rng.integers(0, 16, 600), rng.uniform(0.3, 1, 600)
+        current_ua = np.rint(kernels[site] * level[:, None]).astype(np.int16)
+        numbers, width_us = np.arange(600, dtype=np.uint32) // 6, np.full(600, 200, np.float32)
+        slots = numbers, width_us, current_ua, dict.fromkeys(range(100), 20_000)
+        shared = delivered_spikes(finger, *slots, model=model)
+        alone = delivered_spikes(finger, *slots)
+        assert shared.keys() == alone.keys()
+        assert all(np.array_equal(shared[each], alone[each]) for each in alone)
+        fired += sum(int(each.sum()) for each in alone.values())
+    assert fired > 500
+
+
+def test_silent_is_of_what_was_meant_and_not_of_what_was_delivered(delivered):
+    """The measure of `ResponseQuality`, which letters and the window have too."""
+    profile, line = delivered
+    wide = replace(line, meant={2: np.ones(16, np.bool_)})
+    finger = Finger(profile, 1, "paper")
+    found = read_at_nerve([wide], finger, [Afferent.RA])
+    assert found.silent_points > 0.5
+    period_us = {2: round(1e6 / profile.pulse.rate_hz)}
+    counts = delivered_spikes(finger, line.numbers, line.width_us, line.current_ua, period_us)[2]
+    quality = response_quality(finger, counts, wide.meant[2], [Afferent.RA])
+    assert found.silent_points == quality.silent_points
+    assert found.misplaced == pytest.approx(quality.misplaced, nan_ok=True)
