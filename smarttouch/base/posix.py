@@ -6,7 +6,9 @@ works.
 
 import errno
 import os
+import signal
 import sys
+import threading
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # a module cannot be None for a type checker; users of one check first
@@ -53,3 +55,11 @@ def try_lock(number: int, shared: bool = False) -> bool:
 def user_number() -> int | None:
     """Return the number of this process's user; None where users have none."""
     return os.geteuid() if hasattr(os, "geteuid") else None
+
+
+def interrupt_main_thread() -> None:
+    """Send SIGTERM to the main thread of this process, so that it ends what it waits for."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+    else:
+        signal.raise_signal(signal.SIGTERM)

@@ -9,14 +9,13 @@ process id and start time only tell which run has ended or did not answer.
 import json
 import os
 import socket
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 from uuid import uuid4
 
 from platformdirs import user_state_path
@@ -45,6 +44,14 @@ class _Run:
 
     def path(self, kind: str) -> Path:
         return registry_folder() / f"{self.id}.{kind}"
+
+    def has(self, kind: str) -> bool:
+        return os.path.lexists(self.path(kind))
+
+    def remove(self, *kinds: str) -> None:
+        for kind in kinds:
+            with suppress(OSError):
+                self.path(kind).unlink()
 
     @property
     def name(self) -> str:
@@ -75,14 +82,8 @@ class _Run:
             return False
         return _start_ns(self.pid) != self.start_ns if self.start_ns else not self.is_locked
 
-    def remove(self, *kinds: str) -> None:
-        for kind in kinds or ("json", "lock", "stop"):
-            with suppress(OSError):
-                self.path(kind).unlink()
 
-
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """What is known of a run after a stop, in a sentence, and whether it has confirmed zero."""
 
     sentence: str
@@ -92,11 +93,12 @@ class Answer:
 class RunEntry:
     """The entry of this process in the run registry.
 
-    ``on_stop`` is called from a thread with the reason for which this process must end, and with a
-    function to call with whether all its boards have confirmed zero.
+    ``on_stop`` is called from a thread with the reason for which this process must end; it returns
+    whether all boards have confirmed zero.
     """
 
-    def __init__(self, on_stop: Callable[[str, Callable[[bool], None]], None]) -> None:
+    def __init__(self, on_stop: Callable[[str], bool]) -> None:
+        self.lost_a_board = False  # whether one was closed that had not confirmed zero
         self._on_stop = on_stop
         self._run, self._lock_number = _Run(uuid4().hex), -1
         self._over, self._changing = threading.Event(), threading.RLock()
@@ -106,37 +108,36 @@ class RunEntry:
     @property
     def is_asked(self) -> bool:
         """Whether a stop has asked this run to end."""
-        return os.path.lexists(self._run.path("stop"))
+        return self._run.has("stop")
 
     def declare(self, current_ua: int, most_ua: int = 0) -> int:
         """Enter the current that all boards of this process may drive together, and return the
         sum of all runs, µA; if it rises above ``most_ua``, nothing is entered."""
-        with self._writing():
-            if current_ua <= self._run.current_ua:
+        if current_ua <= self._run.current_ua:
+            self._enter(current_ua)
+            return current_ua
+        with _registry_lock():
+            others = [run for run in _listed() if run.id != self._run.id and not run.has_ended]
+            total_ua = current_ua + sum(
+                run.current_ua for run in others if run.is_locked or run.is_here
+            )
+            if total_ua <= most_ua:
                 self._enter(current_ua)
-                return current_ua
-            with _registry_lock():
-                others = [run for run in _listed() if run.id != self._run.id and not run.has_ended]
-                total_ua = current_ua + sum(
-                    run.current_ua for run in others if run.is_locked or run.is_here
-                )
-                if total_ua <= most_ua:
-                    self._enter(current_ua)
         return total_ua
 
-    def withdraw(self, at_zero: bool) -> None:
+    def withdraw(self) -> None:
         """Remove the entry; a stop under way learns whether all boards have confirmed zero."""
         with self._changing:
             self._over.set()
-            if not at_zero:
+            if self.lost_a_board:
                 with suppress(OSError):
                     self._run.path("unconfirmed").touch(0o600)
-            self._answer(at_zero)
-            self._run.remove()
-            os.close(self._lock_number)
+            self._answer(not self.lost_a_board)
+            self.close()
+            self._run.remove("json", "lock", "stop", "zero")
 
-    def close_inherited(self) -> None:
-        """Release the lock in a forked process: the entry stays the parent's."""
+    def close(self) -> None:
+        """Release the lock: of a forked process, whose entry stays the parent's."""
         os.close(self._lock_number)
 
     def _enter(self, current_ua: int) -> None:
@@ -144,63 +145,49 @@ class RunEntry:
             start_ns = _start_ns(os.getpid())
             self._run = _Run(self._run.id, *_place(), os.getpid(), start_ns, current_ua)
             if not self._over.is_set():
-                _write_json(self._run.path("json"), asdict(self._run))
+                _write(self._run.path("json"), json.dumps(asdict(self._run)))
 
     def _announce(self) -> None:
-        with self._writing():
-            registry_folder().mkdir(mode=0o700, parents=True, exist_ok=True)
-            flags = os.O_RDWR | os.O_CREAT | O_CLOEXEC | O_NOFOLLOW
-            number = os.open(self._run.path("lock"), flags, 0o600)
-            # Where the file system has no locks, the run is asked all the same.
-            try_lock(number)
-            if self._lock_number >= 0:
-                os.close(self._lock_number)
-            self._lock_number = number
-            self._enter(self._run.current_ua)
-
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            path = error.filename or registry_folder()
-            raise SmartTouchError(
-                f"cannot write {path}, by which smarttouch stop finds this run: {error.strerror}; "
-                "set XDG_STATE_HOME to a folder that you can write to"
-            ) from None
+        registry_folder().mkdir(mode=0o700, parents=True, exist_ok=True)
+        flags = os.O_RDWR | os.O_CREAT | O_CLOEXEC | O_NOFOLLOW
+        number = os.open(self._run.path("lock"), flags, 0o600)
+        # Where the file system has no locks, the run is asked all the same.
+        try_lock(number)
+        if self._lock_number >= 0:
+            self.close()
+        self._lock_number = number
+        self._enter(self._run.current_ua)
 
     def _watch(self) -> None:
         looks = 0
         while not self._over.wait(_LOOK_S):
             looks += 1
-            reason = "smarttouch stop" if self.is_asked else ""
-            if looks % _LOOKS_PER_CHECK == 0:
-                reason = reason or self._check()
-            if reason:
-                self._on_stop(reason, self._answer)
+            reason = "" if looks % _LOOKS_PER_CHECK else self._announce_again()
+            if self.is_asked or reason:
+                self._answer(self._on_stop(reason or "smarttouch stop"))
 
-    def _check(self) -> str:
+    def _announce_again(self) -> str:
         """Announce this run again if its files are gone; return why it must end, if it must."""
-        with self._changing:
-            with suppress(OSError):
-                lock, held = self._run.path("lock").stat(), os.fstat(self._lock_number)
-                if self._run.path("json").exists() and os.path.samestat(lock, held):
+        try:
+            with self._changing:
+                if self._over.is_set() or self._is_there():
                     return ""
-            if self._over.is_set():
-                return ""
-            try:
                 self._announce()
-            except SmartTouchError as error:
-                return str(error)
+        except OSError as error:
+            return f"the loss of {self._run.path('json')} ({error.strerror})"
         # A stop that came meanwhile did not find this run, but it left its mark.
         return "smarttouch stop" if stopped_since_start() else ""
 
+    def _is_there(self) -> bool:
+        with suppress(OSError):
+            lock, held = self._run.path("lock").stat(), os.fstat(self._lock_number)
+            return self._run.has("json") and os.path.samestat(lock, held)
+        return False
+
     def _answer(self, at_zero: bool) -> None:
-        given, other = ("zero", "unconfirmed") if at_zero else ("unconfirmed", "zero")
         with suppress(OSError):
             # Renamed, as a full disk has no space for words.
-            self._run.path("stop").replace(self._run.path(given))
-            self._run.remove(other)
+            self._run.path("stop").replace(self._run.path("zero" if at_zero else "unconfirmed"))
 
 
 def stop_all() -> list[Answer]:
@@ -219,9 +206,11 @@ def stop_all() -> list[Answer]:
         )
     for run in _listed():
         if run.has_ended:
-            run.remove()
+            run.remove("json", "lock", "stop", "zero", "unconfirmed")
             continue
         try:
+            # It may confirm now what it could not before; a zero that it has confirmed is for good.
+            run.remove("unconfirmed")
             run.path("stop").touch(0o600)
             asked.append(run)
         except OSError as error:
@@ -235,35 +224,22 @@ def stop_all() -> list[Answer]:
 
 def _await_answer(run: _Run, deadline_s: float) -> Answer:
     """Wait for the answer of a run that was asked, and put into words what is known."""
-    at_zero = None
-    while at_zero is None:
-        # First: a run may answer just before it ends.
+    while True:
+        # In this order: a run may answer just before it ends.
         ended = run.has_ended
-        at_zero = _answer_of(run)
-        if at_zero is None and ended:
+        withdrawn = registry_folder().exists() and not (run.has("json") or run.is_locked)
+        if run.has("unconfirmed"):
+            return Answer(f"{run.name} could not confirm zero: switch the board off")
+        # A run withdraws only once its boards are closed, perhaps before it was asked.
+        if withdrawn or (run.has("zero") and not run.has("stop")):
+            if withdrawn:
+                run.remove("stop")
+            return Answer(f"{run.name} has confirmed zero", at_zero=True)
+        if ended:
             return Answer(f"{run.name} ended without confirming zero: switch the board off")
-        if at_zero is None and time.monotonic() > deadline_s:
+        if time.monotonic() > deadline_s:
             return Answer(_unanswered(run))
         time.sleep(0.01)
-    if at_zero:
-        return Answer(f"{run.name} has confirmed zero", at_zero=True)
-    return Answer(f"{run.name} could not confirm zero: switch the board off")
-
-
-def _answer_of(run: _Run) -> bool | None:
-    """Return whether a run has confirmed zero; None if it has not answered."""
-    unconfirmed, zero = run.path("unconfirmed").exists(), run.path("zero").exists()
-    # A run withdraws its file only once its boards are closed, perhaps before it was asked.
-    if run.path("json").exists() or run.is_locked or not registry_folder().exists():
-        if run.path("stop").exists():
-            return None
-        if not (zero or unconfirmed):
-            # Another stop has taken the answer.
-            with suppress(OSError):
-                run.path("stop").touch(0o600)
-            return None
-    run.remove("stop", "zero")
-    return not unconfirmed
 
 
 def _unanswered(run: _Run) -> str:
@@ -274,7 +250,7 @@ def _unanswered(run: _Run) -> str:
     if run.host != socket.gethostname():
         return f"1 run is on host {run.host}: stop it there"
     # If it lives, it announces itself again within a second.
-    run.remove()
+    run.remove("json", "lock", "stop")
     return (
         f"{run.name}, from before the last start of this computer or from another container, did "
         "not answer: if it still drives a board, switch that off"
@@ -288,11 +264,10 @@ def registry_folder() -> Path:
 
 def stopped_since_start() -> bool:
     """Return whether `stop_all` was called after this program was started."""
-    mark = _read_json(registry_folder() / "stopped")
-    try:
-        return mark["boot"] == _place()[1] and _begun_ns < int(mark["time_ns"]) <= now_ns()
-    except (KeyError, TypeError, ValueError):
-        return False
+    with suppress(OSError, ValueError):
+        boot, time_ns = _read(registry_folder() / "stopped").split()
+        return boot == _place()[1] and _begun_ns < int(time_ns) <= now_ns()
+    return False
 
 
 def _leave_mark() -> None:
@@ -300,7 +275,7 @@ def _leave_mark() -> None:
     registry_folder().mkdir(mode=0o700, parents=True, exist_ok=True)
     with _registry_lock():
         time_ns = now_ns()
-        _write_json(registry_folder() / "stopped", {"boot": _place()[1], "time_ns": time_ns})
+        _write(registry_folder() / "stopped", f"{_place()[1]} {time_ns}")
     # The program that stops all others may itself put a board at zero.
     _begun_ns = time_ns
 
@@ -324,7 +299,7 @@ def _place() -> tuple[str, str, str]:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
         return socket.gethostname(), boot, str(Path("/proc/self/ns/pid").readlink())
     except OSError:
-        return socket.gethostname(), "", ""
+        return socket.gethostname(), "unknown", ""
 
 
 def _listed() -> list[_Run]:
@@ -343,32 +318,27 @@ def _listed() -> list[_Run]:
 
 
 def _read_run(run_id: str) -> _Run:
-    with suppress(TypeError):
-        run = _Run(**_read_json(registry_folder() / f"{run_id}.json") | {"id": run_id})
+    with suppress(OSError, ValueError, TypeError):
+        run = _Run(**json.loads(_read(registry_folder() / f"{run_id}.json")) | {"id": run_id})
         # A file of another program would not hold what can be added.
         if run.host and run.pid + run.start_ns + run.current_ua:
             return run
     return _Run(run_id)
 
 
-def _read_json(path: Path) -> dict[str, Any]:
-    """Return what a file holds; an empty dict if it cannot be read."""
-    try:
-        # Nothing is read from a pipe, which might never end.
-        found = json.loads(path.read_bytes()) if path.is_file() else {}
-        return found if isinstance(found, dict) else {}
-    except (OSError, ValueError):
-        return {}
+def _read(path: Path) -> str:
+    # Nothing is read from a pipe, which might never end.
+    return path.read_text() if path.is_file() else ""
 
 
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    number, draft = tempfile.mkstemp(prefix=".", suffix=".draft", dir=path.parent)
+def _write(path: Path, text: str) -> None:
+    draft = path.with_name(f".{uuid4().hex}.draft")
     try:
-        with os.fdopen(number, "w") as file:
-            json.dump(content, file)
-        Path(draft).replace(path)
+        draft.touch(0o600)
+        draft.write_text(text)
+        draft.replace(path)
     except OSError:
-        Path(draft).unlink(missing_ok=True)
+        draft.unlink(missing_ok=True)
         raise
 
 

@@ -21,6 +21,7 @@ class Display:
     budget_ua: int = 10_000
     announced: bool = True
     confirms: bool = True
+    error: type[Exception] = LineLostError
     zeros: list[str] = field(default_factory=list)
 
     def halt(self):
@@ -32,7 +33,7 @@ class Display:
     def zero(self, how):
         self.zeros.append(how)
         if not self.confirms:
-            raise LineLostError("the line is lost")
+            raise self.error("the line is lost")
 
     def __enter__(self):
         enter(self)

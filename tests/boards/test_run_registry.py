@@ -1,7 +1,8 @@
-"""A stop brings every real run to zero or names it, and touches no other process."""
+"""``smarttouch stop`` brings every real run to zero or names it, and touches no other process."""
 
 import json
 import os
+import re
 import shutil
 import signal
 import stat
@@ -12,23 +13,41 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+import typer
 
 from smarttouch.base.clock import now_ns
 from smarttouch.base.errors import BoardError, BoardStoppedError, SmartTouchError
-from smarttouch.boards import run_registry, shutdown
+from smarttouch.boards import run_registry
 from smarttouch.boards.run_registry import registry_folder, stop_all, stopped_since_start
+from smarttouch.cli.live import stop
 
 from ..raising import raises
 from .fresh import until
 from .runs import Display, exit_code, in_child, until_zero
 
 ID = "0" * 32
+AT_ZERO, UNKNOWN = "has confirmed zero", "switch the board off"
 
 
 @pytest.fixture
 def folder(own_state):
     registry_folder().mkdir(mode=0o700, parents=True)
     return registry_folder()
+
+
+@pytest.fixture
+def smarttouch_stop(capsys):
+    """Return a function that runs the command: its exit code, and its sentences in order."""
+
+    def run():
+        code = 0
+        try:
+            stop(None)
+        except typer.Exit as ended:
+            code = ended.exit_code
+        return code, sorted("".join(capsys.readouterr()).splitlines())
+
+    return run
 
 
 @pytest.fixture
@@ -44,24 +63,14 @@ def entries(folder):
     return [path for path in folder.iterdir() if path.suffix]
 
 
-def described(pid, changes):
-    """Return the file of a run as it would be written for a process."""
-    host, boot, namespace = run_registry._place()
-    fields = {"host": host, "boot": boot, "namespace": namespace, "pid": pid}
-    start_ns = run_registry._start_ns(pid)
-    return json.dumps(fields | {"start_ns": start_ns, "current_ua": 9_000} | changes)
-
-
-def sentences():
-    return [answer.sentence for answer in stop_all()]
-
-
-def test_a_run_is_announced_as_long_as_it_lasts(folder):
+def test_a_run_is_announced_to_its_owner_alone_as_long_as_it_lasts(own_state):
+    folder = registry_folder()
     with Display():
         (file,) = folder.glob("*.json")
         (lock,) = folder.glob("*.lock")
         run = json.loads(file.read_text())
         assert (run["pid"], run["current_ua"]) == (os.getpid(), 10_000)
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
         for path in (file, lock):
             assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert entries(folder) == []
@@ -69,19 +78,13 @@ def test_a_run_is_announced_as_long_as_it_lasts(folder):
 
 def test_a_run_answers_for_its_own_boards_alone(folder):
     """Whatever became of boards that this process had open before."""
-    lost = Display()
-    shutdown.enter(lost)
-    shutdown.leave(lost, at_zero=False)
+    with Display(confirms=False):
+        pass
     for path in folder.glob("*.unconfirmed"):
         path.unlink()
     with Display():
         pass
     assert entries(folder) == []
-
-
-def test_a_new_folder_is_for_its_owner_alone(own_state):
-    with Display():
-        assert stat.S_IMODE(registry_folder().stat().st_mode) == 0o700
 
 
 def test_what_drives_nothing_real_needs_no_folder(monkeypatch, tmp_path):
@@ -93,38 +96,109 @@ def test_what_drives_nothing_real_needs_no_folder(monkeypatch, tmp_path):
         pass
 
 
-def test_no_run_is_no_answer(own_state):
-    assert stop_all() == []
-
-
-@pytest.mark.parametrize(("boards", "at_zero"), [
-    ([Display()], [True]),
-    ([Display(), Display()], [True, True]),
-    ([Display(confirms=False)], [False]),
-    ([Display(confirms=False), Display(), Display(budget_ua=0)], [False, True, True]),
-], ids=["one", "two", "unconfirmed", "one of three unconfirmed"])  # fmt: skip
-def test_every_run_is_asked_and_says_whether_it_is_at_zero(folder, boards, at_zero):
+@pytest.mark.parametrize(("boards", "said"), [
+    ([], []),
+    ([Display()], [AT_ZERO]),
+    ([Display(), Display()], [AT_ZERO, AT_ZERO]),
+    ([Display(confirms=False)], [UNKNOWN]),
+    ([Display(confirms=False), Display(), Display(budget_ua=0)], [UNKNOWN, AT_ZERO, AT_ZERO]),
+    ([Display(confirms=False, error=ZeroDivisionError), Display()], [UNKNOWN, AT_ZERO]),
+], ids=["none", "one", "two", "unconfirmed", "one unconfirmed", "one raises"])  # fmt: skip
+def test_every_run_is_asked_and_says_whether_it_is_at_zero(folder, smarttouch_stop, boards, said):
     with ExitStack() as stack:
         children = [stack.enter_context(in_child(until_zero(board))) for board in boards]
-        found = {answer.sentence.split()[1]: answer for answer in stop_all()}
-        assert [found[str(child)].at_zero for child in children] == at_zero
-        for child, confirmed in zip(children, at_zero, strict=True):
-            assert ("switch the board off" in found[str(child)].sentence) != confirmed
+        code, sentences = smarttouch_stop()
+        named = dict(zip(children, said, strict=True))
+        expected = sorted(f"process {child} {how}" for child, how in named.items())
+        unknown = f"could not confirm zero: {UNKNOWN}"
+        expected = [each.replace(UNKNOWN, unknown) + "." for each in expected]
+        assert sentences == (expected or [f"No run is announced in {folder}."])
+        assert code == (1 if not boards else 2 if UNKNOWN in said else 0)
         assert [exit_code(child) for child in children] == [7] * len(children)
     assert list(folder.glob("*.json")) == []
 
 
-def test_a_request_that_fails_keeps_no_other_run_from_being_asked(folder):
-    with in_child(until_zero(Display())) as one, in_child(until_zero(Display(), 3.0)) as other:
-        for file in folder.glob("*.json"):
-            if json.loads(file.read_text())["pid"] == other:
-                # Where the request would be written, nothing can be.
-                file.with_suffix(".stop").symlink_to(folder / "nowhere" / "file")
-        answers = stop_all()
-        assert [answer.at_zero for answer in answers] == [True, False]
-        assert f"process {one} " in answers[0].sentence
-        assert f"process {other} cannot be asked" in answers[1].sentence
-        assert exit_code(one) == 7
+def lose_folder(folder, child, alive):
+    shutil.rmtree(folder.parent)
+
+
+def lose_file(folder, child, alive):
+    next(folder.glob("*.json")).unlink()
+
+
+def lose_lock(folder, child, alive):
+    next(folder.glob("*.lock")).unlink()
+
+
+def withhold_request(folder, child, alive):
+    next(folder.glob("*.json")).with_suffix(".stop").symlink_to(folder / "nowhere" / "file")
+
+
+def withhold_mark(folder, child, alive):
+    (folder / "stopped").mkdir()
+
+
+def copy(folder, child, alive):
+    shutil.copy(next(folder.glob("*.json")), folder / f"{ID}.json")
+
+
+def freeze(folder, child, alive):
+    os.kill(child, signal.SIGSTOP)
+
+
+def kill(folder, child, alive):
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    alive.clear()
+
+
+def go_elsewhere(folder, child, alive):
+    os.environ["XDG_STATE_HOME"] = str(folder / "other")
+
+
+@pytest.mark.parametrize(("happens", "code", "said", "ends"), [
+    (lose_folder, 0, [AT_ZERO], True),
+    (lose_file, 0, [AT_ZERO], True),
+    (lose_lock, 0, [AT_ZERO], True),
+    (copy, 2, [AT_ZERO, UNKNOWN], True),
+    (withhold_mark, 2, [AT_ZERO, "stop again"], True),
+    (withhold_request, 2, [f"cannot be asked .*: {UNKNOWN}"], False),
+    (freeze, 2, [f"did not answer: {UNKNOWN}"], False),
+    (go_elsewhere, 1, ["No run is announced in .*other"], False),
+    (kill, 1, ["No run is announced in "], None),
+])  # fmt: skip
+@pytest.mark.parametrize("locks", [True, False], ids=["locks", "no locks"])
+def test_what_happens_to_a_run_and_its_files_hides_it_from_no_stop(
+    folder, smarttouch_stop, monkeypatch, happens, code, said, ends, locks
+):
+    """Also on file systems whose locks other computers do not see, or that have none."""
+    monkeypatch.setattr(run_registry, "ANSWER_S", 1.0)
+    monkeypatch.setenv("XDG_STATE_HOME", os.environ["XDG_STATE_HOME"])
+    if not locks:
+        monkeypatch.setattr(run_registry, "try_lock", lambda _number, shared=False: True)
+    alive = [True]
+    with in_child(until_zero(Display())) as child:
+        happens(folder, child, alive)
+        if happens in (lose_folder, lose_file, lose_lock):
+            # Once a second it looks whether they are there.
+            until(lambda: len([*folder.glob("*.json"), *folder.glob("*.lock")]) == 2)
+        found, sentences = smarttouch_stop()
+        assert found == code
+        for pattern in said:
+            assert any(re.search(pattern, each) for each in sentences), sentences
+        assert len(sentences) == len(said)
+        if ends:
+            assert exit_code(child) == 7
+        else:
+            assert bool(run_registry._start_ns(child)) == bool(alive)
+
+
+def described(pid, changes):
+    """Return the file of a run as it would be written for a process."""
+    host, boot, namespace = run_registry._place()
+    fields = {"host": host, "boot": boot, "namespace": namespace, "pid": pid}
+    start_ns = run_registry._start_ns(pid)
+    return json.dumps(fields | {"start_ns": start_ns, "current_ua": 9_000} | changes)
 
 
 @pytest.mark.parametrize(("changes", "said", "stays"), [
@@ -142,20 +216,11 @@ def test_a_file_that_no_run_holds_harms_no_process(
     """As one that was copied, or left by a run whose process number another program has now."""
     monkeypatch.setattr(run_registry, "ANSWER_S", 0.3)
     (folder / f"{ID}.json").write_text(described(bystander.pid, changes))
-    found = sentences()
+    found = [answer.sentence for answer in stop_all()]
     assert len(found) == (said is not None)
     if said is not None:
         assert said.format(pid=bystander.pid) in found[0]
     assert (folder / f"{ID}.json").exists() == stays
-
-
-def test_a_copy_of_a_run_is_named_and_the_run_is_stopped(folder, monkeypatch):
-    monkeypatch.setattr(run_registry, "ANSWER_S", 1.0)
-    with in_child(until_zero(Display())) as child:
-        (file,) = folder.glob("*.json")
-        shutil.copy(file, folder / f"{ID}.json")
-        assert sorted(answer.at_zero for answer in stop_all()) == [False, True]
-        assert exit_code(child) == 7
 
 
 def test_what_else_lies_in_the_folder_is_passed_over(folder):
@@ -171,17 +236,6 @@ def test_what_else_lies_in_the_folder_is_passed_over(folder):
     assert {path.name for path in folder.iterdir()} == before | {"lock"}
 
 
-def test_a_run_that_is_frozen_or_killed_is_named(folder, monkeypatch):
-    monkeypatch.setattr(run_registry, "ANSWER_S", 0.3)
-    with in_child(until_zero(Display())) as child:
-        os.kill(child, signal.SIGSTOP)
-        assert sentences() == [f"process {child} did not answer: switch the board off"]
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-        assert stop_all() == []
-    assert entries(folder) == []
-
-
 def test_a_run_that_withdraws_while_it_is_asked_was_closed_at_zero(folder):
     def work(say):
         with Display() as board:
@@ -191,27 +245,6 @@ def test_a_run_that_withdraws_while_it_is_asked_was_closed_at_zero(folder):
 
     with in_child(work):
         assert [answer.at_zero for answer in stop_all()] == [True]
-
-
-@pytest.mark.parametrize("how", ["files", "folder", "lock"])
-def test_a_run_whose_file_is_gone_announces_itself_again(folder, how):
-    with in_child(until_zero(Display())) as child:
-        if how == "folder":
-            shutil.rmtree(folder.parent)
-            assert stop_all() == []
-        else:
-            for path in folder.glob("*.json" if how == "files" else "*.lock"):
-                path.unlink()
-        until(lambda: exit_or_files(child, folder))
-        # It may find the mark of this stop, or of the earlier one, before it is asked.
-        assert all(answer.at_zero for answer in stop_all())
-        assert exit_code(child) == 7
-
-
-def exit_or_files(child, folder):
-    """Return whether both files of a run are there, or it has ended."""
-    both = len(list(folder.glob("*.json"))) == len(list(folder.glob("*.lock"))) == 1
-    return both or run_registry._start_ns(child) == 0
 
 
 def test_a_run_that_cannot_announce_itself_again_ends_within_a_second(folder):
@@ -230,31 +263,6 @@ def test_a_second_board_of_a_run_that_cannot_be_entered_does_not_open(folder):
         with raises(SmartTouchError, names="XDG_STATE_HOME", value=folder), Display(5_000):
             pass
         folder.unlink()
-
-
-def test_a_run_in_another_state_folder_is_not_claimed_to_be_stopped(folder, monkeypatch, tmp_path):
-    with in_child(until_zero(Display(), 3.0)) as child:
-        with monkeypatch.context() as other:
-            other.setenv("XDG_STATE_HOME", str(tmp_path / "other"))
-            assert stop_all() == []
-        assert run_registry._start_ns(child)
-        assert [answer.at_zero for answer in stop_all()] == [True]
-
-
-def locks_are_not_shared(work):
-    """Return work of a process on a file system that has no locks."""
-
-    def alone(say):
-        run_registry.try_lock = lambda _number, shared=False: True
-        return work(say)
-
-    return alone
-
-
-def test_a_run_whose_lock_nobody_sees_is_stopped(folder):
-    with in_child(locks_are_not_shared(until_zero(Display()))) as child:
-        assert [answer.at_zero for answer in stop_all()] == [True]
-        assert exit_code(child) == 7
 
 
 PROGRAM = """
@@ -303,26 +311,15 @@ def test_a_program_older_than_a_stop_opens_nothing_and_a_younger_one_does(folder
 
 
 @pytest.mark.parametrize("mark", [
-    b"", b"x", b"[]", b"\xff", b'{"boot": "%(boot)s"}', b'{"boot": "%(boot)s", "time_ns": "x"}',
-    b'{"boot": "another", "time_ns": %(now)d}', b'{"boot": "%(boot)s", "time_ns": %(later)d}',
+    "", "x", "\xff", "{boot}", "{boot} x", "another {now}", "{boot} {later}",
 ])  # fmt: skip
 def test_a_mark_of_another_boot_of_the_future_or_of_nothing_stops_nobody(folder, mark):
     now, boot = now_ns(), run_registry._place()[1]
-    given = {b"boot": boot.encode(), b"now": now, b"later": now + 10**12}
-    (folder / "stopped").write_bytes(mark % given if b"%" in mark else mark)
+    text = mark.format(boot=boot, now=now, later=now + 10**12)
+    (folder / "stopped").write_bytes(text.encode("latin-1"))
     assert not stopped_since_start()
-    good = json.dumps({"boot": boot, "time_ns": now})
-    (folder / "stopped").write_text(good)
+    (folder / "stopped").write_text(f"{boot} {now}")
     assert stopped_since_start()
-
-
-def test_runs_are_stopped_where_no_mark_can_be_left_and_that_is_said(folder, monkeypatch):
-    with in_child(until_zero(Display())) as child:
-        (folder / "stopped").mkdir()
-        answers = stop_all()
-        assert [answer.at_zero for answer in answers] == [True, False]
-        assert "stop again" in answers[1].sentence
-        assert exit_code(child) == 7
 
 
 def test_boards_of_all_processes_share_the_budget(folder):

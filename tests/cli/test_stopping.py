@@ -128,12 +128,6 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
     assert (tmp_path / "run.json").exists()
 
 
-def test_a_stop_names_the_folder_where_no_run_is_announced(program_here, tmp_path):
-    done = program_here("stop")
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == f"No run is announced in {tmp_path / 'state' / 'smarttouch' / 'runs'}.\n"
-
-
 def test_a_simulated_run_needs_no_writable_home(program, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     for name in ("HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME"):
