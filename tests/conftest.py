@@ -1,10 +1,9 @@
 """Fixtures and options shared by all tests."""
 
-import fcntl
 import gc
+import importlib
 import itertools
 import os
-import pwd
 import signal
 import subprocess
 import sys
@@ -18,7 +17,7 @@ import pytest
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
-from smarttouch.base.clock import prioritized
+from smarttouch.base.posix import fcntl, prioritized
 from smarttouch.boards.kits import watchdog
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.sources.source_contract import Frame, Pose
@@ -349,7 +348,7 @@ def patch():
 def other_account():
     """Return a starter of Python programs as the user nobody; skip where there is none to be."""
     try:
-        account = pwd.getpwnam("nobody")
+        account = importlib.import_module("pwd").getpwnam("nobody")
     except KeyError:
         pytest.skip("there is no second account: no user nobody")
     if os.geteuid() != 0 or account.pw_uid == 0:

@@ -13,7 +13,7 @@ print(*names)
 
 
 NOT_POSIX = """
-import builtins, contextlib, ctypes, os, pathlib, signal, socket
+import builtins, contextlib, ctypes, functools, os, pathlib, signal, socket, sys
 with contextlib.suppress(ImportError):
     import psutil  # joblib takes it where it is installed, in the form for this system
 real, only_posix = builtins.__import__, {"fcntl", "pty", "resource", "termios", "tty"}
@@ -30,14 +30,46 @@ gone |= {"O_NONBLOCK", "O_NOCTTY", "O_NOFOLLOW", "O_CLOEXEC", "O_DIRECTORY", "ge
 for name in [name for name in dir(os) if name in gone or name.startswith(("sched_", "SCHED_"))]:
     delattr(os, name)
 ctypes.PyDLL = None
+pair = functools.partial(socket.socketpair, socket.AF_UNIX)
+socket.socketpair = lambda: pair()  # Windows makes one of TCP
 for name in "AF_UNIX", "SO_PEERCRED", "SO_PASSCRED", "MSG_DONTWAIT", "CMSG_SPACE":
     delattr(socket, name)
 exists = pathlib.Path.exists
 pathlib.Path.exists = lambda path: not str(path).startswith("/proc/") and exists(path)
 """
 
+FAKE_PORT = """
+import threading, time, types, serial
+from smarttouch.emulator.firmware import DeliveryLog, DeviceClock
+from smarttouch.emulator.link_firmware import LinkFirmware
+class FakePort(serial.SerialBase):
+    log = DeliveryLog(64)
+    def open(self):
+        self._board, self._waiting = LinkFirmware(64, "weighted", self.log), b""
+        self._clock, self._lock = DeviceClock(self._board.longest_step_ns), threading.RLock()
+        self.is_open = True
+    def _reconfigure_port(self): pass
+    def close(self): self.is_open = False
+    def reset_input_buffer(self): self.read(self.in_waiting)
+    @property
+    def in_waiting(self):
+        with self._lock:
+            self._waiting += self._board.advance(self._clock.now_ns())
+            return len(self._waiting)
+    def write(self, data):
+        with self._lock:
+            self._waiting += self._board.feed(bytes(data), self._clock.now_ns())
+    def read(self, count=1):
+        end_s = time.monotonic() + self.timeout
+        while self.in_waiting < count and time.monotonic() < end_s:
+            time.sleep(0.001)
+        with self._lock:
+            data, self._waiting = self._waiting[:count], self._waiting[count:]
+        return data
+sys.modules["serial.urlhandler.protocol_fake"] = types.SimpleNamespace(Serial=FakePort)
+"""
+
 RUN = """
-import sys
 import smarttouch as st
 from smarttouch.cli import main
 profile = st.load_profile("electric-mouse")
@@ -46,9 +78,14 @@ with st.open_source("text:a", profile) as source, st.open_display("simulated:", 
 assert figures["emulator_violations"] == 0
 print(figures["sequences"])
 assert len(st.load_recording("run.mcap").arrays.step) == figures["sequences"]
-for url in "emulator:", "kajimoto61:/dev/ttyUSB0":
+run = {"force": "fixed:0.5", "seconds": 1.0, "intensity": 0.3}
+done = st.run("text:a", "link:fake://", **run)
+log = FakePort.log
+assert (log.state, log.reason, log.unsafe) == ("shorted", "stop", 0), log
+assert log.pulses > 100, log
+for url in "emulator:", "etactilekit:/dev/ttyUSB0":
     try:
-        st.run("text:a", url, force="fixed:0.5", seconds=0.1, intensity=0.1)
+        st.run("text:a", url, **run)
     except st.BoardError as error:
         assert "simulated:" in str(error), error
     else:
@@ -66,9 +103,9 @@ main()
 """
 
 
-def test_no_module_and_no_simulated_run_needs_what_only_posix_has(tmp_path):
+def test_no_module_and_no_run_on_simulated_or_link_needs_what_only_posix_has(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", NOT_POSIX + ALL_MODULES + RUN],
+        [sys.executable, "-W", "error", "-c", NOT_POSIX + ALL_MODULES + FAKE_PORT + RUN],
         capture_output=True, text=True, timeout=100, check=False, cwd=tmp_path,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")

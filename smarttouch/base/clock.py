@@ -1,70 +1,22 @@
-"""Clocks, waiting for a time, and real-time priority, so that packets leave on time.
+"""Clocks, and waiting for a time."""
 
-Processes that only compute do not hold up a thread of real-time priority (``SCHED_FIFO``). Linux
-gives it to root, and to users whose limit ``rtprio`` allows it.
-"""
-
-import os
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Protocol
 
-PRIORITY = 1  # priority of the threads that pace and send: the lowest above all ordinary ones
-_FIFO: int | None = getattr(os, "SCHED_FIFO", None)
-_RESET: int = getattr(os, "SCHED_RESET_ON_FORK", 0)
-
-
-def priority_advice() -> str:
-    """Return a sentence on how to allow real-time priority."""
-    if _FIFO is None:
-        return "this system has no real-time priority: packets may be late while it is busy"
-    return (
-        "without real-time priority packets may be some ms late while the machine is busy: to "
-        "allow it, write '* - rtprio 5' into /etc/security/limits.d/smarttouch.conf and log in "
-        "again"
-    )
-
-
-@contextmanager
-def prioritized() -> Iterator[bool]:
-    """Give this thread real-time priority in the block; yield whether that is allowed.
-
-    Threads and processes that begin meanwhile have the usual priority.
-    """
-    if _FIFO is None:
-        yield False
-        return
-    before = os.sched_getscheduler(0) & ~_RESET, os.sched_getparam(0)
-    try:
-        os.sched_setscheduler(0, _FIFO | _RESET, os.sched_param(PRIORITY))
-    except OSError:
-        yield False
-        return
-    try:
-        yield True
-    finally:
-        # Without this flag only root may set it: it stays, whatever this thread does.
-        os.sched_setscheduler(0, before[0] | _RESET, before[1])
-
-
-def is_prioritized() -> bool:
-    """Return whether the calling thread has real-time priority."""
-    return _FIFO is not None and os.sched_getscheduler(0) & ~_RESET == _FIFO
-
+from smarttouch.base.posix import is_prioritized
 
 SPIN_NS = 300_000  # spun end of each wait at real-time priority: a sleep alone wakes .1 ms late
 LATE_NS = 100_000_000
 """Delay after which nothing is sent to a board any more, and intensity restarts at zero."""
 
-_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+_CLOCK: int | None = getattr(time, "CLOCK_BOOTTIME", getattr(time, "CLOCK_MONOTONIC", None))
 """Clock that runs on while the machine is suspended, if there is one."""
 
 
 def now_ns() -> int:
     """Return nanoseconds since the machine was started, with its time of sleep."""
-    return time.clock_gettime_ns(_CLOCK)
+    return time.monotonic_ns() if _CLOCK is None else time.clock_gettime_ns(_CLOCK)
 
 
 class Clock(Protocol):

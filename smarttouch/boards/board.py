@@ -12,7 +12,7 @@ from typing import Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.clock import LATE_NS, Clock, MonotonicClock, prioritized
+from smarttouch.base.clock import LATE_NS, Clock, MonotonicClock
 from smarttouch.base.errors import (
     BoardClosedError,
     BoardError,
@@ -22,6 +22,7 @@ from smarttouch.base.errors import (
     LineLostError,
     SequenceLateError,
 )
+from smarttouch.base.posix import prioritized
 from smarttouch.base.stopping import uninterrupted
 from smarttouch.base.wire.port import device_of
 from smarttouch.boards.driver import Driver

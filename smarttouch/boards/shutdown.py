@@ -70,20 +70,18 @@ class _Process:
         # Imported here, so that the program's help loads no profile.
         from smarttouch.profile.ceilings import CEILING_USER_MA
 
-        most_ua, total_ua = round(1000 * CEILING_USER_MA), 0
+        self.handle_signals()
+        most_ua = round(1000 * CEILING_USER_MA)
         try:
             if self.entry is None and not self.reason:
                 self.entry = RunEntry(self._stop_requested)
-            self.handle_signals()
             # In this order: a stop leaves its mark before it looks for runs.
-            asked = self.entry is not None and self.entry.is_asked
-            if self.reason or asked or stopped_since_start():
+            if self.reason or self.entry is None or self.entry.is_asked or stopped_since_start():
                 raise BoardStoppedError(
                     f"this program was stopped by {self.reason or 'smarttouch stop'}, and drives "
                     "no board any more: start it again"
                 )
-            if self.entry is not None:
-                total_ua = self.entry.declare(sum(self.boards.values()), most_ua)
+            total_ua = self.entry.declare(sum(self.boards.values()), most_ua)
         except OSError as error:
             raise SmartTouchError(
                 f"cannot write {error.filename or registry_folder()}, by which smarttouch stop "

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError, SilentBoardError
+from smarttouch.base.posix import HAS_POSIX
 from smarttouch.base.registry import refuse_rest
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.line import Line
@@ -204,6 +205,8 @@ def open_emulator(
     an existing folder for its delivery log, and ``events`` of the finger are as ``smarttouch
     devices emulate`` takes them."""
     refuse_rest("emulator:", rest, BoardError)
+    if not HAS_POSIX:
+        raise BoardError("emulator: needs a pseudo-terminal of Linux or macOS: use simulated: here")
     kind = "weighted" if output is None else output.kind
     url = f"link?electrodes={limits.electrodes}&output={kind}&linger=0.2"
     url += f"&ramp_ms={link_rules.RAMP_MS}"

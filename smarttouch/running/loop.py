@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 
-from smarttouch.base.clock import LATE_NS, Clock, SimulatedClock, prioritized, priority_advice
+from smarttouch.base.clock import LATE_NS, Clock, SimulatedClock
 from smarttouch.base.errors import (
     BoardError,
     BoardRestartedError,
@@ -18,6 +18,7 @@ from smarttouch.base.errors import (
     SequenceLateError,
 )
 from smarttouch.base.events import BoardRestarted, Emit, Event, Note, RunEnded
+from smarttouch.base.posix import prioritized, priority_advice
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.running.inputs import Controls, ControlState, Inputs

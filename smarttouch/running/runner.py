@@ -7,13 +7,14 @@ from dataclasses import asdict
 from typing import Any
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.clock import SimulatedClock, priority_advice
+from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.errors import (
     BoardStoppedError,
     SmartTouchError,
     SourceError,
 )
 from smarttouch.base.events import Advice, Note, RunFailed
+from smarttouch.base.posix import priority_advice
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.boards.shutdown import stoppable_run

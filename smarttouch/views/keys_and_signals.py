@@ -25,16 +25,17 @@ _before: list[list[Any]] = []  # the terminal's own settings, while they are cha
 
 def restore() -> None:
     """Restore the terminal's settings without waiting for it."""
-    # A terminal that is gone has nothing to restore.
-    with suppress(termios.error, IndexError):
-        termios.tcsetattr(sys.stdin, termios.TCSANOW, _before.pop())
+    if _before:
+        # A terminal that is gone has nothing to restore.
+        with suppress(termios.error):
+            termios.tcsetattr(sys.stdin, termios.TCSANOW, _before.pop())
 
 
 @contextmanager
 def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
     """Pass every key to a function, from a thread, until the block ends: arrow keys as ``up``,
     ``down``, ``left`` and ``right``, a lost terminal as `LOST`."""
-    if not sys.stdin.isatty():
+    if termios is None or not sys.stdin.isatty():
         yield
         return
     over = threading.Event()

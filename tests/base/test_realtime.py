@@ -7,8 +7,9 @@ import threading
 
 import pytest
 
-from smarttouch.base import clock
-from smarttouch.base.clock import PRIORITY, SPIN_NS, MonotonicClock, is_prioritized, prioritized
+from smarttouch.base import clock, posix
+from smarttouch.base.clock import SPIN_NS, MonotonicClock
+from smarttouch.base.posix import PRIORITY, is_prioritized, prioritized
 
 
 def in_a_thread(work):
@@ -68,7 +69,7 @@ def test_where_it_is_not_allowed_work_goes_on(monkeypatch):
 
 
 def test_on_systems_without_it_work_goes_on(monkeypatch):
-    monkeypatch.setattr(clock, "_FIFO", None)
+    monkeypatch.setattr(posix, "_FIFO", None)
     with prioritized() as given:
         assert not given
         assert not is_prioritized()

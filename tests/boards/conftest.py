@@ -12,8 +12,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from smarttouch.base.clock import prioritized
 from smarttouch.base.errors import BoardRestartedError
+from smarttouch.base.posix import prioritized
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each

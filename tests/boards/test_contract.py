@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smarttouch.base.clock import prioritized
 from smarttouch.base.errors import BoardError
+from smarttouch.base.posix import prioritized
 from smarttouch.boards.board import Board
 from smarttouch.boards.link.protocol import Rule
 from smarttouch.boards.open import make_driver

@@ -1,6 +1,5 @@
 """The firmware, built once for all tests, where there is a compiler."""
 
-import fcntl
 import os
 import shutil
 import subprocess
@@ -10,6 +9,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+
+from smarttouch.base.posix import fcntl
 
 SOURCES = Path(__file__).parents[2] / "firmware"
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Mode
-from smarttouch.base.clock import priority_advice
 from smarttouch.base.errors import (
     BoardError,
     BoardRestartedError,
@@ -17,6 +16,7 @@ from smarttouch.base.errors import (
     SafetyError,
 )
 from smarttouch.base.events import BoardRestarted
+from smarttouch.base.posix import priority_advice
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.open import MemoryDriver, make_board
 from smarttouch.running.config import RunConfig

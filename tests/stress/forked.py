@@ -19,7 +19,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from smarttouch.base.clock import prioritized
+from smarttouch.base.posix import prioritized
 from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.cli import main
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware

@@ -1,8 +1,6 @@
 """Serial lines and TCP connections by name, with errors a user can act on."""
 
 import contextlib
-import ctypes
-import errno
 import os
 import select
 import socket
@@ -17,18 +15,12 @@ from serial import SerialBase as Port
 from serial.tools import list_ports
 
 from smarttouch.base.errors import BoardError, OtherDeviceError, SmartTouchError
-from smarttouch.base.posix import fcntl, termios
+from smarttouch.base.posix import HAS_POSIX, fcntl, termios, write_now
 
 __all__ = [
     "LINE_ERRORS", "Port", "UsbIdentity", "identity_of", "open_port", "read_some", "reason",
     "reopen_port", "write_before",
 ]  # fmt: skip
-
-if termios is not None:
-    # During the system's `write` no other Python thread can run, so nothing delays it.
-    _write = ctypes.PyDLL(None, use_errno=True).write
-    _write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
-    _write.restype = ctypes.c_ssize_t
 
 _MOST_AT_ONCE = 65_536
 
@@ -62,7 +54,7 @@ def open_port(
         port.timeout, port.write_timeout, port.exclusive = timeout_s, 0.5, True
         port.dtr = port.rts = False
         port.open()
-        if termios is not None and fcntl is not None and isinstance(port, serial.Serial):
+        if HAS_POSIX and isinstance(port, serial.Serial):
             # Keeps out programs that ask for no lock, though not those of root.
             fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
         if url.startswith("socket://"):
@@ -88,7 +80,7 @@ def identity_of(port: Port) -> UsbIdentity | None:
     if not isinstance(port, serial.Serial):
         return None
     try:
-        return _usb_identity(os.ttyname(port.fileno()))
+        return _usb_identity(os.ttyname(port.fileno()) if HAS_POSIX else port.name)
     except LINE_ERRORS:
         return None
 
@@ -104,7 +96,7 @@ def device_of(name: str) -> str:
 def _usb_identity(name: str) -> UsbIdentity | None:
     device = os.path.realpath(name)
     for each in list_ports.comports():
-        if each.device == device and each.vid is not None and each.serial_number:
+        if each.device in (name, device) and each.vid is not None and each.serial_number:
             _, _, interface = (each.location or "").partition(":")
             return UsbIdentity(each.vid, each.pid, each.serial_number, interface)
     return None
@@ -137,12 +129,17 @@ def reopen_port(
             pause(0.02)
 
 
+def _descriptor(port: Port) -> int | None:
+    """Return the descriptor of a port; None on Windows, and for a line of pyserial's own."""
+    try:
+        return int(port.fileno()) if HAS_POSIX else None
+    except (AttributeError, OSError):
+        return None
+
+
 def read_some(port: Port) -> bytes:
     """Return what has come; wait for the first byte for the port's timeout."""
-    try:
-        number = port.fileno()
-    except (AttributeError, OSError):
-        # A line of pyserial's own, without a descriptor.
+    if (number := _descriptor(port)) is None:
         return bytes(port.read(port.in_waiting or 1))
     if not select.select([number], [], [], port.timeout)[0]:
         return b""
@@ -157,28 +154,20 @@ def write_before(
     """Write bytes unless it is too late for the first of them; return whether they were written.
     Nothing runs between the last look at the clock and the system's write, so only a process that
     is suspended just there writes late. A line that accepts nothing fails after ``within_s``."""
-    try:
-        number = port.fileno()
-    except (AttributeError, OSError):
-        # A line of pyserial's own, without a descriptor.
+    number, sent = _descriptor(port), 0
+    if number is not None and os.get_blocking(number):
+        os.set_blocking(number, False)
+    while not sent:
         if now_ns() > latest_ns:
             return False
-        port.write(data)
-        return True
-    if os.get_blocking(number):
-        os.set_blocking(number, False)
-    size = len(data)
-    if now_ns() > latest_ns:
-        return False
-    sent = int(_write(number, data, size))
-    if sent < 0:
-        failure = ctypes.get_errno()
-        if failure not in (errno.EAGAIN, errno.EINTR):
-            raise OSError(failure, os.strerror(failure))
-        if not select.select([], [number], [], within_s)[1]:
-            raise serial.SerialTimeoutException("it takes no bytes")
-        return write_before(port, data, latest_ns, now_ns, within_s)
-    if sent < size:
+        if number is None:
+            break
+        try:
+            sent = write_now(number, data)
+        except (BlockingIOError, InterruptedError):
+            if not select.select([], [number], [], within_s)[1]:
+                raise serial.SerialTimeoutException("it takes no bytes") from None
+    if sent < len(data):
         port.write(data[sent:])
     return True
 

@@ -27,7 +27,7 @@ from smarttouch.boards.kits.etactilekit_wire import (
     zero_anywhere,
 )
 from smarttouch.boards.kits.scan_lock import Span
-from smarttouch.boards.kits.watched_port import WatchedPort
+from smarttouch.boards.kits.watched_port import WatchedPort, require_watchdog
 from smarttouch.boards.line import Line
 from smarttouch.stimulation.safety_gate import ProvedSequence
 
@@ -66,6 +66,7 @@ class ETactileKitLine:
         """Open the port, put any firmware at zero, and return its name and its number of outputs.
         Another device than before gets nothing but a question."""
         line, is_known = self.line, self._is_known
+        require_watchdog()
         line.connect(name, self._watch)
         if line.reopened and not is_known:
             self._recognize()

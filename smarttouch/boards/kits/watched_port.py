@@ -10,8 +10,8 @@ import time
 import serial
 from serial.urlhandler import protocol_socket
 
-from smarttouch.base.clock import prioritized
 from smarttouch.base.errors import BoardError
+from smarttouch.base.posix import HAS_POSIX, prioritized
 from smarttouch.base.wire.port import LINE_ERRORS, Port, reason
 from smarttouch.boards.kits import watchdog
 
@@ -24,6 +24,15 @@ follows the zero of its watchdog."""
 COMMAND = [sys.executable, "-I", "-S", watchdog.__file__]
 """Of the watchdog; isolated: no user setting or package can keep it from starting."""
 _AT_ZERO = (watchdog.GONE, watchdog.SILENT)
+
+
+def require_watchdog() -> None:
+    """Raise where no watchdog can run."""
+    if not HAS_POSIX:
+        raise BoardError(
+            "this board goes on with its last pattern if its program hangs, and the watchdog that "
+            "would put it at zero needs Linux or macOS: use simulated: here"
+        )
 
 
 class WatchedPort:

@@ -5,8 +5,8 @@ import threading
 import time
 from collections.abc import Callable
 
-from smarttouch.base.clock import prioritized
 from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
+from smarttouch.base.posix import prioritized
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.line import Line
 from smarttouch.boards.link.protocol import (
