@@ -20,13 +20,15 @@ from smarttouch.base.errors import (
     BoardRestartedError,
     BoardStoppedError,
     LineLostError,
+    OtherDeviceError,
     SequenceLateError,
+    SilentBoardError,
 )
 from smarttouch.base.posix import prioritized
 from smarttouch.base.stopping import uninterrupted
 from smarttouch.base.wire.port import device_of
 from smarttouch.boards.driver import Driver
-from smarttouch.boards.faults import latch, refuse_latched, restart_lost_board
+from smarttouch.boards.faults import latch, refuse_latched
 from smarttouch.boards.line import Line
 from smarttouch.boards.probe_scans import measure_by_probes
 from smarttouch.boards.reports import (
@@ -49,6 +51,7 @@ __all__ = ["BOTH", "Board", "BoardReport", "Capabilities", "Polarity"]
 FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock
 MEASURED_WITHIN_NS = 10_000_000_000  # time in which measuring scans must be written
 ENDS_WITHIN_S = 3.0  # of the sender thread
+RESTARTS = 3  # attempts to restart a board after its line was lost
 _MOST_VOLTS = 64
 
 Measured = tuple[ScanSequence, NDArray[np.float32]]
@@ -176,7 +179,22 @@ class Board:
         refuse_latched(self.device)
         enter(self)
         try:
-            self._open_announced()
+            # A new run starts from zero intensity, and its time may start again.
+            self._gate.begin_session()
+            self._zeroed = False
+            self._stopped.clear()
+            # In this order: a halt from another thread is seen here or comes later.
+            if self._halted:
+                self._stopped.set()
+            self._line.require_running()
+            if self._stopped.wait(self._gate.net_rest_ns() / 1e9):
+                self._line.require_running()
+            self._number = self._counted = 0
+            self._statistics = HostStatistics(self._limits.electrodes)
+            self._starts.clear()
+            self._open_driver(again=False)
+            self._opened = True
+            self._line.require_running()
         except BaseException:
             # Ctrl-C may come when it is open already; and only whoever closes it withdraws it.
             if self._opened:
@@ -184,24 +202,6 @@ class Board:
             else:
                 leave(self)
             raise
-
-    def _open_announced(self) -> None:
-        # A new run starts from zero intensity, and its time may start again.
-        self._gate.begin_session()
-        self._zeroed = False
-        self._stopped.clear()
-        # In this order: a halt from another thread is seen here or comes later.
-        if self._halted:
-            self._stopped.set()
-        self._line.require_running()
-        if self._stopped.wait(self._gate.net_rest_ns() / 1e9):
-            self._line.require_running()
-        self._number = self._counted = 0
-        self._statistics = HostStatistics(self._limits.electrodes)
-        self._starts.clear()
-        self._open_driver(again=False)
-        self._opened = True
-        self._line.require_running()
 
     def _open_driver(self, *, again: bool) -> None:
         self._line.reopened = again
@@ -238,10 +238,21 @@ class Board:
             self._line.disconnect()
 
     def _recover(self, lost: LineLostError) -> None:
-        """Connect again to a lost device, at zero; raise if that fails."""
+        """Connect again to a lost device, at zero, up to three times; raise if that fails."""
         self._is_lost = self._line.reopened = True
         self._close_driver()
-        restart_lost_board(lambda: self._open_driver(again=True), lost)
+        # The line may be lost again meanwhile.
+        for left in reversed(range(RESTARTS)):
+            try:
+                self._open_driver(again=True)
+                break
+            except BoardStoppedError:
+                raise
+            except OtherDeviceError as other:
+                raise BoardError(f"{lost}; {other}") from None
+            except BoardError as again:
+                if not left or not isinstance(again, LineLostError | SilentBoardError):
+                    raise lost from None
         # Nothing was delivered for a while: what comes next begins at zero.
         self._gate.restart()
 
@@ -387,8 +398,9 @@ class Board:
             if self.driver.queued:
                 self.driver.check(proved)
                 self._queue(proved)
+            elif self._failure is not None:
+                raise self._failure
             else:
-                self._raise_failure()
                 self.driver.write(proved)
         except SequenceLateError:
             self.dropped_late += 1
@@ -416,7 +428,12 @@ class Board:
         late_ns = self._late_ns
         if self._claimed_time and not self.on_a_finger:
             due_ns, late_ns = now_ns, 2**62
-        _require_same_clock(due_ns, now_ns)
+        if due_ns - now_ns > FARTHEST_NS:
+            raise BoardError(
+                f"due_ns is {(due_ns - now_ns) / 1e9:.3g} s from now, and at most "
+                f"{FARTHEST_NS / 1e9:g} s are possible: give a time of the board's clock "
+                "(board.clock.now_ns())"
+            )
         self.capabilities.require(sequence, times)
         return self._gate.prove(
             sequence, times, number=self._number + 1, due_ns=due_ns, late_ns=late_ns
@@ -440,10 +457,6 @@ class Board:
             self._statistics.add(proved.sequence, scans, again, most)
             self.acknowledged += not again
 
-    def _raise_failure(self) -> None:
-        if self._failure is not None:
-            raise self._failure
-
     def close_level(self) -> None:
         """Close the intensity level: what comes next begins at zero, as after a lifted finger."""
         self._gate.restart()
@@ -466,7 +479,9 @@ class Board:
         """Wait until all sequences have been delivered, or the time is over."""
         deadline_s = time.monotonic() + timeout_s
         with self._news:
-            self._news.wait_for(self._is_drained, timeout_s)
+            self._news.wait_for(
+                lambda: self._is_over or (self._waiting is None and not self._busy), timeout_s
+            )
         # A stop may come while the driver asks its device.
         with contextlib.suppress(BoardStoppedError):
             while time.monotonic() < deadline_s and not self._stopped.is_set():
@@ -475,12 +490,17 @@ class Board:
                 self._stopped.wait(0.002)
         self._stopped.wait(max(0.0, min(deadline_s, self._over_s) - time.monotonic()))
 
-    def _is_drained(self) -> bool:
-        if self._failure is not None or self._stopped.is_set():
-            return True
-        return self._waiting is None and not self._busy
-
     # -- the sender thread -------------------------------------------------
+
+    @property
+    def _is_over(self) -> bool:
+        """Whether nothing is sent any more."""
+        return self._failure is not None or self._stopped.is_set()
+
+    def _require_life(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+        self._line.require_running()
 
     def _queue(self, proved: ProvedSequence) -> None:
         """Let the sender thread write a sequence; a newer one replaces one that waits."""
@@ -488,14 +508,8 @@ class Board:
         if patience_s:
             patience_s += 4e-6 * proved.sequence.period_us
         with self._news:
-            self._news.wait_for(
-                lambda: (
-                    self._waiting is None or self._failure is not None or self._stopped.is_set()
-                ),
-                patience_s,
-            )
-            self._raise_failure()
-            self._line.require_running()
+            self._news.wait_for(lambda: self._is_over or self._waiting is None, patience_s)
+            self._require_life()
             if self._late_unreported:
                 self._late_unreported = False
                 raise self._line.late()
@@ -507,65 +521,55 @@ class Board:
     def _serve(self, ending: threading.Event) -> None:
         """Write queued sequences, and let the driver do what it does between them."""
         wait_s: float | None = self.driver.idle_s or None
-        while not (ending.is_set() or self._stopped.is_set()):
-            proved = self._take(wait_s, ending)
+        proved: ProvedSequence | None = None
+
+        def is_over() -> bool:
+            return ending.is_set() or self._stopped.is_set()
+
+        while not is_over():
+            with self._news:
+                self._busy = False
+                self._news.notify_all()
+                self._news.wait_for(lambda: self._waiting is not None or is_over(), wait_s)
+                if is_over():
+                    break
+                proved, self._waiting = self._waiting, None
+                self._busy = proved is not None
+                self._news.notify_all()
             try:
-                if proved is not None:
-                    self.driver.write(proved)
-                    wait_s = self.driver.idle_s or None
-                elif not (ending.is_set() or self._stopped.is_set()):
-                    wait_s = self.driver.idle()
-            except SequenceLateError:
-                self._drop_late()
                 wait_s = self.driver.idle_s or None
+                if proved is None:
+                    wait_s = self.driver.idle()
+                else:
+                    self.driver.write(proved)
+            except SequenceLateError:
+                # The next `send` reports it and restarts at zero.
+                with self._news:
+                    self.dropped_late += 1 + (self._waiting is not None)
+                    self._waiting = None
+                    self._late_unreported = True
             except BoardStoppedError:
                 break
-            except BoardError as error:
+            except Exception as error:
                 self._fail(error)
                 break
-            except Exception as error:
-                self._fail_driver(error)
-                break
         with self._news:
             self._busy = False
             self._news.notify_all()
 
-    def _take(self, wait_s: float | None, ending: threading.Event) -> ProvedSequence | None:
-        """Return the newest sequence, or None after a time or when the board stops or closes."""
+    def _fail(self, error: Exception) -> None:
+        fault = error
+        if not isinstance(fault, BoardError):
+            fault = BoardError(f"the driver {type(self.driver).__name__} has failed ({error!r})")
+            fault.__cause__ = error
         with self._news:
-            self._busy = False
+            self._is_lost = self._is_lost or isinstance(fault, LineLostError)
+            self._failure = self._failure or fault
             self._news.notify_all()
-            self._news.wait_for(
-                lambda: self._waiting is not None or ending.is_set() or self._stopped.is_set(),
-                wait_s,
-            )
-            if ending.is_set() or self._stopped.is_set():
-                return None
-            proved, self._waiting = self._waiting, None
-            self._busy = proved is not None
-            self._news.notify_all()
-            return proved
-
-    def _drop_late(self) -> None:
-        """Count sequences that are not sent; the next `send` reports it and restarts at zero."""
-        with self._news:
-            self.dropped_late += 1 + (self._waiting is not None)
-            self._waiting = None
-            self._late_unreported = True
-
-    def _fail(self, error: BoardError) -> None:
-        with self._news:
-            self._is_lost = self._is_lost or isinstance(error, LineLostError)
-            self._failure = self._failure or error
-            self._news.notify_all()
-
-    def _fail_driver(self, error: Exception) -> None:
-        """Report a driver that has failed; its pattern would be shown on with nobody to end it."""
-        fault = BoardError(f"the driver {type(self.driver).__name__} has failed ({error!r})")
-        fault.__cause__ = error
-        self._fail(fault)
-        with contextlib.suppress(BoardError):
-            self._line._put_at_zero()
+        if fault is not error:
+            # Its pattern would be shown on with nobody to end it.
+            with contextlib.suppress(BoardError):
+                self._line._put_at_zero()
 
     # -- measuring and reports ---------------------------------------------
 
@@ -585,7 +589,18 @@ class Board:
         self._line.require_running()
         self._gate.restart()
         try:
-            found = self._measure()
+            if scans := self.driver.measuring_scans():
+                self.drain()
+                now_ns, within_ns = self._clock.now_ns(), MEASURED_WITHIN_NS
+                found = self.driver.measure([
+                    self._gate.prove_measurement(scan, times, due_ns=now_ns, late_ns=within_ns)
+                    for scan, times in scans
+                ])  # fmt: skip
+            else:
+                self.take_volts()
+                found = measure_by_probes(
+                    self._probe, self._limits, self._output, self.capabilities
+                )
         except BoardError as error:
             # A board whose line is lost is at zero only if the stop has reached it.
             if self._zeroed or not isinstance(error, LineLostError):
@@ -597,27 +612,11 @@ class Board:
         self._line.require_running()
         return found
 
-    def _measure(self) -> Impedance:
-        if scans := self.driver.measuring_scans():
-            self.drain()
-            now_ns = self._clock.now_ns()
-            proved = [
-                self._gate.prove_measurement(
-                    scan, times, due_ns=now_ns, late_ns=MEASURED_WITHIN_NS
-                )
-                for scan, times in scans
-            ]  # fmt: skip
-            return self.driver.measure(proved)
-        self.take_volts()
-        return measure_by_probes(self._probe, self._limits, self._output, self.capabilities)
-
     def _probe(self, probe: ScanSequence) -> NDArray[np.float64]:
         """Deliver a scan and return its voltages."""
         self.send(probe)
         self.drain()
-        found = [
-            volts for sequence, volts in self.take_volts() if sequence.time_ns == probe.time_ns
-        ]
+        found = [volts for scan, volts in self.take_volts() if scan.time_ns == probe.time_ns]
         if probe.slots and not found:
             raise BoardError(
                 f"the board at {self._line.name} did not report the voltages of its electrodes: "
@@ -683,13 +682,3 @@ class Board:
         self._require_own_process()
         if not self._opened:
             raise BoardClosedError(f"the board is not open: open it before {what}")
-
-
-def _require_same_clock(due_ns: int, now_ns: int) -> None:
-    """Raise if a planned start is too far ahead to be by the board's clock."""
-    away_ns = due_ns - now_ns
-    if away_ns > FARTHEST_NS:
-        raise BoardError(
-            f"due_ns is {away_ns / 1e9:.3g} s from now, and at most {FARTHEST_NS / 1e9:g} s are "
-            "possible: give a time of the board's clock (board.clock.now_ns())"
-        )

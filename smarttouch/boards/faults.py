@@ -7,19 +7,13 @@ vendor, product and serial number, else its port.
 import hashlib
 import json
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from platformdirs import user_state_path
 
 from smarttouch.base.errors import (
-    BoardError,
     BoardLatchedError,
-    BoardStoppedError,
-    LineLostError,
-    OtherDeviceError,
-    SilentBoardError,
 )
 from smarttouch.base.files import make_folder, write_bytes
 
@@ -76,22 +70,3 @@ def refuse_latched(device: str | None) -> None:
 def _path(device: str) -> Path:
     name = hashlib.sha256(device.encode()).hexdigest()[:32]
     return user_state_path("smarttouch", appauthor=False) / "latched" / f"{name}.json"
-
-
-TIMES = 3
-
-
-def restart_lost_board(start: Callable[[], None], lost: LineLostError) -> None:
-    """Restart a board after its line was lost, up to three times, as the line may be lost again
-    meanwhile; ``start`` waits for the port and puts the board at zero."""
-    for left in reversed(range(TIMES)):
-        try:
-            return start()
-        except BoardStoppedError:
-            raise
-        except OtherDeviceError as other:
-            raise BoardError(f"{lost}; {other}") from None
-        except BoardError as again:
-            if not left or not isinstance(again, LineLostError | SilentBoardError):
-                raise lost from None
-    return None

@@ -231,13 +231,7 @@ def judge(
 def classify(kohm: NDArray[np.float64], current_ma: float) -> Impedance:
     """Return which electrodes are open or shorted, by their impedances, (E,) kΩ."""
     finite = kohm[np.isfinite(kohm)]
-    middle = float(np.median(finite)) if finite.size else np.inf
-    conditions: list[Condition] = []
-    for value in kohm:
-        if not value <= OPEN_FACTOR * middle or not np.isfinite(value):
-            conditions.append("open")
-        elif value < SHORT_FACTOR * middle:
-            conditions.append("short")
-        else:
-            conditions.append("good")
-    return Impedance(kohm, tuple(conditions), current_ma)
+    middle = np.median(finite) if finite.size else np.inf
+    is_open = ~(kohm <= OPEN_FACTOR * middle) | ~np.isfinite(kohm)
+    conditions = np.select([is_open, kohm < SHORT_FACTOR * middle], ["open", "short"], "good")
+    return Impedance(kohm, tuple(conditions.tolist()), current_ma)

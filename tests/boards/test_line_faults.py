@@ -15,8 +15,10 @@ from smarttouch.base.errors import (
     OtherDeviceError,
     SilentBoardError,
 )
-from smarttouch.boards.faults import TIMES, restart_lost_board
+from smarttouch.boards.board import RESTARTS, Board
 from smarttouch.boards.kits.etactilekit_wire import zero_anywhere
+from smarttouch.boards.open import MemoryDriver
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..raising import raises
 from ..whole import sample
@@ -250,18 +252,31 @@ def failing(*errors):
     return start, left
 
 
+def restart(start):
+    """Let a board recover from a loss, whose driver opens as `start` says."""
+    limits = SafetyLimits(
+        electrodes=4, current_ma=2.0, pulse_us=200.0, charge_uc=0.4, rate_hz=50.0, duty=0.5,
+        ramp_s=1.0, full_ma=2.0,
+    )  # fmt: skip
+    driver = MemoryDriver("", limits)
+    with Board(driver, limits, on_a_finger=False, claimed_time=True) as board:
+        opens = driver.open
+        driver.open = lambda line, limits: start() or opens(line, limits)
+        board._recover(LOST)
+
+
 @pytest.mark.parametrize("kind", [LineLostError, SilentBoardError])
-@pytest.mark.parametrize("again", range(TIMES))
+@pytest.mark.parametrize("again", range(RESTARTS))
 def test_what_is_lost_again_meanwhile_is_begun_again(kind, again):
     start, left = failing(*[kind("again")] * again)
-    restart_lost_board(start, LOST)
+    restart(start)
     assert left == []
 
 
 def test_the_first_loss_is_reported_where_it_does_not_come_back():
-    start, left = failing(*[LineLostError("again")] * (TIMES + 1))
+    start, left = failing(*[LineLostError("again")] * (RESTARTS + 1))
     with pytest.raises(LineLostError) as error:
-        restart_lost_board(start, LOST)
+        restart(start)
     assert (error.value, len(left)) == (LOST, 1)
 
 
@@ -269,6 +284,6 @@ def test_the_first_loss_is_reported_where_it_does_not_come_back():
 def test_what_trying_again_does_not_mend_is_tried_once(kind):
     start, left = failing(kind("no"), kind("no"))
     with pytest.raises(BoardError) as error:
-        restart_lost_board(start, LOST)
+        restart(start)
     assert len(left) == 1
     assert isinstance(error.value, BoardStoppedError) == (kind is BoardStoppedError)
