@@ -6,13 +6,13 @@ import threading
 
 import pytest
 
-from smarttouch.base.errors import BoardError, BoardStoppedError
+from smarttouch.base.errors import BoardError
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
 from smarttouch.boards.reports import Capabilities
 from smarttouch.boards.run_registry import registry_folder
-from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..raising import raises
 from .runs import PATIENCE_S
@@ -115,42 +115,6 @@ def test_a_board_that_is_interrupted_when_it_is_open_is_closed(monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         board.open()
     assert (board._opened, announced()) == (False, 0)
-
-
-def test_what_was_proved_before_a_board_was_closed_is_not_sent_when_it_is_open_again(
-    monkeypatch, make_sequence
-):
-    """It may be strong, and what comes first must be weak."""
-    sent, raised, proved, goes_on = [], [], threading.Event(), threading.Event()
-    prove = SafetyGate.prove
-
-    def slow(gate, *given, **named):
-        frozen = prove(gate, *given, **named)
-        proved.set()
-        assert goes_on.wait(PATIENCE_S)
-        return frozen
-
-    def send(board):
-        try:
-            board.send(make_sequence(0, electrodes=4, period_us=20_000))
-        except BoardError as error:
-            raised.append(type(error))
-
-    def write(driver, proved):
-        with driver.line.current(proved):
-            sent.append(proved)
-
-    monkeypatch.setattr(Unlined, "write", write)
-    with plain() as board:
-        monkeypatch.setattr(SafetyGate, "prove", slow)
-        sending = threading.Thread(target=send, args=(board,), daemon=True)
-        sending.start()
-        assert proved.wait(PATIENCE_S)
-        board.close()
-        board.open()
-        goes_on.set()
-        sending.join(PATIENCE_S)
-    assert (sent, raised) == ([], [BoardStoppedError])
 
 
 @pytest.mark.parametrize("how", ["stop", "halt", "close"])
