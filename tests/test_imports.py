@@ -45,7 +45,7 @@ from smarttouch.emulator.link_firmware import LinkFirmware
 class FakePort(serial.SerialBase):
     log = DeliveryLog(64)
     def open(self):
-        self._board, self._waiting = LinkFirmware(64, "weighted", self.log), b""
+        self._board, self._waiting = LinkFirmware("weighted", self.log), b""
         self._clock, self._lock = DeviceClock(self._board.longest_step_ns), threading.RLock()
         self.is_open = True
     def _reconfigure_port(self): pass
