@@ -271,7 +271,6 @@ class ETactileKitDriver(Driver):
         self._lock = ScanLock(settings.period_ns)
         for commands in (LOAD + self._nothing, settings_commands(settings, between_hz)):
             if self._kit.exchange(commands) is None:
-                self._kit.resync()
                 return False
         if settings.rate_hz != before_hz:
             # The newest firmware finishes the current period.
@@ -282,11 +281,9 @@ class ETactileKitDriver(Driver):
     def _load(self, pattern: bytes) -> bool:
         """Load a pattern while nothing flows; return whether the board has it."""
         self._on_board = b""
-        if self._kit.exchange(LOAD + pattern) is None:
-            self._kit.resync()
-            return False
-        self._on_board = pattern
-        return True
+        if self._kit.exchange(LOAD + pattern) is not None:
+            self._on_board = pattern
+        return self._on_board == pattern
 
     # -- the scans of the board -----------------------------------------------
 
@@ -295,7 +292,6 @@ class ETactileKitDriver(Driver):
         before, self._before = self._before, None
         found = self._kit.exchange(body, ask=True, drives=drives)
         if found is None:
-            self._kit.resync()
             return None
         span, readings = found
         assert readings is not None

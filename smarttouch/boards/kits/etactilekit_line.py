@@ -185,7 +185,7 @@ class ETactileKitLine:
         self.line.discard_input()
         self.line.write(bytes(3) + PING)
         if self.line.read(1, CHIPS_S) != self._echo:
-            self.resync()
+            self._resync()
         return forgets and in_time
 
     def _recognize(self) -> None:
@@ -211,8 +211,9 @@ class ETactileKitLine:
         self, body: bytes, *, ask: bool = False, drives: ProvedSequence | None = None
     ) -> tuple[Span, NDArray[np.uint16] | None] | None:
         """Send commands and wait until they are executed; return the span in which that was and, if
-        asked for, the readings (N,) before them in the board's order; None if the answer is wrong.
-        Commands that start the pulses of a sequence come with it, in ``drives``."""
+        asked for, the readings (N,) before them in the board's order. If the answer is wrong, lead
+        the parser to the start of a command and return None. Commands that start the pulses of a
+        sequence come with it, in ``drives``."""
         data = READINGS * ask + body + PING
         expected = 2 * self.outputs * ask + 1
         # A late answer must not be taken for this one's.
@@ -225,11 +226,12 @@ class ETactileKitLine:
         answer = self.line.read(expected, ECHO_S)
         span = Span(begun_ns, self.line.now_ns())
         if len(answer) != expected or answer[-1:] != self._echo:
+            self._resync()
             return None
         self._losses = 0
         return span, np.frombuffer(answer[:-1], "<u2") if ask else None
 
-    def resync(self) -> None:
+    def _resync(self) -> None:
         """Resynchronize the board's parser to the start of a command; nothing flows meanwhile."""
         self._losses += 1
         if self._losses > MOST_LOSSES:
