@@ -1,6 +1,5 @@
 """The contract of drivers, run over the C core behind a pseudo-terminal and on a Cortex-M3."""
 
-import os
 import tempfile
 import time
 from dataclasses import replace
@@ -12,7 +11,7 @@ import pytest
 from smarttouch.base.errors import BoardRestartedError
 from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.open import make_board
-from smarttouch.emulator.firmware import read_slots, read_state
+from smarttouch.emulator.firmware import read_slots
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.scan_sequence import KernelLists
 from tests.boards.fresh import deliver, fresh_state, until
@@ -127,21 +126,3 @@ def test_a_board_whose_session_is_over_gets_its_kernels_in_another(start_firmwar
         first = packets.session.number
         board.keep_kernels(table)
         assert packets.session.number != first
-
-
-@pytest.mark.realtime
-def test_a_host_that_is_killed_leaves_zero(start_firmware, tmp_path, make_limits, make_sequence):
-    port = start_firmware(f"--books={tmp_path}")[1]
-    # A second way to the port: it stays open when the host is gone.
-    kept = os.open(port, os.O_RDWR | os.O_NOCTTY)
-    board = make_board(f"link:{port}", make_limits(), Output(kind="weighted"))
-    with board:
-        deliver(board, make_sequence(0))
-        board.send(make_sequence(1, intensity=0.1, level_ua=200), times=1000)
-        until(lambda: read_state(tmp_path)["slots"] > 4)
-        board.driver.idle = lambda: None
-        until(lambda: read_state(tmp_path)["state"] == "shorted")
-        state = fresh_state(tmp_path)
-        assert state["reason"] == "silence"
-        assert 100 <= state["zero_after_ms"] <= 100 + 10
-    os.close(kept)

@@ -9,12 +9,8 @@ import random
 import numpy as np
 import pytest
 
-from smarttouch.boards.kits.etactilekit import ETactileKitDriver
-from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
-from smarttouch.emulator.firmware import read_slots
 from smarttouch.stimulation.safety_gate import SafetyLimits
-from tests.boards.fresh import until
 from tests.boards.manual_kit import MS, ManualKit
 
 from ..whole import WHOLE
@@ -144,35 +140,3 @@ def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
     assert shown == [wanted(each) for each in sequences]
     assert report.pulses <= kit.books.pulses <= report.most_pulses
     assert kit.books.sequences < 50
-
-
-@pytest.mark.realtime
-@pytest.mark.usefixtures("patient_boards")
-@FIRMWARES
-def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch, firmware):
-    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
-    # On a machine that stands still what waits would give way to what is newer.
-    monkeypatch.setattr(ETactileKitDriver, "waits_s", 60.0)
-    _, port = start_emulator(f"books={tmp_path}", f"firmware={firmware}", protocol="etactilekit")
-    # Neighbors drive different electrodes, so that each scan tells which pattern it was of.
-    sequences = [pulses(900, [], intensity=0.0, width_us=50)] + [
-        pulses(900, [step % 8, (step + 3) % 8], step, width_us=50, intensity=1.0)
-        for step in range(1, 60)
-    ]
-    with make_board(f"etactilekit:{port}?firmware={firmware}", LIMITS) as board:
-        for each in sequences:
-            board.send(each)
-        board.drain(10)
-        report = board.report()
-        assert (board.acknowledged, board.refused, board.replaced) == (60, 0, 0)
-    # The process writes its books a while after the event.
-    sites = [set(each.site.tolist()) for each in sequences[1:]]
-    until(lambda: scanned(tmp_path) == sites)
-    assert 8 * len(read_slots(tmp_path)) <= report.most_pulses
-
-
-def scanned(folder):
-    """Return the electrodes of each scan that differs from the one before."""
-    slots = read_slots(folder)
-    numbers = np.unique(slots["number"])
-    return unlike([set(slots["site"][slots["number"] == each].tolist()) for each in numbers])

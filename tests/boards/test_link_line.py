@@ -17,75 +17,46 @@ pytestmark = pytest.mark.realtime
 ALIVE = "alive"
 
 
-class Port:
-    """Plays each piece once, then the last for ever; a number is a read that took so long."""
+class Reads:
+    """A line that plays each piece once, then the last for ever; a number is a read that took so
+    long."""
 
-    def __init__(self, line, *pieces):
-        self.line, self.pieces, self.in_waiting, self.number = line, list(pieces), 0, 0
+    name = "here"
 
-    def read(self, _):
+    def __init__(self, packets, *pieces):
+        self.packets, self.pieces, self.number = packets, list(pieces), 0
+
+    def read_some(self):
         piece = self.pieces.pop(0) if len(self.pieces) > 1 else self.pieces[0]
         time.sleep(piece if isinstance(piece, float) else 0.02)
         if piece == ALIVE:
             self.number += 1
-            session, payload = self.line.session.number, protocol.ALIVE.pack(0)
+            session, payload = self.packets.session.number, protocol.ALIVE.pack(0)
             return encode(MessageKind.ALIVE, session, self.number, payload=payload)
         return piece if isinstance(piece, bytes) else b""
-
-    def write(self, _):
-        pass
-
-    def close(self):
-        pass
-
-
-class Reads:
-    """A line that reads from such a port."""
-
-    name = "here"
-
-    def __init__(self, port):
-        self.port = port
-
-    def read_some(self):
-        return self.port.read(1)
 
     def lost(self, what):
         return LineLostError(f"the board at {self.name} {what}")
 
 
-@pytest.fixture
-def listen():
-    """Return a maker of packets from a port that plays pieces."""
-    lines = []
-
-    def start(*pieces, begun=True):
-        line = PacketLine(lambda message: None)
-        line.open(Reads(Port(line, *pieces)))
-        line.session.begun, line.silence_s = begun, SILENCE_S
-        lines.append(line)
-        return line
-
-    yield start
-    for line in lines:
-        line.close()
-
-
-def test_our_own_absence_is_not_the_boards_silence(listen):
-    line = listen(ALIVE, 2 * SILENCE_S, b"", ALIVE)
-    time.sleep(3 * SILENCE_S)
-    line.raise_fault()
-
-
-@pytest.mark.parametrize("noise", [b"", b"nothing whole"])
-def test_a_silent_board_is_gone(listen, noise):
-    line = listen(ALIVE, noise)
-    until(lambda: line.fault is not None)
-    with raises(LineLostError, names="board", value="here"):
-        line.raise_fault()
-
-
-def test_a_board_is_silent_before_a_session(listen):
-    line = listen(b"", begun=False)
-    time.sleep(2 * SILENCE_S)
-    line.raise_fault()
+@pytest.mark.parametrize(("pieces", "begun", "is_gone"), [
+    # Our own absence is not the board's silence, and before a session it says nothing.
+    ([ALIVE, 2 * SILENCE_S, b"", ALIVE], True, False),
+    ([b""], False, False),
+    ([ALIVE, b""], True, True),
+    ([ALIVE, b"nothing whole"], True, True),
+])  # fmt: skip
+def test_a_silent_board_is_gone(pieces, begun, is_gone):
+    packets = PacketLine(lambda message: None)
+    packets.open(Reads(packets, *pieces))
+    packets.session.begun, packets.silence_s = begun, SILENCE_S
+    try:
+        if is_gone:
+            until(lambda: packets.fault is not None)
+            with raises(LineLostError, names="board", value="here"):
+                packets.raise_fault()
+        else:
+            time.sleep(3 * SILENCE_S)
+            packets.raise_fault()
+    finally:
+        packets.close()
