@@ -117,14 +117,13 @@ def emulate_sensor(
     require_within(SmartTouchError, "rate", rate_hz, 0.01, 2000.0)
     require_within(SmartTouchError, "force", force, -_LARGEST_N, _LARGEST_N)
     faults = [parse(text, FAULTS) for text in event]
-    kinds = {fault.kind for fault in faults}
-    if name == "serial-array" and "nan" in kinds:
+    if name == "serial-array" and "nan" in {fault.kind for fault in faults}:
         raise SmartTouchError("a pixel is always a number: event nan is for load cells")
     if name == "serial-array":
         device: Firmware = sensors.SensorArray(rate_hz)
     else:
         device = sensors.EmulatedLoadCell(force, framed=name == "loadcell", rate_hz=rate_hz)
-    with closing(_opened(partial(PtyLine, keeps_name="unplug" in kinds))) as line:
+    with closing(_opened(PtyLine)) as line:
         server = Server(device, line, faults, Orders())
         _serve(server, linger, partial(_sensor_advice, name) if advise else str)
     with suppress(BrokenPipeError):

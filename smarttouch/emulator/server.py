@@ -7,7 +7,6 @@ seconds (for ever if not given)::
     3 nan 1             readings that are not numbers (load cells)
     4 freeze 3          the same image or reading again and again (sensors)
     5 silent 1          nothing passes
-    6 unplug 1.5        the port is gone; its name is valid again afterwards
 """
 
 import contextlib
@@ -27,7 +26,7 @@ from smarttouch.base.wire.device_lines import PtyLine, TcpLine
 from smarttouch.emulator.finger_events import DeviceEvent, parse
 from smarttouch.emulator.firmware import DeviceClock, Firmware
 
-FAULTS = dict.fromkeys(("garbage", "nan", "freeze", "silent", "unplug"), "[SECONDS]")
+FAULTS = dict.fromkeys(("garbage", "nan", "freeze", "silent"), "[SECONDS]")
 FIRST_HOST_S = 8.0  # time beyond its lingering that it waits for the first host
 _WRITE_EVERY_NS = 50_000_000
 _FULL_WAIT_S = 0.0005  # time after which the rest of a message is tried again
@@ -119,7 +118,7 @@ class Server:
             if self._firmware.books is not None:
                 self._firmware.books.stood_still_ms = clock.stood_still_ns / 1e6
             self.step(data, now_ns)
-            if self._hosted or not self._line.plugged_in:
+            if self._hosted:
                 host_ns = now_ns
             elif now_ns > host_ns + linger_s * 1e9:
                 break
@@ -135,9 +134,6 @@ class Server:
         if data is not None and self._first_host_ns is None:
             self._first_host_ns = now_ns
         wrong = self._wrong_at(now_ns)
-        if ("unplug" in wrong) is self._line.plugged_in:
-            (self._line.pull_out if self._line.plugged_in else self._line.plug_in)()
-            data = None
         had_host, self._hosted = self._hosted, data is not None
         if data is None:
             self._waiting.clear()
@@ -179,16 +175,10 @@ class Server:
             with contextlib.suppress(BrokenPipeError):
                 try:
                     if not self._firmware.take_order(line.split()):
-                        self._faults.append(self._fault(f"{time_s:.6f} {line}"))
+                        self._faults.append(parse(f"{time_s:.6f} {line}", FAULTS))
                 except BoardError as error:
                     print(error, file=sys.stderr, flush=True)
         return frozenset() if self._first_host_ns is None else faults_at(self._faults, time_s)
-
-    def _fault(self, order: str) -> DeviceEvent:
-        fault = parse(order, FAULTS)
-        if fault.kind == "unplug" and not self._line.keeps_name:
-            raise BoardError("the port's name would change: start it with the event '0 unplug 0'")
-        return fault
 
     def _write_books(self) -> None:
         if self._firmware.books is not None:

@@ -175,7 +175,7 @@ def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile):
 
 
 def test_a_cell_with_all_faults_and_orders(start, profile, changed):
-    process, name = start("hx711", "force=0.6", "event=0 unplug 0")
+    process, name = start("hx711", "force=0.6")
     in_newtons = changed(profile, {"force.curve": (-1.6, 1 / 50_000)})
 
     def order(words):
@@ -187,7 +187,7 @@ def test_a_cell_with_all_faults_and_orders(start, profile, changed):
         for fault, seen in (
             ("garbage 0.6", lambda: readings.garbled > 0),
             ("nan 0.3", lambda: watch._invalid > 0),
-            ("unplug 0.4", lambda: watch._silence.times > 0),
+            ("silent 0.6", lambda: watch._silence.times > 0),
         ):
             # One reading: the next may have come late, and be none.
             found = [math.nan]

@@ -116,7 +116,7 @@ def test_bad_text_is_one_clear_sentence(text, allowed):
 
 
 def test_faults_of_a_line_may_end():
-    assert parse(" 0.5  unplug  1 ", FAULTS) == DeviceEvent(0.5, "unplug", values=(1,))
+    assert parse(" 0.5  silent  1 ", FAULTS) == DeviceEvent(0.5, "silent", values=(1,))
     faults = [parse("1 nan 1", FAULTS), parse("1.5 silent", FAULTS)]
     found = [faults_at(faults, time_s) for time_s in (0.99, 1, 1.6, 2)]
     assert found == [frozenset(), {"nan"}, {"nan", "silent"}, {"silent"}]

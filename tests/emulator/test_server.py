@@ -1,12 +1,10 @@
 """Emulated sensors, and the server of emulated devices: deadlines, faults and orders."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.emulator.finger_events import parse
 from smarttouch.emulator.firmware import Firmware
 from smarttouch.emulator.sensors import EmulatedLoadCell, SensorArray, SensorFirmware
@@ -22,19 +20,12 @@ class FakeLine:
 
     def __init__(self, room=10**9):
         self.room, self.taken = room, b""
-        self.plugged_in, self.keeps_name = True, False
 
     def write(self, data):
         taken, rest = data[: self.room], data[self.room :]
         self.taken += taken
         self.room -= len(taken)
         return rest
-
-    def pull_out(self):
-        self.plugged_in = False
-
-    def plug_in(self):
-        self.plugged_in = True
 
 
 class FakeOrders:
@@ -108,30 +99,25 @@ def test_a_host_that_goes_takes_its_half_packet_along():
 
 
 def test_faults_of_the_line():
-    server, line = make_server(faults=["0.0625 silent 0.0625", "0.25 unplug 0.125"])
-    present = []
-    for now_ms in range(0, 400):
-        step(server, now_ms, present=line.plugged_in)
-        present.append((len(line.taken), line.plugged_in))
-    assert present[62][0] == present[124][0] == 4 * 7
-    assert present[190][0] > 4 * 7
-    gone = [not plugged_in for _, plugged_in in present]
-    assert gone == [250 <= now_ms < 375 for now_ms in range(400)]
-    assert present[-1][0] > present[375][0]
+    server, line = make_server(faults=["0.0625 silent 0.0625"])
+    taken = []
+    for now_ms in range(0, 200):
+        step(server, now_ms)
+        taken.append(len(line.taken))
+    assert taken[62] == taken[124] == 4 * 7 < taken[190]
 
 
 def test_orders(capsys):
     cell = EmulatedLoadCell(0.0, noise=0)
-    orders = ("weight 100", "force x", "silent 0.02", "unplug", "dance")
+    orders = ("weight 100", "force x", "silent 0.02", "dance")
     server, line = make_server(cell, orders=orders)
     step(server, *range(0, 60))
     assert line.taken == b"HX711 reading: 129033\r\n" * server.statistics.sent
     assert server.statistics.sent == 4
-    number, unplugged, dance = capsys.readouterr().err.splitlines()
+    number, dance = capsys.readouterr().err.splitlines()
     assert "'x'" in number
-    assert "'0 unplug 0'" in unplugged
-    assert "'0.004000 dance'" in dance
-    assert "garbage, nan, freeze, silent, unplug" in dance
+    assert "'0.003000 dance'" in dance
+    assert "garbage, nan, freeze, silent" in dance
 
 
 def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
@@ -194,22 +180,6 @@ def test_a_board_goes_on_without_a_host_and_receives_nothing_on_a_silent_line():
         server.step(data, now_ms * MS)
     assert (board.heard, line.taken) == (b"a", b"a")
     assert board.calls == [0, 2, 3, "hung up", 4, 5]
-
-
-def test_a_port_whose_name_stays():
-    line = PtyLine(keeps_name=True)
-    try:
-        name = Path(line.name)
-        assert name.exists()
-        line.pull_out()
-        assert not name.is_symlink()
-        assert line.read(0) is None
-        line.plug_in()
-        assert Path(line.name) == name
-        assert name.resolve().is_char_device()
-    finally:
-        line.close()
-    assert not name.parent.exists()
 
 
 def packet(device, number, time_s, *wrong):

@@ -20,7 +20,7 @@ from ..waiting import until
 
 
 class Line(PtyLine):
-    """The device's end of a port; can be pulled out.
+    """The device's end of a port.
 
     What is written comes when the system gets round to it: whoever reads waits for `sent` bytes.
     """
@@ -133,7 +133,7 @@ def test_a_load_cell_on_the_same_line(line, source):
 def test_a_port_that_is_gone(line, source):
     line.send(frame(0))
     assert source.grab(60) is not None
-    line.pull_out()
+    line.close()
     with raises(SourceLostError, value=source.title):
         source.grab(60)
     source.close()
@@ -153,7 +153,7 @@ def test_after_it_was_gone_nothing_counts_as_lost(line, source, monkeypatch):
     second.send(frame(300))
     assert source.grab(60) is not None
     source.close()
-    second.pull_out()
+    second.close()
     assert (source.lost, source.notes) == (0, [])
 
 

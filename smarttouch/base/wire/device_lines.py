@@ -4,16 +4,14 @@ import contextlib
 import os
 import select
 import socket
-import tempfile
 import time
-from pathlib import Path
 
 from smarttouch.base.posix import pty, tty
 
 LARGEST_READ = 65536
 
 
-def _rest(number: int, data: bytes) -> bytes:
+def _written(number: int, data: bytes) -> bytes:
     """Write what fits; return the rest."""
     try:
         return data[os.write(number, data) :]
@@ -24,20 +22,9 @@ def _rest(number: int, data: bytes) -> bytes:
 
 
 class PtyLine:
-    """A serial port of this machine, raw from the start; with ``keeps_name`` its name survives
-    unplugging."""
+    """A serial port of this machine, raw from the start."""
 
-    def __init__(self, keeps_name: bool = False) -> None:
-        self.keeps_name = keeps_name
-        self._folder = tempfile.TemporaryDirectory(prefix="smarttouch-") if keeps_name else None
-        self.plug_in()
-
-    @property
-    def plugged_in(self) -> bool:
-        return self._master >= 0
-
-    def plug_in(self) -> None:
-        """Create the port."""
+    def __init__(self) -> None:
         self._master, slave = pty.openpty()
         self.name: str = os.ttyname(slave)
         # Bytes must pass unchanged even before the host sets up its end.
@@ -45,30 +32,15 @@ class PtyLine:
         os.set_blocking(self._master, False)
         # With our end of the slave closed, the host's last close shows as a hang-up.
         os.close(slave)
-        if self._folder is not None:
-            link = Path(self._folder.name) / "port"
-            link.symlink_to(self.name)
-            self.name = str(link)
-
-    def pull_out(self) -> None:
-        """Remove the port: the host's end hangs up."""
-        if self._folder is not None:
-            Path(self.name).unlink(missing_ok=True)
-        if self.plugged_in:
-            os.close(self._master)
-        self._master = -1
 
     def close(self) -> None:
-        """Remove the port and its name."""
-        self.pull_out()
-        if self._folder is not None:
-            self._folder.cleanup()
+        """Remove the port: the host's end hangs up."""
+        master, self._master = self._master, -1
+        if master >= 0:
+            os.close(master)
 
     def read(self, timeout_s: float) -> bytes | None:
         """Return what has come, empty if nothing; None while there is no host."""
-        if not self.plugged_in:
-            time.sleep(timeout_s)
-            return None
         if not select.select([self._master], [], [], timeout_s)[0]:
             return b""
         try:
@@ -82,19 +54,22 @@ class PtyLine:
 
     def write(self, data: bytes) -> bytes:
         """Write what fits; return the rest."""
-        return _rest(self._master, data)
+        return _written(self._master, data)
 
 
 class TcpLine:
-    """A TCP port of this machine, for one host at a time, never unplugged."""
-
-    keeps_name = False
-    plugged_in = True
+    """A TCP port of this machine, for one host at a time."""
 
     def __init__(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0), backlog=1)
         self.name: str = f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
         self._host: socket.socket | None = None
+
+    def close(self) -> None:
+        """Close both sockets."""
+        self._listener.close()
+        if self._host is not None:
+            self._host.close()
 
     def read(self, timeout_s: float) -> bytes | None:
         """Return what has come, empty if nothing; None while there is no host."""
@@ -117,14 +92,4 @@ class TcpLine:
 
     def write(self, data: bytes) -> bytes:
         """Write what fits; return the rest."""
-        return b"" if self._host is None else _rest(self._host.fileno(), data)
-
-    def plug_in(self) -> None: ...
-
-    def pull_out(self) -> None: ...
-
-    def close(self) -> None:
-        """Close both sockets."""
-        self._listener.close()
-        if self._host is not None:
-            self._host.close()
+        return b"" if self._host is None else _written(self._host.fileno(), data)
