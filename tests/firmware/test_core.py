@@ -10,7 +10,7 @@ import pytest
 
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import MessageKind, Refusal, Rule
+from smarttouch.boards.link.protocol import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.emulator.link_packets import rounded
 from smarttouch.stimulation.safety_gate import SafetyLimits
@@ -89,28 +89,6 @@ def test_a_long_packet_of_the_board(make_core):
         volts = [each.payload for each in heard if each.kind == MessageKind.VOLTAGES]
         assert [len(each) for each in volts] == [2 * slots]
     assert talk.deframer.errors == 0
-
-
-def test_every_rule_is_met():
-    """The scenes above break each rule that a payload can break."""
-    found = Counter()
-
-    class Heard(Talk):
-        def _heard(self, data):
-            messages = super()._heard(data)
-            for each in messages:
-                if each.kind == MessageKind.NAK:
-                    found[protocol.NAK.unpack(each.payload)[1]] += 1
-            return messages
-
-    for seed in range(6):
-        ramp_ms = 500 * (seed % 2)
-        scene = Scene(Emulated(6, ramp_ms=ramp_ms), seed, ramp_ms=ramp_ms)
-        scene.talk.__class__ = Heard
-        scene.play(150)
-    # Those of a second and of a session are met in test_own_law.py.
-    missing = {each for each in Rule if each <= Rule.RECHARGE} - set(found)
-    assert missing <= {Rule.SLOTS, Rule.STATES, Rule.SUM, Rule.DUTY, Rule.TOTAL}, missing
 
 
 def test_host_board_and_core_compute_the_same_currents(make_core):
