@@ -85,8 +85,8 @@ class DocumentOptions(OptionGroup):
         """Return the document, and its options: these, and those that follow its name."""
         from smarttouch.base.errors import BrailleError, PageError
         from smarttouch.base.url_options import joined_options, read_options
+        from smarttouch.pages.document import password_of
         from smarttouch.pages.file_kinds import FileKind, file_kind
-        from smarttouch.pages.passwords import password_of
         from smarttouch.reading.recognition import RecognitionOptions
 
         source = source.removeprefix("page:")

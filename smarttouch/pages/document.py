@@ -1,16 +1,17 @@
-"""Documents: a PDF, a TIFF of many pages or one image, loaded page by page."""
+"""Documents: a PDF, a TIFF of many pages or one image, loaded page by page, and their passwords."""
 
 import contextlib
+import getpass
 import math
 import re
-from abc import ABC, abstractmethod
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from smarttouch.base.errors import PageError
-from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file, unreadable
+from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file, read_text, unreadable
 from smarttouch.base.stopping import Closing
 from smarttouch.pages.page_image import (
     INCH_MM,
@@ -23,7 +24,7 @@ from smarttouch.pages.page_image import (
     require_pixels,
     require_size_mm,
 )
-from smarttouch.pages.pdf_text import PdfPage, turn_of_text, with_text
+from smarttouch.pages.pdf_text import turn_of_text, with_text
 
 if TYPE_CHECKING:
     import pypdfium2
@@ -33,15 +34,148 @@ MOST_RENDERED_PIXELS = 36_000_000
 """Most pixels of a PDF's page, A2 at 300 dots per inch. Larger ones are rendered coarser: most are
 scans whose size in points is that in pixels, without finer detail."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
-_POINT_MM = INCH_MM / 72
 _DOCUMENT = "a readable document: give a PDF, PNG, JPEG or TIFF"
-_SIGNATURE = b"%PDF-"
-_SIGNATURE_WITHIN = 1024
-"""Bytes at a file's start in which readers look for the signature (ISO 32000-1, Annex H.3.4.1)."""
+_SIGNATURE, _SIGNATURE_WITHIN = b"%PDF-", 1024
+"""Beginning of a PDF, and the bytes in which readers look for it (ISO 32000-1, Annex H.3.4.1)."""
+_TRIES, _MOST_PASSWORD_BYTES = 3, 4096
 
 
 class LockedError(PageError):
     """A PDF needs a password, or another one."""
+
+
+class Document(Closing):
+    """Pages loaded on request, by one thread at a time; ``notes`` lists what was assumed."""
+
+    has_scale: bool = False
+    """Whether the size of its pages is known: of a PDF it is."""
+
+    def __init__(self, path: Path, dpi: float | None, page_width_mm: float | None) -> None:
+        self.path: Path = path
+        self.notes: list[str] = []
+        self._dpi, self._page_width_mm = dpi, page_width_mm
+
+    def __len__(self) -> int:
+        """Return the number of pages."""
+        raise NotImplementedError
+
+    def page(self, index: int) -> Page:
+        """Return a page by its index from 0."""
+        if not 0 <= index < len(self):
+            raise PageError(f"{self.path} {_absent(index + 1, len(self))}")
+        return self._load(index)
+
+    def _load(self, index: int) -> Page:
+        raise NotImplementedError
+
+    def _note(self, sentence: str) -> None:
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+
+class _ImageDocument(Document):
+    """An image file, or the pages of a TIFF; it is open only while a page is loaded."""
+
+    def __init__(self, path: Path, dpi: float | None, page_width_mm: float | None) -> None:
+        super().__init__(path, dpi, page_width_mm)
+        with open_image(path, _DOCUMENT) as image:
+            self._frames = page_frames(image)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def _load(self, index: int) -> Page:
+        with open_image(self.path, _DOCUMENT) as image:
+            image.seek(self._frames[index])
+            grey, mm_per_pixel = read_grey(self.path, image, self._dpi, self._page_width_mm)
+        height, width = grey.shape
+        if mm_per_pixel is None:
+            mm_per_pixel = min(GUESSED_WIDTH_MM / width, LARGEST_MM / height)
+            self._note(
+                f"{self.path} does not state its size: "
+                f"assumed to be {width * mm_per_pixel:.0f} mm wide"
+            )
+        require_size_mm(str(self.path), width * mm_per_pixel, height * mm_per_pixel)
+        return Page(grey, mm_per_pixel)
+
+
+class _PdfDocument(Document):
+    """A PDF; its pages are rendered, with filled-in forms, and bring their text."""
+
+    has_scale = True
+
+    def __init__(
+        self, path: Path, dpi: float | None, page_width_mm: float | None, password: str | None
+    ) -> None:
+        super().__init__(path, dpi or PDF_DPI, page_width_mm)
+        try:
+            import pypdfium2
+        except ImportError:
+            raise PageError(
+                f"{path}: a PDF needs the extra pdf: pip install 'smarttouch[pdf]'"
+            ) from None
+        try:
+            self._pdf = pypdfium2.PdfDocument(path, password)
+        except pypdfium2.PdfiumError as error:
+            if "password" not in str(error).lower():
+                message = f"{path} is damaged, or has no pages: save it again"
+                raise PageError(message) from None
+            message = (
+                f"{path} is locked: give --password-file FILE, or page:FILE?password_file=FILE"
+                if password is None
+                else f"{path} is locked, and this is not its password: check it"
+            )
+            raise LockedError(message) from None
+        # Needed to render filled-in fields, before any page is opened.
+        if self._pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
+            self._pdf.init_forms()
+
+    def __len__(self) -> int:
+        return len(self._pdf)
+
+    def close(self) -> None:
+        self._pdf.close()
+
+    def _load(self, index: int) -> Page:
+        import pypdfium2
+
+        name = f"page {index + 1} of {self.path}"
+        try:
+            printed = _flatten(self._pdf[index])
+            with contextlib.closing(self._pdf[index]) as sheet:
+                rotation = sheet.get_rotation()
+                turn_deg = turn_of_text(sheet)
+                sheet.set_rotation((rotation + turn_deg) % 360)
+                page = self._render(sheet, name, printed)
+                if turn_deg and page.notes and not page.lines:
+                    # The turned text is a stamp on a picture.
+                    sheet.set_rotation(rotation)
+                    page = self._render(sheet, name, printed)
+                return page
+        # PDFium has no rotation of a page whose description is damaged.
+        except (pypdfium2.PdfiumError, KeyError):
+            raise PageError(f"{name} cannot be read: the file is damaged") from None
+
+    def _render(self, sheet: "pypdfium2.PdfPage", name: str, printed: int | None) -> Page:
+        width, height = sheet.get_size()
+        if not min(width, height) > 0:
+            raise PageError(f"{name} has no area: the file is damaged")
+        mm = self._page_width_mm / width if self._page_width_mm else INCH_MM / 72
+        require_size_mm(name, width * mm, height * mm, "page_width_mm")
+        dpi = self._dpi or PDF_DPI
+        finest_dpi = INCH_MM * math.sqrt(MOST_RENDERED_PIXELS / (width * height)) / mm
+        if finest_dpi < dpi:
+            dpi = finest_dpi
+            self._note(
+                f"{name} is {width * mm:.0f} x {height * mm:.0f} mm: "
+                f"rendered at {dpi:.0f} dots per inch"
+            )
+        scale = mm / (INCH_MM / dpi)
+        require_pixels(name, math.ceil(width * scale), math.ceil(height * scale))
+        with contextlib.closing(sheet.render(scale=scale, grayscale=True)) as bitmap:
+            # A copy, as the bitmap frees its memory.
+            grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
+        return with_text(sheet, Page(grey, INCH_MM / dpi), mm, printed)
 
 
 def open_document(
@@ -50,16 +184,50 @@ def open_document(
     dpi: float | None = None,
     page_width_mm: float | None = None,
     password: str | None = None,
-) -> "Document":
+) -> Document:
     """Open a PDF, a TIFF of one or many pages, or any other image, recognized by its content.
 
     ``dpi`` replaces an image's own resolution, or the 300 at which a PDF is rendered;
     ``page_width_mm`` replaces the file's own scale.
     """
     check_scale_options(dpi, page_width_mm)
-    if _is_pdf(path):
-        return PdfDocument(path, dpi, page_width_mm, password)
-    return ImageDocument(path, dpi, page_width_mm)
+    try:
+        with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
+            is_pdf = _SIGNATURE in file.read(_SIGNATURE_WITHIN)
+    except OSError as error:
+        raise unreadable(PageError, path, error) from None
+    if is_pdf:
+        return _PdfDocument(path, dpi, page_width_mm, password)
+    return _ImageDocument(path, dpi, page_width_mm)
+
+
+def password_of(path: Path, password_file: str | None = None) -> str | None:
+    """Return the password of a document; None if it needs none.
+
+    It is the first line of a file, or of standard input for ``-``; without one it is asked for
+    where somebody sits at a terminal.
+    """
+    if password_file is not None:
+        is_input = password_file == "-"
+        text = (
+            sys.stdin.readline()
+            if is_input
+            else read_text(Path(password_file), PageError, _MOST_PASSWORD_BYTES)
+        )
+        if password := text.split("\n")[0].rstrip("\r"):
+            return password
+        name = "standard input" if is_input else password_file
+        raise PageError(f"{name} has no password in its first line: write it there")
+    password = None
+    for attempt in range(_TRIES + 1):
+        try:
+            open_document(path, password=password).close()
+            break
+        except LockedError:
+            if attempt == _TRIES or not sys.stdin.isatty():
+                raise
+            password = getpass.getpass(f"Password of {path.name}: ")
+    return password
 
 
 def parse_pages(text: str, count: int) -> list[int]:
@@ -80,164 +248,6 @@ def parse_pages(text: str, count: int) -> list[int]:
             raise PageError(f"pages {text}: {first} is after {last}: write {last}-{first}")
         indexes += range(first - 1, last)
     return indexes
-
-
-class Document(Closing, ABC):
-    """Pages loaded on request, by one thread at a time; ``notes`` lists what was assumed."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.notes: list[str] = []
-
-    @abstractmethod
-    def __len__(self) -> int:
-        """Return the number of pages."""
-
-    def page(self, index: int) -> Page:
-        """Return a page by its index from 0."""
-        if not 0 <= index < len(self):
-            raise PageError(f"{self.path} {_absent(index + 1, len(self))}")
-        return self._load(index)
-
-    @abstractmethod
-    def _load(self, index: int) -> Page: ...
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close the file."""
-
-    def _note(self, sentence: str) -> None:
-        if sentence not in self.notes:
-            self.notes.append(sentence)
-
-
-class ImageDocument(Document):
-    """An image file, or the pages of a TIFF."""
-
-    def __init__(self, path: Path, dpi: float | None, page_width_mm: float | None) -> None:
-        super().__init__(path)
-        self._dpi, self._page_width_mm = dpi, page_width_mm
-        with open_image(path, _DOCUMENT) as image:
-            self._frames = page_frames(image)
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def close(self) -> None:
-        """Do nothing: the file is open only while a page is loaded."""
-
-    def _load(self, index: int) -> Page:
-        with open_image(self.path, _DOCUMENT) as image:
-            image.seek(self._frames[index])
-            grey, mm_per_pixel = read_grey(self.path, image, self._dpi, self._page_width_mm)
-        height, width = grey.shape
-        if mm_per_pixel is None:
-            mm_per_pixel = min(GUESSED_WIDTH_MM / width, LARGEST_MM / height)
-            self._note(
-                f"{self.path} does not state its size: "
-                f"assumed to be {width * mm_per_pixel:.0f} mm wide"
-            )
-        require_size_mm(str(self.path), width * mm_per_pixel, height * mm_per_pixel)
-        return Page(grey, mm_per_pixel)
-
-
-class PdfDocument(Document):
-    """A PDF; its pages are rendered, with filled-in forms, and bring their text layer."""
-
-    def __init__(
-        self, path: Path, dpi: float | None, page_width_mm: float | None, password: str | None
-    ) -> None:
-        super().__init__(path)
-        self._dpi = PDF_DPI if dpi is None else dpi
-        self._page_width_mm = page_width_mm
-        self._pdf = _open_pdf(path, password)
-
-    def __len__(self) -> int:
-        return len(self._pdf)
-
-    def close(self) -> None:
-        self._pdf.close()
-
-    def _load(self, index: int) -> Page:
-        import pypdfium2
-
-        name = f"page {index + 1} of {self.path}"
-        try:
-            printed = _flatten(self._pdf[index])
-            with contextlib.closing(self._pdf[index]) as sheet:
-                rotation = _rotation_of(sheet, name)
-                turn_deg = turn_of_text(sheet)
-                sheet.set_rotation((rotation + turn_deg) % 360)
-                page = self._render(sheet, name, printed)
-                if turn_deg and isinstance(page, PdfPage) and not page.lines:
-                    # The turned text is a stamp on a picture.
-                    sheet.set_rotation(rotation)
-                    page = self._render(sheet, name, printed)
-                return page
-        except pypdfium2.PdfiumError:
-            raise PageError(f"{name} cannot be read: the file is damaged") from None
-
-    def _render(self, sheet: "pypdfium2.PdfPage", name: str, printed: int | None) -> Page:
-        width, height = sheet.get_size()
-        if not min(width, height) > 0:
-            raise PageError(f"{name} has no area: the file is damaged")
-        mm = _POINT_MM if self._page_width_mm is None else self._page_width_mm / width
-        require_size_mm(name, width * mm, height * mm, "page_width_mm")
-        finest_dpi = INCH_MM * math.sqrt(MOST_RENDERED_PIXELS / (width * height)) / mm
-        dpi = min(self._dpi, finest_dpi)
-        if dpi < self._dpi:
-            self._note(
-                f"{name} is {width * mm:.0f} x {height * mm:.0f} mm: "
-                f"rendered at {dpi:.0f} dots per inch"
-            )
-        mm_per_pixel = INCH_MM / dpi
-        scale = mm / mm_per_pixel
-        require_pixels(name, math.ceil(width * scale), math.ceil(height * scale))
-        with contextlib.closing(sheet.render(scale=scale, grayscale=True)) as bitmap:
-            # A copy, as the bitmap frees its memory.
-            grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
-        page = Page(grey, mm_per_pixel)
-        return with_text(sheet, page, mm, printed)
-
-
-def _rotation_of(sheet: "pypdfium2.PdfPage", name: str) -> int:
-    """Return by how much a page is turned clockwise, degrees."""
-    try:
-        return int(sheet.get_rotation())
-    except KeyError:
-        # PDFium has no rotation of a page whose description is damaged.
-        raise PageError(f"{name} cannot be read: the file is damaged") from None
-
-
-def _is_pdf(path: Path) -> bool:
-    try:
-        with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
-            return _SIGNATURE in file.read(_SIGNATURE_WITHIN)
-    except OSError as error:
-        raise unreadable(PageError, path, error) from None
-
-
-def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
-    try:
-        import pypdfium2
-    except ImportError:
-        raise PageError(
-            f"{path}: a PDF needs the extra pdf: pip install 'smarttouch[pdf]'"
-        ) from None
-    try:
-        pdf = pypdfium2.PdfDocument(path, password)
-    except pypdfium2.PdfiumError as error:
-        if "password" not in str(error).lower():
-            message = f"{path} is damaged, or has no pages: save it again"
-            raise PageError(message) from None
-        message = f"{path} is locked: give --password-file FILE, or page:FILE?password_file=FILE"
-        if password is not None:
-            message = f"{path} is locked, and this is not its password: check it"
-        raise LockedError(message) from None
-    # Needed to render filled-in fields, before any page is opened.
-    if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
-        pdf.init_forms()
-    return pdf
 
 
 def _flatten(sheet: "pypdfium2.PdfPage") -> int | None:

@@ -6,7 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageFile, ImageOps
+from PIL import Image, ImageOps
 
 Pixels = NDArray[Any]
 
@@ -27,8 +27,11 @@ _CONTRAST = 64  # levels between the darkest and the brightest of a picture that
 _THICK = 8
 """Strokes are thinner than the image's shorter side divided by this."""
 _WHITE_IS_ZERO = 262, 0  # photometric interpretation of a TIFF
-_OTHER_BYTE = {"B": "L", "L": "B", "N": "B"}
-"""Orders of two bytes whose upper byte is the lower one of the other order."""
+_ORIENTATION = 0x0112  # EXIF tag
+_MIRRORED = {
+    2: (-1, 1), 3: (-1, -1), 4: (1, -1), 5: (1, 1), 6: (-1, 1), 7: (-1, -1), 8: (1, -1),
+}  # fmt: skip
+"""Steps across and down for each orientation; from 5 on after rows are made columns."""
 
 
 class GreyConverter:
@@ -131,18 +134,12 @@ def _weights(levels: NDArray[np.uint8], present: NDArray[np.float64]) -> NDArray
     if len(edges) < _FEWEST_EDGES:
         return present
     edges = edges[:: 1 + len(edges) // _MOST_EDGES]
-
-    def seen(mixes: NDArray[np.float64]) -> NDArray[np.float64]:
-        contrast = np.abs(edges @ mixes.T) / np.abs(edges).max(axis=1, keepdims=True)
-        return np.asarray(np.minimum(1, 2 * contrast).mean(axis=0))
-
-    now = float(seen(present[None])[0])
-    if now >= _KEPT:
+    contrast = np.abs(edges @ np.vstack([present, _MIXES]).T)
+    contrast /= np.abs(edges).max(axis=1, keepdims=True)
+    now, *shown = np.minimum(1, 2 * contrast).mean(axis=0)
+    if now >= _KEPT * max(shown):
         return present
-    shown = seen(_MIXES)
-    if now >= _KEPT * shown.max():
-        return present
-    best = int(np.argmax(shown >= shown.max() - _AS_GOOD))
+    best = int(np.argmax(np.array(shown) >= max(shown) - _AS_GOOD))
     return _MIXES[best] if best else LUMA
 
 
@@ -183,28 +180,20 @@ def read_pixels(image: Image.Image) -> Pixels:
     """Return an open image upright, at its full depth: grey (H, W), with alpha, RGB or RGBA."""
     if image.mode.startswith("I") or image.mode == "F":
         return _deep_grey(image)
-    low = _low_bytes(image)
+    if any(";16" in str(tile) for tile in getattr(image, "tile", ())):
+        return _deep_color(image)
     upright = ImageOps.exif_transpose(image)
-    if low is not None:
-        high, rest = (
-            np.asarray(part, np.uint16) for part in (upright, ImageOps.exif_transpose(low))
-        )
-        return np.asarray(high * np.uint16(256) + rest)
     if upright.mode == "LAB":
         return np.asarray(upright.getchannel("L"))
     if upright.has_transparency_data:
-        return np.asarray(_opened(upright).convert("RGBA"))
+        # Plain alpha, instead of colors that are multiplied by it.
+        plain = upright.convert({"La": "LA", "RGBa": "RGBA"}.get(upright.mode, upright.mode))
+        return np.asarray(plain.convert("RGBA"))
     return np.asarray(upright.convert("L" if upright.mode in ("1", "L") else "RGB"))
 
 
-def _opened(image: Image.Image) -> Image.Image:
-    """Return an image with plain alpha instead of colors that are multiplied by it."""
-    return image.convert({"La": "LA", "RGBa": "RGBA"}.get(image.mode, image.mode))
-
-
 def _deep_grey(image: Image.Image) -> Pixels:
-    upright = ImageOps.exif_transpose(image)
-    values = np.asarray(upright)
+    values = np.asarray(ImageOps.exif_transpose(image))
     tag, zero = _WHITE_IS_ZERO
     if getattr(image, "tag_v2", {}).get(tag) == zero:
         # Pillow inverts such images of 8 bits only.
@@ -213,30 +202,19 @@ def _deep_grey(image: Image.Image) -> Pixels:
     return np.dstack([values, values != hidden]) if isinstance(hidden, int) else values
 
 
-def _low_bytes(image: Image.Image) -> Any:
-    """Return the lower bytes of an image of 16 bits in color, of which Pillow reads the upper ones.
-
-    None for other images. They are had by reading it in the other order of bytes.
-    """
-    if not isinstance(image, ImageFile.ImageFile) or image.mode not in ("RGB", "RGBA"):
-        return None
-    file, page = image.fp, image.tell()
-    if file is None or not any(";16" in str(tile) for tile in image.tile):
-        return None
-    position = file.tell()
+def _deep_color(image: Image.Image) -> Pixels:
+    """Return an image of 16 bits in color by OpenCV: Pillow reads their upper bytes only."""
+    file: Any = getattr(image, "fp", None)
+    page, orientation = image.tell(), image.getexif().get(_ORIENTATION, 1)
     file.seek(0)
-    low: Any = Image.open(file)
-    low.seek(page)
-    swapped = []
-    for tile in low.tile:
-        raw, *rest = (tile.args,) if isinstance(tile.args, str) else tile.args
-        # Grey with alpha has four bytes a pixel: both halves of the grey, then of the alpha.
-        other = "RGBA" if raw == "LA;16B" else raw[:-1] + _OTHER_BYTE.get(raw[-1], raw[-1])
-        swapped.append(tile._replace(args=(other, *rest) if rest else other))
-    low.tile = swapped
-    low.load()
-    file.seek(position)
-    if other != "RGBA":
-        return low
-    _, grey, _, alpha = low.split()
-    return Image.merge("RGBA", (grey, grey, grey, alpha))
+    data = np.frombuffer(file.read(), np.uint8)
+    found, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, None, (page, page + 1))
+    if not found:
+        raise ValueError("its pixels are damaged")
+    pixels = np.asarray(pages[0])
+    pixels = pixels[..., [2, 1, 0, 3][: pixels.shape[2]]]
+    if image.format == "TIFF" or orientation not in _MIRRORED:
+        # OpenCV has turned it.
+        return pixels
+    across, down = _MIRRORED[orientation]
+    return (pixels.swapaxes(0, 1) if orientation >= 5 else pixels)[::down, ::across]

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -16,6 +16,9 @@ from PIL import Image, UnidentifiedImageError
 from smarttouch.base.errors import PageError
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
 from smarttouch.pages.grey_image import read_pixels, to_grey
+
+if TYPE_CHECKING:
+    from smarttouch.pages.text_lines import TextLine
 
 MOST_PIXELS = 100_000_000
 FEWEST_PIXELS = 8  # least side of a page
@@ -38,10 +41,17 @@ _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Page as grey levels, (H, W) uint8, bright is white, with its scale."""
+    """Page as grey levels, (H, W) uint8, bright is white, with its scale.
+
+    A PDF also brings its lines in reading order, with the text of each, empty for a further line of
+    a table's row, and notes on what is left out. Without lines the picture is to be recognized.
+    """
 
     grey: NDArray[np.uint8]
     mm_per_pixel: float
+    lines: tuple["TextLine", ...] = ()
+    words: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def size_mm(self) -> tuple[float, float]:

@@ -13,13 +13,12 @@ SPACE, MADE_SPACE = " ", "\t"
 _SAME_LINE, _BESIDE = 0.3, 1.05  # distances of baselines of one line, and of lines side by side
 _WIDE, _FIGURES, _OPEN, _CERTAIN = 0.65, 0.4, 0.55, 1.2
 """Gaps that may part columns, and numbers; that still do after some rows; and that do in two."""
-_APART = 2.5  # gap within a row that parts its lines
+_APART = 2.5  # gap within a row that parts its lines, and distance of a running head
 _WRAPPED = 1.35  # distance of the lines of one cell; these are in sizes of the letters
+_EVEN = 0.25  # difference of the gaps of justified prose, also in sizes
 _FARTHER, _LARGER = 1.6, 1.15
 """Distance of blocks, in usual ones of rows, and ratio of sizes of a heading and its text."""
-_AROUND = 8  # rows around one in which others are beside it, at most
 _EDGE = 0.125  # part of the page's height at its ends that has running heads
-_EVEN = 0.25  # difference, in sizes, of gaps that are equal
 _WORDY = 3.0  # mean words of a line above which a column is prose
 _FIGURE = re.compile(r"[^\w\s]*\d[\d\W]*\w?[^\w\s]*")
 _INDEX_ENTRY = re.compile(r".*[^\W\d].*\d\W*")
@@ -40,11 +39,7 @@ class Word:
     place: int  # in the file's order; below 0 in fields of a form
     before: str  # SPACE, MADE_SPACE or nothing
     turn_deg: int | None = 0  # by which the page must be turned for it; None if it is aslant
-
-    @property
-    def middle(self) -> float:
-        """The x of its middle."""
-        return (self.left + self.right) / 2
+    grey: float = 0.0  # level of its color
 
     def gap(self, other: "Word") -> float:
         """Return the distance of the nearer ends of two words, below 0 where they overlap."""
@@ -66,23 +61,25 @@ class Line:
 
 @dataclass(eq=False)
 class _Gap:
-    """Space between words that successive rows share, how many have words at both sides, and
-    whether another row closes it."""
+    """Space that successive rows share, and how many of them have words at both sides."""
 
     left: float
     right: float
     rows: int = 1
-    is_closed: bool = False
+    is_closed: bool = False  # by words of another row
 
     @property
     def middle(self) -> float:
         return (self.left + self.right) / 2
 
-    def after(self, row: Row) -> "_Gap":
-        """Return what the words of a row leave of it."""
+    def overlaps(self, other: "_Gap") -> bool:
+        return self.left < other.right and other.left < self.right
+
+    def without(self, words: Row) -> "_Gap":
+        """Return what words leave of it; itself, closed, if that is too little."""
         left, right = self.left, self.right
-        for word in row:
-            if word.right > left and word.left < right:
+        for word in words:
+            if not self.is_closed and word.right > left and word.left < right:
                 if word.left - left > right - word.right:
                     right = word.left
                 else:
@@ -91,15 +88,42 @@ class _Gap:
                 if right - left < max(least, _FIGURES * word.size):
                     ends = (left, right) if left < right else (self.left, self.right)
                     return _Gap(*ends, self.rows, True)
-        return _Gap(left, right, self.rows)
+        return _Gap(left, right, self.rows, self.is_closed)
 
 
 def reading_order(words: list[Word], height: float) -> list[Line]:
     """Return the lines of a page of some height."""
-    lines: list[Line] = []
-    for part in _parts(_rows(words), height):
-        lines += _ordered(part)
-    return lines
+    rows = _rows(words)
+    ends = [row[0].y for row in rows]
+
+    def begins(number: int) -> bool:
+        """Return whether a row follows a running head, or is a heading that follows, in the file,
+        all that is above it."""
+        row, above, below = rows[number], rows[:number], rows[number + 1 :]
+        y = ends[number]
+        at_edge = ends[number - 1] < _EDGE * height or y > (1 - _EDGE) * height
+        if at_edge and y - ends[number - 1] > _APART * row[0].size:
+            return True
+        is_heading = below and row[0].size > _LARGER * below[0][0].size and not _gaps(row)
+        return bool(is_heading) and (
+            max(word.place for word in _words(above)) < row[0].place
+            <= min((word.place for word in _words(below) if word.place >= 0), default=-1)
+        )  # fmt: skip
+
+    starts = [0, *filter(begins, range(1, len(rows))), len(rows)]
+    return [
+        line for start, end in itertools.pairwise(starts) for line in _ordered(rows[start:end])
+    ]  # fmt: skip
+
+
+def split(items: list[T], begins: Callable[[T, T], bool]) -> list[list[T]]:
+    """Return items in pieces, a new one where ``begins`` holds of an item before and its next."""
+    pieces = [items[:1]]
+    for before, item in itertools.pairwise(items):
+        if begins(before, item):
+            pieces.append([])
+        pieces[-1].append(item)
+    return pieces
 
 
 def text_of(words: Row) -> str:
@@ -127,61 +151,35 @@ def _words(rows: list[Row]) -> Row:
     return [word for row in rows for word in row]
 
 
-def _parts(rows: list[Row], height: float) -> Iterator[list[Row]]:
-    """Yield the rows of a page, parted at running heads and above headings that follow, in the
-    file, all that is above them."""
-    part = rows[:1]
-    for number, row in enumerate(rows[1:], 1):
-        above, below = rows[number - 1], rows[number + 1 : number + 2]
-        at_edge = above[0].y < _EDGE * height or row[0].y > (1 - _EDGE) * height
-        is_head = at_edge and row[0].y - above[0].y > _APART * row[0].size
-        is_heading = bool(below) and row[0].size > _LARGER * below[0][0].size and not _gaps(row)
-        if is_head or (is_heading and _begins_anew(rows, number)):
-            yield part
-            part = []
-        part.append(row)
-    yield part
-
-
-def _begins_anew(rows: list[Row], number: int) -> bool:
-    """Return whether the file has a row after all above it, and before all below."""
-    first = rows[number][0].place
-    above = max(word.place for word in _words(rows[:number]))
-    below = (word.place for word in _words(rows[number:]) if word.place >= 0)
-    return above < first <= min(below, default=-1)
-
-
 def _ordered(rows: list[Row]) -> list[Line]:
     """Return the lines of rows, each band of them as columns, as a table, or as it is."""
     lines: list[Line] = []
     waiting: list[Row] = []
     for band, gaps in _bands(rows):
-        split = _column_gap(band, gaps)
+        column = _column_gap(band, gaps)
         # One of the columns may begin above the other.
-        while split and waiting and not split.after(waiting[-1]).is_closed:
+        while column and waiting and not column.without(waiting[-1]).is_closed:
             band.insert(0, waiting.pop())
-        parts = [_column(band, [split], k) for k in (0, 1)] if split else _blocks(band)
-        cells = [] if len(parts) > 1 else _cell_gaps(band, gaps)
+        parts = _blocks(band) if column is None else [
+            _part(band, -math.inf, column.middle), _part(band, column.middle, math.inf)
+        ]  # fmt: skip
+        cells = _cell_gaps(band, gaps) if len(parts) == 1 else []
         if len(parts) == 1 and not cells:
             waiting += band
             continue
         lines += [line for row in waiting for line in _plain(row)]
         waiting = []
         if cells:
-            lines += _table(band, [gap.middle for gap in cells])
+            lines += _table(band, cells)
         else:
             lines += [line for part in parts for line in _ordered(part)]
     return lines + [line for row in waiting for line in _plain(row)]
 
 
-def split(items: list[T], begins: Callable[[T, T], bool]) -> list[list[T]]:
-    """Return items in pieces, a new one where ``begins`` holds of an item before and its next."""
-    pieces = [items[:1]]
-    for before, item in itertools.pairwise(items):
-        if begins(before, item):
-            pieces.append([])
-        pieces[-1].append(item)
-    return pieces
+def _plain(row: Row) -> list[Line]:
+    """Return the lines of a row that is not of a table, parted at very wide gaps."""
+    pieces = split(row, lambda before, word: word.left - before.right > _APART * word.size)
+    return [Line(piece, text_of(piece)) for piece in pieces]
 
 
 def _blocks(rows: list[Row]) -> list[list[Row]]:
@@ -192,49 +190,48 @@ def _blocks(rows: list[Row]) -> list[list[Row]]:
 
 
 def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Gap]]]:
-    """Yield successive rows that share a gap, with all of their gaps."""
+    """Yield successive rows that share a gap, with all of their gaps; others alone."""
     band: list[Row] = []
     gaps: list[_Gap] = []
     for number, row in enumerate(rows):
-        around = _words(rows[max(0, number - _AROUND) : number + _AROUND])
-        near = [word for word in around if abs(word.y - row[0].y) < _BESIDE * word.size]
-        own = _gaps(sorted(near, key=lambda word: word.left))
-        after = [gap if gap.is_closed else gap.after(row) for gap in gaps]
+        around = _words(rows[max(0, number - 8) : number + 8])
+        beside = [word for word in around if abs(word.y - row[0].y) < _BESIDE * word.size]
+        own = _gaps(sorted(beside, key=lambda word: word.left))
+        after = [gap.without(row) for gap in gaps]
         if all(gap.is_closed for gap in after):
             if band:
                 yield band, gaps
-            band, gaps = [row], own
-            continue
-        for new in own:
-            same = [gap for gap in after if gap.left < new.right and new.left < gap.right]
-            for gap in same:
-                gap.rows += 1
-            if not same:
-                after.append(new.after(_words(band)))
-        band.append(row)
+            band, after = [], []
         gaps = after
+        new = [gap for gap in own if not any(gap.overlaps(other) for other in gaps)]
+        for gap in gaps:
+            gap.rows += any(gap.overlaps(other) for other in own)
+        gaps += [gap.without(_words(band)) for gap in new]
+        band.append(row)
     if band:
         yield band, gaps
 
 
 def _gaps(words: Row) -> list[_Gap]:
-    """Return the gaps of a row that may part columns: not a space of the file, nor after the mark
-    of an item, nor the even ones of justified prose."""
-    found = []
-    if len(words) > 3 and sum(word.text.isalpha() for word in words) > 2 and _are_even(words):
-        first, second = words[:2]
-        if second.left - first.right < _CERTAIN * first.size:
-            return []
+    """Return the gaps of a row that may part columns, if it is not justified prose."""
+    pairs = list(itertools.pairwise(words))
+    letters = sum(word.text.isalpha() for word in words)
+    is_even = letters > 2 and len(words) > 3 and _are_even(words)
+    if is_even and words[1].left - words[0].right < _CERTAIN * words[0].size:
+        return []
+    gaps = []
     right = -math.inf
-    for number, (before, word) in enumerate(itertools.pairwise(words)):
+    for number, (before, word) in enumerate(pairs):
         right = max(right, before.right)
         is_item = number == 0 and _ITEM.match(f"{before.text} {word.text}")
         if _is_wide(before, word, right) and not is_item:
-            found.append(_Gap(right, word.left))
-    return found
+            gaps.append(_Gap(right, word.left))
+    return gaps
 
 
 def _is_wide(before: Word, word: Word, right: float) -> bool:
+    """Return whether two words may be in different columns: not at a space of the file, nor after
+    the leaders of a list of contents."""
     width = (word.left - right) / max(before.size, word.size)
     is_space = word.before == SPACE and word.place == before.place + 1 and width < _APART
     are_figures = _FIGURE.fullmatch(before.text) and _FIGURE.fullmatch(word.text)
@@ -242,11 +239,10 @@ def _is_wide(before: Word, word: Word, right: float) -> bool:
     return width > (_FIGURES if are_figures else _WIDE) and not (is_space or is_leader)
 
 
-def _column(band: list[Row], gaps: list[_Gap], number: int) -> list[Row]:
-    """Return the rows of one column, the first of which is before the first gap."""
-    ends = [-math.inf, *(gap.middle for gap in gaps), math.inf]
+def _part(band: list[Row], left: float, right: float) -> list[Row]:
+    """Return the rows of the words between two places."""
     inside = (
-        [word for word in row if ends[number] <= word.middle < ends[number + 1]] for row in band
+        [word for word in row if left <= (word.left + word.right) / 2 < right] for row in band
     )
     return [row for row in inside if row]
 
@@ -266,16 +262,15 @@ def _column_gap(band: list[Row], gaps: list[_Gap]) -> _Gap | None:
     gaps = sorted((gap for gap in gaps if not gap.is_closed), key=lambda gap: gap.left)
     printed = [[word for word in row if word.place >= 0] for row in band]
     in_order = sorted(_words(printed), key=lambda word: word.place)
+    ends = [-math.inf, *(gap.middle for gap in gaps), math.inf]
     for number, gap in enumerate(gaps):
-        left, right = _column(band, gaps, number), _column(band, gaps, number + 1)
-        crossings = sum(
-            (before.middle > gap.middle) != (word.middle > gap.middle)
-            for before, word in itertools.pairwise(in_order)
-        )
-        beside = _words(_column(printed, [gap], 1))
+        left, right = (_part(band, *ends[k : k + 2]) for k in (number, number + 1))
+        sides = [word.left > gap.middle for word in in_order]
+        crossings = sum(before != after for before, after in itertools.pairwise(sides))
+        beside = _words(_part(printed, gap.middle, math.inf))
         level = sum(
             any(abs(word.y - row[0].y) < _BESIDE * word.size for word in beside)
-            for row in _column(printed, [gap], 0)
+            for row in _part(printed, -math.inf, gap.middle)
         )
         is_pair = _are(_FIGURE, right) or _are(_LABEL, left)
         in_turn = 0 < 2 * crossings <= level and not is_pair
@@ -287,76 +282,63 @@ def _column_gap(band: list[Row], gaps: list[_Gap]) -> _Gap | None:
     return None
 
 
-def _cell_gaps(band: list[Row], gaps: list[_Gap]) -> list[_Gap]:
-    """Return the gaps between cells if the rows are those of a table."""
-    size = band[0][0].size
-    least = {1: math.inf, 2: _CERTAIN * size}
-    found = [gap for gap in gaps if gap.right - gap.left > least.get(gap.rows, 0)]
-    found.sort(key=lambda gap: gap.left)
-    cells = [_cells(row, [gap.middle for gap in found]) for row in band]
-    used = [column for row in cells for column in row]
-    found = [gap for k, gap in enumerate(found, 1) if used.count(k) > gap.is_closed]
-    prose = sum(_is_prose(_column(band, found, k)) for k in range(len(found) + 1))
-    cells = [_cells(row, [gap.middle for gap in found]) for row in band]
-    rows = zip(band, map(len, cells), strict=True)
-    parted = [(row, count) for row, count in rows if count > 1]
+def _cell_gaps(band: list[Row], gaps: list[_Gap]) -> list[float]:
+    """Return the places that part the cells of rows, if these are a table."""
+    least = {1: math.inf, 2: _CERTAIN * band[0][0].size}
+    gaps = [gap for gap in gaps if gap.right - gap.left > least.get(gap.rows, 0)]
+    gaps.sort(key=lambda gap: gap.left)
+    used = [k for row in band for k in _cells(row, [gap.middle for gap in gaps])]
+    middles = [gap.middle for k, gap in enumerate(gaps, 1) if used.count(k) > gap.is_closed]
+    ends = [-math.inf, *middles, math.inf]
+    prose = sum(_is_prose(_part(band, *pair)) for pair in itertools.pairwise(ends))
     # In justified prose, words within a cell are as far apart as the cells.
-    even = sum(len(row) > count and _are_even(row) for row, count in parted)
-    return found if prose < 2 and len(parted) > 1 and 2 * even < len(parted) else []
+    cells = [(row, len(_cells(row, middles))) for row in band]
+    parted = [row for row, count in cells if count > 1]
+    even = sum(len(row) > count > 1 and _are_even(row) for row, count in cells)
+    return middles if prose < 2 and len(parted) > 1 and 2 * even < len(parted) else []
 
 
 def _are_even(row: Row) -> bool:
     """Return whether the words of a row are equally far apart."""
-    gaps = [word.left - before.right for before, word in itertools.pairwise(row)]
-    return max(gaps) - min(gaps) < _EVEN * row[0].size
+    widths = [word.left - before.right for before, word in itertools.pairwise(row)]
+    return max(widths) - min(widths) < _EVEN * row[0].size
 
 
 def _table(band: list[Row], middles: list[float]) -> list[Line]:
-    """Return the rows of a table: the text of a row is that of its first line, its cells parted by
-    semicolons, an empty one as a hyphen; further lines of its cells have no text of their own."""
-    rows: list[list[dict[int, Row]]] = []
+    """Return the rows of a table: cells are parted by semicolons, an empty one is a hyphen; further
+    lines of cells add to the text of their row, and have none of their own."""
+    table: list[tuple[dict[int, str], list[Row]]] = []
     above: Row = []
     for row in band:
         cells = _cells(row, middles)
+        texts = {column: text_of(words) for column, words in cells.items()}
         is_near = bool(above) and row[0].y - above[0].y < _WRAPPED * row[0].size
-        # A further line of a cell is alone; the first column has one line.
-        if is_near and [*cells] != [0] and (len(cells) == 1 or len(rows[-1][-1]) == 1) and (
-            0 not in cells or not any(0 in other for other in rows[-1])
-        ):  # fmt: skip
-            rows[-1].append(cells)
+        if is_near and 0 not in texts and not any(map(_FIGURE.fullmatch, texts.values())):
+            for column, text in texts.items():
+                table[-1][0][column] = f"{table[-1][0].get(column, '').strip('-')} {text}".strip()
+            table[-1][1].append(row)
         else:
-            rows.append([cells])
+            for column, middle in enumerate(middles, 1):
+                if not any(words[0].left < middle < words[-1].right for words in cells.values()):
+                    texts.setdefault(column, "-")
+            table.append((texts, [row]))
         above = row
     lines = []
-    for row_cells in rows:
-        texts: dict[int, str] = {}
-        covered: set[int] = set()
-        for column, words in (item for cells in row_cells for item in cells.items()):
-            texts[column] = f"{texts.get(column, '')} {text_of(words)}".strip()
-            left, right = words[0].left, words[-1].right
-            covered |= {k for k, middle in enumerate(middles, 1) if left < middle < right}
-        columns = [0] if [*texts] == [0] else range(len(middles) + 1)
-        text = "; ".join(texts.get(k, "-") for k in columns if k in texts or k not in covered)
-        for cells in row_cells:
-            lines.append(Line(_words([*cells.values()]), text, True))
-            text = ""
+    for texts, (first, *others) in table:
+        texts = {0: "-"} | texts
+        is_alone = {*texts.values()} <= {texts[0], "-"}
+        text = texts[0] if is_alone else "; ".join(texts[k] for k in sorted(texts))
+        lines.append(Line(first, text, True))
+        lines += [Line(row, "", True) for row in others]
     return lines
 
 
 def _cells(row: Row, middles: list[float]) -> dict[int, Row]:
     """Return the words of each column; words without a gap between them stay in one."""
-    column = sum(row[0].left > middle for middle in middles)
-    cells = {column: row[:1]}
-    for before, word in itertools.pairwise(row):
-        if _is_wide(before, word, before.right):
+    cells: dict[int, Row] = {}
+    column = 0
+    for before, word in itertools.pairwise([row[0], *row]):
+        if word is before or _is_wide(before, word, before.right):
             column = max(column, sum(word.left > middle for middle in middles))
         cells.setdefault(column, []).append(word)
     return cells
-
-
-def _plain(row: Row) -> list[Line]:
-    """Return the lines of a row that is none of a table, parted at very wide gaps."""
-    pieces = split(
-        row, lambda before, word: word.left - before.right > _APART * max(before.size, word.size)
-    )
-    return [Line(piece, text_of(piece)) for piece in pieces]

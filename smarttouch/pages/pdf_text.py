@@ -8,12 +8,13 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from smarttouch.pages.grey_image import LUMA
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.pdf_layout import MADE_SPACE, SPACE, Line, Word, reading_order, split
 from smarttouch.pages.text_lines import TextLine, find_lines
@@ -38,17 +39,8 @@ _VOWELS, _VOWEL_SHARE, _FEWEST = frozenset("aeiouyæœø"), (0.22, 0.62), 40
 """Part of Latin letters that are vowels in any language; fewest letters that show wrong codes."""
 _COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 4
 """Pixels, heights, contrast and number of the spots that may be print beside the text."""
+_FAINT = 12  # levels of contrast below which print is not seen
 _MOSTLY = 0.5  # print that the text lacks, relative to it, from which the picture is recognized
-
-
-@dataclass(frozen=True, eq=False)
-class PdfPage(Page):
-    """Page of a PDF with its text: lines in reading order, the text of each (empty for a further
-    line of a table's row), and notes. Without lines its picture is to be recognized."""
-
-    lines: tuple[TextLine, ...] = ()
-    words: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
 
 
 def turn_of_text(sheet: "pypdfium2.PdfPage") -> int:
@@ -71,12 +63,13 @@ def with_text(
     if 2 * len(turned) > len(signs):
         return _pictured(page, "most of its text is turned")
     words = _words([sign for sign in signs if sign.turn_deg == 0])
-    is_leftward = _is_leftward(words)
+    seen = [word for word in words if _is_seen(page, word, point_mm)]
+    is_leftward = _is_leftward(seen)
     if is_leftward:
-        _mirror(words)
-    found = reading_order(words, sheet.get_height())
+        _mirror(seen)
+    found = reading_order(seen, sheet.get_height())
     if is_leftward:
-        _mirror(words)
+        _mirror(seen)
     texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in found]
     if not _makes_sense("".join(texts).replace(" ", "")):
         return _pictured(page, "its text makes no sense")
@@ -88,14 +81,33 @@ def with_text(
     if turned:
         text = "".join((" " if sign.before else "") + sign.text for sign in turned).strip()
         notes.append(f"turned text is left out: {text}")
+    if len(seen) < len(words):
+        notes.append(f"words that are not visible are left out: {len(words) - len(seen)}")
     if others:
         notes.append(f"print that is not in its text is left out (lines: {len(others)})")
-    return PdfPage(page.grey, page.mm_per_pixel, tuple(lines), tuple(texts), tuple(notes))
+    return replace(page, lines=tuple(lines), words=tuple(texts), notes=tuple(notes))
 
 
-def _pictured(page: Page, reason: str) -> PdfPage:
-    notes = (f"{reason}, so its picture is recognized instead",)
-    return PdfPage(page.grey, page.mm_per_pixel, notes=notes)
+def _pictured(page: Page, reason: str) -> Page:
+    return replace(page, notes=(f"{reason}, so its picture is recognized instead",))
+
+
+def _is_seen(page: Page, word: Word, point_mm: float) -> bool:
+    """Return whether a word has another color than its ground, or any contrast: scans have it."""
+    box = page.grey[_box(page, word, point_mm)].astype(float)
+    return not box.size or np.ptp(box) >= _FAINT or abs(box.mean() - word.grey) >= _FAINT
+
+
+def _box(page: Page, word: Word, point_mm: float) -> tuple[slice, slice]:
+    """Return the rows and columns of a word, and a little around it."""
+    scale, size = point_mm / page.mm_per_pixel, word.size
+    top, bottom = word.y - 0.95 * size, word.y + 0.4 * size
+    left, right = word.left - 0.2 * size, word.right + 0.2 * size
+    rows, columns = (
+        slice(max(0, int(low * scale)), max(0, math.ceil(high * scale)))
+        for low, high in ((top, bottom), (left, right))
+    )
+    return rows, columns
 
 
 def _signs(sheet: "pypdfium2.PdfPage", printed: float) -> Iterator[Word]:
@@ -111,7 +123,7 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: float) -> Iterator[Word]:
         return across.value / _FINE, down.value / _FINE
 
     x, y, *sides = (ctypes.c_double() for _ in range(6))
-    matrix = pdfium.FS_MATRIX()
+    matrix, color = pdfium.FS_MATRIX(), [ctypes.c_uint() for _ in range(4)]
     before = SPACE
     with contextlib.closing(sheet.get_textpage()) as layer:
         for k in range(layer.count_chars()):
@@ -134,7 +146,9 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: float) -> Iterator[Word]:
                 angle = math.degrees(math.atan2(start[1] - end[1], end[0] - start[0]))
                 turn = round(angle / 90) % 4 * 90 if abs((angle + 45) % 90 - 45) < _LEVEL else None
                 place = k - (_FIELDS if k >= printed else 0)
-                yield Word(text, left, right, start[1], size, place, before, turn)
+                pdfium.FPDFText_GetFillColor(layer, k, *color)
+                grey = float(np.dot(LUMA, [part.value for part in color[:3]]))
+                yield Word(text, left, right, start[1], size, place, before, turn, grey)
                 before = ""
 
 
@@ -241,12 +255,8 @@ def _makes_sense(text: str) -> bool:
 def _print_beside(page: Page, words: list[Word], point_mm: float) -> list[TextLine]:
     """Return the lines of print on a page beside its words."""
     rest = page.grey.copy()
-    scale = point_mm / page.mm_per_pixel
     for word in words:
-        left, right = word.left - 0.2 * word.size, word.right + 0.2 * word.size
-        top, bottom = word.y - 0.95 * word.size, word.y + 0.4 * word.size
-        columns = slice(max(0, int(left * scale)), max(0, math.ceil(right * scale)))
-        box = rest[max(0, int(top * scale)) : max(0, math.ceil(bottom * scale)), columns]
+        box = rest[_box(page, word, point_mm)]
         if box.size:
             box[:] = np.median(box)
     step = page.mm_per_pixel / _COARSE_MM

@@ -23,7 +23,6 @@ from smarttouch.base.errors import PageError, ReadingError
 from smarttouch.braille.dot_detection import shows_dots
 from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.pdf_text import PdfPage
 from smarttouch.pages.prepared_page import DOUBTFUL, LEFT_OUT, PreparedPage, prepare_page
 from smarttouch.pages.straighten import QUARTER
 
@@ -208,10 +207,9 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
 
     A page that brings its text is so already. A picture of Braille is refused.
     """
-    if isinstance(page, PdfPage):
-        for words in page.notes:
-            note(f"page {number}: {words}")
-    if isinstance(page, PdfPage) and page.lines:
+    for words in page.notes:
+        note(f"page {number}: {words}")
+    if page.lines:
         ink = separate_ink(page.grey, options.light_on_dark)
         return PreparedPage(page, ink.cleaned, page.lines, ink.light_on_dark, (), page.words)
     if shows_dots(page.grey):

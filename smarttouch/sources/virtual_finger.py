@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import PageError, SourceError, require_within
 from smarttouch.base.files import read_text
 from smarttouch.base.tables import read_csv
-from smarttouch.pages.document import PdfDocument, open_document
+from smarttouch.pages.document import open_document, password_of
 from smarttouch.pages.file_kinds import FileKind, file_kind
 from smarttouch.pages.ink import is_light_on_dark, reduced, separate_ink
 from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page
 from smarttouch.pages.pandoc_text import read_pandoc_text
-from smarttouch.pages.passwords import password_of
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
 from smarttouch.pages.text_lines import TextLine, find_lines
@@ -244,8 +243,7 @@ def load_or_guess(
     password = password_of(path, password_file)
     with open_document(path, dpi=dpi, page_width_mm=width_mm, password=password) as document:
         page = document.page(0)
-    # The size of a PDF is known, whatever is said of it.
-    if dpi or width_mm or isinstance(document, PdfDocument):
+    if dpi or width_mm or document.has_scale:
         return page, ""
     notes, stated_dpi = document.notes, INCH_MM / page.mm_per_pixel
     if not notes and not _CHOSEN_DPI[0] < stated_dpi < _CHOSEN_DPI[1]:

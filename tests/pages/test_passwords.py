@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from smarttouch.base.errors import PageError
-from smarttouch.pages import passwords
-from smarttouch.pages.passwords import password_of
+from smarttouch.pages import document
+from smarttouch.pages.document import password_of
 from smarttouch.profile import load_profile
 from smarttouch.sources import open_source
 
@@ -45,7 +45,7 @@ def test_a_file_or_standard_input_has_it_in_its_first_line(locked, tmp_path, mon
 
 def test_it_is_asked_for_at_a_terminal_alone(locked, monkeypatch):
     answers = ["rose", "tulip"]
-    monkeypatch.setattr(passwords.getpass, "getpass", lambda *_: answers.pop(0))
+    monkeypatch.setattr(document.getpass, "getpass", lambda *_: answers.pop(0))
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     with pytest.raises(PageError, match="--password-file"):
         password_of(locked)

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.pages.document import open_document
-from smarttouch.pages.page_image import Page
 from smarttouch.pages.pdf_layout import MADE_SPACE, SPACE, Word, reading_order
 from smarttouch.reading.material import ReadingMaterial, recognized_text
 from smarttouch.reading.recognition import RecognitionOptions, upright_page
@@ -244,7 +243,7 @@ def test_a_scan_in_strips_is_recognized(tmp_path, stamp):
     path = pdf(tmp_path / "a.pdf", shown, stamp, size=size, more=objects,
                objects=b"/XObject<</P 5 0 R/Q 6 0 R>>")  # fmt: skip
     page = load(path, dpi=72)
-    assert not getattr(page, "lines", ())
+    assert not page.lines
     assert page.grey.shape == size[::-1]
 
 
@@ -254,6 +253,13 @@ def test_a_hidden_text_of_a_scan_is_read(tmp_path):
     path = pdf(tmp_path / "a.pdf", shown, hidden, size=size, more=objects,
                objects=b"/XObject<</P 5 0 R/Q 6 0 R>>")  # fmt: skip
     assert load(path).words == (PROSE[0],)
+
+
+def test_words_that_nobody_sees_are_not_read(tmp_path):
+    hidden = b"1 g " + put(40, 222, "white words here") + b"0 g "
+    page = load(pdf(tmp_path / "a.pdf", (40, 250, "These words are seen."), hidden))
+    assert page.words == ("These words are seen.",)
+    assert page.notes == ("words that are not visible are left out: 3",)
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -280,4 +286,4 @@ def test_wrong_codes_are_not_believed(tmp_path):
     page = load(pdf(tmp_path / "a.pdf", *content))
     assert page.lines == ()
     assert len(page.notes) == 1
-    assert type(load(pdf(tmp_path / "b.pdf"))) is Page
+    assert load(pdf(tmp_path / "b.pdf")).notes == ()
