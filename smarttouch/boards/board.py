@@ -457,6 +457,14 @@ class Board:
             self._statistics.add(proved.sequence, scans, again, most)
             self.acknowledged += not again
 
+    def allowed_level(self, time_ns: int) -> float:
+        """Return the strength, in [0, 1], to plan for a sequence that states a time."""
+        return self._gate.allowed_level(time_ns)
+
+    def open_level(self, time_ns: int) -> float:
+        """Return the strength, in [0, 1], with which pulses may go on after a pause."""
+        return self._gate.open_level(time_ns)
+
     def close_level(self) -> None:
         """Close the intensity level: what comes next begins at zero, as after a lifted finger."""
         self._gate.restart()
@@ -593,7 +601,7 @@ class Board:
                 self.drain()
                 now_ns, within_ns = self._clock.now_ns(), MEASURED_WITHIN_NS
                 found = self.driver.measure([
-                    self._gate.prove_measurement(scan, times, due_ns=now_ns, late_ns=within_ns)
+                    self._gate.prove(scan, times, due_ns=now_ns, late_ns=within_ns, ramped=False)
                     for scan, times in scans
                 ])  # fmt: skip
             else:

@@ -28,7 +28,7 @@ from smarttouch.reading.letter_shapes import ALPHABET, draw_letter
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.source_contract import Stimulus
-from smarttouch.stimulation.intensity import MOST_STEP_NS
+from smarttouch.stimulation.ramp import MOST_STEP_NS
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 Floats = NDArray[np.float32]

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -80,6 +79,10 @@ def check_recording(
             # Whatever is missing would have changed what comes after it.
             report.left_out = f"all after {recorded.step.input.time_ns / 1e9:.1f} s follows a gap"
             break
+        if profile.limits.ramp_s != recording.profile.limits.ramp_s:
+            recorded = replace(
+                recorded, sent=replace(recorded.sent, step=replace(recorded.step, allowed=None))
+            )
         was, now = recorded.step.sequence, _again(recorded, pipeline, regulator)
         before, image = image, recorded.step.input.image
         report.frames += image is not None and image is not before
@@ -133,6 +136,7 @@ def rebuild_pipeline(
             ledger.charge_pc[:] = run.carried_pc
         if run.recharge:
             recharge = RechargeRules.of(profile, run.timing)
+    pipeline.adaptation = adaptation
     return pipeline, Regulator(adaptation, ledger, recharge)
 
 
@@ -143,8 +147,9 @@ def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> 
         pipeline.change_mode(step.mode)
     if step.restarted:
         pipeline.restart_softly()
-    board: Any = SimpleNamespace(take_volts=lambda: [*step.observed])
-    made = regulator.regulate(pipeline.process(step.input, step.level), board).sequence
+    observed = regulator.observe(step.observed)
+    again = pipeline.process(step.input, step.level, step.allowed)
+    made = regulator.regulate(again, observed).sequence
     if recorded.sent.number is None:
         regulator.lost(made)
     return made

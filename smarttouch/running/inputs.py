@@ -140,6 +140,7 @@ class Inputs:
         source, state = self.source, self.controls.state(time_ns)
         if state.mode is not self.pipeline.mode:
             self.pipeline.change_mode(state.mode)
+            self.board.close_level()
         if state is not self._before:
             source.afferents = state.mode.afferents
         given = source.read(time_ns)
@@ -189,7 +190,7 @@ class Inputs:
         if before is None or state.level != before.level:
             self.emit(IntensityChanged(time_ns, state.level))
         if state.paused != (before is not None and before.paused):
-            self._begin_at_zero()
+            self.begin_at_zero()
             self.emit(Paused(time_ns) if state.paused else Resumed(time_ns))
         if before is None or state.mode is not before.mode:
             self.emit(ModeChanged(time_ns, state.mode))
@@ -203,9 +204,9 @@ class Inputs:
             self.emit(FingerLifted(time_ns))
             self._lifted_until_ns = now_ns + LIFT_NS
         if now_ns < self._lifted_until_ns:
-            self._begin_at_zero()
+            self.begin_at_zero()
 
-    def _begin_at_zero(self) -> None:
+    def begin_at_zero(self) -> None:
         """Close the level that is open: intensity rises from zero again."""
         self.pipeline.restart_softly()
         self.board.close_level()

@@ -115,6 +115,7 @@ def run_loop(
     ]
     regulator = regulator or Regulator()
     regulates = None if regulator.is_idle(board) else regulator
+    pipeline.adaptation = regulator.adaptation
     phase = PhaseLock(board, statistics)
     loop = _Loop(inputs, regulates, stop, steps, clock or board.clock, phase)
     with contextlib.nullcontext(False) if board.simulated_time else prioritized() as real_time:
@@ -212,14 +213,15 @@ class _Loop:
         pipeline, board = inputs.pipeline, inputs.board
         if stalled:
             # The board may have fallen silent.
-            pipeline.restart_softly()
+            inputs.begin_at_zero()
         read = inputs.read(self.elapsed_ns, now_ns)
         if read is None:
             return False
         in_hand_ns, worked_ns = clock.now_ns(), time.thread_time_ns()
-        step = pipeline.process(*read)
+        observed = () if self.regulator is None else self.regulator.observe(board.take_volts())
+        step = pipeline.process(*read, board.allowed_level(read[0].time_ns))
         if self.regulator is not None:
-            step = self.regulator.regulate(step, board)
+            step = self.regulator.regulate(step, observed)
         if inputs.source.send_at_ns is not None and not self._is_simulated:
             held_ns = self._hold(inputs.source.send_at_ns)
             now_ns, in_hand_ns = now_ns + held_ns, in_hand_ns + held_ns

@@ -15,10 +15,12 @@ from smarttouch.profile.ceilings import CEILING_NET_MA
 from smarttouch.running.config import RunConfig
 from smarttouch.running.step import Step
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
+from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.frame_slots import FrameSlots
-from smarttouch.stimulation.intensity import SoftStart, force_gate
+from smarttouch.stimulation.intensity import force_gate
 from smarttouch.stimulation.net_plan import NetPlan
 from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.ramp import Ramp
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import KernelTable
 from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
@@ -47,7 +49,10 @@ class Pipeline:
         self.electrodes: int = len(profile.electrodes)
         self._mapper = TactileMapper(profile, config.light_on_dark, config.tone)
         self._limits = SafetyLimits.of(profile)
-        self._soft_start = SoftStart(profile.limits.ramp_s)
+        self.ramp: Ramp = Ramp(self._limits.ramp_ns)
+        """Of pipelines without a board, whose sequences count as written at their times."""
+        self.adaptation: Adaptation | None = None
+        self._vibration, self._time_ns = 0.0, 0
         self._restarted = True
         self._common = SchedulerContext(config.sharing(profile))
         if not config.balance:
@@ -126,34 +131,40 @@ class Pipeline:
             )
         return self._scans[mode]
 
-    def process(self, given: Input, level: float = 1.0) -> Step:
+    def process(self, given: Input, level: float = 1.0, allowed: float | None = None) -> Step:
         """Return the tactile image and the scan sequence of a frame or stimulus.
 
         Its force gates intensity, and NaN is no contact; ``level`` is what the user asked for, a
-        part of the strongest current in [0, 1].
+        part of the strongest current in [0, 1]. ``allowed`` is the strength that the board allows
+        (`Board.allowed_level`); without a board the pipeline has a ramp of its own.
         """
         tactile = given if isinstance(given, Stimulus) else self._mapper.map(given, self.mode)
-        pressure = force_gate(given.force_n, self._profile.force)
+        pressure, time_ns = force_gate(given.force_n, self._profile.force), given.time_ns
         wanted, activation = pressure * (level * tactile.level), tactile.activation
-        current = not self._vibrated or bool(np.delete(activation, Afferent.PC, axis=0).any())
-        intensity = self._soft_start.follow(wanted, given.time_ns, current)
-        scan = self._scans[self.mode]
-        most_ppb = self._soft_start.most_ppb if current else None
-        sequence = scan.schedule(tactile, intensity, pressure, most_ppb)
-        if current and intensity and ((drives := sequence.drives) or activation.any()):
-            ppb = parts_per_billion(sequence.intensity)
-            strength_ppb = ppb if most_ppb is None else self._limits.strength_of(sequence)
-            self._soft_start.note(sequence.period_us, sequence.intensity, drives * strength_ppb)
+        scan, strength = self._scans[self.mode], allowed
+        if strength is None:
+            strength = self.ramp.allowed_level(time_ns)
+        if self._vibrated:
+            gone = max(0, 0 if self._restarted else time_ns - self._time_ns) / self._limits.ramp_ns
+            self._vibration, self._time_ns = min(wanted, self._vibration + gone), time_ns
+            if not np.delete(activation, Afferent.PC, axis=0).any():
+                # Nothing flows that a ramp could count.
+                wanted, strength = self._vibration, 1.0
+        sequence = scan.schedule(tactile, wanted, pressure, strength, self.adaptation)
+        if allowed is None:
+            strength_ppb = self._limits.strength_of(sequence)
+            ppb, lasting_ns = parts_per_billion(sequence.intensity), 1000 * sequence.period_us
+            self.ramp.claim(ppb, strength_ppb)
+            self.ramp.note(ppb, strength_ppb, time_ns, lasting_ns)
         restarted, self._restarted = self._restarted, False
-        return Step(given, tactile, sequence, self.mode, level, restarted, scan.asked_us)
-
-    def open_level(self, time_ns: int) -> float:
-        """Return the intensity, in [0, 1], that pulses of any strength may begin with."""
-        return self._soft_start.open_level(time_ns)
+        return Step(
+            given, tactile, sequence, self.mode, level, restarted, scan.asked_us, allowed=allowed
+        )
 
     def restart_softly(self) -> None:
         """Let intensity rise from zero again, after a time without current."""
-        self._soft_start.restart()
+        self.ramp.restart()
+        self._vibration = 0.0
         for scan in self._scans.values():
             scan.restart()
         self._restarted = True
@@ -177,7 +188,7 @@ class Pipeline:
         """
         twin = copy.copy(self)
         twin._mapper = TactileMapper(self._profile, self._config.light_on_dark, self._config.tone)
-        twin._soft_start = SoftStart(self._profile.limits.ramp_s)
+        twin.ramp = Ramp(self._limits.ramp_ns)
         # Makers of shared slots have no state but their plans.
         twin._scans, twin._common = {}, replace(self._common, net=None)
         twin.change_mode(self.mode)

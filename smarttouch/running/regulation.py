@@ -1,13 +1,13 @@
 """Regulation of a run by the board's own measurements."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from smarttouch.base.errors import BoardError
 from smarttouch.boards.board import Board
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
-from smarttouch.running.step import Step
+from smarttouch.running.step import Measured, Step
 from smarttouch.stimulation.adaptation import RESERVED, Adaptation, Hold
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_recharge
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -35,15 +35,18 @@ class Regulator:
         """Whether no measurement of a board is requested or used."""
         return not board.capabilities.measures and self.adaptation is None and self.ledger is None
 
-    def regulate(self, step: Step, board: Board) -> Step:
-        """Return the step with its sequence as it is to be sent."""
-        observed = board.take_volts()
-        if observed:
-            step = replace(step, observed=tuple(observed))
+    def observe(self, observed: Iterable[Measured]) -> tuple[Measured, ...]:
+        """Learn from what the board has measured, and return it; planning comes after it."""
+        observed = tuple(observed)
         if self.adaptation is not None:
-            for sequence, volts in step.observed:
+            for sequence, volts in observed:
                 self.adaptation.observe(sequence, volts)
-            step = replace(step, sequence=self.adaptation.apply(step.sequence))
+        return observed
+
+    def regulate(self, step: Step, observed: tuple[Measured, ...]) -> Step:
+        """Return the step with its sequence as it is to be sent, and what was observed before."""
+        if observed:
+            step = replace(step, observed=observed)
         if self.ledger is not None:
             step = replace(step, sequence=self._balanced(step.sequence, self.ledger))
         return step

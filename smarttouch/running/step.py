@@ -21,7 +21,8 @@ class Step:
 
     ``input`` has the force that counted, ``sequence`` is as sent, ``level`` what the user asked
     for, [0, 1]; ``restarted`` says that intensity began at zero here, ``asked_us`` the period that
-    was wanted, ``observed`` what the board had measured until then.
+    was wanted, ``observed`` what the board had measured until then, ``allowed`` the strength that
+    its ramp allowed, None without a board.
     """
 
     __repr__ = one_line
@@ -34,6 +35,7 @@ class Step:
     restarted: bool = False
     asked_us: int = 0
     observed: tuple[Measured, ...] = ()
+    allowed: float | None = None
 
     @property
     def driven(self) -> NDArray[np.float32]:

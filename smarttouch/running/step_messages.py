@@ -67,6 +67,7 @@ def step_message(result: StepResult) -> Message:
         "mode": step.mode.value,
         "level": float(step.level),
         "restarted": step.restarted,
+        "allowed": step.allowed,
         "asked_us": step.asked_us,
         "period_us": sequence.period_us,
         "intensity": float(sequence.intensity),
@@ -152,6 +153,7 @@ class StepDecoder:
             restarted=bool(message["restarted"]),
             asked_us=int(message["asked_us"]),
             observed=tuple(self._measured(*each) for each in message["volts"]),
+            allowed=None if (allowed := message.get("allowed")) is None else float(allowed),
         )
         pulse = None
         if message["begun"] is not None:

@@ -5,7 +5,6 @@ greatest voltage then delivers less than asked; and at the same current, more
 voltage is more energy (paper, Section IV-B, which holds that constant).
 """
 
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import ScheduleError
 from smarttouch.profile import Profile
+from smarttouch.stimulation.point_slots import Slots
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.stimulation.slot_sums import round_charge_balanced
@@ -44,11 +44,10 @@ class Adaptation:
     def __init__(
         self, profile: Profile, hold: Hold, compliance_v: float, timing: ScanTiming | None = None
     ) -> None:
-        self._timing = ScanTiming() if timing is None else timing
-        if hold == "charge" and self._timing.width_us is not None:
+        if hold == "charge" and timing is not None and timing.width_us is not None:
             raise ScheduleError(
                 "hold charge needs longer pulses, and this board's pulses last "
-                f"{self._timing.width_us} µs always: hold energy"
+                f"{timing.width_us} µs always: hold energy"
             )
         sites = len(profile.electrodes)
         self._limits = profile.limits
@@ -74,92 +73,58 @@ class Adaptation:
         known = (peak_ua > 0) & np.isfinite(volts) & (np.asarray(volts) > 0)
         site, peak_ua = sequence.site[known].astype(np.intp), peak_ua[known]
         needed_v = np.asarray(volts, np.float64)[known]
-        if self.holds == "charge":
-            self._observe_charge(site, peak_ua, needed_v)
-        else:
-            self._observe_energy(site, peak_ua, needed_v)
-
-    def _observe_charge(self, site: NDArray[np.intp], peak_ua: Array, needed_v: Array) -> None:
-        """Update each site's largest current by what its source can just drive."""
         near = needed_v > self._near_v
-        highest = self._highest_ua[site]
+        if self.holds == "energy":
+            kohm = needed_v / peak_ua * 1000
+            first = np.isnan(self._first_kohm[site]) & ~near
+            self._first_kohm[site[first]] = kohm[first]
+            wanted = RESERVED * np.sqrt(self._first_kohm[site] / kohm)
+            self._limited[site] = wanted > 1 / WORTHWHILE
+            # Nothing comes on suddenly, not even where a lifted finger is back.
+            wanted = np.fmin(wanted, FASTEST_RISE * self._factor[site])
+            self._factor[site] = np.clip(wanted, FAINTEST_ENERGY, 1.0)
+            return
         # A saturated source shows only that less is needed, not how much: step from its last value.
-        base = np.where(near, peak_ua, highest)
-        found = base.copy()
-        moves = np.isfinite(base)
-        possible = peak_ua[moves] * self._near_v / needed_v[moves]
-        found[moves] *= np.clip(possible / base[moves], FASTEST_FALL, FASTEST_RISE)
-        self._highest_ua[site] = np.maximum(found, self._least_ua[site])
+        base_ua = np.where(near, peak_ua, self._highest_ua[site])
+        ratio = peak_ua * self._near_v / needed_v / base_ua
+        highest_ua = np.where(
+            np.isfinite(base_ua), base_ua * np.clip(ratio, FASTEST_FALL, FASTEST_RISE), np.inf
+        )
+        self._highest_ua[site] = np.maximum(highest_ua, self._least_ua[site])
 
-    def _observe_energy(self, site: NDArray[np.intp], peak_ua: Array, needed_v: Array) -> None:
-        kohm = needed_v / peak_ua * 1000
-        first = np.isnan(self._first_kohm[site]) & (needed_v <= self._near_v)
-        self._first_kohm[site[first]] = kohm[first]
-        wanted = RESERVED * np.sqrt(self._first_kohm[site] / kohm)
-        self._limited[site] = wanted > 1 / WORTHWHILE
-        # Nothing comes on suddenly, not even where a lifted finger is back.
-        wanted = np.fmin(wanted, FASTEST_RISE * self._factor[site])
-        self._factor[site] = np.clip(wanted, FAINTEST_ENERGY, 1.0)
+    def apply(self, slots: Slots) -> Slots:
+        """Return the adapted slots, in whole µA that sum to zero in every slot and whole µs.
 
-    def apply(self, sequence: ScanSequence) -> ScanSequence:
-        """Return the adapted sequence, in whole µA that sum to zero in every slot and whole µs.
-
-        No electrode carries more than in the given one, and no pulse more charge than the limit.
-        The period grows where longer pulses need it.
+        No electrode carries more than in the given ones, and no pulse more charge than the limit.
         """
-        site = sequence.site.astype(np.intp)
-        peak_ua = _peak_ua(sequence.current_ua)
+        current_ua, width_us, limits = slots.current_ua, slots.width_us, self._limits
+        site, peak_ua = slots.site.astype(np.intp), _peak_ua(current_ua)
         if self.holds == "charge":
             wanted = np.fmin(self._highest_ua[site] / np.maximum(peak_ua, 1), 1.0)
-            longest = np.minimum(sequence.width_us / self._limits.pulse_us, 1.0)
+            longest = np.minimum(width_us / limits.pulse_us, 1.0)
             self._limited[site] = wanted < longest
             factor = np.maximum(wanted, longest)
         else:
             factor = self._factor[site]
         if self._switched:
-            factor = np.maximum(factor, _least_that_switches(sequence.current_ua))
+            # Weaker ones would be insulated.
+            magnitude = np.abs(current_ua.astype(np.float64))
+            least = 1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1)
+            factor = np.maximum(factor, least)
         changed = np.flatnonzero(factor < WORTHWHILE)
         if not len(changed):
-            return sequence
-        current_ua, width_us = sequence.current_ua.copy(), sequence.width_us.copy()
-        current_ua[changed] = round_charge_balanced(
-            current_ua[changed].astype(np.float64) * factor[changed, None]
-        )
+            return slots
+        weaker_ua = round_charge_balanced(np.float64(factor[changed, None]) * current_ua[changed])
+        current_ua, width_us = current_ua.copy(), width_us.copy()
+        current_ua[changed] = weaker_ua
         if self.holds == "charge":
-            width_us[changed] = self._stretched(
-                width_us[changed], peak_ua[changed], _peak_ua(current_ua[changed])
-            )
-        return replace(
-            sequence,
-            current_ua=current_ua,
-            width_us=width_us,
-            period_us=max(sequence.period_us, self._shortest_us(sequence, width_us)),
-            proof=None,
-        )
-
-    def _stretched(
-        self, width_us: NDArray[np.uint16], before_ua: Array, after_ua: Array
-    ) -> NDArray[np.uint16]:
-        """Return the widths that keep the charge, within the limits."""
-        after_ua = np.maximum(after_ua, 1)
-        most = np.floor(np.minimum(self._limits.pulse_us, self._limits.charge_uc * 1e6 / after_ua))
-        return np.minimum(np.rint(width_us * before_ua / after_ua), most).astype(np.uint16)
-
-    def _shortest_us(self, sequence: ScanSequence, width_us: NDArray[np.uint16]) -> int:
-        pulses_us = float(width_us.mean())
-        scan_us = self._timing.shortest_period_us(
-            sequence.slots, sequence.electrodes, pulses_us, float(sequence.discharge_us.mean())
-        )
-        within_duty_us = int(width_us.sum(dtype=np.int64)) / self._limits.duty
-        return max(scan_us, self._timing.possible_period_us(within_duty_us))
+            after_ua = np.maximum(_peak_ua(weaker_ua), 1)
+            most_us = np.floor(np.minimum(limits.pulse_us, limits.charge_uc * 1e6 / after_ua))
+            longer_us = np.rint(width_us[changed] * peak_ua[changed] / after_ua)
+            width_us[changed] = np.minimum(longer_us, most_us)
+        return slots._replace(current_ua=current_ua, width_us=width_us, proof=None, sums=None)
 
 
 def _peak_ua(current_ua: NDArray[np.int16]) -> Array:
     """Return the strongest current of each slot, (S,) µA (magnitude)."""
     return np.asarray(np.abs(current_ua.astype(np.float64)).max(axis=1))
-
-
-def _least_that_switches(current_ua: NDArray[np.int16]) -> Array:
-    """Return the factor below which scaling a slot would insulate an electrode."""
-    magnitude = np.abs(current_ua.astype(np.float64))
-    return np.asarray(1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1))

@@ -10,18 +10,13 @@ from numpy.typing import NDArray
 from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import SafetyError
 from smarttouch.stimulation.exposure import Dose, Exposure
-from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
+from smarttouch.stimulation.ramp import PPB, Ramp
+from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.stimulation.sequence_limits import prove_fields, prove_slots
 from smarttouch.stimulation.slot_sums import SlotAdder
 
 __all__ = ["ProvedSequence", "SafetyGate", "SafetyLimits"]
-
-LEEWAY_PPB = 1000  # tolerance for rounding in the ramp's sum
-
-LEVEL_KEPT_NS = 15_000_000_000
-"""Time without current for which a level stays open: an experiment waits for an answer so long
-while the finger stays in contact."""
 
 _ARRAYS = tuple(
     (name, np.dtype(kind), dimensions, of_slots)
@@ -43,68 +38,6 @@ class NanosecondClock(Protocol):
     """Clock of the gate."""
 
     def now_ns(self) -> int: ...
-
-
-class Rise:
-    """Level opened by current that has flowed since it was zero, in whole parts per billion.
-
-    Only the time of passes with current counts, no more of it than has gone by, and up to their
-    strength (`SafetyLimits.strength_ppb`). A level stays open for `LEVEL_KEPT_NS` after the last
-    of it, and weak current does not lower it. One late step may be caught up.
-
-    Parameters
-    ----------
-    ramp_ns : int
-        Least time from zero to full.
-    """
-
-    def __init__(self, ramp_ns: int) -> None:
-        self._ramp_ns = ramp_ns
-        self._hurried_ppb = LATE_NS * PPB // ramp_ns
-        self.restart()
-
-    def restart(self) -> None:
-        """Restart at zero."""
-        self._ppb = self._strength_ppb = self._since_ns = self._left_ns = 0
-
-    def risen_ppb(self, now_ns: int) -> int:
-        """Return the level that is open now, without what may be caught up."""
-        since_ns = now_ns - self._since_ns
-        if since_ns > self._left_ns + LEVEL_KEPT_NS:
-            return 0
-        flowed_ns = max(0, min(since_ns, self._left_ns))
-        risen_ppb = self._ppb + flowed_ns * PPB // self._ramp_ns
-        return max(self._ppb, min(self._strength_ppb, risen_ppb))
-
-    def permits(self, ppb: int, now_ns: int) -> bool:
-        """Whether current of a strength may begin now: `LATE_NS` of the ramp are caught up."""
-        if ppb <= self._ppb and now_ns - self._since_ns <= self._left_ns + LEVEL_KEPT_NS:
-            return True
-        return ppb - LEEWAY_PPB <= self.risen_ppb(now_ns) + self._hurried_ppb
-
-    def note(self, ppb: int, strength_ppb: int, now_ns: int, lasting_ns: int) -> None:
-        """Enter a sequence that begins now; what it fell short of or hurried is kept.
-
-        Parameters
-        ----------
-        ppb, strength_ppb : int
-            Intensity that it claims, which lowers the level, and its strength, above which it
-            raises none.
-        now_ns : int
-        lasting_ns : int
-            Time of its passes with current, all repetitions included; 0 if they have none.
-        """
-        # The board finishes its present pass, and of repetitions no more.
-        gone_ns = max(0, now_ns - self._since_ns)
-        left_ns = self._left_ns - gone_ns
-        to_come_ns = min(left_ns, LATE_NS) if left_ns > 0 else 0
-        if lasting_ns:
-            if ppb > self._ppb or -left_ns > LEVEL_KEPT_NS:
-                ppb = min(ppb, self.risen_ppb(now_ns))
-            self._ppb, self._strength_ppb = ppb, strength_ppb
-            self._since_ns, self._left_ns = now_ns, to_come_ns + lasting_ns
-        else:
-            self._left_ns = min(self._left_ns, gone_ns + to_come_ns)
 
 
 _GATE: Final = object()
@@ -140,6 +73,8 @@ class ProvedSequence:
     ramped: bool
     session: int
     """Of the gate, in which it was proved."""
+    strength_ppb: int = 0
+    """By its strongest pulse; see `SafetyLimits.strength_ppb`."""
     key: InitVar[object] = None
 
     def __post_init__(self, key: object) -> None:
@@ -160,17 +95,14 @@ class SafetyGate:
     """
 
     def __init__(self, limits: SafetyLimits, clock: NanosecondClock | None = None) -> None:
-        self.limits = limits
+        self.limits: SafetyLimits = limits
         self._clock = clock
         self._exposure = Exposure(limits)
         self._adder = SlotAdder(limits.felt_ua)
+        self._ramp = Ramp(limits.ramp_ns)
         self._lock = Lock()
         self._now_ns: int | None = None
         self._session = 0
-        # By the display's clock, and by the time that sequences claim.
-        self._rises = Rise(limits.ramp_ns), Rise(limits.ramp_ns)
-        # What was proved may wait: the rise that the skin gets is that of what was written.
-        self._written = Rise(limits.ramp_ns)
         self.restart()
 
     @property
@@ -184,9 +116,8 @@ class SafetyGate:
         return self._exposure.net_pc
 
     def restart(self) -> None:
-        """Close the level; sequence time may start again at zero, the session continues."""
-        for rise in (*self._rises, self._written):
-            rise.restart()
+        """Restart the ramp; sequence time may start again at zero, the session continues."""
+        self._ramp.restart()
         self._time_ns: int | None = None
         self._noted: ScanSequence | None = None  # the sequence that was written last
         if self._clock is None:
@@ -205,6 +136,16 @@ class SafetyGate:
         self._session += 1
         self.restart()
 
+    def allowed_level(self, time_ns: int) -> float:
+        """Return the strength, in [0, 1], to plan for a sequence that claims a time."""
+        with self._lock:
+            return self._ramp.allowed_level(self._time_of(time_ns))
+
+    def open_level(self, time_ns: int) -> float:
+        """Return the strength, in [0, 1], with which pulses may go on after a pause."""
+        with self._lock:
+            return self._ramp.open_level(self._time_of(time_ns))
+
     def prove(
         self,
         sequence: ScanSequence,
@@ -213,6 +154,7 @@ class SafetyGate:
         number: int = 0,
         due_ns: int = 0,
         late_ns: int = LATE_NS,
+        ramped: bool = True,
     ) -> ProvedSequence:
         """Return a frozen copy of a sequence for its board, or raise if it breaks a limit.
 
@@ -225,40 +167,45 @@ class SafetyGate:
             Of the sequence on its board.
         due_ns, late_ns : int
             Planned start by the board's clock, and the delay after which it is not sent.
+        ramped : bool
+            False for a scan with which the firmware measures, by pulses that it fixes: every limit
+            is checked but the ramp, and each pass counts as a sequence.
 
         Raises
         ------
         SafetyError
             Naming the limit, the slot and electrode, and by how much.
         """
-        copy = self._prove(sequence, times, ramped=True)
-        latest_ns = due_ns + late_ns
-        return ProvedSequence(
-            copy, int(times), number, due_ns, latest_ns, True, self._session, _GATE
-        )
+        with self._lock:
+            times = _whole(times, "times")
+            if times < 1:
+                raise SafetyError(f"{times} repetitions: there must be one at least", limit="times")
+            copy = frozen(sequence)
+            prove_fields(copy, self.limits)
+            ppb = parts_per_billion(copy.intensity)
+            load = prove_slots(copy, self.limits, ppb, self._adder)
+            now_ns = self._time_of(copy.time_ns)
+            strength_ppb = self.limits.strength_ppb(ppb, load.peak_pc)
+            if ramped:
+                self._prove_ramp(copy, strength_ppb, now_ns)
+            for _ in range(1 if ramped else times):
+                passes = times if ramped else 1
+                self._exposure.enter(now_ns, copy.period_us, passes, load, copy.slots > 0)
+            self._now_ns = now_ns
+            if ramped:
+                self._time_ns = copy.time_ns
+                self._ramp.claim(ppb, strength_ppb)
+            latest_ns, session = due_ns + late_ns, self._session
+            return ProvedSequence(
+                copy, times, number, due_ns, latest_ns, ramped, session, strength_ppb, _GATE
+            )
 
     def check(self, sequence: ScanSequence, times: int = 1) -> ScanSequence:
-        """Return a frozen copy of a sequence that reaches no board, or raise as `prove`."""
-        return self._prove(sequence, times, ramped=True)
-
-    def prove_measurement(
-        self,
-        sequence: ScanSequence,
-        times: int = 1,
-        *,
-        number: int = 0,
-        due_ns: int = 0,
-        late_ns: int = LATE_NS,
-    ) -> ProvedSequence:
-        """Return a frozen copy of a scan; every limit is checked but the rise since the one before.
-
-        For boards that measure with a pulse that their firmware fixes: it cannot
-        be ramped, and comes only when a user asks for it.
-        """
-        for _ in range(times):
-            copy = self._prove(sequence, 1, ramped=False)
-        latest_ns = due_ns + late_ns
-        return ProvedSequence(copy, times, number, due_ns, latest_ns, False, self._session, _GATE)
+        """Return a frozen copy of a sequence that reaches no board, or raise as `prove`; it counts
+        as written."""
+        proved = self.prove(sequence, times)
+        self.note(proved)
+        return proved.sequence
 
     def has_proved(self, proved: ProvedSequence) -> bool:
         """Return whether a sequence was proved in the present session."""
@@ -285,12 +232,11 @@ class SafetyGate:
 
     def permits(self, proved: ProvedSequence) -> bool:
         """Return whether the current of a proved sequence may begin now, by what was written."""
-        sequence = proved.sequence
-        if not proved.ramped or not sequence.drives:
+        if not (proved.ramped and proved.strength_ppb):
             return True
-        strength_ppb = self.limits.strength_of(sequence)
         with self._lock:
-            return self._written.permits(strength_ppb, self._time_of(sequence))
+            now_ns = self._time_of(proved.sequence.time_ns)
+            return self._ramp.permits(proved.strength_ppb, now_ns)
 
     def note(self, proved: ProvedSequence) -> None:
         """Enter that the bytes of a proved sequence have just been written; its parts and
@@ -298,46 +244,18 @@ class SafetyGate:
         sequence = proved.sequence
         if not proved.ramped or sequence is self._noted:
             return
-        lasting_ns = 1000 * sequence.period_us * proved.times * sequence.drives
-        ppb, strength_ppb = parts_per_billion(sequence.intensity), self.limits.strength_of(sequence)
+        ppb, lasting_ns = parts_per_billion(sequence.intensity), 1000 * sequence.period_us
         with self._lock:
-            self._noted = sequence
-            self._written.note(ppb, strength_ppb, self._time_of(sequence), lasting_ns)
+            self._noted, now_ns = sequence, self._time_of(sequence.time_ns)
+            self._ramp.note(ppb, proved.strength_ppb, now_ns, lasting_ns * proved.times)
 
-    def _time_of(self, sequence: ScanSequence) -> int:
-        return sequence.time_ns if self._clock is None else self._clock.now_ns()
+    def _time_of(self, claimed_ns: int) -> int:
+        now_ns = claimed_ns if self._clock is None else self._clock.now_ns()
+        # A clock that falls counts as standing still.
+        return now_ns if self._now_ns is None else max(now_ns, self._now_ns)
 
-    def _prove(self, given: ScanSequence, times: int, *, ramped: bool) -> ScanSequence:
-        # What is added up is added up in memory that the next sequence will use again.
-        with self._lock:
-            times = _whole(times, "times")
-            if times < 1:
-                raise SafetyError(f"{times} repetitions: there must be one at least", limit="times")
-            sequence, limits = frozen(given), self.limits
-            prove_fields(sequence, limits)
-            ppb = parts_per_billion(sequence.intensity)
-            made = prove_slots(sequence, limits, ppb, self._adder)
-            now_ns = sequence.time_ns if self._clock is None else self._clock.now_ns()
-            # A clock that falls counts as standing still.
-            now_ns = now_ns if self._now_ns is None else max(now_ns, self._now_ns)
-            strength_ppb = limits.strength_ppb(ppb, made.peak_pc)
-            if ramped:
-                self._prove_rise(sequence, strength_ppb, now_ns)
-            flows = len(sequence.width_us) > 0
-            self._exposure.enter(now_ns, sequence.period_us, times, made, flows)
-            self._now_ns = now_ns
-            if ramped:
-                self._time_ns = sequence.time_ns
-                lasting_ns = 1000 * sequence.period_us * times * (made.peak_pc > 0)
-                by_clock, claimed = self._rises
-                by_clock.note(ppb, strength_ppb, now_ns, lasting_ns)
-                claimed.note(ppb, strength_ppb, sequence.time_ns, lasting_ns)
-            return sequence
-
-    def _prove_rise(self, sequence: ScanSequence, ppb: int, now_ns: int) -> None:
-        """Raise if current of a strength, 0 if there is none, rises too fast: by the time that
-        sequences claim, or the display's.
-        """
+    def _prove_ramp(self, sequence: ScanSequence, strength_ppb: int, now_ns: int) -> None:
+        """Raise if a sequence does not follow the one before, or its current rises too fast."""
         before_ns, time_ns = self._time_ns, sequence.time_ns
         if before_ns is not None and time_ns <= before_ns:
             raise SafetyError(
@@ -346,19 +264,13 @@ class SafetyGate:
                 value=time_ns,
                 allowed=before_ns + 1,
             )
-        by_clock, claimed = self._rises
-        # The first is without current.
-        if ppb and (
-            (before_ns is None and ppb > LEEWAY_PPB)
-            or not by_clock.permits(ppb, now_ns)
-            or not claimed.permits(ppb, time_ns)
-        ):
-            level = min(by_clock.risen_ppb(now_ns), claimed.risen_ppb(time_ns)) / PPB
+        if strength_ppb and not self._ramp.permits(strength_ppb, now_ns):
+            strength, level = strength_ppb / PPB, self._ramp.open_ppb(now_ns) / PPB
             raise SafetyError(
-                f"current of strength {ppb / PPB:.3f} where {level:.3f} is open: zero to full "
+                f"current of strength {strength:.3f} where {level:.3f} is open: zero to full "
                 f"must take {self.limits.ramp_s:g} s or more of pulses",
                 limit="ramp_s",
-                value=ppb / PPB,
+                value=strength,
                 allowed=level,
             )
 

@@ -28,9 +28,9 @@ from smarttouch.profile.ceilings import (
     SHORTEST_RAMP_S,
 )
 from smarttouch.profile.device import Output
+from smarttouch.stimulation.ramp import PPB
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-PPB = 1_000_000_000  # parts per billion in 1, the unit in which intensity is compared
 STRENGTH = 4
 """Intensity that a pulse counts for at most, in multiples of its share of a full pulse's charge.
 The faintest gray of the shipped kernels carries 0.39 of a full pulse: 3 would do for these, and 4

@@ -12,10 +12,12 @@ from smarttouch.base.errors import ScheduleError
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
+from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.stimulation.net_plan import NetPlan
 from smarttouch.stimulation.point_slots import PointSlots, Slots, constant_us, joined
 from smarttouch.stimulation.pulse_rates import PulseRates, ScanTiming, rate_share, rates_of
+from smarttouch.stimulation.ramp import FIRST_NS, MOST_STEP_NS, PPB
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import (
     NO_SHARING,
@@ -109,6 +111,8 @@ class ScanScheduler:
         self._electrodes = len(profile.electrodes)
         self._limits = SafetyLimits.of(profile)
         self._adder = SlotAdder(self._limits.felt_ua)
+        first = FIRST_NS / self._limits.ramp_ns
+        self._first_steps = (2 * first, MOST_STEP_NS / self._limits.ramp_ns)
         # Before anything is sent: the longest scan must be possible too.
         self._shortest_us(self._electrodes, self._electrodes * pulse.width_us)
         by_height = pulse.carrier != "width" or set(driven) <= set(bank.discs)
@@ -131,13 +135,14 @@ class ScanScheduler:
         image: TactileImage,
         intensity: float,
         pressure: float = 1.0,
-        most_ppb: int | None = None,
+        allowed: float = 1.0,
+        adaptation: Adaptation | None = None,
     ) -> ScanSequence:
         """Return the sequence of one tactile image at an intensity and a pressure in [0, 1].
 
         Where the slots do not fit the period asked for, the period grows. At intensity 0 there are
         none. The rate of SAI pulses follows pressure. Intensity is lowered until strength
-        (`SafetyLimits.strength_ppb`) is at most `most_ppb`, if given. If the image has a period,
+        (`SafetyLimits.strength_ppb`) is at most ``allowed``, in [0, 1]. If the image has a period,
         every active class pulses now, and not again before it has passed. One that the profile's
         limits forbid, or a class that cannot be driven, raises a ScheduleError.
         """
@@ -149,19 +154,27 @@ class ScanScheduler:
         # None is due where the rate has fallen since this time was set.
         classes, scale = (due, intensity) if due else ((self._first,), 0.0)
         makers = self._makers.get(classes) or self._makers_of(classes)
-        made = _slots_of(makers, image.activation, scale)
-        if most_ppb is not None:
-            charge_pc = peak_pc(made.current_ua, made.width_us)
-            strength_ppb = self._limits.strength_ppb(parts_per_billion(intensity), charge_pc)
-            if strength_ppb > most_ppb:
-                intensity *= most_ppb / strength_ppb
-                made = _slots_of(makers, image.activation, intensity)
+        made = _slots_of(makers, image.activation, scale, adaptation)
+        if intensity > allowed:
+            charge_pc, ppb = peak_pc(made.current_ua, made.width_us), parts_per_billion(intensity)
+            # Whole µA may be a little stronger than asked for.
+            strength_ppb = min(ppb, self._limits.strength_ppb(ppb, charge_pc))
+            wanted, intensity = intensity, intensity if strength_ppb else allowed
+            # The first step may be too weak for any pulse.
+            for least in (0, *self._first_steps) if allowed else (0,):
+                most = max(allowed, least)
+                if strength_ppb <= most * PPB:
+                    break
+                intensity = wanted * most * PPB / strength_ppb
+                made = _slots_of(makers, image.activation, intensity, adaptation)
+                if made.current_ua.any():
+                    break
         site, current_ua, width_us, proof, sums = made
         slots = len(site)
-        shortest_us = self._shortest.get(slots)
+        shortest_us = None if adaptation is not None else self._shortest.get(slots)
         if shortest_us is None:
             shortest_us = self._shortest_us(slots, extent_us(width_us.tobytes())[2])
-            if self._one_width_us is not None:
+            if self._one_width_us is not None and adaptation is None:
                 self._shortest[slots] = shortest_us
         if self._timing.whole_hz:
             asked_us = self._timing.possible_period_us(asked_us)
@@ -294,13 +307,18 @@ class ScanScheduler:
         return max(shortest, timing.possible_period_us(pulses_us / self._duty))
 
 
-def _slots_of(makers: list[_Maker], activation: NDArray[np.float32], intensity: float) -> Slots:
+def _slots_of(
+    makers: list[_Maker],
+    activation: NDArray[np.float32],
+    intensity: float,
+    adaptation: Adaptation | None,
+) -> Slots:
     """Return the slots of all classes that are due."""
     (maker, of), *others = makers
     made = maker.slots(activation[of], intensity)
     if others:
         made = joined([made, *(one.slots(activation[each], intensity) for one, each in others)])
-    return made
+    return made if adaptation is None or not len(made.site) else adaptation.apply(made)
 
 
 def _shared_slots(

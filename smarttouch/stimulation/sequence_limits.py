@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import SafetyError
 from smarttouch.profile.ceilings import LEAST_DISCHARGE_US
+from smarttouch.stimulation.ramp import PPB
 from smarttouch.stimulation.recharge import prove_recharge
-from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, decimal
+from smarttouch.stimulation.safety_limits import SafetyLimits, decimal
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.stimulation.slot_sums import PER_PC, Load, PassLoad, SlotAdder, extent_us
 

@@ -21,6 +21,7 @@ from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from tests.boards.payloads import sequence_payload
 from tests.emulator.rig import LinkRig
+from tests.scans import adapted
 
 SECONDS = float(os.environ.get("SMARTTOUCH_DRIFT_SECONDS", "1.2"))
 DRIFTING, STEADY = 6, 9
@@ -82,7 +83,7 @@ def _run(tmp_path_factory, watch, kind, hold):
         if adaptation is not None:
             if len(measured) > LATE:
                 adaptation.observe(*measured.popleft())
-            sequence = adaptation.apply(sequence)
+            sequence = adapted(adaptation, sequence)
         measured.append((sequence, board.deliver(sequence)))
     assert board.books.violations == 0
     board.books.write()

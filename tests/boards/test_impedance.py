@@ -63,7 +63,7 @@ def test_a_probe_rises_from_zero_and_every_step_is_safe():
     gate = SafetyGate(LIMITS)
     sequences = list(probe_sequences(LIMITS, None))
     for sequence in sequences:
-        gate.prove(sequence)
+        gate.check(sequence)
     assert sequences[0].slots == 0
     assert sequences[-1].slots == 8
     assert np.abs(sequences[-1].current_ua).max() == 500

@@ -12,7 +12,7 @@ from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
 from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.open import MemoryDriver, make_driver
 from smarttouch.boards.probe_scans import one_each
-from smarttouch.stimulation.safety_gate import Rise, SafetyLimits
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from .fresh import deliver, until
 from .manual_kit import ManualKit
@@ -139,57 +139,16 @@ def test_a_job_that_waited_through_a_pause_is_not_sent(script):
         assert (board.acknowledged, board.dropped_late) == (0, 1)
 
 
-LATE_RISE = [(20, True), (60, True), (100, True), (180, False)]
-"""Milliseconds of the ramp that a sequence is ahead of what was written, and whether it goes."""
-
-
-def rising(electrodes, part, step):
-    """One anodic slot at a part of full intensity, after the silent first."""
-    return one_each(
-        limits(electrodes), round(4000 * part), 50, part, step * 10**9,
-        cathodic=False, sites=[1], discharge_us=150, period_us=20_000,
-    )  # fmt: skip
-
-
-@pytest.fixture
-def ramp_of_the_line(monkeypatch):
-    """Return a maker of boards whose ramp counts by their clock what was written, as outside these
-    tests; the proof lets everything rise."""
-
-    def make(driver, electrodes, **options):
-        clock = ManualClock()
-        board = Board(driver, limits(electrodes), clock=clock, **options)
-        monkeypatch.setattr("smarttouch.stimulation.safety_gate.LATE_NS", LATE_NS)
-        board._gate._written = Rise(limits(electrodes).ramp_ns)
-        return board
-
-    return make
-
-
-@pytest.mark.parametrize(("ahead_ms", "sent"), LATE_RISE)
-def test_the_rise_is_counted_from_what_was_written(script, ramp_of_the_line, ahead_ms, sent):
-    """Though both were proved, and neither is late: the first one's delay adds nothing."""
-    part = ahead_ms / 1000 / limits(61).ramp_s
-    driver = Kajimoto61Driver("x", limits(61))
-    packets = [(driver.encode(rising(61, part, 1)), b"")] * sent
-    script(*KAJIMOTO_OPEN, (KAJIMOTO_ZERO, b""), *packets, *KAJIMOTO_OPEN)
-    with ramp_of_the_line(driver, 61) as board:
-        deliver(board, pulses(61, 0), rising(61, part, 1))
-        assert (board.acknowledged, board.dropped_late) == (1 + sent, 1 - sent)
-
-
-@pytest.mark.parametrize(("ahead_ms", "sent"), LATE_RISE)
-def test_a_link_board_rises_from_what_was_written(ramp_of_the_line, ahead_ms, sent):
-    with ramp_of_the_line(make_driver("emulator:", limits(8)), 8, on_a_finger=False) as board:
-        deliver(board, pulses(8, 0))
-        # Nor does it matter how late the first went.
-        fast = rising(8, ahead_ms / 1000 / limits(8).ramp_s, 1)
-        if sent:
-            deliver(board, fast)
-        else:
-            with pytest.raises(SequenceLateError):
-                board.send(fast)
-        assert board.dropped_late == 1 - sent
+def test_what_waits_while_the_level_is_closed_is_not_sent(script):
+    """It was proved before: the ramp is asked once more right before the write."""
+    script(*KAJIMOTO_OPEN, (KAJIMOTO_ZERO, b""), *KAJIMOTO_OPEN)
+    with board_of(Kajimoto61Driver, 61) as board:
+        deliver(board, pulses(61, 0))
+        with board._news:
+            board.send(pulses(61, 1))
+            board.close_level()
+        board.drain()
+        assert (board.acknowledged, board.dropped_late) == (1, 1)
 
 
 @pytest.mark.parametrize(("late_ns", "scans"), [(0, 5), (LATE_NS, 5), (LATE_NS + 1, 0)])

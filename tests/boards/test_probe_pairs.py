@@ -24,7 +24,7 @@ class Skin:
         self.gate = SafetyGate(LIMITS)
 
     def __call__(self, scan):
-        self.gate.prove_measurement(scan)
+        self.gate.prove(scan, ramped=False)
         self.scans += 1
         volts = (np.abs(scan.current_ua) / 1000 * np.where(scan.current_ua, self.kohm, 0)).sum(1)
         return np.minimum(volts, COMPLIANCE_V)

@@ -496,8 +496,8 @@ def test_what_was_computed_before_a_pause_is_not_sent(
     board = played(profile, Watched, clock=clock, claimed_time=False)
     process = pipeline.process
 
-    def stand_still(frame, level):
-        step = process(frame, level)
+    def stand_still(frame, level, allowed):
+        step = process(frame, level, allowed)
         if (
             board.dropped_late < len(stalls)
             and len(board.driver.sequences) == stalls[board.dropped_late]
@@ -535,12 +535,12 @@ def test_a_stop_halts_the_board_in_the_middle_of_a_step(monkeypatch, pipeline, b
     stop, tally = StopRequest(), RunStatistics()
     process = pipeline.process
 
-    def stopped_meanwhile(frame, level):
+    def stopped_meanwhile(frame, level, allowed):
         if len(board.driver.sequences) == 10:
             thread = threading.Thread(target=stop.ask, args=("key q",))
             thread.start()
             thread.join()
-        return process(frame, level)
+        return process(frame, level, allowed)
 
     monkeypatch.setattr(pipeline, "process", stopped_meanwhile)
     with board, stop.on_stop(board.halt):

@@ -1,9 +1,12 @@
 """``simulated:`` and ``emulator:`` are one board, with and without a line."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 import smarttouch as st
+from smarttouch.boards.board import Board
 from smarttouch.emulator.firmware import read_slots, read_state
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
@@ -38,7 +41,9 @@ class Kept(st.Listener):
     ("electric-mouse", "natural", "auto", False), ("electric-mouse", "RA", "points", True),
     ("smarttouch-4x4", "RA", "auto", False),
 ])  # fmt: skip
-def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path):
+def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path, monkeypatch):
+    # The ramp of each counts by the same clock.
+    monkeypatch.setattr("smarttouch.boards.open.Board", partial(Board, claimed_time=True))
     profile, found = st.load_profile(name), {}
     for url, options in (("simulated:", {}), ("emulator:", {"books": tmp_path})):
         source = st.open_source("text:no?speed_mm_s=25", profile)

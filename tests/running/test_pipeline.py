@@ -60,7 +60,7 @@ def test_any_sensor_input_is_safe(profile, bank, moments):
     for seed, wait, force in moments:
         rng = np.random.default_rng(seed)
         image = rng.integers(0, 256, (16, 16), np.uint8).repeat(4, 0).repeat(4, 1)
-        gate.prove(pipeline.process(Frame(image, time_ns, Pose(0, 0), force)).sequence)
+        gate.check(pipeline.process(Frame(image, time_ns, Pose(0, 0), force)).sequence)
         time_ns += wait
 
 

@@ -2,7 +2,6 @@
 
 import json
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,10 +28,10 @@ def balance(profile, bank, make_steps):
         pipeline = Pipeline(profile, bank, RunConfig(scan="points", balance=True))
         regulator = Regulator(None, ChargeBalance(64), RechargeRules.of(profile, ScanTiming()))
         regulator.ledger.charge_pc[:] = carried_pc
-        mute, made = SimpleNamespace(take_volts=lambda: []), []
+        made = []
         for sent in make_steps(40):
             step = pipeline.process(sent.step.input)
-            made.append(StepResult(regulator.regulate(step, mute), sent.number, 99.5, 12.25))
+            made.append(StepResult(regulator.regulate(step, ()), sent.number, 99.5, 12.25))
         return made
 
     return make

@@ -13,17 +13,7 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 
 from ..played import played
-
-
-class MeasuredBoard:
-    """A board that reports what a test sets."""
-
-    def __init__(self, *measured):
-        self.measured = list(measured)
-
-    def take_volts(self):
-        taken, self.measured = self.measured, []
-        return taken
+from ..scans import adapted
 
 
 @pytest.fixture
@@ -38,18 +28,21 @@ def measured(step, volts):
 
 
 def test_what_was_measured_is_kept_with_the_step_it_came_before(step):
-    first, second = measured(step, 80), measured(step, 90)
-    board = MeasuredBoard(first, second)
-    assert Regulator().regulate(step, board).observed == (first, second)
-    assert Regulator().regulate(step, board) is step
+    both = measured(step, 80), measured(step, 90)
+    assert Regulator().regulate(step, Regulator().observe(both)).observed == both
+    assert Regulator().regulate(step, ()) is step
 
 
-def test_what_was_measured_changes_what_is_sent(profile, step):
+def test_what_was_measured_changes_what_is_sent(profile, bank, make_frame, patch, step):
     regulator = Regulator(Adaptation(profile, "energy", 300.0))
-    before = regulator.regulate(step, MeasuredBoard(measured(step, 50))).sequence
-    after = regulator.regulate(step, MeasuredBoard(measured(step, 100))).sequence
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
+    pipeline.adaptation = regulator.adaptation
+    peaks = []
+    for volts in (50, 100):
+        regulator.observe([measured(step, volts)])
+        made = pipeline.process(make_frame(patch(), 1_000_000_000 * volts), allowed=1.0).sequence
+        peaks.append(np.abs(made.current_ua.astype(int)).max())
     # Twice the impedance: less by its square root.
-    peaks = [np.abs(each.current_ua.astype(int)).max() for each in (before, after)]
     assert peaks[1] == pytest.approx(peaks[0] / np.sqrt(2), rel=0.01)
 
 
@@ -58,7 +51,8 @@ def test_what_could_not_be_held_is_reported(profile, step):
     regulator = Regulator(Adaptation(profile, "charge", 100.0))
     assert Regulator().notes() == regulator.notes() == []
     for _ in range(20):
-        regulator.regulate(step, MeasuredBoard(measured(step, 100)))
+        regulator.observe([measured(step, 100)])
+        adapted(regulator.adaptation, step.sequence)
     (note,) = regulator.notes()
     assert f"{len(set(step.sequence.site))} sites" in note
 
@@ -70,14 +64,14 @@ def rules_of(profile):
 def test_charge_that_cannot_be_taken_back_at_once_is_noted(profile, step):
     regulator = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
     regulator.ledger.charge_pc[:2] = [9_000_000, -9_000_000]
-    regulator.regulate(step, MeasuredBoard())
+    regulator.regulate(step, ())
     assert any(f"{regulator.ledger.worst_uc:.2f} µC" in each for each in regulator.notes())
 
 
 def test_reversed_scans_are_noted_with_what_they_do(step):
     regulator = Regulator(ledger=ChargeBalance(64))
     for _ in range(4):
-        regulator.regulate(step, MeasuredBoard())
+        regulator.regulate(step, ())
     (note,) = regulator.notes()
     assert "2 of 4 scans" in note
     assert all(name in note for name in ("SAI", "RA"))
@@ -104,7 +98,7 @@ def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(
             for index in range(40):
                 # Slow enough for every way, so that all get the same frames.
                 made = pipeline.process(make_frame(patch(index, index + 9), index * 60_000_000))
-                board.send(regulator.regulate(made, board).sequence)
+                board.send(regulator.regulate(made, ()).sequence)
             books = board.driver._firmware.books
             passed_uc[way], pulses[way] = np.abs(books.passed_uc), board.driver.take_pulses()
             assert (books.violations, books.unsafe) == (0, 0)

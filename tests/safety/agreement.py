@@ -28,6 +28,8 @@ STREAM = 80
 PLAIN_EVERY = 20
 """One stream of so many is judged by the plain form of the rules, if its array is small."""
 SMALL = 20
+WRITTEN = 0.95
+"""Part of the sequences that are written; others are replaced by newer ones."""
 HURRIES = (
     "sequences in a second", "strong in a second", "mean in a second", "mean in a second",
     "net in a second", "takes back", "session time", "session charge",
@@ -151,14 +153,16 @@ def stream(name, seed, tally, make_gate=GateUnderTest, count=STREAM):
             clock_ns, time_ns = max(0, clock_ns + further_ns), time_ns + claimed_ns
         chosen = hurry if hurry and index > 1 and rng.random() < 0.9 else None
         draft, sequence, attack = drawn(oracle, rng, clock_ns, time_ns, chosen)
-        if not question(gate, oracle, draft, sequence, tally, (name, seed, index, attack)):
+        where = name, seed, index, attack
+        written = index == 0 or rng.random() < WRITTEN
+        if not question(gate, oracle, draft, sequence, tally, where, written):
             return
 
 
-def question(gate, oracle, draft, sequence, tally, where):
+def question(gate, oracle, draft, sequence, tally, where, written=True):
     """Ask both of a sequence; return whether they agree."""
-    broken = oracle.judge(sequence, draft.clock_ns, draft.times)
-    answer = gate.ask(sequence, draft.clock_ns, draft.times)
+    broken = oracle.judge(sequence, draft.clock_ns, draft.times, written=written)
+    answer = gate.ask(sequence, draft.clock_ns, draft.times, written)
     tally.broken.update(broken)
     if len(broken) == 1:
         tally.only[broken[0]] += 1

@@ -23,5 +23,5 @@ def opened(limits):
     gate = SafetyGate(limits, clock)
     none = np.empty(0, np.uint16)
     silent = ScanSequence(np.empty((0, 64), np.int16), none, none, none, 20_000, 1.0, 0)
-    open_level(gate.prove, silent, limits, clock=clock)
+    open_level(gate.check, silent, limits, clock=clock)
     return gate, clock

@@ -100,7 +100,7 @@ def ordinary(oracle, rng, clock_ns, time_ns, full=False):
     It is as intense as it may be most of the time, and always if ``full``.
     """
     bounds = oracle.bounds
-    most = min(oracle.most_as_claimed(time_ns), oracle.most_by_clock(clock_ns), WHOLE)
+    most = min(oracle.most(clock_ns), WHOLE)
     ppb = max(most, 0) if full or rng.random() < 0.8 else rng.randint(0, max(most, 0))
     intensity = 1.0 if ppb == WHOLE else intensity_of(ppb)
     slots = rng.choice((0, 1, 1, 1, 2, 2, 3, 4, 6))
@@ -130,7 +130,7 @@ def opening(oracle, clock_ns, time_ns):
     bounds = oracle.bounds
     row = np.zeros((1, bounds.electrodes), np.int64)
     able = [site for site, most in enumerate(bounds.electrode_ua) if most]
-    most = min(oracle.most_by_clock(clock_ns), oracle.most_as_claimed(time_ns), WHOLE)
+    most = min(oracle.most(clock_ns), WHOLE)
     weak_ua = math.ceil(Fraction(most, WHOLE) * bounds.full_ua / TIMES_ITS_SHARE)
     row[0, able[0]], row[0, able[-1]] = weak_ua, -weak_ua
     one = np.ones(1, np.int64)
@@ -143,7 +143,7 @@ def opening(oracle, clock_ns, time_ns):
 
 def later(oracle, rng):
     """Return by how much clock and claimed time move on: mostly alike, and sometimes far."""
-    if oracle.most_by_clock(oracle.clock_ns or 0) < WHOLE and rng.random() < 0.3:
+    if oracle.most(oracle.clock_ns or 0) < WHOLE and rng.random() < 0.3:
         return oracle.bounds.ramp_ns, oracle.bounds.ramp_ns
     step = rng.choice(
         (0, 1, 1_000, 10**6, 5 * 10**6, 20 * 10**6, 20 * 10**6, 10**8, NS, 9 * NS, 16 * NS)

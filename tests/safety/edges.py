@@ -109,9 +109,7 @@ def discharge(draft, oracle, rng, beyond):
 def intensity(draft, oracle, rng, beyond):
     bounds = oracle.bounds
     site = _site(draft, bounds, rng)
-    highest = min(
-        oracle.most_as_claimed(draft.time_ns), oracle.most_by_clock(draft.clock_ns), WHOLE
-    )
+    highest = min(oracle.most(draft.clock_ns), WHOLE)
     ppb = rng.randint(0, max(0, highest // 2))
     draft.intensity = intensity_of(ppb)
     full_ua = bounds.full_ua + bounds.rounding_ua
@@ -233,9 +231,6 @@ def recharge(draft, oracle, rng, beyond):
 def time(draft, oracle, rng, beyond):
     last_ns = oracle.time_ns or 0
     draft.time_ns = max(0, last_ns + rng.choice((-beyond, -beyond, -(10**6))))
-    draft.intensity = min(
-        draft.intensity, intensity_of(oracle.most_as_claimed(min(last_ns, draft.time_ns)))
-    )
     draft.resize(0)
     draft.vibration = None
 
@@ -266,17 +261,13 @@ def _amounting(draft, oracle, rng, most, beyond):
     draft.fit(bounds, rng.choice((0, 20_000, 200_000)))
 
 
-def claimed_rise(draft, oracle, rng, beyond):
-    _amounting(draft, oracle, rng, oracle.most_as_claimed(draft.time_ns), beyond)
-
-
 def rise(draft, oracle, rng, beyond):
-    _amounting(draft, oracle, rng, oracle.most_by_clock(draft.clock_ns), beyond)
+    _amounting(draft, oracle, rng, oracle.most(draft.clock_ns), beyond)
 
 
 def strength(draft, oracle, rng, beyond):
     """What weak current claims to have opened, and a microampere that claims to open all."""
-    most = min(oracle.most_as_claimed(draft.time_ns), oracle.most_by_clock(draft.clock_ns))
+    most = oracle.most(draft.clock_ns)
     if most < WHOLE and rng.random() < 0.5:
         _weak(draft, oracle, rng)
         draft.intensity = 1.0
@@ -343,8 +334,8 @@ EDGES = {
     "rate": rate, "period": period, "duty": duty, "balance": balance, "width": width,
     "current": current, "total": total, "charge": charge, "discharge": discharge,
     "intensity": intensity, "strong pulses": strong_pulses, "mean current": mean_current,
-    "vibration": vibration, "recharge": recharge, "time": time, "claimed rise": claimed_rise,
-    "rise": rise, "strength": strength, "strong in a second": strong_in_a_second,
+    "vibration": vibration, "recharge": recharge, "time": time, "rise": rise,
+    "strength": strength, "strong in a second": strong_in_a_second,
     "mean in a second": mean_in_a_second, "net in a second": net_in_a_second,
     "sequences in a second": sequences_in_a_second, "takes back": recharge,
     "session time": session_time, "session charge": session_charge,
@@ -358,5 +349,5 @@ def attacks(bounds):
     full_ua = bounds.full_ua + bounds.rounding_ua
     often = ["current"] * (min(bounds.electrode_ua) < full_ua)
     often += ["charge"] * (full_ua * bounds.pulse_us > bounds.charge_pc)
-    rises = ("rise", "claimed rise", *("strength",) * 3)
-    return (*EDGES, *rises, *("mean current", "total") * 2, *often * 4)
+    rises = ("rise", *("strength",) * 3)
+    return (*EDGES, *rises, *("mean current", "total") * 2, *often * 12)

@@ -39,11 +39,18 @@ class GateUnderTest:
         limits = SafetyLimits.of(profile)
         self._gate = SafetyGate(limits, self.clock)
 
-    def ask(self, sequence, clock_ns, times=1):
-        """Return what the gate says of a sequence at a time of its clock."""
+    def ask(self, sequence, clock_ns, times=1, written=True):
+        """Return what the gate says of a sequence at a time of its clock, and whether it permits
+        what it proved; it is written then, unless a newer one replaces it.
+        """
         self.clock.time_ns = clock_ns
         try:
-            return Answer(True, self._gate.prove(sequence, times).sequence)
+            proved = self._gate.prove(sequence, times)
+            if not self._gate.permits(proved):
+                return Answer(False, crash="what was proved is not permitted")
+            if written:
+                self._gate.note(proved)
+            return Answer(True, proved.sequence)
         except SafetyError as error:
             return Answer(False, limit=error.limit)
         except Exception as error:

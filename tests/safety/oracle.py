@@ -21,12 +21,12 @@ from .bounds import (
 from .rules import RULES, judge_alone
 
 AMONG = (
-    "time", "claimed rise", "rise", "strength", "takes back", "sequences in a second",
+    "time", "rise", "strength", "takes back", "sequences in a second",
     "strong in a second", "mean in a second", "net in a second", "session time", "session charge",
 )  # fmt: skip
 """The limits from one sequence to the next, by name."""
 NAMES = ("types", "range", *RULES, *AMONG)
-RAMPED = ("time", "claimed rise", "rise", "strength")
+RAMPED = ("time", "rise", "strength")
 """What a measuring scan that a firmware fixes need not keep."""
 
 
@@ -79,6 +79,7 @@ class Level:
     def close(self):
         """Back to zero, as nothing had ever flowed."""
         self._ppb, self._strong_ppb, self._from_ns, self._current_ns = 0, 0, None, 0
+        self.begun = False
 
     def at(self, time_ns):
         """Return what is open at a time."""
@@ -89,11 +90,14 @@ class Level:
         return by_time if by_time < self._strong_ppb else max(self._ppb, self._strong_ppb)
 
     def most(self, time_ns):
-        """Return the greatest strength with which current may begin at a time."""
+        """Return the greatest strength with which current may begin at a time; the first sequence
+        has none."""
+        if not self.begun:
+            return FREE_RISE
         return self.at(time_ns) + FREE_RISE + self._bounds.late_rise
 
     def sent(self, ppb, strong_ppb, time_ns, current_ns):
-        """Enter passes with so much time of current, or none, that begin at a time."""
+        """Enter passes with so much time of current, or none, that are written at a time."""
         if self._from_ns is None and not current_ns:
             return
         ahead_ns = 0
@@ -121,9 +125,9 @@ class Oracle:
         self._last = None
         nothing = np.zeros(self.bounds.electrodes, np.int64)
         self._spent = 0, nothing, nothing
-        self._by_clock, self._claimed = Level(self.bounds), Level(self.bounds)
+        self._level = Level(self.bounds)
         # What would be open if all current were strong.
-        self._if_strong = Level(self.bounds), Level(self.bounds)
+        self._if_strong = Level(self.bounds)
         self.restart()
 
     def restart(self, clock_ns=0):
@@ -133,13 +137,15 @@ class Oracle:
             self._last = None
         self._passes = []
         self.time_ns = self.clock_ns = None
-        for level in (self._by_clock, self._claimed, *self._if_strong):
+        self.newest = None
+        """Of the newest sequence that breaks nothing: intensity, strength, and time of current."""
+        for level in (self._level, self._if_strong):
             level.close()
 
-    def judge(self, sequence, clock_ns, times=1, measuring=False):
+    def judge(self, sequence, clock_ns, times=1, measuring=False, written=True):
         """Return the names of all rules that a sequence, sent so many times, breaks at the
-        display's clock; one that breaks nothing counts as sent. ``measuring`` is of scans that a
-        firmware fixes.
+        display's clock; one that breaks nothing counts as sent, and as written at once if
+        ``written``, else by `wrote`. ``measuring`` is of scans that a firmware fixes.
         """
         alone = self._alone(sequence, self.bounds)
         if isinstance(times, bool) or not isinstance(times, int | np.integer):
@@ -155,7 +161,7 @@ class Oracle:
         strong_ppb = self.bounds.strength_ppb(alone.intensity_ppb, alone.peak_pc)
         kept = {
             "time": self.time_ns is None or alone.time_ns > self.time_ns,
-            **self._rises(strong_ppb, alone.time_ns, clock_ns, alone.peak_pc == 0),
+            **self._rises(strong_ppb, clock_ns, alone.peak_pc == 0),
             "takes back": self._takes_back(alone, carried_pc, times),
             "sequences in a second": 1 + sum(each.start_ns > clock_ns - NS for each in known)
             <= self.bounds.most_passes,
@@ -173,38 +179,32 @@ class Oracle:
             self.clock_ns = clock_ns
             if not measuring:
                 self.time_ns = alone.time_ns
+                self._level.begun = self._if_strong.begun = True
                 current_ns = 1000 * times * alone.period_us * (alone.peak_pc > 0)
-                amounts = alone.intensity_ppb, strong_ppb
-                self._by_clock.sent(*amounts, clock_ns, current_ns)
-                self._claimed.sent(*amounts, alone.time_ns, current_ns)
-                amounts = alone.intensity_ppb, WHOLE
-                self._if_strong[0].sent(*amounts, clock_ns, current_ns)
-                self._if_strong[1].sent(*amounts, alone.time_ns, current_ns)
+                self.newest = alone.intensity_ppb, strong_ppb, current_ns
+                if written:
+                    self.wrote(self.newest, clock_ns)
         return broken
 
-    def _rises(self, strong_ppb, time_ns, clock_ns, silent):
+    def wrote(self, sent, clock_ns):
+        """Enter that a sequence is written: what was replaced never is, and opens nothing."""
+        clock_ns = max(clock_ns, self.clock_ns or 0)
+        ppb, strong_ppb, current_ns = sent
+        self._level.sent(ppb, strong_ppb, clock_ns, current_ns)
+        self._if_strong.sent(ppb, WHOLE, clock_ns, current_ns)
+
+    def _rises(self, strong_ppb, clock_ns, silent):
         """Return whether the rise is kept by the time that current flowed, and by its strength.
 
         The latter counts where the former is kept.
         """
-        by_clock, claimed = self._if_strong
-        first = self.time_ns is None
-        most = FREE_RISE if first else claimed.most(time_ns)
-        by_time = {
-            "claimed rise": silent or strong_ppb <= most,
-            "rise": silent or strong_ppb <= by_clock.most(clock_ns),
-        }
-        most = min(self.most_as_claimed(time_ns), self.most_by_clock(clock_ns))
-        strongly = silent or not all(by_time.values()) or strong_ppb <= most
-        return by_time | {"strength": strongly}
+        by_time = silent or strong_ppb <= self._if_strong.most(clock_ns)
+        strongly = silent or not by_time or strong_ppb <= self.most(clock_ns)
+        return {"rise": by_time, "strength": strongly}
 
-    def most_as_claimed(self, time_ns):
-        """Return the greatest strength by the claimed times, in parts per billion."""
-        return FREE_RISE if self.time_ns is None else self._claimed.most(time_ns)
-
-    def most_by_clock(self, clock_ns):
-        """Return the greatest strength by the display's clock, in parts per billion."""
-        return self._by_clock.most(clock_ns)
+    def most(self, clock_ns):
+        """Return the greatest strength with which current may begin, in parts per billion."""
+        return self._level.most(clock_ns)
 
     def passes_by(self, clock_ns):
         """Return all passes of which any part lies in the second before a time, or after it."""

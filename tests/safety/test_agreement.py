@@ -25,16 +25,16 @@ class Careless:
     def __init__(self, profile):
         self._oracle = Oracle(profile, judge_alone_quickly)
 
-    def ask(self, sequence, clock_ns, times=1):
-        broken = self._oracle.judge(sequence, clock_ns, times)
+    def ask(self, sequence, clock_ns, times=1, written=True):
+        broken = self._oracle.judge(sequence, clock_ns, times, written=written)
         return Answer(set(broken) <= {self.overlooks}, limit=",".join(broken))
 
 
 class Strict(Careless):
     """A gate that refuses what is full."""
 
-    def ask(self, sequence, clock_ns, times=1):
-        answer = super().ask(sequence, clock_ns, times)
+    def ask(self, sequence, clock_ns, times=1, written=True):
+        answer = super().ask(sequence, clock_ns, times, written)
         full = answer.accepted and sequence.intensity == 1
         return Answer(False, limit="full") if full else answer
 
@@ -42,8 +42,8 @@ class Strict(Careless):
 class Crashing(Careless):
     """A gate that falls over what it refuses."""
 
-    def ask(self, sequence, clock_ns, times=1):
-        answer = super().ask(sequence, clock_ns, times)
+    def ask(self, sequence, clock_ns, times=1, written=True):
+        answer = super().ask(sequence, clock_ns, times, written)
         return answer if answer.accepted else Answer(False, crash="TypeError")
 
 
@@ -55,7 +55,7 @@ def tally():
 
 def test_it_reaches_limits_and_agrees_with_a_gate_that_overlooks_none(tally):
     assert tally.disagreements == 0
-    assert len(tally.missing()) < 4
+    assert len(tally.missing()) < 7
     assert min(tally.accepted, tally.refused) > 400
 
 

@@ -71,8 +71,8 @@ def test_changed_after_the_proof(limits):
 def test_claimed_time(opened):
     gate, clock = opened
     gate.restart()
-    gate.prove(dataclasses.replace(pulses(0), intensity=0.0, time_ns=0))
-    gate.prove(dataclasses.replace(pulses(1, current_ua=24, time_ns=1), intensity=0.01))
+    gate.check(dataclasses.replace(pulses(0), intensity=0.0, time_ns=0))
+    gate.check(dataclasses.replace(pulses(1, current_ua=24, time_ns=1), intensity=0.01))
     clock.time_ns += SECOND // 1000
     assert refused(gate, pulses(1, time_ns=60 * SECOND)) == "ramp_s"
     for field in ("time_ns", "period_us"):
@@ -106,7 +106,7 @@ def test_density_is_bounded_by_the_electrodes_area(limits):
 
 def test_a_session_ends(limits):
     gate = SafetyGate(dataclasses.replace(limits, session_s=0.55))
-    open_level(gate.prove, pulses(0), limits)
-    gate.prove(pulses(1))
-    gate.prove(pulses(1, time_ns=2 * SECOND))
+    open_level(gate.check, pulses(0), limits)
+    gate.check(pulses(1))
+    gate.check(pulses(1, time_ns=2 * SECOND))
     assert refused(gate, pulses(1, time_ns=3 * SECOND)) == "session_s"

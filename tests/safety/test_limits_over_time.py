@@ -31,7 +31,7 @@ def test_a_new_session_waits_until_half_of_the_net_charge_is_free(opened):
     gate, clock = opened
     assert gate.net_rest_ns() == 0
     for step in range(30):
-        gate.prove(pulses(2, time_ns=SECOND + 1 + step))
+        gate.check(pulses(2, time_ns=SECOND + 1 + step))
         clock.time_ns += 20_000_000
     gate.begin_session()
     # 26 passes of 0.96 µC are less than 25 µC: the fourth must leave. It ended 440 µs after its
@@ -46,14 +46,14 @@ def test_a_new_session_waits_until_half_of_the_net_charge_is_free(opened):
 
 def test_what_repeats_counts_over_opening_again(opened):
     gate, clock = opened
-    gate.prove(pulses(60, current_ua=700, width_us=1, period_us=41_000, twin=True), times=1000)
+    gate.check(pulses(60, current_ua=700, width_us=1, period_us=41_000, twin=True), times=1000)
     clock.time_ns += SECOND
     gate.begin_session()
-    gate.prove(dataclasses.replace(pulses(0), intensity=0.0, time_ns=0))
+    gate.check(dataclasses.replace(pulses(0), intensity=0.0, time_ns=0))
     weak = dataclasses.replace(pulses(60, current_ua=300, width_us=1, twin=True), intensity=0.15)
     felt = dataclasses.replace(gate.limits, threshold_ma=0.5)
     assert felt.felt_ua.max() <= 300
-    gate.prove(dataclasses.replace(weak, time_ns=1, period_us=40_000))
+    gate.check(dataclasses.replace(weak, time_ns=1, period_us=40_000))
     found = gate._exposure._second_at_most
     assert found > 1_400 * 1_000_000
 
@@ -67,9 +67,9 @@ def test_masked_electrodes_carry_nothing():
     assert limits.masked == (28, 40)
     assert limits.current_ua[[28, 40]].tolist() == limits.faint_ua[[28, 40]].tolist() == [0, 0]
     gate = SafetyGate(limits)
-    open_level(gate.prove, pulses(0), limits)
+    open_level(gate.check, pulses(0), limits)
     with pytest.raises(SafetyError) as error:
-        gate.prove(pulses(1, current_ua=1))
+        gate.check(pulses(1, current_ua=1))
     assert (error.value.limit, error.value.electrode) == ("current_ma", 28)
 
 

@@ -57,13 +57,10 @@ def test_the_first_is_silent():
     # A picocoulomb is less than a thousand parts per billion of a full pulse.
     strongest = Oracle(replace(FULL, full_ua=Fraction(10_000)))
     first = {"width": 1, "time_ns": 0}
-    assert strongest.judge(sequence(pair(1), intensity=intensity_of(1_001), **first), 10 * NS) == [
-        "claimed rise"
-    ]
+    stronger = sequence(pair(1), intensity=intensity_of(1_001), **first)
+    assert strongest.judge(stronger, 10 * NS) == ["rise"]
     assert strongest.judge(sequence(pair(1), intensity=intensity_of(1_000), **first), 10 * NS) == []
-    assert Oracle(FULL).judge(sequence(pair(1), intensity=0.1, **first), 10 * NS) == [
-        "claimed rise"
-    ]
+    assert Oracle(FULL).judge(sequence(pair(1), intensity=0.1, **first), 10 * NS) == ["rise"]
     # Intensity that is claimed without current is nothing.
     assert Oracle(FULL).judge(sequence([]), 10 * NS) == []
 
@@ -72,11 +69,22 @@ def test_a_level_is_opened_by_the_time_of_current():
     """A twentieth of a second is a tenth of the ramp, and what a sequence may be late a fifth."""
     most = 100_000_000 + 200_000_000 + 1_000
     assert started().judge(strong(most, NS), NS) == []
-    assert started().judge(strong(most + 1, NS), NS) == ["claimed rise", "rise"]
+    assert started().judge(strong(most + 1, NS), NS) == ["rise"]
     at_half = most - 50_000_000
     assert started().judge(strong(at_half, NS), NS // 40 + 1) == []
     assert started().judge(strong(at_half + 1, NS), NS // 40 + 1) == ["rise"]
-    assert started().judge(strong(at_half + 1, NS // 40 + 1), NS) == ["claimed rise"]
+    assert started().judge(strong(at_half + 1, NS // 40 + 1), NS) == []
+
+
+def test_what_is_replaced_before_it_is_written_opens_nothing_and_lowers_nothing():
+    oracle = Oracle(FULL)
+    assert oracle.judge(sequence([], intensity=0, time_ns=0), 0) == []
+    assert oracle.judge(strong(2 * 10**8, 1, period=500_000), 1, written=False) == []
+    assert oracle.judge(strong(3 * 10**8, NS), NS) == ["rise"]
+    oracle.wrote(oracle.newest, NS)
+    assert oracle.judge(strong(3 * 10**8, NS), NS + NS // 20) == []
+    assert oracle.judge(strong(10**8, 2 * NS), 2 * NS, written=False) == []
+    assert oracle.judge(strong(4 * 10**8, 3 * NS), 3 * NS) == []
 
 
 def test_and_no_further_than_current_was_strong():
@@ -99,7 +107,7 @@ def test_a_level_stays_for_fifteen_seconds():
     assert started().judge(strong(300_001_000, over_ns), over_ns) == []
     assert started().judge(strong(200_001_000, over_ns + 1), over_ns + 1) == []
     late = strong(200_001_001, over_ns + 1)
-    assert started().judge(late, over_ns + 1) == ["claimed rise", "rise"]
+    assert started().judge(late, over_ns + 1) == ["rise"]
 
 
 def test_a_clock_that_falls_gives_no_time():
@@ -229,7 +237,7 @@ def test_charge_of_a_session():
 def test_a_measuring_scan_need_not_rise():
     measured = sequence(pair(2000))
     assert Oracle(FULL).judge(measured, 0, measuring=True) == []
-    assert Oracle(FULL).judge(measured, 0) == ["claimed rise", "rise"]
+    assert Oracle(FULL).judge(measured, 0) == ["rise"]
     assert Oracle(FULL).judge(sequence(pair(3001)), 0, measuring=True) == ["current"]
 
 

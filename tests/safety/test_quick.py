@@ -23,8 +23,10 @@ class OtherForm:
     def __init__(self, profile):
         self._oracles = [Oracle(profile, judge) for judge in (judge_alone, judge_alone_quickly)]
 
-    def ask(self, sequence, clock_ns, times=1):
-        first, second = (oracle.judge(sequence, clock_ns, times) for oracle in self._oracles)
+    def ask(self, sequence, clock_ns, times=1, written=True):
+        first, second = (
+            oracle.judge(sequence, clock_ns, times, written=written) for oracle in self._oracles
+        )
         assert first == second
         return Answer(not first, limit=",".join(first))
 

@@ -10,7 +10,7 @@ from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.skin import Delivered
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety_gate import _GATE, ProvedSequence, SafetyGate, SafetyLimits
 
 from . import watch
 from .bounds import Bounds
@@ -25,13 +25,18 @@ def gate(limits=LIMITS):
     return SafetyGate(limits, ManualClock())
 
 
+def unproved(gate, sequence, times=1, **_):
+    """Prove whatever it is."""
+    return ProvedSequence(sequence, times, 1, 0, 2**62, True, gate._session, 1, key=_GATE)
+
+
 @pytest.fixture
 def blind(safety_watch):
     """A watch in whose time gates accept everything, and the usual one looks away."""
     safety_watch.on = False
     blinded = Watch()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SafetyGate, "_prove", lambda _gate, sequence, *_, **__: sequence)
+        patch.setattr(SafetyGate, "prove", unproved)
         patch.setattr(SafetyGate, "permits", lambda _gate, _proved: True)
         inner = blinded.installed()
         yield blinded
@@ -45,12 +50,12 @@ def rules(broken):
 
 def test_what_a_gate_should_not_have_accepted(blind):
     proving = gate()
-    proving.prove(sequence([], intensity=0.0, time_ns=0))
+    proving.check(sequence([], intensity=0.0, time_ns=0))
     assert blind.take() == []
-    proving.prove(sequence(pair(3001)))
+    proving.check(sequence(pair(3001)))
     (broken,) = blind.take()
-    assert rules(broken) == {"current", "intensity", "claimed rise", "rise"}
-    proving.prove(sequence([], intensity=0.0, time_ns=-1))
+    assert rules(broken) == {"current", "intensity", "rise"}
+    proving.check(sequence([], intensity=0.0, time_ns=-1))
     assert blind.take()
 
 
@@ -68,7 +73,7 @@ def test_limits_of_a_profile_are_read_from_the_profile(blind):
 
 def test_it_can_look_away(blind):
     blind.on = False
-    gate().prove(sequence(pair(3001)))
+    gate().check(sequence(pair(3001)))
     assert blind.take() == []
 
 

@@ -48,7 +48,7 @@ class Watch:
         self.broken, self.on = [], True
         self._seen, self._of_profile = {}, {}
         self._oracles, self._clocks = WeakKeyDictionary(), WeakKeyDictionary()
-        self._limits = WeakKeyDictionary()
+        self._limits, self._proved_sequences = WeakKeyDictionary(), WeakKeyDictionary()
 
     def bounds_of(self, limits):
         """Return the bounds of limits: those of their profile where they were made of one."""
@@ -86,7 +86,9 @@ class Watch:
         clock = self._clocks.get(gate)
         # A gate without a clock takes time as each sequence claims it.
         now_ns = sequence.time_ns if clock is None else clock.heard_ns
-        broken = oracle.judge(sequence, now_ns, times, measuring)
+        broken = oracle.judge(sequence, now_ns, times, measuring, written=False)
+        if not broken and not measuring:
+            self._proved_sequences[sequence] = oracle.newest
         if broken:
             self.broken.append(f"a gate accepted what breaks {', '.join(broken)}: {sequence}")
 
@@ -138,9 +140,7 @@ class Watch:
         patch.setattr(SafetyLimits, "of", classmethod(self._of(SafetyLimits.of.__func__)))
         patch.setattr(SafetyGate, "__init__", self._made(SafetyGate.__init__))
         patch.setattr(SafetyGate, "prove", self._proved(SafetyGate.prove))
-        patch.setattr(
-            SafetyGate, "prove_measurement", self._proved(SafetyGate.prove_measurement, True)
-        )
+        patch.setattr(SafetyGate, "note", self._noted(SafetyGate.note))
         patch.setattr(SafetyGate, "restart", self._ended(SafetyGate.restart, self.restart))
         begin = self._ended(SafetyGate.begin_session, self.begin)
         patch.setattr(SafetyGate, "begin_session", begin)
@@ -178,13 +178,23 @@ class Watch:
 
         return watched
 
-    def _proved(self, prove, measuring=False):
+    def _proved(self, prove):
         @functools.wraps(prove)
-        def watched(gate, sequence, *times, **named):
-            proved = prove(gate, sequence, *times, **named)
-            count = times[0] if times else named.get("times", 1)
-            self.judge(gate, getattr(proved, "sequence", proved), count, measuring)
+        def watched(gate, *given, **named):
+            proved = prove(gate, *given, **named)
+            self.judge(gate, proved.sequence, proved.times, not proved.ramped)
             return proved
+
+        return watched
+
+    def _noted(self, note):
+        @functools.wraps(note)
+        def watched(gate, proved):
+            note(gate, proved)
+            sent = self._proved_sequences.pop(proved.sequence, None)
+            if sent is not None and (oracle := self._oracles.get(gate)) is not None:
+                clock = self._clocks.get(gate)
+                oracle.wrote(sent, proved.sequence.time_ns if clock is None else clock.heard_ns)
 
         return watched
 

@@ -1,7 +1,5 @@
 """Charge and energy are held while impedance drifts, and nothing passes a limit."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,12 +13,11 @@ from smarttouch.profile import Profile, load_profile
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
-from smarttouch.stimulation.scan_sequence import SelectivityReport
 from smarttouch.stimulation.scheduler import ScanScheduler
 
 from ..raising import raises
 from ..rising import open_level
-from ..scans import sequence
+from ..scans import adapted, sequence
 from ..whole import WHOLE
 
 COMPLIANCE_V = 300.0
@@ -45,10 +42,10 @@ SWITCHED = with_pulse("smarttouch-4x4", 100)
 class Finger:
     """A finger of plain resistances under a pipeline's scan, pulse by pulse."""
 
-    def __init__(self, profile, hold, **more):
-        self.adaptation = Adaptation(profile, hold, COMPLIANCE_V, **more)
+    def __init__(self, profile, hold, timing=None):
+        self.adaptation = Adaptation(profile, hold, COMPLIANCE_V, timing)
         self.scan = ScanScheduler(
-            profile, load_bank(profile), (Afferent.RA,), profile.pulse.rate_hz
+            profile, load_bank(profile), (Afferent.RA,), profile.pulse.rate_hz, timing
         )
         self.kohm = np.full(len(profile.electrodes), KOHM)
         self.time_ns = 0
@@ -58,13 +55,20 @@ class Finger:
         self.time_ns += 20_000_000
         rows = np.zeros((3, len(self.kohm)), np.float32)
         rows[Afferent.RA] = activation
-        asked = self.scan.schedule(TactileImage(rows, self.time_ns, 1.0), intensity)
-        sent = self.adaptation.apply(asked) if adapted else asked
+        image, adaptation = TactileImage(rows, self.time_ns, 1.0), self.adaptation
+        asked = self.scan.schedule(image, intensity)
+        sent = self.scan.schedule(image, intensity, adaptation=adaptation) if adapted else asked
         peak_ma = np.abs(sent.current_ua.astype(float)).max(axis=1) / 1000
         volts = np.minimum(self.kohm[sent.site] * peak_ma, COMPLIANCE_V)
         self.adaptation.observe(sent, volts.astype(np.float32))
         delivered_uc = volts / self.kohm[sent.site] * sent.width_us / 1000
         return asked, sent, delivered_uc, volts
+
+
+def same(one, other):
+    return all(
+        map(np.array_equal, (one.current_ua, one.width_us), (other.current_ua, other.width_us))
+    )
 
 
 def charges_uc(scan):
@@ -102,7 +106,7 @@ def test_charge_is_held_however_strongly_a_point_is_felt():
         asked, sent, delivered, volts = finger.touch(level)
         assert delivered / charges_uc(asked) == pytest.approx(1, abs=0.01)
         if level == 1e-6:
-            assert sent is asked, "at 240 V nothing needs to change"
+            assert same(sent, asked), "at 240 V nothing needs to change"
     assert volts.max() == pytest.approx(0.92 * COMPLIANCE_V, rel=0.01)
 
 
@@ -142,7 +146,7 @@ def test_the_first_pulses_after_a_lifted_finger_are_not_forgotten_for_long():
     for _ in range(40):
         asked, sent, delivered, _ = finger.touch()
         assert delivered / charges_uc(asked) == pytest.approx(1, abs=0.01)
-    assert sent is asked
+    assert same(sent, asked)
 
 
 @pytest.mark.parametrize("drift", [0.25, 4.0])
@@ -167,7 +171,7 @@ def test_energy_that_would_need_more_than_was_asked_for_is_not_held():
     finger.kohm[:] = KOHM / 9
     for _ in range(60):
         asked, sent, _, _ = finger.touch(0.1)
-    assert sent is asked
+    assert same(sent, asked)
     assert finger.adaptation.limited
 
 
@@ -208,19 +212,19 @@ def test_rounding_adds_no_charge_to_a_pulse_at_its_limit(peak_ua, volts):
     adaptation = Adaptation(Profile.model_validate(table), "charge", COMPLIANCE_V)
     asked = sequence([peak_ua, -peak_ua] + [0] * 62, 80, electrodes=64)
     adaptation.observe(asked, np.array([volts], np.float32))
-    sent = adaptation.apply(asked)
+    sent = adapted(adaptation, asked)
     assert 0.98 * charges_uc(asked) <= charges_uc(sent) <= charges_uc(asked)
 
 
 def test_longer_pulses_lengthen_the_period():
     profile = with_pulse("electric-mouse", 80, rate_hz=86.0, discharge_us=100)
     timing = ScanTiming(slot_extra_us=1, scan_us=5)
-    finger = Finger(profile, "charge", timing=timing)
+    finger = Finger(profile, "charge", timing)
     finger.kohm[:] = 230.0
     for _ in range(20):
         asked, sent, _, _ = finger.touch()
     busy = int(sent.width_us.sum(dtype=int) + sent.discharge_us.sum(dtype=int))
-    assert asked.period_us < busy < sent.period_us
+    assert asked.period_us < sent.period_us
     assert sent.period_us == busy + 64 + 5
 
 
@@ -242,16 +246,6 @@ SAFE = [
 SAFE_BANKS = {profile.name: load_bank(load_profile(profile.name)) for profile in SAFE}
 
 
-def test_a_changed_sequence_has_no_proof():
-    finger = Finger(MOUSE, "energy")
-    for kohm in (KOHM, 2 * KOHM, 2 * KOHM):
-        finger.kohm[:] = kohm
-        asked, sent, _, _ = finger.touch()
-    proved = replace(asked, proof=SelectivityReport.of_nothing(asked.slots))
-    assert sent is not asked
-    assert finger.adaptation.apply(proved).proof is None
-
-
 @pytest.mark.parametrize("profile", SAFE, ids=lambda profile: profile.name)
 @pytest.mark.parametrize("hold", ["charge", "energy"])
 @given(seed=st.integers(0, 2**32 - 1), density=st.floats(0, 1))
@@ -264,14 +258,16 @@ def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
     bank = SAFE_BANKS[profile.name]
     scan = ScanScheduler(profile, bank, (Afferent.RA,), profile.pulse.rate_hz)
     nothing = TactileImage(np.zeros((3, count), np.float32), 0, 1.0)
-    open_level(gate.prove, scan.schedule(nothing, 0.0), gate.limits)
+    open_level(gate.check, scan.schedule(nothing, 0.0), gate.limits)
     # Falling, since no jump up passes.
     for step, intensity in enumerate(sorted([*rng.random(5), 0.0], reverse=True), 1):
         rows = np.zeros((3, count), np.float32)
         rows[Afferent.RA] = rng.random(count) * (rng.random(count) < density)
-        asked = scan.schedule(TactileImage(rows, step * 10**9, 1.0), float(intensity))
-        sent = adaptation.apply(asked)
-        gate.prove(sent)
+        shown = TactileImage(rows, step * 10**9, 1.0)
+        asked, sent = (
+            scan.schedule(shown, float(intensity), adaptation=each) for each in (None, adaptation)
+        )
+        gate.check(sent)
         less, more = (np.abs(each.current_ua.astype(int)) for each in (sent, asked))
         assert np.all(less <= more)
         assert np.all((sent.current_ua == 0) | (np.sign(sent.current_ua) == asked.state))

@@ -72,7 +72,7 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
     )
     sequence = scan.schedule(image(activation, afferent), intensity)
     assert np.array_equal(sequence.current_ua, current_ua)
-    SafetyGate(SafetyLimits.of(profile)).prove_measurement(sequence)
+    SafetyGate(SafetyLimits.of(profile)).prove(sequence, ramped=False)
     assert not current_ua.sum(axis=1).any()
     assert proof.points.sum() == (np.count_nonzero(activation) if intensity > 0 else 0)
     shared = proof.points > 1
@@ -129,7 +129,7 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
         for seed in range(20 if WHOLE else 5):
             activation = np.zeros(64, np.float32)
             activation[np.random.default_rng(seed).choice(64, 20, replace=False)] = 1
-            gate.prove_measurement(scan.schedule(image(activation, afferent), 1.0))
+            gate.prove(scan.schedule(image(activation, afferent), 1.0), ramped=False)
 
 
 def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
@@ -238,4 +238,4 @@ def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, ba
     sequence = scan.schedule(image(activation), 1.0)
     assert sequence.slots == 6
     assert np.abs(sequence.current_ua).max() > 2310
-    SafetyGate(SafetyLimits.of(alone)).prove_measurement(sequence)
+    SafetyGate(SafetyLimits.of(alone)).prove(sequence, ramped=False)

@@ -70,8 +70,8 @@ def test_the_reversed_twin_passes_the_same_gate(one):
     assert twin.current_ua.dtype == np.int16
     for each in (one, twin):
         gate = SafetyGate(limits)
-        open_level(gate.prove, each, limits)
-        gate.prove(each)
+        open_level(gate.check, each, limits)
+        gate.check(each)
 
 
 def test_what_has_no_twin_stays_as_it_is():

@@ -72,20 +72,20 @@ def test_every_sequence_is_safe_with_either_carrier(
     for each in (profile, by_width):
         scan = ScanScheduler(each, bank, mode.afferents, softness=softness)
         gate = SafetyGate(SafetyLimits.of(each))
-        open_level(gate.prove, scan.schedule(image(activation, 0), 0.0), gate.limits)
-        gate.prove(scan.schedule(image(activation), intensity, pressure))
+        open_level(gate.check, scan.schedule(image(activation, 0), 0.0), gate.limits)
+        gate.check(scan.schedule(image(activation), intensity, pressure))
 
 
 def test_the_gate_bounds_charge_where_width_carries_intensity(by_width, bank):
     scan = ScanScheduler(by_width, bank, (Afferent.RA,))
     sequence = scan.schedule(image(np.ones(64)), 0.5)
     gate = SafetyGate(SafetyLimits.of(by_width))
-    gate.prove_measurement(sequence)
+    gate.prove(sequence, ramped=False)
     # Twice as long, and within all other limits.
     object.__setattr__(sequence, "width_us", np.full(64, 180, np.uint16))
     charge_uc = 180e-6 * np.abs(sequence.current_ua.astype(int)).max()
     with raises(SafetyError, limit="intensity", value=pytest.approx(charge_uc)):
-        gate.prove_measurement(sequence)
+        gate.prove(sequence, ramped=False)
 
 
 def test_a_board_with_one_width_needs_height(by_width, bank):
@@ -158,7 +158,7 @@ def test_a_comfort_that_is_just_the_limit_stays_within_it(changed, keys):
         rows = np.zeros((3, 8), np.float32)
         rows[afferent] = 1
         for level in np.linspace(0.5, 1, 30):
-            gate.prove_measurement(scan.schedule(TactileImage(rows, 0, 1.0), float(level)))
+            gate.prove(scan.schedule(TactileImage(rows, 0, 1.0), float(level)), ramped=False)
 
 
 def test_rounding_of_a_thousand_small_currents_is_no_charge_above_the_limit(profile, bank, changed):
@@ -176,7 +176,7 @@ def test_rounding_of_a_thousand_small_currents_is_no_charge_above_the_limit(prof
     gate = SafetyGate(SafetyLimits.of(wide))
     for intensity in np.linspace(0.1, 1, 10):
         sequence = scan.schedule(TactileImage(rows, 0, 1.0), float(intensity))
-        gate.prove_measurement(sequence)
+        gate.prove(sequence, ramped=False)
         assert sequence.slots == 100
         assert np.abs(sequence.current_ua).max() <= 2500
     strongest = sequence.site.tolist().index(99)

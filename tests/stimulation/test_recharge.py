@@ -242,7 +242,7 @@ LATER = {"time_ns": 10**9}
 
 def gate_for(limits=LIMITS):
     gate = SafetyGate(limits)
-    open_level(gate.prove, sequence(ONE), limits)
+    open_level(gate.check, sequence(ONE), limits)
     return gate
 
 
@@ -254,9 +254,9 @@ BACK = [-120, 72, 48, 0]
 def test_the_gate_proves_the_phase_and_counts_its_charge(times):
     gate = gate_for()
     with pytest.raises(SafetyError):
-        gate.prove(replace(with_phase([-126, 78, 48, 0]), **LATER))
+        gate.check(replace(with_phase([-126, 78, 48, 0]), **LATER))
     before_mc = gate.dose.charge_mc[0]
-    gate.prove(replace(with_phase(BACK, 1000), **LATER), times)
+    gate.check(replace(with_phase(BACK, 1000), **LATER), times)
     assert gate.dose.charge_mc[0] - before_mc == pytest.approx(times * 0.32e-3)
     assert gate.dose.net_uc[0] == pytest.approx(times * 0.08, abs=1e-5)
 
@@ -274,15 +274,15 @@ def test_a_phase_takes_back_charge_and_nothing_else(phase, width_us, limit):
     """Nearly direct current: the same sign in pulse and phase, for all of the time."""
     gate, given = gate_for(), replace(with_phase(phase, width_us), **LATER)
     if limit is None:
-        gate.prove(given)
+        gate.check(given)
         return
     with raises(SafetyError, limit=limit):
-        gate.prove(given)
+        gate.check(given)
 
 
 def test_repetitions_may_not_take_back_more_than_the_first_carried():
     gate, back = gate_for(), replace(with_phase(BACK, 1000), **LATER)
-    gate.prove(back, 10)
+    gate.check(back, 10)
     # Slots without net charge from here on: what is there lasts for six phases, less what 1 µA
     # and the rest have left.
     twin = [[1000, -600, -400, 0], [-1000, 600, 400, 0]]
@@ -290,8 +290,8 @@ def test_repetitions_may_not_take_back_more_than_the_first_carried():
         sequence(twin), recharge_ua=back.recharge_ua, recharge_us=1000, time_ns=2 * 10**9
     )
     with raises(SafetyError, limit="recharge_ua"):
-        gate.prove(phase, 7)
-    gate.prove(phase, 6)
+        gate.check(phase, 7)
+    gate.check(phase, 6)
 
 
 def test_a_phase_is_bounded_whatever_the_threshold():

@@ -28,7 +28,7 @@ SECOND = 10**9
 def warmed():
     """A gate in which a second of the least current has opened full intensity."""
     gate = SafetyGate(LIMITS)
-    open_level(gate.prove, sequence(GOOD), gate.limits)
+    open_level(gate.check, sequence(GOOD), gate.limits)
     return gate
 
 
@@ -47,11 +47,11 @@ def test_one_source_drives_no_more_than_one_electrode_may_carry():
         of_one = SafetyGate(limits.on(Output(kind="three-state")))
         of_many = SafetyGate(limits.on(Output(kind="weighted")))
         for gate in (of_one, of_many):
-            open_level(gate.prove, sequence(GOOD), gate.limits)
-        of_many.prove(sequence(current, widths=width))
+            open_level(gate.check, sequence(GOOD), gate.limits)
+        of_many.check(sequence(current, widths=width))
         with raises(SafetyError, limit=limit, slot=0):
-            of_one.prove(sequence(current, widths=width))
-        of_one.prove(sequence(shared, widths=190))
+            of_one.check(sequence(current, widths=width))
+        of_one.check(sequence(shared, widths=190))
 
 
 @pytest.mark.parametrize(("bad", "limit", "slot", "electrode"), [
@@ -97,21 +97,21 @@ def test_one_source_drives_no_more_than_one_electrode_may_carry():
 def test_each_limit_raises(bad, limit, slot, electrode):
     named = {} if electrode is None else {"electrode": electrode}
     with raises(SafetyError, limit=limit, slot=slot, **named):
-        warmed().prove(bad)
+        warmed().check(bad)
 
 
 def test_the_most_negative_current_is_not_mistaken_for_a_small_one():
     with raises(SafetyError, value=32.768):
-        warmed().prove(sequence([[-32768, 32767, 1, 0]], widths=1))
+        warmed().check(sequence([[-32768, 32767, 1, 0]], widths=1))
 
 
 def test_a_refused_sequence_does_not_count_as_the_one_before():
     gate = warmed()
     with pytest.raises(SafetyError):
-        gate.prove(sequence([[-2400, 2400, 0, 1]], time_ns=SECOND))
+        gate.check(sequence([[-2400, 2400, 0, 1]], time_ns=SECOND))
     with pytest.raises(SafetyError):
-        gate.prove(sequence(GOOD, time_ns=SECOND // 10))
-    gate.prove(sequence(GOOD))
+        gate.check(sequence(GOOD, time_ns=SECOND // 10))
+    gate.check(sequence(GOOD))
 
 
 class ManualClock:
@@ -128,7 +128,7 @@ def on_a_clock(limits=LIMITS):
     """A gate on a clock that a test sets, at full intensity a second after its start."""
     clock = ManualClock()
     gate = SafetyGate(limits, clock)
-    open_level(gate.prove, sequence(GOOD), gate.limits, clock=clock)
+    open_level(gate.check, sequence(GOOD), gate.limits, clock=clock)
     return gate, clock
 
 
@@ -150,7 +150,7 @@ weak_or_strong = st.lists(
 def test_whatever_weak_current_claims_it_opens_a_multiple_of_itself(asked):
     """And one step of what may be late: a fifth of a full pulse, or a fifth for its fourfold."""
     gate, flowed_pc, time_ns = SafetyGate(LIMITS), 0, 0
-    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    gate.check(sequence([], intensity=0.0, time_ns=0))
     for current_ua, width_us, intensity, period_us in asked:
         time_ns += 10**9
         made = sequence(
@@ -158,7 +158,7 @@ def test_whatever_weak_current_claims_it_opens_a_multiple_of_itself(asked):
             widths=width_us, intensity=intensity, period_us=period_us, time_ns=time_ns,
         )  # fmt: skip
         try:
-            gate.prove(made)
+            gate.check(made)
         except SafetyError:
             continue
         full_pc, peak_pc = LIMITS.full_pc, current_ua * width_us
@@ -177,7 +177,7 @@ def test_an_array_that_answers_for_another_is_read_as_what_it_is():
 
     lying = changed(current_ua=np.array([[-3001, 3001, 0, 0]], np.int16).view(Liar))
     with raises(SafetyError, value=3.001):
-        warmed().prove(lying)
+        warmed().check(lying)
 
 
 # A pair both ways: no net charge.
@@ -187,10 +187,10 @@ TWIN = [[-2400, 1200, 600, 600], [2400, -1200, -600, -600]]
 def test_repetitions_count_as_they_begin():
     gate, clock = on_a_clock()
     before = gate.dose
-    gate.prove(sequence(TWIN * 5), times=1000)
+    gate.check(sequence(TWIN * 5), times=1000)
     assert gate.dose.seconds - before.seconds == pytest.approx(20)
     clock.time_ns = 2 * SECOND - 1
-    gate.prove(sequence([], intensity=0.0, time_ns=2 * SECOND))
+    gate.check(sequence([], intensity=0.0, time_ns=2 * SECOND))
     # Fifty of them had begun; those cut short are given back.
     assert gate.dose.seconds - before.seconds == pytest.approx(1)
     charge_mc = gate.dose.charge_mc[0] - before.charge_mc[0]
@@ -200,13 +200,13 @@ def test_repetitions_count_as_they_begin():
 @pytest.mark.parametrize("change", [{"session_s": 0.61}, {"session_mc": 0.00553}])
 def test_a_session_ends_with_its_dose(change):
     gate = SafetyGate(dataclasses.replace(LIMITS, **change))
-    open_level(gate.prove, sequence(GOOD), gate.limits)
+    open_level(gate.check, sequence(GOOD), gate.limits)
     for step in range(5):
-        gate.prove(sequence(GOOD * 2, time_ns=SECOND * (step + 1)))
+        gate.check(sequence(GOOD * 2, time_ns=SECOND * (step + 1)))
     with raises(SafetyError, limit=next(iter(change))):
-        gate.prove(sequence(GOOD * 2, time_ns=10 * SECOND))
+        gate.check(sequence(GOOD * 2, time_ns=10 * SECOND))
     gate.begin_session()
-    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    gate.check(sequence([], intensity=0.0, time_ns=0))
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ def started(profile, bank):
     scan = ScanScheduler(profile, bank, (Afferent.RA,), 20.0)
     driven = profile.driven.tolist()
     silent = scan.schedule(tactile(np.zeros(len(profile.electrodes)), 0), 0.0)
-    open_level(gate.prove, silent, gate.limits, electrodes=(driven[0], driven[-1]))
+    open_level(gate.check, silent, gate.limits, electrodes=(driven[0], driven[-1]))
     return gate
 
 
@@ -60,7 +60,7 @@ def test_every_sequence_of_every_profile_is_safe(name, data):
     activation = rng.random(count, np.float32) * (rng.random(count) < density)
     scan = ScanScheduler(profile, bank, (afferent,), profile.pulse.rate_hz)
     sequence = scan.schedule(tactile(activation, afferent=afferent), intensity)
-    started(profile, bank).prove(sequence)
+    started(profile, bank).check(sequence)
     assert not sequence.current_ua.sum(axis=1).any()
     felt = perceived_at(profile, afferent)
     places = sequence.site if felt is None else felt[sequence.site]
@@ -125,7 +125,7 @@ def test_a_masked_electrode_is_never_driven(masked, data):
     activation = np.array(data.draw(st.lists(st.floats(0, 1), min_size=count, max_size=count)))
     scan = ScanScheduler(profile, bank, (afferent,), 20)
     sequence = scan.schedule(tactile(activation, afferent=afferent), 1.0)
-    started(*shipped(profile.name)).prove(sequence)
+    started(*shipped(profile.name)).check(sequence)
     assert not np.isin(sequence.site, profile.output.masked).any()
     assert not sequence.current_ua[:, list(profile.output.masked)].any()
     felt = np.setdiff1d(np.flatnonzero(activation.astype(np.float32)), profile.output.masked)
@@ -199,7 +199,7 @@ def test_classes_that_are_due_together_follow_one_another(profile, bank, changed
     assert_joined(joined, (first, second))
     assert len(set(joined.width_us.tolist())) > 30 or carrier == "height"
     assert joined.proof is None
-    started(profile, bank).prove_measurement(joined)
+    started(profile, bank).prove(joined, ramped=False)
 
 
 @pytest.mark.parametrize(("sharing", "proved"), [

@@ -11,7 +11,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.show_request import SILENT_US, STEADY, Level, Show
 from smarttouch.running.step import StepResult
 from smarttouch.running.touch import ProgramSource, Touch
-from smarttouch.stimulation.intensity import FIRST_NS, MOST_STEP_NS
+from smarttouch.stimulation.ramp import FIRST_NS, MOST_STEP_NS
 
 PAUSE_S = 0.5  # least time between an answer and the next trial
 STEP_S = 0.05  # one step of a current that follows the keys

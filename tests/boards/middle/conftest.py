@@ -276,7 +276,14 @@ def write(board, sequence, times=1):
     now_ns, number = board.clock.now_ns(), board.driver._number + 1
     board.driver.write(
         ProvedSequence(
-            sequence, times, number, now_ns, now_ns + LATE_NS, False, board._gate._session, _GATE
+            sequence,
+            times,
+            number,
+            now_ns,
+            now_ns + LATE_NS,
+            False,
+            board._gate._session,
+            key=_GATE,
         )
     )
 

@@ -230,7 +230,7 @@ class Loop:
                 controls,
                 RunStatistics(),
                 {},
-                self.pipeline.open_level,
+                self.pipeline.ramp.open_level,
             )
         )
 
