@@ -40,12 +40,12 @@ if TYPE_CHECKING:
     from smarttouch.running.display import Display, open_display
     from smarttouch.running.functions import replay, run, steps
     from smarttouch.running.listener import Listener
+    from smarttouch.running.program import Shown
     from smarttouch.running.recorded_run import RecordedRun, load_recording
     from smarttouch.running.recorder import Recorder
     from smarttouch.running.run_statistics import RunStatistics
     from smarttouch.running.session import Session, show_together
     from smarttouch.running.step import StepResult
-    from smarttouch.running.touch import Shown
     from smarttouch.sources import open_source
     from smarttouch.sources.source_contract import Frame, OpticalSource, Stimulus, StimulusSource
     from smarttouch.stimulation.safety_gate import SafetyLimits
@@ -79,12 +79,12 @@ if not TYPE_CHECKING:  # else any name would be one to a type checker
         "running.display": "Display open_display",
         "running.functions": "replay run steps",
         "running.listener": "Listener",
+        "running.program": "Shown",
         "running.recorded_run": "RecordedRun load_recording",
         "running.recorder": "Recorder",
         "running.session": "Session show_together",
         "running.run_statistics": "RunStatistics",
         "running.step": "StepResult",
-        "running.touch": "Shown",
         "sources": "open_source",
         "sources.source_contract": "Frame OpticalSource Stimulus StimulusSource",
         "stimulation.safety_gate": "SafetyLimits",

@@ -81,9 +81,9 @@ from smarttouch.running.functions import Listeners as Listeners
 from smarttouch.running.inputs import Controls as Controls
 from smarttouch.running.inputs import ControlState as ControlState
 from smarttouch.running.listener import RunContext as RunContext
+from smarttouch.running.program import Pattern as Pattern
 from smarttouch.running.recorded_run import RunArrays as RunArrays
 from smarttouch.running.run_statistics import LatencyHistogram as LatencyHistogram
-from smarttouch.running.session_feed import Pattern as Pattern
 from smarttouch.running.step import FirstPulse as FirstPulse
 from smarttouch.running.step import Measured as Measured
 from smarttouch.running.step import Step as Step

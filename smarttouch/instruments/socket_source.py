@@ -18,7 +18,7 @@ from pydantic import BaseModel, Field, ValidationError
 from smarttouch.base.errors import SmartTouchError, SourceError
 from smarttouch.base.posix import user_number
 from smarttouch.profile import Profile
-from smarttouch.running.touch import ProgramSource, Shown, Touch
+from smarttouch.running.program import Pattern, Program, Shown
 from smarttouch.sources.source_contract import Frame
 
 LONGEST_S = 60.0  # of one show, as a client may hang
@@ -35,7 +35,7 @@ class _Request(BaseModel, extra="forbid", strict=True):
     level: float | None = None
 
 
-class SocketSource(ProgramSource):
+class SocketSource(Program):
     """Patterns of the programs that connect to ``socket:PATH``.
 
     Each request is a JSON object on a line of its own, and so is its answer. Requests use a
@@ -43,74 +43,83 @@ class SocketSource(ProgramSource):
     being shown. A client that leaves ends what it shows or has put.
     """
 
-    stands_still = False  # a run in simulated time, too, ends while nothing is asked for
+    fixed_mode = True
     ended = "a program stopped it through the socket"
 
     def __init__(self, path: str, profile: Profile) -> None:
-        super().__init__(f"socket {path}", profile)
+        super().__init__(profile, f"socket {path}")
         self._listener, self._path = _listen(path), Path(path)
-        self._closing = threading.Event()
+        self._closing, self._closed = threading.Event(), False
         self._task: asyncio.Task[None] | None = None
-        self._newest: asyncio.StreamWriter | None = None  # the client of the newest pattern
+        self._newest_client: asyncio.StreamWriter | None = None  # of the newest pattern
 
     def close(self) -> None:
         """End all connections and remove the socket."""
-        if not self._closing.is_set():
-            self._closing.set()
-            super().close()
+        if not self._closed:
+            self._closed = True
             self._listener.close()
             self._path.unlink(missing_ok=True)
 
-    def program(self, touch: Touch) -> None:
-        """Serve clients until the run is over and electrodes are at zero."""
-        asyncio.run(self._serve(touch))
+    def end(self) -> None:
+        """End the run, from any thread."""
+        self._closing.set()
 
-    async def _serve(self, touch: Touch) -> None:
+    def program(self) -> None:
+        """Serve clients until the run is over."""
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
         async def connected(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             try:
                 if _is_ours(writer.get_extra_info("socket")):
-                    await self._follow(touch, reader, writer)
+                    await self._attend(reader, writer)
             except (OSError, asyncio.CancelledError):
                 pass  # the client has left, or the run is over
             finally:
                 writer.close()
 
         server = await asyncio.start_unix_server(connected, sock=self._listener, limit=MOST_BYTES)
+        # Nothing, from now on: screens and recordings follow the time.
+        self.put(self._nothing, 0)
         while not self._closing.is_set():
+            self._require_life()
             await asyncio.sleep(_LOOK_S)
         server.close()
 
-    async def _follow(
-        self, touch: Touch, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
-    ) -> None:
+    async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Answer one client until it leaves, then end its pulses."""
         try:
             while line := await reader.readline():
-                self._answer(touch, line, writer)
+                await self._answer(line, writer)
                 await writer.drain()
                 await asyncio.sleep(0)  # a show begins before the next request may end it
         except ValueError:
             _reply(writer, error=f"a request has more than {MOST_BYTES} bytes")
         finally:
-            if self._newest is writer:
-                self._end_task()
-                self.put(self._nothing, 0)
+            if self._newest_client is writer:
+                await self._put_newest(self._nothing, 0)
 
-    def _answer(self, touch: Touch, line: bytes, writer: asyncio.StreamWriter) -> None:
+    async def _put_newest(self, pattern: Pattern, stale_s: float = 0.5) -> None:
+        """Put a pattern that ends what is shown."""
+        self._end_task()
+        # In simulated time it waits for its turn.
+        await asyncio.to_thread(self.put, pattern, stale_s)
+
+    async def _answer(self, line: bytes, writer: asyncio.StreamWriter) -> None:
         """Carry a request out and answer it; a show is answered when it is over."""
         answer: dict[str, Any] = {}
         try:
             asked = _parse(line)
             if asked.request == "show":
-                pattern, level = self._pattern(asked, touch), asked.level
+                pattern, level = self._pattern(asked), asked.level
                 self._end_task()
-                shown = touch.show_async(pattern, asked.seconds, 1.0 if level is None else level)
-                self._task, self._newest = asyncio.create_task(_shown(shown, writer)), writer
+                shown = self.show_async(pattern, asked.seconds, 1.0 if level is None else level)
+                self._task = asyncio.create_task(_shown(shown, writer))
+                self._newest_client = writer
                 return
             if asked.request == "put":
-                touch.put(self._pattern(asked, touch))
-                self._end_task()
-                self._newest = writer
+                pattern, self._newest_client = self._pattern(asked), writer
+                await self._put_newest(pattern)
             elif asked.request == "level":
                 if asked.level is None:
                     raise SourceError("level needs a level from 0 to 1")
@@ -119,7 +128,7 @@ class SocketSource(ProgramSource):
                 self.end()
             else:
                 answer = {
-                    "electrodes": self._nothing.shape[1], "mode": touch.mode, "level": touch.level,
+                    "electrodes": self._nothing.shape[1], "mode": self.mode, "level": self.level,
                     "most_level": self.controls.most, "paused": self.controls.state(0).paused,
                     "gate": self.gate, "patterns": self.frames, "dropped": self.dropped_frames,
                 }  # fmt: skip
@@ -131,7 +140,7 @@ class SocketSource(ProgramSource):
         if self._task is not None:
             self._task.cancel()
 
-    def _pattern(self, asked: _Request, touch: Touch) -> NDArray[np.float32] | Frame:
+    def _pattern(self, asked: _Request) -> NDArray[np.float32] | Frame:
         """Return activation or an image; classes that the run does not drive must be at zero."""
         if (asked.pattern is None) == (asked.image is None):
             raise SourceError("give either pattern or image")
@@ -140,11 +149,11 @@ class SocketSource(ProgramSource):
         except ValueError:
             raise SourceError("the rows are not equally long") from None
         if asked.image is not None:
-            return self.checked(Frame(array.astype(np.uint8), 0), touch.mode)
+            return self.checked(Frame(array.astype(np.uint8), 0))
         if array.shape == self._nothing.shape and np.delete(array, self.afferents, axis=0).any():
             driven = ", ".join(each.name for each in self.afferents)
             raise SourceError(f"this run drives {driven}: leave the other rows at zero")
-        return self.checked(array, touch.mode)
+        return self.checked(array)
 
 
 async def _shown(show: Awaitable[Shown], writer: asyncio.StreamWriter) -> None:

@@ -149,7 +149,7 @@ class Inputs:
         given = checked_input(given, source, self.pipeline.electrodes)
         self.statistics.seen += given.number != self._last_seen
         self._last_seen = given.number
-        force_n = self._force_n(given, time_ns)
+        force_n = self.force_n(given, time_ns)
         blind = given.stale or math.isnan(force_n)
         self.statistics.blind += blind
         if blind is not self._blind:
@@ -166,7 +166,13 @@ class Inputs:
             self._handle_lift(time_ns, now_ns)
         return given, level
 
-    def _force_n(self, given: Input, time_ns: int) -> float:
+    def begins_at_zero(self, time_ns: int, now_ns: int) -> bool:
+        """Return whether intensity will begin at zero with the input that is read next."""
+        state, before = self.controls.state(time_ns), self._before
+        same = before is not None and (state.mode, state.paused) == (before.mode, before.paused)
+        return not same or self.board.lifted or now_ns < self._lifted_until_ns
+
+    def force_n(self, given: Input, time_ns: int) -> float:
         """Return the force that counts, NaN if unknown; a force on the board may lower it.
 
         On a board that a finger may be on, only force of that finger counts.

@@ -4,9 +4,8 @@ import contextlib
 import gc
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import cv2
 
@@ -77,21 +76,8 @@ def emit_to(listeners: Sequence[Listener]) -> Emit:
     return emit
 
 
-def run_loop(
-    source: Source,
-    pipeline: Pipeline,
-    board: Board,
-    *,
-    stop: StopRequest,
-    statistics: RunStatistics,
-    seconds: float | None = None,
-    listeners: Sequence[Listener] = (),
-    controls: Controls | None = None,
-    force: ForceSource | None = None,
-    regulator: Regulator | None = None,
-    clock: Clock | None = None,
-) -> None:
-    """Deliver what a source gives to an open board until it ends.
+class Loop:
+    """Delivers what a source gives to an open board, one sequence after another.
 
     The source is read at each deadline; the next deadline is one sequence later, so an input that
     needs longer to scan lowers the rate and nothing queues. A late loop moves its schedule and
@@ -99,90 +85,125 @@ def run_loop(
     listeners also get a step that was lost with the board. Without controls the level is 1, which
     only boards accept that no finger can be on.
     """
-    if controls is None and board.on_a_finger:
-        raise BoardError(
-            "there may be a finger on this board, and no intensity is set: give controls, for "
-            "example Controls(ControlState(mode, level=0)), and raise the level from there"
+
+    def __init__(
+        self,
+        source: Source,
+        pipeline: Pipeline,
+        board: Board,
+        *,
+        stop: StopRequest,
+        statistics: RunStatistics,
+        seconds: float | None = None,
+        listeners: Sequence[Listener] = (),
+        controls: Controls | None = None,
+        force: ForceSource | None = None,
+        regulator: Regulator | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        if controls is None and board.on_a_finger:
+            raise BoardError(
+                "there may be a finger on this board, and no intensity is set: give controls, for "
+                "example Controls(ControlState(mode, level=0)), and raise the level from there"
+            )
+        controls = controls or Controls(ControlState(pipeline.mode))
+        if isinstance(source, Listener):
+            # A source that depends on how its frames were delivered.
+            listeners = [source, *listeners]
+        source.emit = self._emit = emit_to(listeners)
+        self.inputs: Inputs = Inputs(
+            source, force, board, pipeline, controls, statistics, self._emit
         )
-    controls = controls or Controls(ControlState(pipeline.mode))
-    if isinstance(source, Listener):
-        # A source that depends on how its frames were delivered.
-        listeners = [source, *listeners]
-    source.emit = emit = emit_to(listeners)
-    inputs = Inputs(source, force, board, pipeline, controls, statistics, emit)
-    steps = [
-        each.step for each in listeners if getattr(each.step, "__func__", None) is not Listener.step
-    ]
-    regulator = regulator or Regulator()
-    regulates = None if regulator.is_idle(board) else regulator
-    pipeline.adaptation = regulator.adaptation
-    phase = PhaseLock(board, statistics)
-    loop = _Loop(inputs, regulates, stop, steps, clock or board.clock, phase)
-    with contextlib.nullcontext(False) if board.simulated_time else prioritized() as real_time:
-        statistics.real_time = real_time
-        if board.on_a_finger and not real_time:
-            emit(Note(0, priority_advice()))
-        loop.run(seconds)
-    emit(RunEnded(loop.elapsed_ns, stop.reason or source.ended))
-
-
-@dataclass
-class _Loop:
-    inputs: Inputs
-    regulator: Regulator | None
-    stop: StopRequest
-    steps: Sequence[Callable[[StepResult], None]]
-    clock: Clock
-    phase: PhaseLock
-    elapsed_ns: int = 0
-    _start_ns: int = 0
-    _report_late_ns: int = 0
-    _shift_ns: int = 0
-    _expected_ns: int | None = None  # when this step is expected, by the one before
-    _over_ns: int = 0
-
-    def run(self, seconds: float | None) -> None:
-        statistics, clock, stop = self.inputs.statistics, self.clock, self.stop
-        board = self.inputs.board
-        source = self.inputs.source
-        news = None if self._is_simulated else source.news
-        own_time = not self._is_simulated and clock is not board.clock
-        self._start_ns = start_ns = clock.now_ns()
-        while not stop.event.is_set():
-            deadline_ns = start_ns + self.elapsed_ns + self._shift_ns
-            clock.wait_until(deadline_ns, stop.event)
-            if news is not None and (waits_ns := self._patience_ns()) > 0:
-                # Nothing is to be shown: time goes on.
-                news.wait(waits_ns / 1e9)
-                waited_ns = max(0, clock.now_ns() - deadline_ns)
-                self.elapsed_ns += waited_ns
-                deadline_ns += waited_ns
-                self._expected_ns, self._over_ns = None, 0
-            if stop.event.is_set():
-                break
-            # In this order: a pause of the computer between the two makes the frame late.
-            board_ns = board.clock.now_ns() if own_time else None
-            now_ns = clock.now_ns()
-            statistics.seconds = (now_ns - start_ns) / 1e9
-            if seconds is not None and statistics.seconds >= seconds:
-                stop.ask(f"time limit of {seconds:g} s", at_once=False)
-                break
-            late_ns = now_ns - deadline_ns
-            if not self._step(now_ns, late_ns, now_ns if board_ns is None else board_ns):
-                break
-        board.drain()
-        self.phase.follow(self._shift_ns)
-        statistics.seconds = (clock.now_ns() - start_ns) / 1e9
+        self.stop: StopRequest = stop
+        self.elapsed_ns: int = 0  # time of the run at the next deadline
+        self._steps = [
+            each.step
+            for each in listeners
+            if getattr(each.step, "__func__", None) is not Listener.step
+        ]
+        regulator = regulator or Regulator()
+        self._regulator = None if regulator.is_idle(board) else regulator
+        pipeline.adaptation = regulator.adaptation
+        self._phase = PhaseLock(board, statistics)
+        self._clock = clock or board.clock
+        self._seconds = seconds
+        self._start_ns: int | None = None
+        self._shift_ns = self._over_ns = self._report_late_ns = 0
+        self._expected_ns: int | None = None  # when the next step is expected, by the one before
 
     @property
-    def _is_simulated(self) -> bool:
+    def is_simulated(self) -> bool:
         """Whether time passes only by waiting, as fast as this computer can."""
-        return isinstance(self.clock, SimulatedClock)
+        return isinstance(self._clock, SimulatedClock)
 
-    def _patience_ns(self) -> int:
-        """Return how long the source's news may be waited for, ns, a second at most."""
-        waits_ns = self.inputs.source.patience_ns(self.elapsed_ns)
-        return min(waits_ns, 1_000_000_000)
+    def run(self) -> None:
+        """Deliver inputs until the source ends or a stop is requested."""
+        with self.steady():
+            while self.wait() and self.deliver():
+                pass
+        self.end()
+
+    @contextmanager
+    def steady(self) -> Iterator[None]:
+        """Go on from now, in a block whose thread has real-time priority if that is allowed."""
+        simulated = self.inputs.board.simulated_time
+        with contextlib.nullcontext(False) if simulated else prioritized() as real_time:
+            if self._start_ns is None:
+                self.inputs.statistics.real_time = real_time
+                if self.inputs.board.on_a_finger and not real_time:
+                    self._emit(Note(0, priority_advice()))
+            self.resume()
+            yield
+
+    def resume(self) -> None:
+        """Go on from now, where nothing was sent for a while."""
+        if self._start_ns is None:
+            self._start_ns = self._clock.now_ns()
+            return
+        idle_ns = self.time_ns() - self.elapsed_ns
+        if idle_ns > 0:
+            self.elapsed_ns += idle_ns
+            self._expected_ns, self._over_ns = None, 0
+
+    def time_ns(self) -> int:
+        """Return the time since the start of the run, ns, without delays of its schedule."""
+        return self._clock.now_ns() - (self._start_ns or 0) - self._shift_ns
+
+    def begins_at_zero(self) -> bool:
+        """Return whether intensity will begin at zero with the next step."""
+        return self.inputs.begins_at_zero(self.elapsed_ns, self._clock.now_ns())
+
+    def end(self) -> None:
+        """Wait until the board has delivered everything, and complete the statistics."""
+        self.inputs.board.drain()
+        self._phase.follow(self._shift_ns)
+        if self._start_ns is not None:
+            self.inputs.statistics.seconds = (self._clock.now_ns() - self._start_ns) / 1e9
+        self._emit(RunEnded(self.elapsed_ns, self.stop.reason or self.inputs.source.ended))
+
+    def wait(self) -> bool:
+        """Wait for the next deadline; return False if the run ends there."""
+        self._clock.wait_until(self._deadline_ns, self.stop.event)
+        seconds, now_s = self._seconds, (self._clock.now_ns() - (self._start_ns or 0)) / 1e9
+        if seconds is not None and now_s >= seconds and not self.stop.event.is_set():
+            self.inputs.statistics.seconds = now_s
+            self.stop.ask(f"time limit of {seconds:g} s", at_once=False)
+        return not self.stop.event.is_set()
+
+    def deliver(self) -> bool:
+        """Deliver one input; return False at the end of the source or of the run."""
+        board, clock = self.inputs.board, self._clock
+        own_time = not self.is_simulated and clock is not board.clock
+        # In this order: a pause of the computer between the two makes the frame late.
+        board_ns = board.clock.now_ns() if own_time else None
+        now_ns = clock.now_ns()
+        self.inputs.statistics.seconds = (now_ns - (self._start_ns or 0)) / 1e9
+        late_ns = now_ns - self._deadline_ns
+        return self._deliver(now_ns, late_ns, now_ns if board_ns is None else board_ns)
+
+    @property
+    def _deadline_ns(self) -> int:
+        return (self._start_ns or 0) + self.elapsed_ns + self._shift_ns
 
     def _move(self, by_ns: int) -> None:
         """Move the schedule later: what comes then is not late."""
@@ -191,25 +212,15 @@ class _Loop:
         if self._expected_ns is not None:
             self._expected_ns += by_ns
 
-    def _hold(self, until_ns: int) -> int:
-        """Wait until a time of `time.monotonic_ns`, and move the schedule; return how long, ns."""
-        begun_ns, left_ns = self.clock.now_ns(), until_ns - time.monotonic_ns()
-        if left_ns <= 0:
-            return 0
-        self.clock.wait_until(begun_ns + left_ns, self.stop.event)
-        held_ns = self.clock.now_ns() - begun_ns
-        self._shift_ns += held_ns
-        return held_ns
-
-    def _step(self, now_ns: int, late_ns: int, board_ns: int) -> bool:
+    def _deliver(self, now_ns: int, late_ns: int, board_ns: int) -> bool:
         """Deliver one input; return False at the end of the source."""
         # The skin waits since the sequence before was over, whatever the plan says.
         waits_ns = max(0, late_ns, now_ns - self._over_ns if self._over_ns else 0)
         # By simulated time no skin has waited.
         stalled = waits_ns > LATE_NS and not self.inputs.board.simulated_time
-        # After a stall the plan is a new one.
+        # After a stall, plan again from now.
         due_ns = board_ns if stalled else board_ns - waits_ns
-        inputs, clock = self.inputs, self.clock
+        inputs, clock = self.inputs, self._clock
         pipeline, board = inputs.pipeline, inputs.board
         if stalled:
             # The board may have fallen silent.
@@ -218,14 +229,10 @@ class _Loop:
         if read is None:
             return False
         in_hand_ns, worked_ns = clock.now_ns(), time.thread_time_ns()
-        observed = () if self.regulator is None else self.regulator.observe(board.take_volts())
+        observed = () if self._regulator is None else self._regulator.observe(board.take_volts())
         step = pipeline.process(*read, board.allowed_level(read[0].time_ns))
-        if self.regulator is not None:
-            step = self.regulator.regulate(step, observed)
-        if inputs.source.send_at_ns is not None and not self._is_simulated:
-            held_ns = self._hold(inputs.source.send_at_ns)
-            now_ns, in_hand_ns = now_ns + held_ns, in_hand_ns + held_ns
-            board_ns, due_ns = board_ns + held_ns, due_ns + held_ns
+        if self._regulator is not None:
+            step = self._regulator.regulate(step, observed)
         sending_ns, own_ns = clock.now_ns(), time.thread_time_ns()
         try:
             number = self._send(step, due_ns)
@@ -242,8 +249,8 @@ class _Loop:
             (over_ns - worked_ns) / 1000,
             board.acknowledged,
             board.refused,
-            self.phase.newest,
-            now_ns - self._start_ns,
+            self._phase.newest,
+            now_ns - (self._start_ns or 0),
         )
         # Proving and writing are the loop's own work, however long.
         waited_ns = sent_ns - sending_ns - (over_ns - own_ns)
@@ -258,7 +265,7 @@ class _Loop:
             board_ns - now_ns,
         )
         self._plan_next(result, sent, now_ns)
-        for follow in self.steps:
+        for follow in self._steps:
             follow(result)
         return True
 
@@ -271,11 +278,11 @@ class _Loop:
             self.inputs.statistics.restarts += not late
             # A busy computer is late again and again: what is dropped is counted.
             if not late or self.elapsed_ns >= self._report_late_ns:
-                self.inputs.emit(BoardRestarted(self.elapsed_ns, str(lost)))
+                self._emit(BoardRestarted(self.elapsed_ns, str(lost)))
             if late:
                 self._report_late_ns = self.elapsed_ns + _LATE_AGAIN_NS
-            if self.regulator is not None:
-                self.regulator.lost(step.sequence)
+            if self._regulator is not None:
+                self._regulator.lost(step.sequence)
             self.inputs.pipeline.restart_softly()
             return None
 
@@ -286,13 +293,13 @@ class _Loop:
             self._shift_ns += sent.sent_ns - now_ns
             self._expected_ns = None
             self._over_ns = 0
-            self.phase.forget()
+            self._phase.forget()
         else:
             expected_ns, self._expected_ns = self._expected_ns, now_ns + period_ns
             error_us = None if expected_ns is None else abs(now_ns - expected_ns) / 1000
             statistics.enter(result, error_us)
             self._over_ns = sent.sent_ns + period_ns
-            self.phase.note(sent)
+            self._phase.note(sent)
             # After a wait the board's clock is behind: frames taken later reach the skin as soon,
             # and fresher.
             self._shift_ns += sent.waited_ns
@@ -300,6 +307,6 @@ class _Loop:
             if late_ns > period_ns:
                 statistics.late += 1
                 self._shift_ns += late_ns
-            if later_ns := self.phase.follow(self._shift_ns):
+            if later_ns := self._phase.follow(self._shift_ns):
                 self._move(later_ns)
         self.elapsed_ns += period_ns

@@ -1,8 +1,8 @@
 """The runner: puts one run together, and ends it with the display at zero whatever happens."""
 
 import contextlib
-from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict
 from typing import Any
 
@@ -25,8 +25,9 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import InkWatch, Listener, RunContext, as_listeners
-from smarttouch.running.loop import emit_to, run_loop, steady_environment
+from smarttouch.running.loop import Loop, emit_to, steady_environment
 from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.program import Program
 from smarttouch.running.regulation import Regulator, make_regulator
 from smarttouch.running.run_statistics import RunStatistics, figures_of
 from smarttouch.running.step import StepResult
@@ -81,6 +82,20 @@ class Runner:
 
         Raises whatever keeps the run from beginning or going on; the display is at zero.
         """
+        with self.running(orderly=True) as loop:
+            if isinstance(self.source, Program):
+                self.source.perform(loop)
+            else:
+                loop.run()
+        return self.statistics
+
+    @contextmanager
+    def running(self, *, orderly: bool = False) -> Iterator[Loop]:
+        """Open the display for a block and yield the loop that delivers the source's inputs.
+
+        The display is at zero after the block, whatever has ended it. If ``orderly``, a signal
+        only requests a stop, and the block ends by itself.
+        """
         with contextlib.ExitStack() as stack:
             ending = self.display.stopping
             # First of all, so that it ends last: whoever stops the run waits for its recording.
@@ -92,11 +107,15 @@ class Runner:
             if self._force_url is not None:
                 self._force = stack.enter_context(open_force(self._force_url, self.display.profile))
             context, pipeline = self._prepared()
-            to_its_end()
+            if orderly:
+                to_its_end()
             report: BoardReport | None = None
             ended = "fault"
             try:
-                report = self._run_on_board(context, pipeline)
+                with self._open_loop(context, pipeline) as loop:
+                    yield loop
+                    context.board.stop()
+                    report = context.board.report()
                 ended = self._stop.reason or self.source.ended
                 self._account(report)
             except BoardStoppedError:
@@ -118,7 +137,6 @@ class Runner:
                 listener.finish(context)
         for listener in self._listeners:
             self.statistics.notes += listener.notes
-        return self.statistics
 
     def _prepared(self) -> tuple[RunContext, Pipeline]:
         """Do all that takes long: the board is not open."""
@@ -145,9 +163,10 @@ class Runner:
             listener.prepare(context)
         return context, pipeline
 
-    def _run_on_board(self, context: RunContext, pipeline: Pipeline) -> BoardReport:
-        """Open the board, run, and return its account; it is closed, at zero, after that."""
-        board, profile = context.board, context.profile
+    @contextmanager
+    def _open_loop(self, context: RunContext, pipeline: Pipeline) -> Iterator[Loop]:
+        """Open the board for a block and yield its loop; the board is closed, at zero, after it."""
+        board, profile, source = context.board, context.profile, self.source
         clock = SimulatedClock() if board.simulated_time and not self.config.paced else None
         with steady_environment(pipeline, clock is not None), self._opened(self._stop):
             if pipeline.table is not None:
@@ -158,12 +177,11 @@ class Runner:
                 self._advise(_weak_selectivity(context.bank))
             regulator = make_regulator(board, profile, self.config, self._advise)
             context.settings |= self._board_settings(regulator)
-            source = self.source
             for listener in (*([source] if isinstance(source, Listener) else ()), *self._listeners):
                 listener.start(context)
             source.tell_notes(0)
-            run_loop(
-                self.source,
+            yield Loop(
+                source,
                 pipeline,
                 board,
                 stop=self._stop,
@@ -175,14 +193,11 @@ class Runner:
                 regulator=regulator,
                 clock=clock,
             )
-            board.stop()
-            report = board.report()
         board.notes += [*regulator.notes(), *pipeline.notes()]
         if self.display.on_a_finger:
             board.notes += _density(profile)
             if not self.statistics.real_time:
                 board.notes.append(priority_advice())
-        return report
 
     def _settings(self, profile: Profile) -> dict[str, Any]:
         """Return all settings that sequences depend on, and others worth recording."""

@@ -151,7 +151,7 @@ Imaging = Callable[[Frame, ElectrodeArray], NDArray[np.floating[Any]]]
 
 
 _OF_THE_SOURCE = (
-    "url", "duration_s", "knows_force", "measures_force", "news", "patience_ns", "narrowed",
+    "url", "duration_s", "knows_force", "measures_force", "narrowed",
 )  # fmt: skip
 
 

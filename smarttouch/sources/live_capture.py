@@ -15,7 +15,6 @@ from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.profile import Profile
 from smarttouch.sources.preprocess import FramePreprocessor
 from smarttouch.sources.source_contract import (
-    IDLE_NS,
     DeviceWarnings,
     Frame,
     OpticalSource,
@@ -113,7 +112,6 @@ class LiveSource(OpticalSource):
         now_ns: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         super().__init__(device.title)
-        self.news: threading.Event = threading.Event()
         self.notes: list[str] = device.notes
         self._device = device
         self._replug_s = replug_s
@@ -168,14 +166,6 @@ class LiveSource(OpticalSource):
             age_ns = max(0, self._now_ns() - self._taken_ns)
         return replace(newest, time_ns=time_ns, age_ns=age_ns, stale=age_ns > STALE_NS)
 
-    def patience_ns(self, time_ns: int) -> int:
-        """Return how long the next image may be waited for: only while the last one is stale."""
-        with self._changed:
-            self.news.clear()
-            if self._newest is None or self._unread or self._failure is not None:
-                return 0
-            return IDLE_NS if self._now_ns() - self._taken_ns > STALE_NS else 0
-
     def close(self) -> None:
         """Stop the thread, close the device, and count unread frames as dropped."""
         with self._changed:
@@ -210,7 +200,6 @@ class LiveSource(OpticalSource):
         finally:
             with self._changed:
                 self._changed.notify_all()
-            self.news.set()
             self._device.close()
 
     def _grab(self) -> Shot | None:
@@ -259,7 +248,6 @@ class LiveSource(OpticalSource):
             self._taken_ns = shot.taken_ns
             self._unread = True
             self._changed.notify_all()
-        self.news.set()
 
     def _fail(self, failure: SourceError) -> None:
         with self._changed:

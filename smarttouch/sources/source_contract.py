@@ -1,7 +1,6 @@
 """Contract of sources: frames, stimuli, poses and warnings."""
 
 import math
-import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -91,7 +90,6 @@ class Stimulus(TactileImage):
     image: NDArray[np.uint8] | None = None
 
 
-IDLE_NS = 45_000_000  # longest time without a sequence while nothing is shown
 Input = Frame | Stimulus  # input of a run, read once for each sequence
 
 
@@ -242,15 +240,6 @@ class Source(Device, ABC):
         for words in self.notes[self.notes_told :]:
             self.emit(Advice(time_ns, words))
             self.notes_told += 1
-
-    send_at_ns: int | None = None
-    """When to send what was read last, by `time.monotonic_ns`; at once if None."""
-    news: threading.Event | None = None
-    """Set when it has something new, for sources that `patience_ns` lets the loop wait for."""
-
-    def patience_ns(self, time_ns: int) -> int:
-        """Return how long the next read may wait for `news`, ns."""
-        return 0
 
     def narrowed(self, profile: Profile) -> Profile:
         """Return the profile used to plan this source's stimulation; never with wider limits."""

@@ -24,7 +24,7 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.loop import run_loop, steady_environment
+from smarttouch.running.loop import Loop, steady_environment
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
@@ -89,10 +89,10 @@ def errors_us(kajimoto, rate_hz, seconds, spin_ns, monkeypatch):
     board = Board(driver, limits, profile.output, clock=MonotonicClock(spin_ns))
     controls, tally = Controls(ControlState(pipeline.mode)), RunStatistics()
     with steady_environment(pipeline), board:
-        run_loop(
+        Loop(
             Dot(), pipeline, board, stop=StopRequest(), statistics=tally, seconds=seconds,
             controls=controls,
-        )  # fmt: skip
+        ).run()  # fmt: skip
     assert tally.lowest_rate_hz == rate_hz
     # Without the zeros at both ends.
     return np.abs(np.diff(np.array(port.times_ns[1:-1], np.float64)) - 1e9 / rate_hz) / 1000

@@ -163,7 +163,7 @@ def test_a_feed(row, quick, rate_hz):
     polling.start()
     with putting as touch:
         touch.rise()
-        first = touch._feed._count + 1
+        first = touch._count + 1
         polled.newest = (by_class[0], 0)
         time.sleep(1.5)
         port = str(line.getsockname()[1])

@@ -15,7 +15,7 @@ from smarttouch.instruments.skin_trace import open_trace
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import Listener, as_listeners
-from smarttouch.running.loop import run_loop
+from smarttouch.running.loop import Loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
 
@@ -56,7 +56,7 @@ def feel(spec, profile, bank, seconds=2.0, vibrator=None, **options):
     if vibrated:
         vibrator.prepare(None)
     with board, contextlib.closing(vibrator or Listener()):
-        run_loop(
+        Loop(
             sensor,
             Pipeline(profile, bank, RunConfig(mode=mixture.mode, scan="points"), vibrated=vibrated),
             board,
@@ -65,7 +65,7 @@ def feel(spec, profile, bank, seconds=2.0, vibrator=None, **options):
             listeners=as_listeners([watch, *([vibrator] if vibrated else [])]),
             controls=Controls(ControlState(mixture.mode, LEVEL)),
             clock=SimulatedClock(),
-        )
+        ).run()
         numbers, _, current_ua = board.driver.take_pulses()
         assert board.report().violations == 0
     time_s = np.array([began_s[number] for number in numbers.tolist()])

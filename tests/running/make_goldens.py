@@ -27,7 +27,7 @@ from smarttouch.running import recorder as writer_module
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import OnEvent, OnStep
-from smarttouch.running.loop import run_loop
+from smarttouch.running.loop import Loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording_format import about_run, digest_of
@@ -204,7 +204,7 @@ def make(golden, path):
     recorder = Recorder(path)
     recorder.begin(about, STARTED_UNIX_NS)
     with open_source(f"text:{golden.text}", profile) as page, board:
-        run_loop(
+        Loop(
             Held(page, golden), pipeline, board, stop=StopRequest(), statistics=RunStatistics(),
             seconds=golden.seconds, controls=Script(golden), regulator=regulator,
             clock=SimulatedClock(),
@@ -212,7 +212,7 @@ def make(golden, path):
                 OnStep(lambda sent: recorder.step(replace(sent, work_us=0.0))),
                 OnEvent(recorder.event),
             ],
-        )  # fmt: skip
+        ).run()  # fmt: skip
     recorder.close()
 
 

@@ -22,7 +22,7 @@ from smarttouch.boards.open import MemoryDriver, make_board
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import OnEvent, OnStep, as_listeners
-from smarttouch.running.loop import run_loop
+from smarttouch.running.loop import Loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import Regulator
 from smarttouch.running.run_statistics import RunStatistics
@@ -107,7 +107,7 @@ class Watched(MemoryDriver):
 def loop(source, pipeline, board, **options):
     """Run on a clock that the test sets, with its own stop and statistics if none are given."""
     usual = {"stop": StopRequest(), "statistics": RunStatistics(), "clock": FakeClock()}
-    run_loop(source, pipeline, board, **(usual | options))
+    Loop(source, pipeline, board, **(usual | options)).run()
 
 
 @pytest.fixture
@@ -323,10 +323,10 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
         "emulator:", SafetyLimits.of(profile), profile.output, events=["0.9 lift", "1.5 touch"]
     )
     with board:
-        run_loop(
+        Loop(
             Bars(140), pipeline, board, stop=StopRequest(), statistics=RunStatistics(),
             listeners=as_listeners([lambda each: sent.append(each.step.sequence)]),
-        )  # fmt: skip
+        ).run()  # fmt: skip
     found = np.array([each.intensity for each in sent])
     time_s = np.array([each.time_ns / 1e9 for each in sent])
     driven = np.flatnonzero(found)

@@ -22,7 +22,7 @@ from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import as_listeners
-from smarttouch.running.loop import run_loop, steady_environment
+from smarttouch.running.loop import Loop, steady_environment
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
@@ -70,10 +70,10 @@ def host(kind, url, folder):
             if stop.reason:
                 stop.event.set()
 
-        run_loop(
+        Loop(
             Bars(profile), pipeline, board, stop=stop, statistics=tally,
             listeners=as_listeners([watch]), controls=Controls(ControlState(Mode.RA)),
-        )  # fmt: skip
+        ).run()  # fmt: skip
     account = {"dropped_late": board.dropped_late, "restarts": tally.restarts, "late": tally.late}
     (folder / f"{kind}.json").write_text(json.dumps(account))
 

@@ -1,16 +1,16 @@
 """An experiment as a program: the pulses of its trials, and questions in between."""
 
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from smarttouch.base.errors import ExperimentError
+from smarttouch.base.errors import ExperimentError, LevelNotReachedError
 from smarttouch.base.events import TrialEvent
 from smarttouch.experiments.psychophysics.trials import Answer, Train, Trial, Trials, TrialTiming
 from smarttouch.profile import Profile
-from smarttouch.running.show_request import SILENT_US, STEADY, Level, Show
+from smarttouch.running.program import SILENT_US, STEADY, Level, Program, Shown
 from smarttouch.running.step import StepResult
-from smarttouch.running.touch import ProgramSource, Touch
 from smarttouch.stimulation.ramp import FIRST_NS, MOST_STEP_NS
 
 PAUSE_S = 0.5  # least time between an answer and the next trial
@@ -22,26 +22,27 @@ AGAIN = "r"  # key that repeats a trial
 _NUMBERS = ("first", "second")
 
 
-class ExperimentSource(ProgramSource):
+class ExperimentSource(Program):
     """Source that presents trial after trial.
 
     Each begins when the intensity is there that the user has chosen; one whose current is lost
     within an interval (paused, finger lifted, board gone) is presented again.
     """
 
+    fixed_mode = True
     ended = "the experiment is over"
 
     def __init__(self, trials: Trials, profile: Profile, timing: TrialTiming) -> None:
-        super().__init__(trials.title, profile)
+        super().__init__(profile, trials.title)
         self.asking: Trial | None = None
         self.playing: tuple[int, int] | None = None
         self.rising: Trial | None = None
         self.repeats: int = 0
         self.spoiled: int = 0
         self._trials, self._timing = trials, timing
+        self.patience_s: float = timing.patience_s or math.inf
         self._pressed: deque[tuple[str, int]] = deque()
         self._presentation = 0
-        self._touch: Touch
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
@@ -67,9 +68,8 @@ class ExperimentSource(ProgramSource):
         """Show what is missing for a trial to begin."""
         self._say(self._missing)
 
-    def program(self, touch: Touch) -> None:
+    def program(self) -> None:
         """Present all trials."""
-        self._touch = touch
         while (trial := self._trials.next()) is not None:
             self._tell("trial", f": {trial.words}")
             answer, spoiled = None, self.spoiled
@@ -83,53 +83,57 @@ class ExperimentSource(ProgramSource):
 
     def _prepare(self, trial: Trial) -> None:
         """Pause without current, after faint pulses where these must open the intensity first."""
-        train, patience_s = trial.intervals[0], self._timing.patience_s
+        train = trial.intervals[0]
         # A blank begins as the train that it stands for, so that nothing distinguishes the two.
         activation = train.activation if train.blanked is None else train.blanked
         level = train.level_at(0)
-        opened = True
-        while opened:
-            self._say("")
-            self._touch.wait(PAUSE_S)
-            opening = Show(activation, level, 0.0, level, patience_s, exact=trial.exact)
+        self._say("")
+        self.wait(PAUSE_S)
+        try:
             if trial.course is not None:
                 # It rises by itself, from zero; only force and the user's level must be there.
-                opening = Show(None, self._unless_ready, patience_s)
-            self._touch.present(opening)
-            # Where no pulses are weak enough, no level was opened.
-            opened = opening.ramped_ns > 0 and opening.opens is not None
-            if opening.fault or (trial.course is not None and self._unless_ready(0.0)):
-                raise ExperimentError(
-                    f"no trial could begin for {patience_s:g} s, and nobody is there to "
-                    f"{self._missing}: give more --intensity or --force"
-                )
+                self.wait(self.patience_s, self._is_ready)
+                if not self._is_ready():
+                    raise LevelNotReachedError("")
+                return
+            # Where no pulses are weak enough, no level is opened.
+            while self.rise(level, activation, exact=trial.exact):
+                self._say("")
+                self.wait(PAUSE_S)
+        except LevelNotReachedError:
+            raise ExperimentError(
+                f"no trial could begin for {self.patience_s:g} s, and nobody is there to "
+                f"{self._missing}: give more --intensity or --force"
+            ) from None
 
-    def _unless_ready(self, _since_s: float) -> float | None:
-        """Return a level, and report what is missing, until a current can follow the keys."""
-        if self.gate * self.user_level >= STEADY:
-            return None
-        self.note_opening()
-        return 1.0
+    def _is_ready(self) -> bool:
+        """Return whether a current can follow the keys; report what is missing."""
+        ready = self.gate * self.user_level >= STEADY
+        if not ready:
+            self.note_opening()
+        return ready
 
     def _attempt(self, trial: Trial) -> Answer | None:
         """Present a trial and ask; return None if it is to be presented again."""
         self._presentation += 1
         for index, train in enumerate(trial.intervals):
             if index:
-                self._touch.wait(self._timing.gap_s)
+                self.wait(self._timing.gap_s)
             self._say("feel" if len(trial.intervals) == 1 else _NUMBERS[index])
             self.playing = (self._presentation, index)
             self.rising = trial if trial.course is not None or train.rises else None
             self._pressed.clear()
             play = self._played if trial.course is None else self._followed
-            shown, key = play(trial, train)
-            self.playing = self.rising = None
-            if shown.fault:
+            try:
+                shown, key = play(trial, train)
+            except LevelNotReachedError:
                 self.spoiled += 1
                 self._tell("trial", " again: current was lost")
                 return None
+            finally:
+                self.playing = self.rising = None
             if trial.course is not None:
-                self._touch.wait(SILENT_US / 1e6)
+                self.wait(SILENT_US / 1e6)
                 return self._answer("", None, shown.current_ma)
             if key is not None:
                 return self._answer(trial.answers[key[0]], None, shown.current_ma)
@@ -137,7 +141,7 @@ class ExperimentSource(ProgramSource):
             return self._answer("n", None, shown.current_ma)
         return self._asked(trial)
 
-    def _played(self, trial: Trial, train: Train) -> tuple[Show, tuple[str, int] | None]:
+    def _played(self, trial: Trial, train: Train) -> tuple[Shown, tuple[str, int] | None]:
         """Play an interval; an answer ends one that rises."""
         key: tuple[str, int] | None = None
 
@@ -153,7 +157,7 @@ class ExperimentSource(ProgramSource):
         shown = self._present(trial, train, level, train.pulses * train.period_us / 1e6)
         return shown, self._key(trial) if train.rises and key is None else key
 
-    def _followed(self, trial: Trial, train: Train) -> tuple[Show, None]:
+    def _followed(self, trial: Trial, train: Train) -> tuple[Shown, None]:
         """Make the current follow the keys from zero, no faster than the ramp."""
         course = trial.course
         assert course is not None
@@ -175,30 +179,29 @@ class ExperimentSource(ProgramSource):
             level, before_ns = min(1.0, current_ma / full_ma, most), since_ns
             return None if course.done else level
 
-        shown = self._present(trial, train, follow, None)
-        if shown.fault:
+        try:
+            return self._present(trial, train, follow, math.inf), None
+        except LevelNotReachedError:
             course.restart()
-        return shown, None
+            raise
 
-    def _present(self, trial: Trial, train: Train, level: Level, seconds: float | None) -> Show:
-        return self._touch.present(
-            Show(
-                train.activation, level, seconds, period_us=train.period_us, exact=trial.exact,
-                least=STEADY if trial.exact else _SPOILED,
-            )
+    def _present(self, trial: Trial, train: Train, level: Level, seconds: float) -> Shown:
+        return self.show(
+            train.activation, seconds, level, rate_hz=train.rate_hz, opens=0, exact=trial.exact,
+            least=STEADY if trial.exact else _SPOILED,
         )  # fmt: skip
 
     def _asked(self, trial: Trial) -> Answer | None:
         self._say(trial.question + (f", {AGAIN} again" if self._timing.again else ""))
         key: tuple[str, int] | None = None
 
-        def unanswered(_since_s: float) -> float | None:
+        def is_answered() -> bool:
             nonlocal key
             key = self._key(trial)
-            return 1.0 if key is None else None
+            return key is not None
 
-        self.asking = trial
-        asked = self._touch.present(Show(None, unanswered, self._timing.answer_s))
+        self.asking, asked_ns = trial, self.now_ns
+        self.wait(self._timing.answer_s or math.inf, is_answered)
         self.asking = None
         if key is None:
             return self._answer("", None)
@@ -206,7 +209,7 @@ class ExperimentSource(ProgramSource):
             self.repeats += 1
             self._tell("trial", " felt again")
             return None
-        return self._answer(trial.answers[key[0]], max(0, key[1] - asked.time_ns) / 1e9)
+        return self._answer(trial.answers[key[0]], max(0, key[1] - asked_ns) / 1e9)
 
     def _require_current(self, spoiled: int) -> None:
         """Raise if a trial was spoiled more often than it may be."""

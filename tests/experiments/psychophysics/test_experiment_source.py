@@ -1,6 +1,7 @@
 """Trials reach the skin as they are asked for, or are presented again."""
 
 import re
+import threading
 import time
 
 import numpy as np
@@ -15,13 +16,10 @@ from smarttouch.experiments.psychophysics.trial_rows import read_rows
 from smarttouch.experiments.psychophysics.trials import TrialTiming
 from smarttouch.kernels.bank import load_bank
 from smarttouch.running.config import RunConfig
+from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import RunContext
-from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.run_statistics import RunStatistics
-from smarttouch.running.step import StepResult
+from smarttouch.running.runner import Runner
 
-from ...played import played
 from ...raising import raises
 from .sitting import Perfect, sit
 
@@ -212,131 +210,107 @@ class OneTrial:
         self.answers.append(answer)
 
 
-class Loop:
-    """Asks a source for frames as the loop does, with everything in order."""
-
-    def __init__(self, source, profile, bank):
-        config, controls = RunConfig(mode=Mode.RA, scan="points"), Controls(ControlState(Mode.RA))
-        self.source, self.pipeline, self.time_ns = source, Pipeline(profile, bank, config), 0
-        self.frames = []
-        board = played(profile)
-        source.start(
-            RunContext(
-                source,
-                board,
-                profile,
-                bank,
-                config,
-                controls,
-                RunStatistics(),
-                {},
-                self.pipeline.ramp.open_level,
-            )
-        )
-
-    def step(self):
-        frame = self.source.read(self.time_ns)
-        if frame is None:
-            return False
-        self.frames.append(frame)
-        step = self.pipeline.process(frame)
-        self.source.step(StepResult(step, 1, 0.0))
-        self.time_ns += 1000 * step.sequence.period_us
-        return True
-
-    def until(self, what):
-        while not what() and self.step():
-            assert len(self.frames) < 5000
-
-
 @pytest.fixture
-def begin(profile, bank):
-    """Return a maker of loops over one trial."""
-    loops = []
+def present(profile, bank):
+    """Return a function that runs one trial, whose keys another presses at each step."""
 
-    def begin_it(name="frequency", train_s=0.1, simulated=True, **timing):
-        trials = OneTrial(profile, name, train_s)
+    def run_it(press, name="frequency", train_s=0.1, url="simulated:", **timing):
+        trials, results = OneTrial(profile, name, train_s), []
         source = ExperimentSource(trials, profile, TrialTiming(**timing))
-        source._simulated = simulated
-        loops.append(Loop(source, profile, bank))
-        return loops[-1], trials
 
-    yield begin_it
-    for each in loops:
-        each.source.close()
+        def step(result):
+            results.append(result)
+            assert len(results) < 5000
+            press(source, result.input.time_ns)
+
+        Runner(
+            source, Display(url, profile), RunConfig(scan="points"), listeners=[step],
+            load_kernels=lambda _profile: bank,
+        ).run()  # fmt: skip
+        (answer,) = trials.answers
+        return answer, source, results
+
+    return run_it
 
 
-def test_keys_before_the_question_do_not_count(begin):
-    loop, trials = begin(answer_s=5.0)
-    loop.until(lambda: loop.source.playing == (1, 1))
-    loop.source.keys["1"]()
-    loop.until(lambda: loop.source.asking)
-    asked_ns = loop.time_ns
-    while loop.time_ns < asked_ns + 1e9:
-        loop.step()
-    assert trials.answers == []
-    assert f"{trials.trial.question}, {AGAIN} " in loop.source.title
-    loop.source.keys["x" if "x" in loop.source.keys else "y"]()
-    loop.step()
-    assert trials.answers == []
-    loop.source.keys["right"]()
-    loop.until(lambda: trials.answers)
-    (answer,) = trials.answers
+def test_keys_before_the_question_do_not_count(present):
+    early, began_ns = [], []
+
+    def press(source, time_ns):
+        if source.playing == (1, 1) and not early:
+            early.append(source.keys["1"]())
+        if source.asking:
+            assert f"{source.asking.question}, {AGAIN} " in source.title
+            began_ns.append(time_ns)
+            source.keys["y"]()
+            if time_ns >= began_ns[0] + 10**9:
+                source.keys["right"]()
+
+    answer, _, _ = present(press, answer_s=5.0)
     assert answer.response == "2"
     assert answer.rt_s == pytest.approx(1.0, abs=0.05)
-    assert not loop.step()
 
 
-def test_a_trial_is_felt_again_on_request(begin):
-    loop, trials = begin(answer_s=5.0)
-    loop.until(lambda: loop.source.asking)
-    pulses = sum(each.activation.max() == 1 for each in loop.frames)
-    loop.source.keys["r"]()
-    loop.step()
-    assert not loop.source.asking
-    loop.until(lambda: loop.source.asking)
-    assert sum(each.activation.max() == 1 for each in loop.frames) == 2 * pulses > 0
-    assert loop.source.repeats == 1
-    loop.source.keys["1"]()
-    loop.until(lambda: trials.answers)
-    assert trials.answers[0].response == "1"
+def test_a_trial_is_felt_again_on_request(present):
+    def press(source, _):
+        if source.asking:
+            source.keys["r" if source.repeats == 0 else "1"]()
+
+    answer, source, results = present(press, answer_s=5.0)
+    assert (source.repeats, answer.response) == (1, "1")
+    numbers = [each.input.number for each in results if each.tactile.activation.max() == 1]
+    # Two intervals twice, each pattern with a number of its own and as many pulses.
+    counts = [numbers.count(each) for each in dict.fromkeys(numbers)]
+    assert len(counts) == 4
+    assert counts[:2] == counts[2:]
+    assert numbers == sorted(numbers)
+    assert {each.input.image for each in results} == {None}
 
 
-def test_an_experiment_may_forbid_repeating_a_trial(begin):
-    loop, trials = begin(again=False)
-    source = loop.source
-    loop.until(lambda: source.asking)
-    source.keys["r"]()
-    for _ in range(20):
-        loop.step()
-    assert source.asking is trials.trial
-    assert source.repeats == 0
-    assert source.title.endswith(trials.trial.question)
+def test_an_experiment_may_forbid_repeating_a_trial(present):
+    asked = []
+
+    def press(source, _):
+        if source.asking:
+            assert source.title.endswith(source.asking.question)
+            asked.append(source.asking)
+            source.keys["r" if len(asked) < 20 else "1"]()
+
+    answer, source, _ = present(press, again=False)
+    assert (source.repeats, answer.response) == (0, "1")
+    assert len(set(map(id, asked))) == 1
 
 
-def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(begin):
-    loop, _ = begin(simulated=False)
-    loop.step()
-    before_ns = loop.source.time_ns()
-    time.sleep(0.003)
-    loop.source.press("1")
-    ((key, at_ns),) = loop.source._pressed
-    assert key == "1"
-    assert before_ns + 3_000_000 <= at_ns <= loop.source.time_ns()
+def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(present):
+    asked_s, pressed_s = [], []
+
+    def key(source):
+        pressed_s.append(time.monotonic())
+        source.press("1")
+
+    def press(source, _):
+        if source.asking and not asked_s:
+            asked_s.append(time.monotonic())
+            threading.Timer(0.107, key, [source]).start()
+
+    answer, _, _ = present(press, url="memory:", answer_s=5.0)
+    assert answer.rt_s == pytest.approx(pressed_s[0] - asked_s[0], abs=0.008)
 
 
-def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, begin):
-    loop, trials = begin("discomfort", 2.0)
-    loop.until(lambda: loop.source.playing)
-    for _ in range(20):
-        loop.step()
-    level = loop.frames[-1].level
+def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, present):
+    levels = []
+
+    def press(source, _):
+        if source.playing:
+            levels.append(source.playing)
+            if len(levels) == 20:
+                source.keys["\n"]()
+
+    answer, _, results = present(press, "discomfort", 2.0)
+    level = max(each.tactile.level for each in results if each.tactile.activation.max() == 1)
     assert 0 < level < 1
-    loop.source.keys["\n"]()
-    loop.step()
-    (answer,) = trials.answers
     assert (answer.response, answer.rt_s, answer.level) == ("y", None, 1.0)
-    assert answer.time_s == pytest.approx(loop.time_ns / 1e9)
+    assert answer.time_s == pytest.approx(results[-1].input.time_ns / 1e9, abs=0.1)
     assert answer.reached == pytest.approx(level * profile.full_ma[27], abs=0.02)
 
 
@@ -347,18 +321,6 @@ def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, take):
     assert [row.response for row in rows] == ["n", "n"]
     assert [row.comparison for row in rows] == pytest.approx([full_ma] * 2, abs=0.005)
     assert sat.figures["max_current_ma"] == pytest.approx(full_ma, abs=0.01)
-
-
-def test_every_stimulus_is_numbered_and_none_has_an_image(begin):
-    loop, trials = begin()
-    loop.until(lambda: loop.source.asking)
-    # A pattern has a number of its own, whatever follows it.
-    numbers = [each.number for each in loop.frames if each.activation.max() == 1]
-    assert numbers == sorted(numbers)
-    assert len(set(numbers)) == len(trials.trial.intervals) == 2
-    assert {each.image for each in loop.frames} == {None}
-    # Silence, pulses of threshold that open the level, and those of the trial.
-    assert len({each.activation.tobytes() for each in loop.frames}) == 3
 
 
 @pytest.mark.parametrize(

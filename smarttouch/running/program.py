@@ -1,0 +1,666 @@
+"""A program as the source of a run: it shows patterns, one after another, or puts the newest."""
+
+import asyncio
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import (
+    LevelNotReachedError,
+    SmartTouchError,
+    SourceError,
+    require_within,
+)
+from smarttouch.base.events import Note
+from smarttouch.base.stopping import uninterrupted
+from smarttouch.base.tactile_image import TactileImage
+from smarttouch.boards.board import Board
+from smarttouch.imaging.tactile_mapper import TactileMapper
+from smarttouch.profile import Profile
+from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.loop import Loop
+from smarttouch.running.step import StepResult
+from smarttouch.sources.given_sources import checked_activation, gray_image
+from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
+from smarttouch.stimulation.intensity import force_gate
+from smarttouch.stimulation.scan_sequence import ScanSequence
+
+STEADY = 0.98  # part of a level that counts as reached
+SILENT_US = 20_000  # period of a silence that is asked for, and of pulses that open a level
+_FAINT = 0.01  # activation of pulses that open a level: those of threshold
+_IDLE_S = 0.045  # longest time without a sequence once something was put
+
+Pattern = NDArray[Any] | Frame | TactileImage
+"""Activation (E,) or (3, E), an image (H, W), a frame, or a tactile image."""
+Level = float | Callable[[float], float | None]
+"""Part of an intensity, in [0, 1]; or a function of the seconds since a pattern began, which ends
+it by None."""
+_T = TypeVar("_T")
+_Inputs = Generator[Input, None, _T]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """How a pattern was shown.
+
+    Attributes
+    ----------
+    time_ns : int
+        When its first sequence was sent, since the start of the session.
+    clock_ns : int
+        When its first pulse began, by the machine's clock, `time.monotonic_ns`; when it was sent,
+        if the board does not report when it began.
+    board_us : int or None, µs
+        When its first pulse began, by the board's own clock; None if the board does not report it.
+    sequences, pulses : int
+        Sequences sent, and the slots of all of them.
+    intensity : float, in [0, 1]
+        The lowest of its sequences.
+    current_ma : float, mA
+        Strongest current of its last pulses, of either sign.
+    ramped_s : float, s
+        How long its level took to open before it; 0 where it was open.
+    """
+
+    time_ns: int
+    clock_ns: int
+    board_us: int | None
+    sequences: int
+    pulses: int
+    intensity: float
+    current_ma: float
+    ramped_s: float
+
+
+class Program(Source, Listener):
+    """Source whose patterns a program shows: base of `Session` and of sources with a `program`.
+
+    Its methods may be called from any thread. What is shown comes one after another, and the loop
+    runs in the thread that shows it.
+    """
+
+    frames: int
+    dropped_frames: int
+    knows_force = True
+    ended = "the program has ended"
+    patience_s: float = 10.0
+    """Time for a level to open, s."""
+
+    def __init__(self, profile: Profile, title: str = "session") -> None:
+        super().__init__(title)
+        self.controls: Controls = Controls(ControlState(Mode.RA))
+        self.now_ns: int = 0  # time of the newest sequence, since the start of the run
+        self._profile = profile
+        self._press_n = profile.force.full_n
+        self._least_us = math.ceil(1e6 / profile.limits.rate_hz)
+        self._silent_us = max(SILENT_US, self._least_us)
+        self._nothing = np.zeros((len(Afferent), len(profile.electrodes)), np.float32)
+        self._mapper = TactileMapper(profile)
+        self._loop: Loop | None = None  # of the run, while it goes on
+        self._context: RunContext
+        self._outside = "it is not in its with block"
+        self._failed: BaseException | None = None
+        self._input: Input | None = None
+        self._result: StepResult
+        self._count = 0  # number of what is shown
+        self._last_number: int | None = None
+        # What threads share.
+        self._changed = threading.Condition()
+        self._waiting = 0  # threads that wait to show something
+        self._is_taken = False  # whether a thread shows something
+        self._news = threading.Event()
+        self._put: tuple[NDArray[np.float32] | Frame, int, int] = (self._nothing, 0, 0)
+        """What was put, when it came and when it is stale, by `time.monotonic_ns`."""
+        self._is_new = False  # whether it is to be sent for the first time
+        self._missed = 0  # patterns that it replaced before they were sent
+        self._putter: threading.Thread | None = None
+
+    # -- the run --------------------------------------------------------------
+
+    def program(self) -> None:
+        """Show what there is to show; the run ends with it, and raises what it raises."""
+
+    def perform(self, loop: Loop) -> None:
+        """Carry the program out by the loop of a run."""
+        self._loop = loop
+        try:
+            self.program()
+        except SmartTouchError:
+            # What is shown when a run is over raises.
+            if self._failed is not None or not loop.stop.event.is_set():
+                raise
+        finally:
+            self._leave()
+        if self._failed is not None:
+            raise self._failed
+        loop.end()
+
+    def _leave(self) -> None:
+        """Show nothing more; wait for what other threads show."""
+        self._loop = None
+        with self._changed:
+            self._news.set()
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: not self._is_taken)
+        if self._putter is not None:
+            self._putter.join()
+
+    def start(self, run: RunContext) -> None:
+        self._context, self.controls = run, run.controls
+        self._mapper = TactileMapper(run.profile, run.config.light_on_dark, run.config.tone)
+
+    def step(self, result: StepResult) -> None:
+        self._result = result
+        if result.input.number != self._last_number:
+            self.frames += 1
+            self._last_number = result.input.number
+
+    def read(self, time_ns: int) -> Input | None:
+        """Return what is shown now."""
+        return self._input
+
+    # -- what is shown --------------------------------------------------------
+
+    def rise(
+        self,
+        level: float = 1.0,
+        pattern: Pattern | None = None,
+        exact: bool = False,
+    ) -> float:
+        """Open a level by its ramp, with pulses of threshold; return how long it took, s.
+
+        Parameters
+        ----------
+        level : float, in [0, 1]
+            Part of the session's intensity.
+        pattern : ndarray or Frame, optional
+            Where these pulses are, see `show`; in the middle of the array if not given.
+        exact : bool
+            Whether neither force nor the user's level may lower it.
+
+        Raises
+        ------
+        LevelNotReachedError
+            If it cannot be opened, as where no finger presses.
+        """
+        return self._carry_out(self._rising(level, pattern, exact))
+
+    def show(
+        self,
+        pattern: Pattern,
+        seconds: float,
+        level: Level = 1.0,
+        *,
+        rate_hz: float | None = None,
+        opens: float | None = None,
+        least: float = STEADY,
+        exact: bool = False,
+    ) -> Shown:
+        """Show a pattern for some time, and return when it is over.
+
+        Where its level is not open, pulses of threshold open it first.
+
+        Parameters
+        ----------
+        pattern : ndarray or Frame
+            Activation of the mode's class, (E,), or of each class, (3, E), in [0, 1]; or an image,
+            (H, W) uint8.
+        seconds : float, s
+            From its first pulse at its level; infinite if the level ends it.
+        level : float, in [0, 1], or callable
+            Part of the session's intensity; or a function of the seconds since it began that
+            returns it for each sequence, and None to end.
+        rate_hz : float, Hz, optional
+            Sequences a second; those of the mode if not given.
+        opens : float, in [0, 1], optional
+            Level to open before it: that at its beginning if not given, and none at 0.
+        least : float, in [0, 1]
+            Part of its level below which it ends with an error.
+        exact : bool
+            Whether neither force nor the user's level may lower it.
+
+        Raises
+        ------
+        LevelNotReachedError
+            If the level cannot be opened, or was lost meanwhile.
+        SmartTouchError
+            If the pattern is not valid, or the session has ended.
+        """
+        inputs = self._showing(pattern, seconds, level, rate_hz, None, opens, least, exact)
+        return self._carry_out(inputs)
+
+    def wait(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
+        """Let no current flow for some time, simulated where the board's is; what is put waits.
+
+        Parameters
+        ----------
+        seconds : float, s
+        until : callable, optional
+            Ends the wait once it returns true; called for each sequence, 50 times a second.
+        """
+        require_within(SmartTouchError, "seconds", seconds, 0, math.inf, above=True)
+        self._carry_out(self._silence(seconds, until))
+
+    async def show_async(
+        self, pattern: Pattern, seconds: float, level: Level = 1.0, rate_hz: float | None = None
+    ) -> Shown:
+        """Show a pattern as `show` does, while other tasks go on; ends with its task."""
+        return await self._awaited(self._showing(pattern, seconds, level, rate_hz))
+
+    async def rise_async(self, level: float = 1.0, pattern: Pattern | None = None) -> float:
+        """Open a level as `rise` does, while other tasks go on; ends with its task."""
+        return await self._awaited(self._rising(level, pattern))
+
+    async def _awaited(self, inputs: _Inputs[_T]) -> _T:
+        canceled = threading.Event()
+        running = asyncio.ensure_future(asyncio.to_thread(self._carry_out, inputs, canceled))
+        try:
+            return await asyncio.shield(running)
+        except asyncio.CancelledError:
+            canceled.set()
+            with self._changed:
+                self._changed.notify_all()
+            await asyncio.wait([running])
+            running.exception()
+            raise
+
+    def put(self, pattern: Pattern, stale_s: float = 0.5) -> None:
+        """Show a pattern from now on, until the next one or until it is stale; return at once.
+
+        The newest wins, and begins as soon as what is under way has ended. A stale one makes no
+        current. In simulated time, it is sent once before this returns.
+
+        Parameters
+        ----------
+        pattern : ndarray or Frame
+            See `show`.
+        stale_s : float, s
+        """
+        loop = self._require_life()
+        given, now_ns = self.checked(pattern), time.monotonic_ns()
+        with self._changed:
+            self._put = given, now_ns, now_ns + round(1e9 * stale_s)
+            self._missed += self._is_new
+            self._is_new = True
+            if self._putter is None and not loop.is_simulated:
+                self._putter = threading.Thread(target=self._follow, name="put", daemon=True)
+                self._putter.start()
+        self._news.set()
+        if loop.is_simulated:
+            self._carry_out(self._newest_once())
+
+    # -- the loop's turns ------------------------------------------------------
+
+    def _carry_out(self, inputs: _Inputs[_T], canceled: threading.Event | None = None) -> _T:
+        """Deliver inputs; return what their generator returns."""
+
+        def is_canceled() -> bool:
+            return canceled is not None and canceled.is_set()
+
+        loop = self._require_life()
+        with self._turn(is_canceled), contextlib.closing(inputs), loop.steady():
+            while not is_canceled():
+                self._require_life()
+                self.now_ns = loop.elapsed_ns
+                try:
+                    self._input = next(inputs)
+                except StopIteration as end:
+                    value: _T = end.value
+                    return value
+                self._step(loop)
+        raise SmartTouchError("it was canceled")
+
+    @contextmanager
+    def _turn(self, is_canceled: Callable[[], bool]) -> Iterator[None]:
+        """Wait until no other thread shows something."""
+        with self._changed:
+            self._waiting += 1
+            self._news.set()
+            try:
+                self._changed.wait_for(lambda: not self._is_taken or is_canceled())
+                self._require_life()
+            finally:
+                self._waiting -= 1
+            if is_canceled():
+                raise SmartTouchError("it was canceled")
+            self._is_taken = True
+        try:
+            yield
+        finally:
+            self._end_turn()
+
+    def _end_turn(self) -> None:
+        with self._changed:
+            self._is_taken = False
+            self._changed.notify_all()
+
+    def _step(self, loop: Loop) -> None:
+        try:
+            # Ctrl-C ends what is shown between two sequences.
+            with uninterrupted():
+                goes_on = loop.deliver() and loop.wait()
+        except Exception as error:
+            self._failed = error
+            raise
+        if not goes_on:
+            self._require_life()
+
+    def _require_life(self) -> Loop:
+        """Return the loop; raise what has ended the run."""
+        if self._failed is not None:
+            raise self._failed
+        loop = self._loop
+        if loop is None or loop.stop.event.is_set():
+            why = self._outside if loop is None else loop.stop.reason
+            raise SmartTouchError(f"the session has ended: {why}")
+        return loop
+
+    # -- inputs ----------------------------------------------------------------
+
+    def _rising(self, level: float, pattern: Pattern | None, exact: bool = False) -> _Inputs[float]:
+        """Yield weak pulses until a level is open; return how long that took, s."""
+        require_within(SmartTouchError, "level", level, 0, 1, above=True)
+        begun_ns, faint, active = self.now_ns, _FAINT, self._places(self.checked(pattern))
+        while not self._is_open(level, exact):
+            if self.now_ns - begun_ns > 1e9 * self.patience_s:
+                why = "the board or the user allows less" if self.gate else "no finger presses"
+                raise LevelNotReachedError(
+                    f"level {level:g} was not reached within {self.patience_s:g} s: {why}"
+                )
+            self.note_opening()
+            weak = np.asarray(np.float32(faint) * active, np.float32)
+            yield self._stimulus(weak, self._silent_us, level)
+            sequence, asked = self._result.sequence, self._requested(exact)
+            if 0 < STEADY * asked <= sequence.intensity:
+                # Claimed in full, and not open: pulses this weak do not open that much, and where
+                # the strongest are none, there is nothing to open.
+                if faint == 1 and not sequence.slots:
+                    return 0.0
+                faint = min(1.0, 2 * faint)
+        return (self.now_ns - begun_ns) / 1e9
+
+    def note_opening(self) -> None:
+        """Note that a level is being opened; for sources that report it."""
+
+    def _is_open(self, level: float, exact: bool) -> bool:
+        asked = level * (1.0 if exact else self.gate * self.user_level)
+        is_open = 0 < STEADY * asked <= self._context.open_level(self.now_ns)
+        return is_open and self._loop is not None and not self._loop.begins_at_zero()
+
+    def _requested(self, exact: bool) -> float:
+        """Return the intensity that the newest step asked for."""
+        step = self._result.step
+        share = force_gate(step.input.force_n, self._profile.force) * step.level
+        return step.tactile.level * (1.0 if exact else share)
+
+    def _showing(
+        self,
+        pattern: Pattern,
+        seconds: float,
+        level: Level = 1.0,
+        rate_hz: float | None = None,
+        at_ns: int | None = None,
+        opens: float | None = None,
+        least: float = STEADY,
+        exact: bool = False,
+    ) -> _Inputs[Shown]:
+        require_within(SmartTouchError, "seconds", seconds, 0, math.inf, above=True)
+        if rate_hz is not None:
+            most_hz = self._profile.limits.rate_hz
+            require_within(SmartTouchError, "rate_hz", rate_hz, 0, most_hz, above=True)
+        elif self.mode is Mode.COLOR:
+            rate_hz = self._profile.pulse.rate_hz
+        period_us = None if rate_hz is None else round(1e6 / rate_hz)
+        given, ramped_s = self.checked(pattern), 0.0
+        if opens is None:
+            opens = (level(0.0) or 0.0) if callable(level) else level
+            require_within(SmartTouchError, "level", opens, 0, 1, above=True)
+        if opens:
+            ramped_s = yield from self._rising(opens, given, exact)
+        if at_ns is not None:
+            yield from self._until(at_ns)
+        if ramped_s:
+            self.emit(Note(self.now_ns, f"a pattern waited {ramped_s:.2f} s for its level"))
+        self._count += 1
+        begun_ns, first = self.now_ns, None
+        shown = Shown(
+            begun_ns, max(time.monotonic_ns(), at_ns or 0), None, 0, 0, 1.0, 0.0, ramped_s
+        )
+        while (since_s := (self.now_ns - begun_ns) / 1e9) < seconds:
+            part = level(since_s) if callable(level) else level
+            if part is None:
+                break
+            require_within(SmartTouchError, "level", part, 0, 1)
+            yield self._stimulus(given, period_us, part)
+            number = self._result.number
+            first = number if first is None else first
+            shown = _continued(shown, self._result.sequence)
+            asked = self._requested(exact)
+            lost = number is None or self._result.step.restarted or (asked == 0 and not exact)
+            if lost or self._result.sequence.intensity < least * asked:
+                raise LevelNotReachedError(
+                    f"its level was lost after {shown.sequences} sequences: the finger was "
+                    "lifted, the session paused, or the board lost"
+                )
+        return _begun(shown, self._context.board, first)
+
+    def _until(self, at_ns: int) -> _Inputs[None]:
+        """Yield silence until a time of `time.monotonic_ns`."""
+        loop = self._require_life()
+        if not loop.is_simulated:
+            yield from self._silence((at_ns - time.monotonic_ns()) / 1e9)
+            time.sleep(max(0, at_ns - time.monotonic_ns()) / 1e9)
+            loop.resume()
+            self.now_ns = loop.elapsed_ns
+
+    def _silence(self, seconds: float, until: Callable[[], bool] | None = None) -> _Inputs[None]:
+        """Yield silence that ends to the microsecond; no part is shorter than a sequence may be."""
+        end_ns = self.now_ns + (math.inf if seconds == math.inf else round(1e9 * seconds))
+        while (left_us := (end_ns - self.now_ns) / 1000) >= self._least_us:
+            if until is not None and until():
+                return
+            last = left_us <= self._silent_us + self._least_us
+            yield self._silent(int(left_us) if last else self._silent_us)
+
+    def _follow(self) -> None:
+        """Deliver what is put, while no other thread shows something."""
+        try:
+            while True:
+                with self._changed:
+                    self._changed.wait_for(
+                        lambda: not (self._is_taken or self._waiting) or self._loop is None
+                    )
+                    loop, self._is_taken, self._is_new = self._require_life(), True, True
+                try:
+                    with loop.steady():
+                        while not self._waiting:
+                            self._deliver_newest(loop)
+                finally:
+                    self._end_turn()
+        except Exception as error:
+            # The next call raises it, or the end; what a run that is over raises is no error.
+            if self._loop is not None and not self._loop.stop.event.is_set():
+                self._failed = self._failed or error
+                with contextlib.suppress(SmartTouchError):
+                    self._context.board.stop()
+
+    def _deliver_newest(self, loop: Loop) -> None:
+        """Deliver what was put last, then wait for a newer pattern, or until it is repeated."""
+        self._require_life()
+        self._news.clear()
+        self.now_ns = begun_ns = loop.elapsed_ns
+        self._input = given = self._newest()
+        self._step(loop)
+        silent = given.stale or not given.activation.any()
+        # In natural mode classes pulse at their own rates.
+        again_s = 0.0 if self.mode is Mode.NATURAL else 1 / self._profile.pulse.rate_hz
+        left_s = (_IDLE_S if silent else again_s) - (loop.elapsed_ns - begun_ns) / 1e9
+        if left_s > 0:
+            self._news.wait(left_s)
+            loop.resume()
+
+    def _newest_once(self) -> _Inputs[None]:
+        yield self._newest()
+
+    def _newest(self) -> Stimulus:
+        with self._changed:
+            pattern, came_ns, stale_ns = self._put
+            if self._is_new:
+                self._count += 1 + self._missed
+                self.frames += self._missed
+                self.dropped_frames += self._missed
+                self._is_new, self._missed = False, 0
+        now_ns = time.monotonic_ns()
+        if now_ns >= stale_ns:
+            return replace(self._silent(self._least_us), stale=True)
+        period_us = None if self.mode is Mode.NATURAL else self._least_us
+        return replace(self._stimulus(pattern, period_us), age_ns=now_ns - came_ns)
+
+    def _stimulus(
+        self, pattern: NDArray[np.float32] | Frame, period_us: int | None, level: float = 1.0
+    ) -> Stimulus:
+        """Return a pattern as an input; frames are mapped here."""
+        force_n, image = self._press_n, None
+        if isinstance(pattern, Frame):
+            force_n = force_n if math.isnan(pattern.force_n) else pattern.force_n
+            image = pattern.image
+            frame = replace(pattern, time_ns=self.now_ns, force_n=force_n)
+            pattern = self._mapper.map(frame, self.mode).activation
+        return Stimulus(
+            pattern, self.now_ns, force_n, period_us, level, number=self._count, image=image
+        )
+
+    def _silent(self, period_us: int) -> Stimulus:
+        return Stimulus(self._nothing, self.now_ns, self._press_n, period_us, number=self._count)
+
+    def _places(self, pattern: NDArray[np.float32] | Frame) -> NDArray[np.float32]:
+        """Return where a pattern is, (3, E) of 0 and 1; the middle if it is nowhere."""
+        mode = self.mode
+        if isinstance(pattern, Frame):
+            frame = replace(pattern, time_ns=self.now_ns, force_n=self._press_n)
+            active = self._nothing.copy()
+            shape = self._mapper.map(frame, Mode.RA).activation[Afferent.RA]
+            active[list(mode.afferents)] = shape > 0
+        else:
+            active = np.asarray(pattern > 0, np.float32)
+        if not active.any():
+            active[mode.afferents[0], self._middle()] = 1
+        return active
+
+    def checked(self, pattern: Pattern | None) -> NDArray[np.float32] | Frame:
+        """Return activation (3, E) or a frame; raises a SourceError for anything else."""
+        electrodes, mode = self._nothing.shape[1], self.mode
+        if pattern is None:
+            return self._nothing
+        if isinstance(pattern, TactileImage):
+            pattern = pattern.activation
+        if isinstance(pattern, Frame):
+            return replace(pattern, image=gray_image(pattern.image, "the program"))
+        array = np.asarray(pattern)
+        if array.shape == (electrodes,):
+            if len(mode.afferents) != 1:
+                raise SourceError(
+                    f"mode {mode} drives several classes: give activation (3, {electrodes})"
+                )
+            made = np.zeros(self._nothing.shape)
+            made[mode.afferents[0]] = array
+            array = made
+        elif array.shape != self._nothing.shape and array.dtype.kind in "fbiu":
+            if array.ndim == 2 and array.dtype.kind in "ub":
+                return Frame(gray_image(array, "the program"), 0)
+            raise SourceError(
+                f"{array.dtype} {array.shape} is no pattern for this array: give activation "
+                f"({electrodes},) or (3, {electrodes}), in [0, 1], or an image (H, W), uint8"
+            )
+        # Nobody writes into it later.
+        return checked_activation(array, "the program", electrodes).copy()
+
+    def _middle(self) -> int:
+        """Return the electrode nearest to the middle of those that are driven."""
+        place_mm, driven = self._profile.electrodes.position_mm, self._profile.driven
+        away_mm = np.hypot(*(place_mm[driven] - place_mm.mean(axis=0)).T)
+        return int(driven[away_mm.argmin()])
+
+    # -- the user's controls ---------------------------------------------------
+
+    def time_ns(self) -> int:
+        """Return the time since the start of the run; in simulated time that of the newest
+        sequence."""
+        return self.now_ns if self._loop is None else self._loop.time_ns()
+
+    @property
+    def gate(self) -> float:
+        """Part of a level that the finger's force lets flow now, in [0, 1]."""
+        if self._loop is None:
+            return 0.0
+        force_n = self._loop.inputs.force_n(self._silent(self._silent_us), self.now_ns)
+        return force_gate(force_n, self._profile.force)
+
+    @property
+    def user_level(self) -> float:
+        """Part of a level that the user lets flow now, in [0, 1]: 0 while paused."""
+        return self.controls.state(self.now_ns).current_level
+
+    @property
+    def level(self) -> float:
+        """Part of the strongest comfortable current that flows at level 1; changed at any time."""
+        return self.controls.state(self.now_ns).level
+
+    @level.setter
+    def level(self, level: float) -> None:
+        self.controls.change_level(level - self.level)
+
+    @property
+    def mode(self) -> Mode:
+        """Afferents that are driven."""
+        return self.controls.state(self.now_ns).mode
+
+    @mode.setter
+    def mode(self, mode: Mode | str) -> None:
+        offered = self.controls.modes
+        chosen = next((each for each in offered if each == mode), None)
+        if chosen is None:
+            names = ", ".join(str(each) for each in offered)
+            raise SmartTouchError(f"mode {mode} is not offered here: choose {names}")
+        self.controls.choose_mode(chosen)
+
+    def pause(self) -> None:
+        """Let no current flow until `resume`."""
+        self.controls.pause()
+
+    def resume(self) -> None:
+        """Go on; intensity begins at zero."""
+        self.controls.resume()
+
+
+def _continued(shown: Shown, sequence: ScanSequence) -> Shown:
+    """Return the account of a pattern with one more sequence."""
+    strongest_ma = float(np.abs(sequence.current_ua).max(initial=0)) / 1000
+    return replace(
+        shown,
+        sequences=shown.sequences + 1,
+        pulses=shown.pulses + sequence.slots,
+        intensity=min(shown.intensity, sequence.intensity),
+        current_ma=strongest_ma if sequence.slots else shown.current_ma,
+    )
+
+
+def _begun(shown: Shown, board: Board, first: int | None) -> Shown:
+    """Return an account with the time of its first pulse, if the board reports that."""
+    start = None if first is None else board.start_of(first)
+    if start is None:
+        return shown
+    # The board's clock may run while the machine sleeps, the program's does not.
+    clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start.time_ns)
+    clock_ns = shown.clock_ns if board.simulated_time else clock_ns
+    return replace(shown, clock_ns=clock_ns, board_us=start.board_us)
