@@ -1,6 +1,5 @@
 """``smarttouch read``, ``braille`` and ``braille-display``: text under a finger."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -78,7 +77,7 @@ def _at_level(config: "RunConfig", shown: object, on_a_finger: bool) -> "RunConf
     given = config.intensity is not None or on_a_finger or config.mode is not Mode.RA
     if given or not isinstance(shown, Shapes):
         return config
-    return replace(config, intensity=UNKNOWN_LEVEL)
+    return config.model_copy(update={"intensity": UNKNOWN_LEVEL})
 
 
 @takes_options

@@ -41,7 +41,6 @@ def replay(
     if check:
         _check(file, run.profile)
         return
-    from dataclasses import replace
     from functools import partial
 
     from smarttouch.running.recorded_source import RecordedControls, RecordingSource
@@ -49,8 +48,8 @@ def replay(
     recording = Recording(file)
     recorded = run.profile is None and not run.on_a_finger
     chosen = recording.profile if recorded else run.load_profile()
-    settings = {"paced": run.is_watched} | run.settings("scan", "softness")
-    config = replace(recording.run.config, **settings)
+    asked = {"hold": None, "balance": False, "paced": run.is_watched} | run.settings()
+    config = recording.run.model_copy(update=asked)
     with RecordingSource(recording) as source:
         source.url = f"recording:{file}"
         run.start(source, chosen, config, controls=partial(RecordedControls, recording))

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from smarttouch.base.command_options import option
-from smarttouch.base.errors import SmartTouchError, not_offered
 from smarttouch.base.files import require_folder
 from smarttouch.base.terminal import draws
 from smarttouch.cli.options import (
@@ -24,9 +23,6 @@ if TYPE_CHECKING:
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display
     from smarttouch.sources.source_contract import Source
-
-
-_SETTINGS = dict.fromkeys(("scan", "hold", "softness", "balance", "paced")).keys()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +45,8 @@ class RunOptionGroup(OptionGroup):
         list[str] | None,
         option(
             "Change a setting of the run: scan=points (or auto), hold=charge (or "
-            "energy), softness=0..1, balance, paced=no (simulated: as fast as it can).",
+            "energy), softness=0..1, balance, paced=no (simulated: as fast as it can), or any "
+            "other of RunConfig.",
             "NAME=VALUE",
             "--set",
         ),
@@ -144,24 +141,15 @@ class RunOptionGroup(OptionGroup):
         has as usual."""
         from smarttouch.running.config import RunConfig
 
-        own = self.settings()
-        asked = {name: own[name] for name in own if name in _SETTINGS}
-        return RunConfig(**(own | {"mode": mode, "paced": True} | more | asked))
+        return RunConfig(**({"mode": mode, "paced": True} | more | self.settings()))
 
-    def settings(self, *but: str) -> dict[str, Any]:
-        """Return the settings of `RunConfig` that were given, but for some."""
-        from smarttouch.base.url_options import options_of, read_options
+    def settings(self) -> dict[str, Any]:
+        """Return the settings of `RunConfig` that were given."""
         from smarttouch.running.config import RunConfig
 
-        names = ("seconds", "intensity")
-        settings = {name: getattr(self, name) for name in names}
-        for each in self.set_ or ():
-            about = each.partition("=")[0]
-            if about not in _SETTINGS:
-                raise not_offered("set", about, _SETTINGS)
-            others = options_of(RunConfig).keys() - _SETTINGS
-            settings |= read_options(RunConfig, f"?{each}", SmartTouchError, but=others)[1]
-        return {name: value for name, value in settings.items() if name not in but}
+        own = {"seconds": self.seconds, "intensity": self.intensity}
+        given = {name: value for name, value in own.items() if value is not None}
+        return given | RunConfig.read(self.set_ or ())
 
     def one_finger(self, usual: str = "branched") -> tuple[str, int]:
         """Return anatomy and seed of the simulated finger."""

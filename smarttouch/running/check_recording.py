@@ -1,7 +1,7 @@
 """The offline test: recorded inputs through today's pipeline, slot by slot, to the bit."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -112,10 +112,7 @@ def rebuild_pipeline(
 ) -> tuple[Pipeline, Regulator]:
     """Return a pipeline and a regulator in their state at the start of a recording."""
     run = recording.run
-    pipeline = Pipeline(
-        profile, bank, replace(run.config, balance=run.balance), run.timing, vibrated=run.vibrated,
-        in_sums=run.in_sums,
-    )  # fmt: skip
+    pipeline = Pipeline(profile, bank, run, run.timing, vibrated=run.vibrated, in_sums=run.in_sums)
     adaptation = ledger = recharge = None
     if run.hold is not None:
         if run.compliance_v is None:

@@ -1,22 +1,33 @@
 """Run configuration shared by all commands and by programs."""
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any, TypedDict
+from collections.abc import Iterable
+from typing import Any, ClassVar, Self, TypedDict
+
+from pydantic import (
+    ConfigDict,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import SmartTouchError, choice_of, require_within
+from smarttouch.base.errors import SmartTouchError, TableError, choice_of, require_within
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.profile import Profile
+from smarttouch.profile.toml_tables import Table, table_error
+from smarttouch.stimulation.adaptation import Hold
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy, unsupported_reason
 
-SCANS = ("auto", "points")
-HOLDS = ("charge", "energy")
+_CHOICES = {"mode": [*Mode], "scan": ["auto", "points"], "hold": ["charge", "energy"]}
 
 
 class RunOptions(TypedDict, total=False):
-    """Settings of `RunConfig` by keyword, but for the mode."""
+    """Settings of `RunConfig` by keyword, for type checkers."""
 
+    mode: Mode | str
     scan: str | SlotPolicy
     rate_hz: float | None
     seconds: float | None
@@ -24,7 +35,7 @@ class RunOptions(TypedDict, total=False):
     softness: float | None
     light_on_dark: bool
     tone: Tone | None
-    hold: str | None
+    hold: Hold | None
     balance: bool
     paced: bool
     seed: int
@@ -32,8 +43,7 @@ class RunOptions(TypedDict, total=False):
     note: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class RunConfig:
+class RunConfig(Table):
     """Settings of one run; None takes the value of the profile.
 
     Parameters
@@ -80,6 +90,8 @@ class RunConfig:
     <Mode.SAI: 'SAI'>
     """
 
+    model_config: ClassVar[ConfigDict] = ConfigDict(allow_inf_nan=True)
+
     mode: Mode | str = Mode.RA
     scan: str | SlotPolicy = "auto"
     rate_hz: float | None = None
@@ -88,26 +100,46 @@ class RunConfig:
     softness: float | None = None
     light_on_dark: bool = False
     tone: Tone | None = None
-    hold: str | None = None
+    hold: Hold | None = None
     balance: bool = False
     paced: bool = False
     seed: int = 0
     subject: str = ""
     note: str = ""
 
-    def __post_init__(self) -> None:
-        modes = tuple(each.value for each in Mode)
-        object.__setattr__(self, "mode", Mode(choice_of("mode", str(self.mode), modes)))
-        if not isinstance(self.scan, SlotPolicy):
-            choice_of("scan", self.scan, SCANS)
-        if self.hold is not None:
-            choice_of("hold", self.hold, HOLDS)
-        for name in ("intensity", "softness"):
-            value = getattr(self, name)
-            if value is not None:
-                require_within(SmartTouchError, name, value, 0, 1)
-        if self.seconds is not None:
-            require_within(SmartTouchError, "seconds", self.seconds, 0, math.inf, above=True)
+    @field_validator("mode", "scan", "hold", mode="before")
+    @classmethod
+    def _chosen(cls, value: object, info: ValidationInfo) -> object:
+        if isinstance(value, str):
+            return choice_of(str(info.field_name), value, _CHOICES[str(info.field_name)])
+        return value
+
+    @field_validator("intensity", "softness", "seconds")
+    @classmethod
+    def _possible(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None:
+            endless = info.field_name == "seconds"
+            most = math.inf if endless else 1
+            require_within(SmartTouchError, str(info.field_name), value, 0, most, above=endless)
+        return value
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _in_a_sentence(cls, given: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        try:
+            return handler(given)
+        except ValidationError as error:
+            raise table_error(TableError, "settings of a run", error) from None
+
+    @classmethod
+    def read(cls, texts: Iterable[str]) -> dict[str, Any]:
+        """Return the settings in texts such as ``softness=0.5``; a name alone switches one on."""
+        given = {}
+        for text in texts:
+            name, mark, value = text.partition("=")
+            given[choice_of("set", name, cls.model_fields)] = value if mark else "yes"
+        config = cls(**given)
+        return {name: getattr(config, name) for name in given}
 
     def sharing(self, profile: Profile) -> SlotPolicy:
         """Return the classes whose points share slots.
@@ -131,13 +163,7 @@ class RunConfig:
             )
         return sharing
 
-    def settings(self, profile: Profile) -> dict[str, Any]:
-        """Return what a recording keeps of it."""
-        sharing, kept = self.sharing(profile), asdict(self)
-        for name in ("scan", "seconds", "intensity", "paced"):
-            del kept[name]
-        primaries = [each.name for each in sharing.afferents]
-        return kept | {
-            "mode": str(self.mode),
-            "sharing": {"primaries": primaries},
-        }
+
+def configured(config: RunConfig | None, settings: RunOptions) -> RunConfig:
+    """Return a configuration with other settings."""
+    return (config or RunConfig()).model_copy(update=dict(settings))

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Unpack
 
-from smarttouch.base.afferent import Mode
 from smarttouch.base.stopping import Closing, StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
@@ -14,7 +13,7 @@ from smarttouch.profile import Profile, load_profile
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 if TYPE_CHECKING:
-    from smarttouch.running.config import RunOptions
+    from smarttouch.running.config import RunConfig, RunOptions
     from smarttouch.running.listener import Listener
     from smarttouch.running.session import Session
     from smarttouch.running.step import StepResult
@@ -102,8 +101,8 @@ class Display(Closing):
 
     def session(
         self,
+        config: "RunConfig | None" = None,
         *,
-        mode: Mode | str = Mode.RA,
         listeners: "Iterable[Listener | Callable[[StepResult], object]]" = (),
         force: "ForceSource | str | None" = None,
         **settings: "Unpack[RunOptions]",
@@ -112,13 +111,13 @@ class Display(Closing):
 
         Parameters
         ----------
-        mode, listeners, force, **settings
+        config, listeners, force, **settings
             As for `smarttouch.run`.
         """
-        from smarttouch.running.config import RunConfig
+        from smarttouch.running.config import configured
         from smarttouch.running.session import Session
 
-        return Session(self, RunConfig(mode=mode, **settings), listeners, force)
+        return Session(self, configured(config, settings), listeners, force)
 
 
 def open_display(

@@ -6,11 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import Unpack
 
-from smarttouch.base.afferent import Mode
 from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile, load_profile
-from smarttouch.running.config import RunConfig, RunOptions
+from smarttouch.running.config import RunConfig, RunOptions, configured
 from smarttouch.running.display import Display, open_display
 from smarttouch.running.listener import Listener, as_listeners
 from smarttouch.running.pipeline import Pipeline
@@ -30,8 +29,8 @@ Listeners = Iterable[Listener | Callable[[StepResult], object]]
 def run(
     source: Given,
     display: Display | str,
+    config: RunConfig | None = None,
     *,
-    mode: Mode | str = Mode.RA,
     listeners: Listeners = (),
     force: ForceSource | str | None = None,
     imaging: Imaging | None = None,
@@ -47,8 +46,8 @@ def run(
         images (N, H, W) uint8; or an iterable of images, one for each sequence.
     display : Display or str
         A display, or the URL of its board.
-    mode : Mode or str
-        Which afferents are driven: RA, SAI, PC or natural.
+    config : RunConfig, optional
+        Settings of the run.
     listeners : iterable of Listener or callable
         Follow the run; a plain function is given each `StepResult`.
     force : ForceSource or str, optional
@@ -61,7 +60,7 @@ def run(
     stop : StopRequest, optional
         Ends the run from elsewhere; so does `Display.stop`.
     **settings
-        Other settings of `RunConfig`: ``seconds``, ``intensity``, ``rate_hz``, ``scan`` …
+        Settings of `RunConfig` in place of those: ``mode``, ``seconds``, ``intensity`` …
 
     Returns
     -------
@@ -78,7 +77,7 @@ def run(
     >>> st.run("text:a", "simulated:", seconds=0.5).frames
     25
     """
-    config = RunConfig(mode=mode, **settings)
+    config = configured(config, settings)
     display = open_display(display) if isinstance(display, str) else display
     listeners = as_listeners(listeners)
     opened = _open(source, display.profile, config, listeners)
@@ -98,8 +97,8 @@ def _open(source: Given, profile: Profile, config: RunConfig, listeners: list[Li
 def steps(
     source: Given,
     profile: Profile | str,
+    config: RunConfig | None = None,
     *,
-    mode: Mode | str = Mode.RA,
     kernels: KernelBank | None = None,
     **settings: Unpack[RunOptions],
 ) -> Iterator[Step]:
@@ -113,12 +112,12 @@ def steps(
         See `run`.
     profile : Profile or str
         Device and finger, or the name or file of the profile.
-    mode : Mode or str
-        Which afferents are driven.
+    config : RunConfig, optional
+        Settings of the run.
     kernels : KernelBank, optional
         Those of the profile if not given.
     **settings
-        Other settings of `RunConfig`; ``intensity`` is 1 if not given.
+        Settings of `RunConfig` in place of those; ``intensity`` is 1 if not given.
 
     Examples
     --------
@@ -128,7 +127,7 @@ def steps(
     >>> first.tactile.activation.shape
     (3, 64)
     """
-    profile, config = load_profile(profile), RunConfig(mode=mode, **settings)
+    profile, config = load_profile(profile), configured(config, settings)
     level = 1.0 if config.intensity is None else config.intensity
     pipeline = Pipeline(profile, kernels or load_bank(profile), config, in_sums=True)
     most_ns = float("inf") if config.seconds is None else config.seconds * 1e9
@@ -187,7 +186,7 @@ def replay(
     recording = Recording(path)
     source = RecordingSource(recording)
     source.url = f"recording:{path}"
-    config = replace(recording.run.config, **settings)
+    config = recording.run.model_copy(update={"hold": None, "balance": False} | dict(settings))
     controls = partial(RecordedControls, recording)
     return Runner(
         source, display, config, force=force, listeners=listeners, stop=stop,

@@ -13,7 +13,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 from pydantic import ValidationError
 
-from smarttouch.base.errors import ProfileError, RecordingError
+from smarttouch.base.errors import ProfileError, RecordingError, SmartTouchError
 from smarttouch.base.files import open_file, unreadable
 from smarttouch.profile import Profile
 from smarttouch.running.recording_format import (
@@ -95,14 +95,12 @@ class Recording:
 
     @cached_property
     def run(self) -> RecordedSettings:
-        """Settings that sequences depend on."""
+        """Configuration of the run, with all that sequences depend on."""
         try:
             return RecordedSettings.model_validate(self.settings)
-        except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(map(str, first["loc"]))
+        except (SmartTouchError, LookupError, AttributeError) as error:
             raise RecordingError(
-                f"the settings in {self.path} do not say how it was made: {key}: {first['msg']}"
+                f"the settings in {self.path} do not say how it was made: {error}"
             ) from None
 
     def steps(self) -> Generator[RecordedStep, None, None]:

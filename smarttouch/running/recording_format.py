@@ -3,15 +3,14 @@
 import hashlib
 import json
 import platform
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
-from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.afferent import Afferent
 from smarttouch.base.version import __version__
-from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.stimulation.pulse_rates import ScanTiming
@@ -41,49 +40,35 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 """Name of each topic's schema, and the properties of its messages that Foxglove can show."""
 
-_Share = Annotated[float, Field(ge=0, le=1)]
-_Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
-_Charge = Annotated[int, Field(ge=-(2**53), le=2**53)]
 
-
-class _Sharing(BaseModel):
-    primaries: tuple[Literal["RA", "SAI", "PC"], ...] = ()
-
-
-class RecordedSettings(BaseModel):
-    """Settings of a run that its sequences depend on: those of `Pipeline` and `Regulator`.
+class RecordedSettings(RunConfig):
+    """Settings of a recorded run, with those of its board that its sequences depend on.
 
     ``carried_pc`` is the net charge of each electrode before a balanced run; empty if none.
     """
 
-    model_config: ClassVar[ConfigDict] = ConfigDict(extra="ignore", frozen=True)
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="ignore")
 
-    mode: Mode
-    rate_hz: _Positive | None
-    light_on_dark: bool
-    softness: _Share | None
-    hold: Literal["charge", "energy"] | None
-    balance: bool
-    recharge: bool = False
-    carried_pc: tuple[_Charge, ...] = ()
-    compliance_v: _Positive | None
     timing: ScanTiming
-    tone: Tone | None = None
-    sharing: _Sharing = _Sharing()
+    compliance_v: float | None
+    recharge: bool = False
+    carried_pc: tuple[Annotated[int, Field(ge=-(2**53), le=2**53)], ...] = ()
     vibrated: bool = False
     in_sums: bool = False
 
-    @property
-    def config(self) -> RunConfig:
-        """Configuration of a run with these settings, that neither holds nor balances."""
-        return RunConfig(
-            mode=self.mode,
-            rate_hz=self.rate_hz,
-            light_on_dark=self.light_on_dark,
-            softness=self.softness,
-            tone=self.tone,
-            scan=SlotPolicy(tuple(Afferent[name] for name in self.sharing.primaries)),
-        )
+    @model_validator(mode="before")
+    @classmethod
+    def _with_scan(cls, given: dict[str, Any]) -> dict[str, Any]:
+        primaries = given.get("sharing", {}).get("primaries", ())
+        return {"scan": SlotPolicy(tuple(Afferent[name] for name in primaries))} | given
+
+
+def recorded_settings(config: RunConfig, profile: Profile) -> dict[str, Any]:
+    """Return what a recording keeps of a configuration, ready for JSON."""
+    kept = config.model_dump(mode="json", exclude={"scan", "seconds", "intensity", "paced"})
+    return kept | {
+        "sharing": {"primaries": [each.name for each in config.sharing(profile).afferents]}
+    }
 
 
 def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) -> dict[str, str]:

@@ -8,7 +8,7 @@ from smarttouch.boards.board import Board
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.step import Measured, Step
-from smarttouch.stimulation.adaptation import RESERVED, Adaptation, Hold
+from smarttouch.stimulation.adaptation import RESERVED, Adaptation
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_recharge
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
@@ -116,13 +116,12 @@ def make_regulator(
                 "hold charge needs a pulse width of its own for each slot, and this board has "
                 "one for all: choose energy"
             )
-        hold: Hold = "charge" if config.hold == "charge" else "energy"
-        if hold == "energy":
+        if config.hold == "energy":
             note(
                 f"Energy is held from {RESERVED:.0%} of the current on, so that it can rise where "
                 "skin becomes wet: raise the intensity until it is as strong as you want."
             )
-        adaptation = Adaptation(profile, hold, can.compliance_v, board.driver.timing)
+        adaptation = Adaptation(profile, config.hold, can.compliance_v, board.driver.timing)
     if config.balance:
         if can.recharges:
             recharge = RechargeRules.of(profile, board.driver.timing)

@@ -28,6 +28,7 @@ from smarttouch.running.listener import InkWatch, Listener, RunContext, as_liste
 from smarttouch.running.loop import Loop, emit_to, steady_environment
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.program import Program
+from smarttouch.running.recording_format import recorded_settings
 from smarttouch.running.regulation import Regulator, make_regulator
 from smarttouch.running.run_statistics import RunStatistics, figures_of
 from smarttouch.running.step import StepResult
@@ -203,7 +204,7 @@ class Runner:
         """Return all settings that sequences depend on, and others worth recording."""
         source, display = self.source, self.display
         return {
-            **self.config.settings(profile),
+            **recorded_settings(self.config, profile),
             "vibrated": self._vibrated,
             "in_sums": display.board.driver.keeps_kernels,
             "timing": asdict(display.board.driver.timing),

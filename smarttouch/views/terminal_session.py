@@ -5,7 +5,7 @@ import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -158,7 +158,7 @@ def _operated(
             made.most = config.intensity
         return made
 
-    return (replace(config, intensity=0.0) if steered else config), limited
+    return (config.model_copy(update={"intensity": 0.0}) if steered else config), limited
 
 
 def _window(stop: StopRequest, seconds: float | None, **given: Any) -> "Window":

@@ -5,7 +5,7 @@ import pytest
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.profile import load_profile
-from smarttouch.running.config import SCANS, RunConfig
+from smarttouch.running.config import RunConfig
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 
 from ..raising import raises
@@ -37,7 +37,7 @@ def test_holding_goes_point_by_point(profile):
     ("seconds", 0.0, 0),
     ("seconds", float("nan"), 0),
     ("mode", "XY", tuple(each.value for each in Mode)),
-    ("scan", "frame", SCANS),
+    ("scan", "frame", ("auto", "points")),
     ("hold", "voltage", ("charge", "energy")),
 ])  # fmt: skip
 def test_impossible_values_are_named(name, value, allowed):
