@@ -47,7 +47,7 @@ def test_a_computer_that_stalls_makes_nothing_late_on_the_board():
         if result.number == 10:
             time.sleep(0.25)
 
-    sequences, statistics, _ = run(True, seconds=0.6, listeners=[stall])
+    sequences, statistics, _ = run(True, seconds=1.5, listeners=[stall])
     assert statistics.late >= 1
     assert statistics.restarts == statistics.figures["dropped_late"] == 0
     # Nor does intensity begin at zero again.
