@@ -263,7 +263,7 @@ class Program(Source, Listener):
 
     async def _awaited(self, inputs: _Inputs[_T]) -> _T:
         canceled = threading.Event()
-        running = asyncio.ensure_future(asyncio.to_thread(self._carry_out, inputs, canceled))
+        running = asyncio.ensure_future(asyncio.to_thread(self._carry_out, inputs, canceled.is_set))
         try:
             return await asyncio.shield(running)
         except asyncio.CancelledError:
@@ -297,18 +297,20 @@ class Program(Source, Listener):
                 self._putter.start()
         self._news.set()
         if loop.is_simulated:
-            self._carry_out(self._newest_once())
+            self._carry_out(self._following(once=True))
 
     # -- the loop's turns ------------------------------------------------------
 
-    def _carry_out(self, inputs: _Inputs[_T], canceled: threading.Event | None = None) -> _T:
-        """Deliver inputs; return what their generator returns."""
-
-        def is_canceled() -> bool:
-            return canceled is not None and canceled.is_set()
-
+    def _carry_out(
+        self,
+        inputs: _Inputs[_T],
+        is_canceled: Callable[[], bool] = lambda: False,
+        *,
+        last: bool = False,
+    ) -> _T:
+        """Deliver inputs in turn, ``last`` after all other threads; return what they return."""
         loop = self._require_life()
-        with self._turn(is_canceled), contextlib.closing(inputs), loop.steady():
+        with self._turn(is_canceled, last), contextlib.closing(inputs), loop.steady():
             while not is_canceled():
                 self._require_life()
                 self.now_ns = loop.elapsed_ns
@@ -321,28 +323,29 @@ class Program(Source, Listener):
         raise SmartTouchError("it was canceled")
 
     @contextmanager
-    def _turn(self, is_canceled: Callable[[], bool]) -> Iterator[None]:
+    def _turn(self, is_canceled: Callable[[], bool], last: bool) -> Iterator[None]:
         """Wait until no other thread shows something."""
+
+        def is_free() -> bool:
+            return not self._is_taken and not (last and self._waiting)
+
         with self._changed:
-            self._waiting += 1
+            self._waiting += not last
             self._news.set()
             try:
-                self._changed.wait_for(lambda: not self._is_taken or is_canceled())
-                self._require_life()
+                self._changed.wait_for(lambda: is_free() or is_canceled() or self._loop is None)
             finally:
-                self._waiting -= 1
+                self._waiting -= not last
+            self._require_life()
             if is_canceled():
                 raise SmartTouchError("it was canceled")
             self._is_taken = True
         try:
             yield
         finally:
-            self._end_turn()
-
-    def _end_turn(self) -> None:
-        with self._changed:
-            self._is_taken = False
-            self._changed.notify_all()
+            with self._changed:
+                self._is_taken = False
+                self._changed.notify_all()
 
     def _step(self, loop: Loop) -> None:
         try:
@@ -476,17 +479,7 @@ class Program(Source, Listener):
         """Deliver what is put, while no other thread shows something."""
         try:
             while True:
-                with self._changed:
-                    self._changed.wait_for(
-                        lambda: not (self._is_taken or self._waiting) or self._loop is None
-                    )
-                    loop, self._is_taken, self._is_new = self._require_life(), True, True
-                try:
-                    with loop.steady():
-                        while not self._waiting:
-                            self._deliver_newest(loop)
-                finally:
-                    self._end_turn()
+                self._carry_out(self._following(), last=True)
         except Exception as error:
             # The next call raises it, or the end; what a run that is over raises is no error.
             if self._loop is not None and not self._loop.stop.event.is_set():
@@ -494,23 +487,23 @@ class Program(Source, Listener):
                 with contextlib.suppress(SmartTouchError):
                     self._context.board.stop()
 
-    def _deliver_newest(self, loop: Loop) -> None:
-        """Deliver what was put last, then wait for a newer pattern, or until it is repeated."""
-        self._require_life()
-        self._news.clear()
-        self.now_ns = begun_ns = loop.elapsed_ns
-        self._input = given = self._newest()
-        self._step(loop)
-        silent = given.stale or not given.activation.any()
-        # In natural mode classes pulse at their own rates.
-        again_s = 0.0 if self.mode is Mode.NATURAL else 1 / self._profile.pulse.rate_hz
-        left_s = (_IDLE_S if silent else again_s) - (loop.elapsed_ns - begun_ns) / 1e9
-        if left_s > 0:
-            self._news.wait(left_s)
-            loop.resume()
-
-    def _newest_once(self) -> _Inputs[None]:
-        yield self._newest()
+    def _following(self, once: bool = False) -> _Inputs[None]:
+        """Yield what was put last, again and again, until another thread waits."""
+        loop, self._is_new = self._require_life(), True
+        while once or not self._waiting:
+            self._news.clear()
+            begun_ns, given = self.now_ns, self._newest()
+            yield given
+            if once:
+                return
+            silent = given.stale or not given.activation.any()
+            # In natural mode classes pulse at their own rates.
+            again_s = 0.0 if self.mode is Mode.NATURAL else 1 / self._profile.pulse.rate_hz
+            left_s = (_IDLE_S if silent else again_s) - (loop.elapsed_ns - begun_ns) / 1e9
+            if left_s > 0:
+                self._news.wait(left_s)
+                loop.resume()
+                self.now_ns = loop.elapsed_ns
 
     def _newest(self) -> Stimulus:
         with self._changed:

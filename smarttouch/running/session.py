@@ -121,7 +121,7 @@ def show_together(
     with ThreadPoolExecutor(max(1, len(patterns))) as pool:
         try:
             rising = [
-                pool.submit(session._carry_out, session._rising(level, pattern), canceled)
+                pool.submit(session._carry_out, session._rising(level, pattern), canceled.is_set)
                 for session, pattern in patterns.items()
             ]
             for each in rising:
@@ -131,7 +131,7 @@ def show_together(
                 session: pool.submit(
                     session._carry_out,
                     session._showing(pattern, seconds, level, at_ns=at_ns),
-                    canceled,
+                    canceled.is_set,
                 )
                 for session, pattern in patterns.items()
             }
