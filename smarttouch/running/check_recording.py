@@ -1,7 +1,7 @@
 """The offline test: recorded inputs through today's pipeline, slot by slot, to the bit."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
