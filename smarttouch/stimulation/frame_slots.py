@@ -136,7 +136,7 @@ class FrameSlots:
         found, own = plan.found, self._sums
         sums = self._whole_sums(plan, intensity)
         if sums is not None:
-            current_ua = sums.current_ua()
+            current_ua = sums.current_ua
         else:
             current_ua = round_charge_balanced(1000 * intensity * self._current_ma(plan))
         shared = len(found.points)

@@ -143,7 +143,7 @@ class PointSlots:
             width_us = self._widths_all_us[:slots]
         if self._table is not None:
             sums = self._sums(self._table, site, level)
-            return Slots(site.astype(np.uint16), sums.current_ua(), width_us, None, sums)
+            return Slots(site.astype(np.uint16), sums.current_ua, width_us, None, sums)
         if self._single:
             full_ua = np.abs(self._kernels_ua[site]).max(axis=1)
             whole = np.rint(level * full_ua) / full_ua

@@ -12,12 +12,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import SafetyError
 from smarttouch.profile import Profile
-from smarttouch.profile.ceilings import CEILING_DUTY, CEILING_MEAN_MA, LEAST_DISCHARGE_US
+from smarttouch.profile.ceilings import CEILING_DUTY, CEILING_MEAN_MA
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_limits import recharge_most_ua
 from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.sequence_limits import MOST_RECHARGE_PC, MOST_RECHARGE_US
 from smarttouch.stimulation.slot_sums import BURST_US, PLANNED
 
 _LOWEST = np.iinfo(np.int16).min
@@ -75,73 +75,8 @@ def net_charge_pc(sequence: ScanSequence) -> NDArray[np.int64]:
     return np.asarray(net)
 
 
-MOST_US = 20_000  # longest recharge phase. Ours: one period of the usual 50 scans a second
-MOST_PC = 2_000_000  # largest charge of it through an electrode. Ours: four of the strongest pulses
 _PLANNED_UA = round(1000 * PLANNED * CEILING_MEAN_MA)
 """Mean current up to which a recharge is planned."""
-
-
-def prove_recharge(sequence: ScanSequence, most_ua: NDArray[np.int64], total_ua: int) -> None:
-    """Raise a SafetyError if the recharge phase of a frozen sequence breaks a limit.
-
-    Checked: that it follows slots and fits the period with a short circuit after it, its width,
-    that it sums to zero, its total, and the current and charge of every electrode, (E,) µA as of
-    `recharge_most_ua`. That it returns charge is checked where that is added up (`Exposure`).
-    """
-    current_ua, width_us = sequence.recharge_ua, sequence.recharge_us
-    if current_ua is None and not width_us:
-        return
-    if current_ua is None or current_ua.shape != most_ua.shape or not sequence.slots:
-        raise SafetyError(
-            f"a recharge phase of {width_us} µs needs the currents of {len(most_ua)} electrodes, "
-            "and slots whose charge it brings back: leave it out",
-            limit="recharge_ua",
-        )
-    if not 1 <= width_us <= MOST_US:
-        raise SafetyError(
-            f"the recharge phase takes {width_us} µs, must be from 1 to {MOST_US}",
-            limit="recharge_us",
-            value=width_us,
-            allowed=MOST_US,
-        )
-    wide_ua = current_ua.astype(np.int64)
-    if left_ua := int(wide_ua.sum()):
-        raise SafetyError(
-            f"the recharge phase is out of balance by {left_ua} µA: currents must sum to zero",
-            limit="balance",
-            value=left_ua,
-            allowed=0,
-        )
-    strongest_ua = np.abs(wide_ua)
-    room_ua = np.minimum(most_ua, MOST_PC // width_us) - strongest_ua
-    if (room_ua < 0).any():
-        electrode = int(room_ua.argmin())
-        raise SafetyError(
-            f"the recharge phase has {strongest_ua[electrode]} µA for {width_us} µs at electrode "
-            f"{electrode}: at most {most_ua[electrode]} µA, a tenth of its threshold, and "
-            f"{MOST_PC / 1e6:g} µC are allowed",
-            limit="recharge_ua",
-            value=int(strongest_ua[electrode]),
-            allowed=int(strongest_ua[electrode] + room_ua[electrode]),
-            electrode=electrode,
-        )
-    if (all_ua := int(strongest_ua.sum()) // 2) > total_ua:
-        raise SafetyError(
-            f"the recharge phase has {all_ua / 1000:.3f} mA in all, above the limit of "
-            f"{total_ua / 1000:g} mA",
-            limit="total_ma",
-            value=all_ua / 1000,
-            allowed=total_ua / 1000,
-        )
-    busy_us = _slots_us(sequence) + width_us + LEAST_DISCHARGE_US
-    if busy_us > sequence.period_us:
-        raise SafetyError(
-            f"{sequence.slots} slots, the recharge phase and a short circuit after it take "
-            f"{busy_us} µs, longer than the period of {sequence.period_us} µs: lower the rate",
-            limit="period_us",
-            value=busy_us,
-            allowed=sequence.period_us,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,9 +113,9 @@ def add_recharge(
     # As long as the slowest electrode needs, or as it may have at all.
     able = most_ua > 0
     needed_us = -(-asked_pc[able] // most_ua[able])
-    allowed_us = np.minimum(MOST_PC // most_ua[able], MOST_US)
+    allowed_us = np.minimum(MOST_RECHARGE_PC // most_ua[able], MOST_RECHARGE_US)
     width_us = int(np.minimum(needed_us, allowed_us).max())
-    most_ua = np.minimum(most_ua, MOST_PC // width_us)
+    most_ua = np.minimum(most_ua, MOST_RECHARGE_PC // width_us)
     passed_pc = _passed_pc(sequence)
     period_us = max(
         sequence.period_us,

@@ -13,7 +13,7 @@ from smarttouch.stimulation.exposure import Dose, Exposure
 from smarttouch.stimulation.ramp import PPB, Ramp
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.stimulation.sequence_limits import prove_fields, prove_slots
+from smarttouch.stimulation.sequence_limits import prove_sequence
 from smarttouch.stimulation.slot_sums import SlotAdder
 
 __all__ = ["ProvedSequence", "SafetyGate", "SafetyLimits"]
@@ -181,9 +181,8 @@ class SafetyGate:
             if times < 1:
                 raise SafetyError(f"{times} repetitions: there must be one at least", limit="times")
             copy = frozen(sequence)
-            prove_fields(copy, self.limits)
+            load = prove_sequence(copy, self.limits, self._adder)
             ppb = parts_per_billion(copy.intensity)
-            load = prove_slots(copy, self.limits, ppb, self._adder)
             now_ns = self._time_of(copy.time_ns)
             strength_ppb = self.limits.strength_ppb(ppb, load.peak_pc)
             if ramped:

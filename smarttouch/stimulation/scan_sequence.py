@@ -6,7 +6,7 @@ flows is defined to the bit, by `KernelLists.current_ua`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,8 +44,6 @@ MOST_KERNELS = 0xFFFF
 _BLOCK = 1 << 15
 _MOST_SUMMED_BYTES = 1 << 24
 """Bytes of weights up to which their running sums are kept, which take four times as much."""
-_LIST_TYPES: tuple[np.dtype[Any], ...] = np.dtype(np.intp), np.dtype(np.uint16), np.dtype(np.uint16)
-"""Of starts, kernels and amplitudes."""
 _ABOVE = 1 << 30  # above what any slot's electrodes carry together, µA; a multiple of 2^16
 
 Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
@@ -62,9 +60,8 @@ class KernelTable:
     shared: dict[Afferent, int]  # first row of the kernels of each class that share slots
 
     def __post_init__(self) -> None:
-        """Keep weights as bytes, which nothing can write to."""
-        kept = _backed(self.weights, np.int16)
-        object.__setattr__(self, "weights", kept)
+        object.__setattr__(self, "weights", unwritable(np.asarray(self.weights, np.int16)))
+        object.__setattr__(self, "site", unwritable(np.asarray(self.site, np.uint16)))
 
     @classmethod
     def of(cls, weights: Mapping[Afferent, NDArray[np.float64]], shared: Shared) -> "KernelTable":
@@ -84,6 +81,17 @@ class KernelTable:
         site = np.concatenate(sites).astype(np.uint16)
         return cls(np.concatenate(parts), site, points, sharing)
 
+    @cached_property
+    def _all_so_far_ua(self) -> NDArray[np.float64]:
+        return _so_far_ua(self.weights)
+
+    def so_far_ua(self, kernel: NDArray[np.uint16]) -> NDArray[np.float64]:
+        """Return the current of kernels (N,) summed from electrode 0 to each, (N, E) µA, at
+        amplitude 1."""
+        if self.weights.nbytes <= _MOST_SUMMED_BYTES:
+            return self._all_so_far_ua.take(kernel, axis=0)
+        return _so_far_ua(self.weights.take(kernel, axis=0))
+
 
 @dataclass(frozen=True, eq=False)
 class KernelLists:
@@ -95,24 +103,41 @@ class KernelLists:
     kernel: NDArray[np.uint16]  # (N,) row in the table
     amplitude: NDArray[np.uint16]  # (N,) in quarters of a µA; those of a slot sum to at most 65,535
 
+    def __post_init__(self) -> None:
+        for name in ("first", "kernel", "amplitude"):
+            object.__setattr__(self, name, unwritable(getattr(self, name)))
+
     @property
     def site(self) -> NDArray[np.uint16]:
         """Site of each slot, (S,): that of its first kernel."""
         return self.table.site[self.kernel[self.first[:-1]]]
 
+    @cached_property
     def current_ua(self) -> NDArray[np.int16]:
-        """Return the currents that flow, (S, E) µA, positive cathodic.
+        """Currents that flow, (S, E) µA, positive cathodic.
 
         Of weights times amplitudes, added up, the sum from electrode 0 to each one is rounded to
-        whole µA, halves upward; an electrode gets the difference of two of these. What is asked
-        twice of the same numbers is computed once.
+        whole µA, halves upward; an electrode gets the difference of two of these.
         """
-        weights, lists = self.table.weights, (self.first, self.kernel, self.amplitude)
-        kept, electrodes = bytes_of(weights), weights.shape[1]
-        if tuple(each.dtype for each in lists) != _LIST_TYPES:
-            # Lists in types that no board takes are added up directly.
-            return _added_up(kept, electrodes, *lists)
-        return _currents(kept, electrodes, *(each.tobytes() for each in lists))
+        first, slots, electrodes = self.first, len(self.first) - 1, self.table.weights.shape[1]
+        found = np.empty((slots, electrodes), np.int16)
+        scale = self.amplitude.astype(np.float64)[:, None]
+        # By as many slots as stay in the processor's cache.
+        step = max(1, _BLOCK // electrodes)
+        for start in range(0, slots, step):
+            rows = slice(start, min(start + step, slots))
+            pairs = slice(first[start], first[rows.stop])
+            # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
+            scaled = self.table.so_far_ua(self.kernel[pairs])
+            scaled *= scale[pairs]
+            if len(scaled) > rows.stop - start:
+                scaled = np.add.reduceat(scaled, first[rows] - first[start], axis=0)
+            scaled += _ABOVE + 0.5
+            # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
+            whole = scaled.astype(np.int64).astype(np.int16)
+            found[rows, 0] = whole[:, 0]
+            np.subtract(whole[:, 1:], whole[:, :-1], out=found[rows, 1:])
+        return unwritable(found)
 
     def joined(self, other: "KernelLists") -> "KernelLists":
         """Return these slots, and then others of the same table."""
@@ -124,76 +149,16 @@ class KernelLists:
         )
 
 
-def _backed(values: NDArray[Any], kind: type[np.generic]) -> NDArray[Any]:
-    """Return an array as one backed by bytes, those of one that is already."""
-    return np.frombuffer(bytes_of(np.asarray(values, kind)), kind).reshape(values.shape)
+def unwritable(values: NDArray[Any]) -> NDArray[Any]:
+    """Return a copy that nothing can write to: it is backed by bytes."""
+    return np.frombuffer(values.tobytes(), values.dtype).reshape(values.shape)
 
 
-def bytes_of(values: NDArray[Any]) -> bytes:
-    """Return the bytes of an array, of one that is backed by bytes without a copy."""
-    base: object = values
-    while type(base) is np.ndarray:
-        base = base.base
-    if type(base) is bytes and len(base) == values.nbytes and values.flags.c_contiguous:
-        return base
-    return values.tobytes()
-
-
-def _ua_so_far(weights: bytes, electrodes: int, kernel: NDArray[np.uint16]) -> NDArray[np.float64]:
-    """Return the current of kernels (N,) summed from electrode 0 to each, (N, E) µA, at amplitude
-    1."""
-    if len(weights) <= _MOST_SUMMED_BYTES:
-        return _all_so_far(weights, electrodes).take(kernel, axis=0)
-    return _summed(np.frombuffer(weights, np.int16).reshape(-1, electrodes).take(kernel, axis=0))
-
-
-@lru_cache(maxsize=16)
-def _all_so_far(weights: bytes, electrodes: int) -> NDArray[np.float64]:
-    return _summed(np.frombuffer(weights, np.int16).reshape(-1, electrodes))
-
-
-def _summed(weights: NDArray[np.int16]) -> NDArray[np.float64]:
+def _so_far_ua(weights: NDArray[np.int16]) -> NDArray[np.float64]:
     summed = np.cumsum(weights, axis=1, dtype=np.float64)
     # By a power of two: exact.
     summed *= 2.0**-SHIFT
     return summed
-
-
-@lru_cache(maxsize=4)
-def _currents(weights: bytes, electrodes: int, *lists: bytes) -> NDArray[np.int16]:
-    """Return the currents of lists of kernels, (S, E) µA, backed by bytes: see `KernelLists`."""
-    arrays: list[Any] = [
-        np.frombuffer(each, kind) for each, kind in zip(lists, _LIST_TYPES, strict=True)
-    ]
-    return _backed(_added_up(weights, electrodes, *arrays), np.int16)
-
-
-def _added_up(
-    weights: bytes,
-    electrodes: int,
-    first: NDArray[np.intp],
-    kernel: NDArray[np.uint16],
-    amplitude: NDArray[np.uint16],
-) -> NDArray[np.int16]:
-    slots = len(first) - 1
-    found = np.empty((slots, electrodes), np.int16)
-    scale = amplitude.astype(np.float64)[:, None]
-    # By as many slots as stay in the processor's cache.
-    step = max(1, _BLOCK // electrodes)
-    for start in range(0, slots, step):
-        rows = slice(start, min(start + step, slots))
-        pairs = slice(first[start], first[rows.stop])
-        # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
-        scaled = _ua_so_far(weights, electrodes, kernel[pairs])
-        scaled *= scale[pairs]
-        if len(scaled) > rows.stop - start:
-            scaled = np.add.reduceat(scaled, first[rows] - first[start], axis=0)
-        scaled += _ABOVE + 0.5
-        # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
-        whole = scaled.astype(np.int64).astype(np.int16)
-        found[rows, 0] = whole[:, 0]
-        np.subtract(whole[:, 1:], whole[:, :-1], out=found[rows, 1:])
-    return found
 
 
 def largest_amplitude(

@@ -34,7 +34,6 @@ from smarttouch.stimulation.slot_sums import (
     PLANNED,
     Load,
     SlotAdder,
-    extent_us,
     shortest_period_us,
 )
 
@@ -173,7 +172,7 @@ class ScanScheduler:
         slots = len(site)
         shortest_us = None if adaptation is not None else self._shortest.get(slots)
         if shortest_us is None:
-            shortest_us = self._shortest_us(slots, extent_us(width_us.tobytes())[2])
+            shortest_us = self._shortest_us(slots, int(width_us.sum(dtype=np.int64)))
             if self._one_width_us is not None and adaptation is None:
                 self._shortest[slots] = shortest_us
         if self._timing.whole_hz:
@@ -277,7 +276,7 @@ class ScanScheduler:
         if not net.admits(net_pc, time_us):
             self.net_emptied += 1
             return period_us, False
-        busy_us = extent_us(width_us.tobytes())[2] + len(width_us) * self._discharge_us
+        busy_us = int(width_us.sum(dtype=np.int64)) + len(width_us) * self._discharge_us
         needed_us = net.period_us(net_pc, time_us, period_us, busy_us)
         if needed_us <= period_us:
             return period_us, True
@@ -287,7 +286,7 @@ class ScanScheduler:
     def _load(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> Load:
         if not len(width_us):
             return np.zeros((2, self._electrodes))
-        return self._adder.add_up(current_ua, width_us).load
+        return self._adder.add_up(current_ua, width_us).sums[:2]
 
     def _checked_us(self, load: Load) -> int:
         needed_us = shortest_period_us(load)

@@ -8,66 +8,93 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import SafetyError
 from smarttouch.profile.ceilings import LEAST_DISCHARGE_US
 from smarttouch.stimulation.ramp import PPB
-from smarttouch.stimulation.recharge import prove_recharge
-from smarttouch.stimulation.safety_limits import SafetyLimits, decimal
+from smarttouch.stimulation.safety_limits import SafetyLimits, decimal, parts_per_billion
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.stimulation.slot_sums import PER_PC, Load, PassLoad, SlotAdder, extent_us
+from smarttouch.stimulation.slot_sums import PER_PC, Load, PassLoad, SlotAdder
 
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
+MOST_RECHARGE_US = 20_000  # one period of the usual 50 scans a second. Ours
+MOST_RECHARGE_PC = 2_000_000  # of one electrode: four of the strongest pulses. Ours
 _WIDTH_LEEWAY = Fraction(1001, 1000)
 """Tolerance of pulse widths: whole microseconds, rounded down in single precision."""
 
+_SENTENCES = {
+    "electrodes": "currents are of {value} electrodes, must be of {allowed}",
+    "intensity": "intensity {value} must lie between 0 and {allowed}",
+    "time_ns": "time {value} ns must be from 0 to below {allowed}",
+    "vibration": "vibration is of {value} electrodes, must be of {allowed}",
+    "vibrates": "vibration of {value:g} is not between 0 and the intensity {allowed:.3f} that was "
+    "stated",
+    "rate_hz": "a period of {value} µs is not from {allowed} µs, by the rate, to a minute",
+    "period_us": "slots and recharge phase take {value} µs, longer than the period of {allowed} "
+    "µs: lower the rate",
+    "duty": "current flows {value:.0%} of the time, above the limit of {allowed:.0%}: lower the "
+    "rate",
+    "pulse_us": "a pulse width of {value} µs must be above 0 and at most {allowed:g} µs",
+    "discharge_us": "slot {slot}: a discharge of {value} µs is below {allowed} µs, and its charge "
+    "would add to that of the next pulse",
+    "site": "site {value} is not an electrode: the last one is {allowed}",
+    "balance": "slot {slot} is out of balance by {value} µA: currents must sum to {allowed}",
+    "current_ma": "slot {slot}, electrode {electrode}: {value:.3f} mA is above the limit of "
+    "{allowed:g} mA",
+    "charge_uc": "slot {slot}, electrode {electrode}: {value:.3f} µC is above the limit of "
+    "{allowed:g} µC",
+    "total_ma": "slot {slot}: {value:.3f} mA flow in all, above the limit of {allowed:g} mA",
+    "source": "slot {slot}: {value:.3f} µC from one source are above the {allowed:g} µC of a "
+    "single electrode: lower the current or the pulse width",
+    "claimed_ma": "{value:.3f} mA is more than the intensity allows, {allowed:.3f} mA",
+    "claimed_uc": "{value:.3f} µC is more than the intensity allows, {allowed:.3f} µC",
+    "recharge": "a recharge phase needs slots whose charge it brings back, the currents of "
+    "{allowed} electrodes and a width: leave it out",
+    "recharge_us": "the recharge phase takes {value} µs, must be from 1 to {allowed}",
+    "recharge_balance": "the recharge phase is out of balance by {value} µA: currents must sum to "
+    "{allowed}",
+    "recharge_ua": "the recharge phase has {value} µA at electrode {electrode}: at most {allowed} "
+    "µA are allowed for its width",
+    "recharge_ma": "the recharge phase has {value:.3f} mA in all, above the limit of {allowed:g} "
+    "mA",
+    "takes_back": "electrode {electrode}: the recharge phase passes {value:g} µC, and may take "
+    "back {allowed:g} µC and nothing else",
+    "passes": "{value} sequences within a second or waiting are above the {allowed} that the rate "
+    "allows: send less often",
+    "pulses_hz": "electrode {electrode}: {value:g} felt pulses are above the {allowed:g} of this "
+    "time: lower the rate",
+    "mean_ma": "electrode {electrode}: {value:g} µC are above the {allowed:g} µC of this time: "
+    "lower the rate",
+    "net_ma": "electrode {electrode}: {value:g} µC of one sign would be left within a second, more "
+    "than {allowed:g}: lower the rate, or recharge",
+    "session_s": "the session would have {value:.0f} s of current, limits.session_s is "
+    "{allowed:g}: take the finger off, look at the skin, and continue later",
+    "session_mc": "electrode {electrode}: the session would pass {value:.0f} mC, limits.session_mc "
+    "is {allowed:g}: take the finger off, look at the skin, and continue later",
+}
+_LIMITS = {
+    "vibrates": "vibration", "source": "charge_uc", "claimed_ma": "intensity",
+    "claimed_uc": "intensity", "recharge": "recharge_ua", "recharge_balance": "balance",
+    "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
+}  # fmt: skip
+"""Limits of sentences that have another name."""
 
-def prove_fields(sequence: ScanSequence, limits: SafetyLimits) -> None:
-    """Raise unless numbers are in their ranges and arrays have the right length."""
-    electrodes, given = limits.electrodes, sequence.current_ua.shape[1]
-    if given != electrodes:
-        raise SafetyError(
-            f"currents are of {given} electrodes, must be of {electrodes}",
-            limit="electrodes",
-            value=given,
-            allowed=electrodes,
-        )
-    if not 0 <= sequence.intensity <= 1:
-        raise SafetyError(
-            f"intensity {sequence.intensity} must lie between 0 and 1",
-            limit="intensity",
-            value=sequence.intensity,
-            allowed=1,
-        )
-    if not 0 <= sequence.time_ns < LARGEST_TIME_NS:
-        raise SafetyError(
-            f"time {sequence.time_ns} ns must be from 0 to below 2^62",
-            limit="time_ns",
-            value=sequence.time_ns,
-            allowed=LARGEST_TIME_NS,
-        )
-    vibration = sequence.vibration
-    if vibration is None:
-        return
-    if vibration.shape != (electrodes,):
-        raise SafetyError(
-            f"vibration is of {len(vibration)} electrodes, must be of {electrodes}",
-            limit="vibration",
-            value=len(vibration),
-            allowed=electrodes,
-        )
-    # Not "any above": nothing is above NaN. In double precision, as the intensity is.
-    wide = vibration.astype(np.float64)
-    if not ((wide >= 0) & (wide <= sequence.intensity + 1e-6)).all():
-        raise SafetyError(
-            f"vibration from {vibration.min():g} to {vibration.max():g} is not between 0 and "
-            f"the intensity {sequence.intensity:.3f} that was stated",
-            limit="vibration",
-            value=float(vibration.max()),
-            allowed=sequence.intensity,
-        )
+
+def refusal(
+    sentence: str,
+    value: float,
+    allowed: float,
+    slot: int | None = None,
+    electrode: int | None = None,
+) -> SafetyError:
+    """Return the error of a broken limit, by the name of its sentence."""
+    words = _SENTENCES[sentence].format(
+        value=value, allowed=allowed, slot=slot, electrode=electrode
+    )
+    return SafetyError(
+        words, limit=_LIMITS.get(sentence, sentence), value=value, allowed=allowed,
+        slot=slot, electrode=electrode,
+    )  # fmt: skip
 
 
-def prove_slots(
-    sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: SlotAdder
-) -> PassLoad:
+def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, adder: SlotAdder) -> PassLoad:
     """Return the load of a sequence on each electrode, or raise if a limit is broken.
 
     Parameters
@@ -75,8 +102,6 @@ def prove_slots(
     sequence : ScanSequence
         Frozen.
     limits : SafetyLimits
-    ppb : int
-        Its intensity, parts per billion.
     adder : SlotAdder
         Of the limits' `felt_ua`.
 
@@ -85,49 +110,38 @@ def prove_slots(
     SafetyError
         Naming the limit, the slot and electrode, and by how much.
     """
-    slots = len(sequence.width_us)
-    if sequence.recharge_ua is not None or sequence.recharge_us:
-        prove_recharge(sequence, limits.faint_ua, limits.total_ua)
+    _prove_fields(sequence, limits)
     longest_us, pulses_us, busy_us = _prove_times(sequence, limits)
-    if not slots:
+    if not busy_us:
         return PassLoad(np.zeros((3, limits.electrodes)), None, 0, peak_pc=0)
-    net_ua, total_ua, highest_ua, sums = adder.add_up(sequence.current_ua, sequence.width_us)
-    # Whole numbers: their squares add up to zero only where all of them are.
+    current_ua, width_us = sequence.current_ua, sequence.width_us
+    net_ua, total_ua, highest_ua, sums = adder.add_up(current_ua, width_us)
+    # All sums are integers, so the dot product is zero only if every slot balances.
     if net_ua.dot(net_ua):
         slot = int(np.abs(net_ua).argmax())
-        raise SafetyError(
-            f"slot {slot} is out of balance by {int(net_ua[slot])} µA: currents must sum to zero",
-            limit="balance",
-            value=int(net_ua[slot]),
-            allowed=0,
-            slot=slot,
-        )
+        raise refusal("balance", int(net_ua[slot]), 0, slot)
     if highest_ua > limits.least_current_ua or (
-        limits.masked and sequence.current_ua[:, limits.masked].any()
+        limits.masked and current_ua[:, limits.masked].any()
     ):
-        magnitude = _magnitude(sequence)
-        if (magnitude > limits.current_ua).any():
-            raise _above("current_ma", magnitude, limits.current_ua, 1000, "mA")
+        _prove_each("current_ma", np.abs(current_ua.astype(np.float64)), limits.current_ua, 1000)
     # In balance: what flows in is half of all that flows.
     if np.maximum.reduce(total_ua) > 2 * limits.total_ua:
         slot = int(total_ua.argmax())
-        raise SafetyError(
-            f"slot {slot}: {total_ua[slot] / 2000:.3f} mA flow in all, above the limit of "
-            f"{limits.total_ma:g} mA",
-            limit="total_ma",
-            value=total_ua[slot] / 2000,
-            allowed=limits.total_ma,
-            slot=slot,
-        )
+        raise refusal("total_ma", total_ua[slot] / 2000, limits.total_ma, slot)
     highest_pc = highest_ua * longest_us
-    if highest_pc > limits.least_charge_pc or pulses_us != slots * longest_us:
-        charge_pc = _magnitude(sequence) * sequence.width_us[:, None]
-        if (charge_pc > limits.charge_pc).any():
-            raise _above("charge_uc", charge_pc, limits.charge_pc, 1_000_000, "µC")
+    if highest_pc > limits.least_charge_pc or pulses_us != len(width_us) * longest_us:
+        charge_pc: Load = (
+            np.abs(current_ua.astype(np.float64)) * width_us.astype(np.float64)[:, None]
+        )
+        _prove_each("charge_uc", charge_pc, limits.charge_pc, 1_000_000)
         highest_pc = int(charge_pc.max())
     if limits.one_source:
-        _prove_one_source(limits, total_ua, sequence.width_us)
-    _prove_intensity(limits, ppb, highest_ua, highest_pc)
+        # One electrode alone may have to carry each slot's charge.
+        source_pc = total_ua.astype(np.float64) / 2 * width_us
+        if source_pc.max() > float(decimal(limits.charge_uc) * 10**6):
+            slot = int(source_pc.argmax())
+            raise refusal("source", source_pc[slot] / 1e6, limits.charge_uc, slot)
+    _prove_intensity(limits, parts_per_billion(sequence.intensity), highest_ua, highest_pc)
     recharge_pc = None
     if sequence.recharge_ua is not None:
         recharge_pc = sequence.recharge_ua.astype(np.float64) * sequence.recharge_us
@@ -136,22 +150,47 @@ def prove_slots(
     return PassLoad(sums, recharge_pc, busy_us, highest_pc)
 
 
-def _prove_one_source(
-    limits: SafetyLimits, total_ua: NDArray[np.floating], width_us: NDArray[np.uint16]
-) -> None:
-    """Raise unless one electrode alone may carry each slot's charge."""
-    charge_pc = total_ua.astype(np.float64) / 2 * width_us
-    most_pc = float(decimal(limits.charge_uc) * 10**6)
-    if charge_pc.max() > most_pc:
-        slot = int(charge_pc.argmax())
-        raise SafetyError(
-            f"slot {slot}: {charge_pc[slot] / 1e6:.3f} µC from one source are above the "
-            f"{limits.charge_uc:g} µC of a single electrode: lower the current or the pulse width",
-            limit="charge_uc",
-            value=charge_pc[slot] / 1e6,
-            allowed=limits.charge_uc,
-            slot=slot,
-        )
+def _prove_fields(sequence: ScanSequence, limits: SafetyLimits) -> None:
+    """Raise unless numbers are in their ranges and arrays have the right length."""
+    electrodes, given = limits.electrodes, sequence.current_ua.shape[1]
+    if given != electrodes:
+        raise refusal("electrodes", given, electrodes)
+    if not 0 <= sequence.intensity <= 1:
+        raise refusal("intensity", sequence.intensity, 1)
+    if not 0 <= sequence.time_ns < LARGEST_TIME_NS:
+        raise refusal("time_ns", sequence.time_ns, LARGEST_TIME_NS)
+    if len(sequence.site) and (site := int(np.maximum.reduce(sequence.site))) >= electrodes:
+        raise refusal("site", site, electrodes - 1)
+    if sequence.recharge_ua is not None or sequence.recharge_us:
+        _prove_recharge(sequence, limits)
+    if (vibration := sequence.vibration) is None:
+        return
+    if vibration.shape != (electrodes,):
+        raise refusal("vibration", len(vibration), electrodes)
+    # In double precision, as the intensity is. Every comparison with NaN is false.
+    wide = vibration.astype(np.float64)
+    if not ((wide >= 0) & (wide <= sequence.intensity + 1e-6)).all():
+        worst = wide[np.abs(wide - sequence.intensity / 2).argmax()]
+        raise refusal("vibrates", worst, sequence.intensity)
+
+
+def _prove_recharge(sequence: ScanSequence, limits: SafetyLimits) -> None:
+    """Raise if the recharge phase breaks a limit; `Exposure` checks that it returns charge."""
+    current_ua, width_us, most_ua = sequence.recharge_ua, sequence.recharge_us, limits.faint_ua
+    if current_ua is None or current_ua.shape != most_ua.shape or not sequence.slots:
+        raise refusal("recharge", np.nan, limits.electrodes)
+    if not 1 <= width_us <= MOST_RECHARGE_US:
+        raise refusal("recharge_us", width_us, MOST_RECHARGE_US)
+    wide_ua = current_ua.astype(np.int64)
+    if left_ua := int(wide_ua.sum()):
+        raise refusal("recharge_balance", left_ua, 0)
+    strongest_ua = np.abs(wide_ua)
+    allowed_ua = np.minimum(most_ua, MOST_RECHARGE_PC // width_us)
+    if (strongest_ua > allowed_ua).any():
+        at = int((strongest_ua - allowed_ua).argmax())
+        raise refusal("recharge_ua", strongest_ua[at], allowed_ua[at], electrode=at)
+    if (all_ua := int(strongest_ua.sum()) // 2) > limits.total_ua:
+        raise refusal("recharge_ma", all_ua / 1000, limits.total_ua / 1000)
 
 
 def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int, int]:
@@ -159,106 +198,47 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
 
     Raise if a time breaks its limits.
     """
-    period_us, slots = sequence.period_us, len(sequence.width_us)
+    period_us, width_us, rest_us = sequence.period_us, sequence.width_us, sequence.discharge_us
     if not limits.period_us <= period_us <= LONGEST_PERIOD_US:
-        raise SafetyError(
-            f"a period of {period_us} µs is not from {limits.period_us} µs, for the limit of "
-            f"{limits.rate_hz:g} Hz, to a minute",
-            limit="rate_hz",
-            value=period_us,
-            allowed=limits.period_us,
-        )
-    if not slots:
+        raise refusal("rate_hz", period_us, limits.period_us)
+    if not len(width_us):
         return 0, 0, 0
-    shortest_us, longest_us, pulses_us = extent_us(sequence.width_us.tobytes())
-    least_us, _, rests_us = extent_us(sequence.discharge_us.tobytes())
-    if pulses_us + rests_us > period_us:
-        raise SafetyError(
-            f"{slots} slots take {pulses_us + rests_us} µs, longer than the period of "
-            f"{period_us} µs: lower the rate",
-            limit="period_us",
-            value=pulses_us + rests_us,
-            allowed=period_us,
-        )
+    longest_us = int(np.maximum.reduce(width_us))
+    pulses_us = int(np.add.reduce(width_us, dtype=np.int64))
+    busy_us = pulses_us + int(np.add.reduce(rest_us, dtype=np.int64)) + sequence.recharge_us
+    needed_us = busy_us + LEAST_DISCHARGE_US * (sequence.recharge_us > 0)
+    if needed_us > period_us:
+        raise refusal("period_us", needed_us, period_us)
     part, whole = limits.duty_ratio
     flowing_us = pulses_us + sequence.recharge_us
     if flowing_us * whole > part * period_us:
-        raise SafetyError(
-            f"current flows {flowing_us / period_us:.0%} of the time, above the limit of "
-            f"{limits.duty:.0%}: lower the rate",
-            limit="duty",
-            value=flowing_us / period_us,
-            allowed=limits.duty,
-        )
+        raise refusal("duty", flowing_us / period_us, limits.duty)
+    shortest_us = int(np.minimum.reduce(width_us))
     if longest_us > limits.pulse_whole_us or shortest_us == 0:
-        raise SafetyError(
-            f"pulse widths run from {shortest_us} to {longest_us} µs: they must be above 0 "
-            f"and at most {limits.pulse_us:g} µs",
-            limit="pulse_us",
-            value=longest_us,
-            allowed=limits.pulse_us,
-        )
-    if least_us < LEAST_DISCHARGE_US:
-        slot = int(sequence.discharge_us.argmin())
-        raise SafetyError(
-            f"slot {slot}: a discharge of {least_us} µs is below {LEAST_DISCHARGE_US} µs, and its "
-            "charge would add to that of the next pulse",
-            limit="discharge_us",
-            value=least_us,
-            allowed=LEAST_DISCHARGE_US,
-            slot=slot,
-        )
-    if (site := int(np.maximum.reduce(sequence.site))) >= limits.electrodes:
-        raise SafetyError(
-            f"site {site} is none of {limits.electrodes} electrodes",
-            limit="site",
-            value=site,
-            allowed=limits.electrodes - 1,
-        )
-    return longest_us, pulses_us, pulses_us + rests_us + sequence.recharge_us
+        wrong_us = longest_us if shortest_us else 0
+        raise refusal("pulse_us", wrong_us, limits.pulse_us)
+    if np.minimum.reduce(rest_us) < LEAST_DISCHARGE_US:
+        slot = int(rest_us.argmin())
+        raise refusal("discharge_us", int(rest_us[slot]), LEAST_DISCHARGE_US, slot)
+    return longest_us, pulses_us, busy_us
 
 
-def _magnitude(sequence: ScanSequence) -> NDArray[np.float64]:
-    """Return all magnitudes, (S, E) µA, for checks that sums do not cover."""
-    return np.abs(sequence.current_ua.astype(np.float64))
-
-
-def _above(
-    limit: str, each: Load, allowed: NDArray[np.float64], unit: int, symbol: str
-) -> SafetyError:
-    slot, electrode = divmod(int((each - allowed).argmax()), each.shape[1])
-    value, most = each[slot, electrode] / unit, allowed[electrode] / unit
-    return SafetyError(
-        f"slot {slot}, electrode {electrode}: {value:.3f} {symbol} is above the limit of "
-        f"{most:g} {symbol}",
-        limit=limit,
-        value=value,
-        allowed=most,
-        slot=slot,
-        electrode=electrode,
-    )
+def _prove_each(limit: str, values: Load, allowed: NDArray[np.float64], unit: int) -> None:
+    """Raise if a value (S, E) is above what its electrode allows, (E,)."""
+    if (values > allowed).any():
+        slot, at = divmod(int((values - allowed).argmax()), values.shape[1])
+        raise refusal(limit, values[slot, at] / unit, allowed[at] / unit, slot, at)
 
 
 def _prove_intensity(limits: SafetyLimits, ppb: int, peak_ua: int, charge_pc: int) -> None:
     """Raise unless current, or charge where width carries intensity, is proportional to it."""
     per_ppb, rounding, whole = limits.most_ua_line
-    highest = (per_ppb * (ppb if limits.full_us is None else PPB) + rounding) // whole
     if limits.full_us is not None:
         full = limits.full_ua + limits.rounding_ua
         most_pc = full * round(limits.full_us) * _WIDTH_LEEWAY * ppb / PPB
         if charge_pc > most_pc:
-            raise SafetyError(
-                f"{charge_pc / 1e6:.3f} µC is more than intensity {ppb / PPB:.3f} allows, "
-                f"{float(most_pc) / 1e6:.3f} µC",
-                limit="intensity",
-                value=charge_pc / 1e6,
-                allowed=float(most_pc) / 1e6,
-            )
-    if peak_ua > highest:
-        raise SafetyError(
-            f"{peak_ua / 1000:.3f} mA is more than intensity {ppb / PPB:.3f} allows, "
-            f"{highest / 1000:.3f} mA",
-            limit="intensity",
-            value=peak_ua / 1000,
-            allowed=highest / 1000,
-        )
+            raise refusal("claimed_uc", charge_pc / 1e6, float(most_pc) / 1e6)
+        ppb = PPB
+    highest_ua = (per_ppb * ppb + rounding) // whole
+    if peak_ua > highest_ua:
+        raise refusal("claimed_ma", peak_ua / 1000, highest_ua / 1000)

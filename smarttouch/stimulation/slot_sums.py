@@ -2,7 +2,6 @@
 pulses that count as felt, and charge, on each electrode.
 """
 
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,15 +60,6 @@ def rows_of_block(electrodes: int) -> int:
     return max(1, BLOCK // electrodes)
 
 
-@lru_cache(maxsize=256)
-def extent_us(data: bytes) -> tuple[int, int, int]:
-    """Return the shortest, longest and total time of slots, µs, of uint16 as bytes; or zeros."""
-    times_us = np.frombuffer(data, np.uint16)
-    if not len(times_us):
-        return 0, 0, 0
-    return int(times_us.min()), int(times_us.max()), int(times_us.sum(dtype=np.int64))
-
-
 class SlotSums(NamedTuple):
     """Sums over the currents of S slots."""
 
@@ -77,16 +67,6 @@ class SlotSums(NamedTuple):
     total_ua: NDArray[np.floating]  # (S,) sum of magnitudes
     highest_ua: int  # largest magnitude of all
     sums: Sums  # (3, E) load of each electrode, and its charge, positive cathodic
-
-    @property
-    def load(self) -> Load:
-        return self.sums[:2]
-
-
-@lru_cache(maxsize=256)
-def _units(width_us: int) -> NDArray[np.float64]:
-    """Return the factors of sums of pulses, magnitudes and currents, (3, 1)."""
-    return np.array([[PER_PULSE], [PER_PC * width_us], [width_us]], np.float64)
 
 
 class SlotAdder:
@@ -113,11 +93,12 @@ class SlotAdder:
             self._scratch[kind] = block, np.ones(self._most, kind)
         scratch, ones = self._scratch[kind]
         across = ones[: self._electrodes]
-        each_us, longest_us, _ = extent_us(width_us.tobytes())
-        alike = each_us == longest_us
+        one_us = int(width_us[0])
+        alike = bool((width_us == one_us).all())
+        times_us = one_us if alike else 1
+        units = np.array([[PER_PULSE], [PER_PC * times_us], [times_us]], np.float64)
         net, total = np.empty(slots, kind), np.empty(slots, kind)
         of_block = np.empty((3, self._electrodes), kind if alike else np.float64)
-        units = _units(each_us if alike else 1)
         sums = np.empty(of_block.shape)
         highest = 0
         for first in range(0, slots, self._rows):

@@ -16,9 +16,8 @@ from smarttouch.profile import load_profile
 from smarttouch.stimulation.point_slots import SHORTEST_PULSE_US, PointSlots
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits, frozen
-from smarttouch.stimulation.safety_limits import PPB
 from smarttouch.stimulation.scheduler import ScanScheduler
-from smarttouch.stimulation.sequence_limits import prove_slots
+from smarttouch.stimulation.sequence_limits import prove_sequence
 from smarttouch.stimulation.slot_sums import SlotAdder
 
 from ..raising import raises
@@ -196,7 +195,7 @@ def test_a_frame_allocates_its_sequence_and_its_proved_copy_and_no_scratch(
     def proved(given):
         """As the gate does it, which here has an oracle beside it."""
         copy = frozen(given)
-        prove_slots(copy, limits, PPB, adder)
+        prove_sequence(copy, limits, adder)
         return copy
 
     activation = np.zeros((3, 1024), np.float32)

@@ -11,16 +11,19 @@ from smarttouch.base.errors import SafetyError
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import (
-    MOST_PC,
-    MOST_US,
     ChargeBalance,
     RechargeRules,
     add_recharge,
     net_charge_pc,
-    prove_recharge,
     recharge_most_ua,
 )
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits, frozen
+from smarttouch.stimulation.sequence_limits import (
+    MOST_RECHARGE_PC,
+    MOST_RECHARGE_US,
+    prove_sequence,
+)
+from smarttouch.stimulation.slot_sums import SlotAdder
 
 from ..raising import raises
 from ..rising import open_level
@@ -76,7 +79,6 @@ def situations(draw):
 def test_whatever_comes_the_phase_keeps_its_limits(situation):
     scan, carried_pc, within = situation
     planned = add_recharge(scan, carried_pc, within)
-    prove_recharge(frozen(planned), within.most_ua, within.total_ua)
     for name in ("current_ua", "width_us", "discharge_us", "site"):
         assert getattr(planned, name) is getattr(scan, name)
     assert planned.period_us >= scan.period_us
@@ -92,7 +94,7 @@ def test_whatever_comes_the_phase_keeps_its_limits(situation):
     assert not current_ua[wanted_pc == 0].any(), "a masked electrode stays without current"
     assert (np.abs(current_ua) <= within.most_ua).all()
     passed_pc = np.abs(current_ua) * width_us
-    assert (passed_pc <= np.minimum(MOST_PC, np.abs(wanted_pc) + width_us)).all()
+    assert (passed_pc <= np.minimum(MOST_RECHARGE_PC, np.abs(wanted_pc) + width_us)).all()
     assert np.maximum(current_ua, 0).sum() <= within.total_ua
     mean_over_us = min(planned.period_us, 40_000)
     slots_pc = scan.width_us.astype(int) @ np.abs(scan.current_ua.astype(int))
@@ -107,7 +109,7 @@ def test_what_can_be_brought_back_is_but_for_less_than_a_microampere(scan, most_
     within = rules(most_ua, scan.electrodes)
     net_pc = net_charge_pc(scan)
     planned = add_recharge(scan, 0 * net_pc, within)
-    if np.abs(net_pc).max(initial=0) > min(MOST_PC, most_ua * MOST_US):
+    if np.abs(net_pc).max(initial=0) > min(MOST_RECHARGE_PC, most_ua * MOST_RECHARGE_US):
         return
     left_pc = net_charge_pc(planned)
     # Of the same sign as before, and no more than whole µA at every electrode make.
@@ -189,18 +191,21 @@ def test_a_tenth_of_threshold_is_never_rounded_up():
     assert found.total_ua == 10_000
 
 
-MOST = np.array([120, 120, 120, 60])
+MOST = SafetyLimits(
+    4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4, threshold_ma=(1.2001, 1.2001, 1.2001, 0.6001)
+)  # fmt: skip
 
 
-def prove(sequence):
-    prove_recharge(frozen(sequence), MOST, 10_000)
+def prove(sequence, limits=MOST):
+    """At most 120 µA, and 60 through the last."""
+    prove_sequence(frozen(sequence), limits, SlotAdder(limits.felt_ua))
 
 
 def test_a_good_phase_and_none_pass():
     prove(sequence(ONE))
     prove(sequence([]))
-    prove(with_phase([-120, 60, 0, 60], np.uint16(16_666)))
-    prove(with_phase([-1, 1, 0, 0], 19_680))
+    prove(with_phase([-120, 60, 0, 60], np.uint16(16_666), period_us=30_000))
+    prove(with_phase([-1, 1, 0, 0], 11_800))
 
 
 @pytest.mark.parametrize(("bad", "limit"), [
@@ -231,9 +236,8 @@ def test_a_bad_phase_is_refused(bad, limit):
 
 
 def test_all_electrodes_together_are_bounded():
-    phase = frozen(with_phase([-120, 60, 0, 60]))
     with raises(SafetyError, limit="total_ma"):
-        prove_recharge(phase, MOST, 119)
+        prove(with_phase([-120, 60, 0, 60]), replace(MOST, total_ma=0.119))
 
 
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4, threshold_ma=1.25)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.stimulation import slot_sums as module
-from smarttouch.stimulation.slot_sums import PER_PC, PER_PULSE, SlotAdder, extent_us
+from smarttouch.stimulation.slot_sums import PER_PC, PER_PULSE, SlotAdder
 
 
 def check(current_ua, width_us, felt_ua):
@@ -20,9 +20,9 @@ def check(current_ua, width_us, felt_ua):
     assert found.total_ua.tolist() == magnitude.sum(axis=1).tolist()
     assert found.highest_ua == magnitude.max()
     felt = (magnitude >= felt_ua.astype(np.int64)).sum(axis=0)
-    assert found.load[0].tolist() == (PER_PULSE * felt).tolist()
+    assert found.sums[0].tolist() == (PER_PULSE * felt).tolist()
     charge_pc = (magnitude * width_us.astype(np.int64)[:, None]).sum(axis=0)
-    assert found.load[1].tolist() == (PER_PC * charge_pc).tolist()
+    assert found.sums[1].tolist() == (PER_PC * charge_pc).tolist()
 
 
 @given(
@@ -64,9 +64,3 @@ def test_memory_is_used_again():
         tracemalloc.stop()
     # Scratch of a block would be half of it, a copy in single precision twice as much.
     assert peak < current_ua.nbytes / 4
-
-
-@given(st.lists(st.integers(0, 2**16 - 1), max_size=300))
-def test_the_extent_of_times(times_us):
-    extent = (min(times_us), max(times_us), sum(times_us)) if times_us else (0, 0, 0)
-    assert extent_us(np.array(times_us, np.uint16).tobytes()) == extent

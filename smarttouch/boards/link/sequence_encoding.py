@@ -15,7 +15,7 @@ from smarttouch.boards.link.protocol import IDENTITY_BYTES, pack_states, source_
 from smarttouch.stimulation.quantized_kernels import kept_kernels
 from smarttouch.stimulation.ramp import PPB
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
-from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, bytes_of
+from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,6 @@ class KernelImage:
     """The kernels of a run, as bytes for a board."""
 
     table: KernelTable
-    own: KernelTable  # the same, backed by bytes that stay whatever becomes of the table
     count: int  # kernels that the board has room for: the first of the table
     data: bytes
     identity: bytes  # first 16 bytes of the SHA-256 of ``data``
@@ -31,11 +30,8 @@ class KernelImage:
     @classmethod
     def of(cls, table: KernelTable, room: int, most: int) -> Self:
         """Return as many kernels as there is room for, in bytes and in number."""
-        flat = np.frombuffer(bytes_of(table.weights), np.int16)
-        site_of = np.frombuffer(table.site.tobytes(), np.uint16)
-        own = KernelTable(flat.reshape(table.weights.shape), site_of, {}, {})
-        data, count = kept_kernels(own.weights, own.site, room, most)
-        return cls(table, own, count, data, digest_of(data))
+        data, count = kept_kernels(table.weights, table.site, room, most)
+        return cls(table, count, data, digest_of(data))
 
     def proof(self, session: int) -> bytes:
         """Return what a board that keeps just these kernels answers in a session."""
@@ -217,14 +213,12 @@ def _groups(
 
 def _kept(sequence: ScanSequence, image: KernelImage) -> _Kept | None:
     """Return lists of kernels, and of which slots the board makes just the proved currents."""
-    sums = sequence.sums
-    if sums is None or sums.table is not image.table or not sequence.slots:
+    own = sequence.sums
+    if type(own) is not KernelLists or own.table is not image.table:
         return None
-    # Copies: nothing may change between the check and the write.
-    own = KernelLists(image.own, *map(np.array, (sums.first, sums.kernel, sums.amplitude)))
-    if not _is_sound(own, sequence.slots):
+    if not sequence.slots or not _is_sound(own, sequence.slots):
         return None
-    same = (own.site == sequence.site) & (own.current_ua() == sequence.current_ua).all(axis=1)
+    same = (own.site == sequence.site) & (own.current_ua == sequence.current_ua).all(axis=1)
     same &= np.maximum.reduceat(own.kernel, own.first[:-1]) < image.count
     # At most what the board adds up in 32 bits.
     same &= np.add.reduceat(own.amplitude, own.first[:-1], dtype=np.int64) <= _U16_MAX
