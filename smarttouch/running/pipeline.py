@@ -71,7 +71,7 @@ class Pipeline:
         shared = {each: slots.kernels() for each, slots in frames.items()}
         table = KernelTable.of(self._bank.weights, shared)
         for slots in frames.values():
-            slots.table = table
+            slots.use_table(table)
         return table
 
     @property

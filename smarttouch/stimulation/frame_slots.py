@@ -1,10 +1,9 @@
 """Slots with several points each, of one afferent class: the same frame in fewer slots."""
 
-from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError
@@ -12,9 +11,8 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.frame_fields import FrameBounds
 from smarttouch.kernels.frame_judges import FrameJudge, full_wish
 from smarttouch.kernels.frame_operator import AIM, FrameOperator
-from smarttouch.kernels.proved_sets import proved_sets
+from smarttouch.kernels.proved_sets import Certainty, proved_sets
 from smarttouch.profile import Profile
-from smarttouch.stimulation.kernel_sums import KernelSums, SummedSlots
 from smarttouch.stimulation.point_slots import Slots, constant_us, perceived_at
 from smarttouch.stimulation.scan_sequence import (
     PER_UA,
@@ -27,24 +25,12 @@ from smarttouch.stimulation.slot_sums import round_charge_balanced
 
 Array = NDArray[np.float64]
 
-
 _JUDGED_MM = 0.5
-"""Least distance of places at which frames are judged, 25 times as fast as .1 mm, where what is
+"""Least distance of places at which sets are proved, 25 times as fast as .1 mm, where what is
 proved of all frames of a shipped array is no larger (tests/kernels/test_proved_sets.py)."""
 
 _ROUNDING = 0.99
-"""Part of a bound that proofs keep, so that whole µA keep all of it down to a third of full
-intensity. Nothing is felt below, and what breaks a bound there is shown point by point."""
-
-
-@dataclass(frozen=True, eq=False)
-class SlotAllocation:
-    """Slots at full intensity: N that several points share, then those of M points alone."""
-
-    found: SummedSlots  # the first N
-    alone: NDArray[np.intp]  # (M,) points that have a slot by themselves, with their own kernels
-    alone_level: Array  # (M,) requested level at each of them
-    points: NDArray[np.uint16]  # (N + M,) number of points of each slot
+"""Part of a bound that proofs keep, so that whole µA keep all of it down to `certain_from`."""
 
 
 class FrameSlots:
@@ -52,56 +38,66 @@ class FrameSlots:
 
     A slot is a sum of kernels of which no subset breaks the profile's bounds on what it does to
     other classes, and to its own class elsewhere; a point of which nothing is proved has a slot of
-    its own. `table`, if set, makes slots sums of kernels in whole numbers. `most_ua`, (E,), is the
-    largest sum of magnitudes at an electrode over a frame. A board without a current of its own for
-    every electrode, or a profile where pulse width carries intensity or total current is not
-    limited, raises a ScheduleError.
+    its own. So has each at intensities below `certain_from`, where nothing is felt and rounding may
+    break a bound. A board without a current of its own for every electrode, or a profile where
+    pulse width carries intensity or total current is not limited, raises a ScheduleError.
     """
 
     def __init__(self, profile: Profile, bank: KernelBank, afferent: Afferent) -> None:
         if (why := unsupported_reason(profile)) is not None:
             raise ScheduleError(f"points cannot share slots: {why}: choose points")
-        # Matrices are small: with other work on the machine, a second thread costs a hundredfold.
-        self._blas = ThreadpoolController()
         kernels = np.asarray(bank.kernels(afferent), np.float64)
-        wish = full_wish(profile, kernels, bank.receptor[afferent])
-        self._judge = judge = FrameJudge(_coarse(profile), afferent, wish)
-        full_ma = np.minimum(profile.full_ma, judge.full_ma)
-        self._points_ma = kernels * full_ma[:, None]
-        self._peaks_ma = np.abs(self._points_ma).max(axis=1)
-        self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
+        judge = FrameJudge(
+            _coarse(profile), afferent, full_wish(profile, kernels, bank.receptor[afferent])
+        )
+        frames, count = profile.frames, len(kernels)
+        # Slots aim a little low, which saves current.
+        self._aim = 1 - AIM * frames.uneven
+        faintest = profile.threshold_ma / profile.full_ma
+        sets = proved_sets(
+            FrameOperator(judge),
+            FrameBounds(_ROUNDING * frames.other, _ROUNDING * frames.spill, frames.uneven),
+        )
+        driven = np.isin(np.arange(count), profile.driven)
+        least = float(faintest[driven].min())
+        self._certain = Certainty.of(sets, self._aim, least, profile.total_ma)
+        self.certain_from: float = self._certain.least(
+            FrameBounds(frames.other, frames.spill, frames.uneven)
+        )
+        """Intensity from which no sum breaks a bound, whatever rounding to whole numbers does."""
+        self._most_ma = profile.total_ma - self._certain.total_ua / 1000
+        self._shared_ma = np.concatenate([np.empty((0, count)), *(each.kernels for each in sets)])
+        self._sites = np.concatenate([np.empty(0, np.intp), *(each.sites for each in sets)])
+        self._owner = np.repeat(np.arange(len(sets)), [len(each.sites) for each in sets])
+        self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for each in sets)])
+        points_ma = kernels * np.minimum(profile.full_ma, judge.full_ma)[:, None]
+        # Kernels that share slots, and then each point's own.
+        self._kernels_ma = np.concatenate([self._shared_ma, points_ma])
+        self._kernel_sites = np.concatenate([self._sites, np.arange(count)])
+        self._peaks_ma = np.abs(self._kernels_ma).max(axis=1)
         self._points_do = np.stack([bank.off_target[afferent], bank.spill[afferent]])
-        self._points_do[:, ~self._driven] = np.nan
-        frames = profile.frames
-        self._bounds = FrameBounds(frames.other, frames.spill, frames.uneven)
-        self._limit_ma = profile.total_ma
+        self._points_do[:, ~driven] = np.nan
         self._perceived_at = perceived_at(profile, afferent)
-        self._faintest = profile.threshold_ma / profile.full_ma
-        self._range = 1 - self._faintest
-        self._widths_us = constant_us(len(self._points_ma), profile.pulse.width_us)
-        self._last: tuple[bytes, SlotAllocation] | None = None
+        self._faintest = np.where(driven, faintest, 0.0)
+        self._range = np.where(driven, 1 - faintest, 0.0)
+        self._widths_us = constant_us(count, profile.pulse.width_us)
         self._afferent = afferent
-        self.table: KernelTable | None = None
-        self._sums = KernelSums(
-            proved_sets(
-                FrameOperator(judge),
-                FrameBounds(_ROUNDING * frames.other, _ROUNDING * frames.spill, frames.uneven),
-            ),
-            len(self._points_ma),
-            1 - AIM * self._bounds.uneven,
-            # Less what rounding hardly ever adds; where it does, a slot is shown point by point.
-            self._limit_ma - 0.002 * np.sqrt(len(full_ma)),
-            self._bounds,
-            float(self._faintest[self._driven].min()),
-        )
+        self._table: KernelTable | None = None
+        most_ma = np.abs(points_ma)
+        np.maximum.at(most_ma, self._sites, np.abs(self._shared_ma))
         # In each slot rounding adds less than a whole µA.
-        self.most_ua: NDArray[np.float64] = 1000 * self._sums.most_ma(self._points_ma) + len(
-            self._points_ma
-        )
+        self.most_ua: Array = 1000 * most_ma.sum(axis=0) + count
+        """Largest sum of magnitudes at an electrode over a frame, (E,) µA."""
 
     def kernels(self) -> tuple[Array, NDArray[np.intp]]:
         """Return the kernels by which slots are shared, (A, E) mA, and their sites (A,)."""
-        return self._sums.kernels_ma, self._sums.points
+        return self._shared_ma, self._sites
+
+    def use_table(self, table: KernelTable) -> None:
+        """Make slots as sums of kernels in whole numbers from now on."""
+        shared = table.shared[self._afferent] + np.arange(len(self._sites))
+        points = table.points[self._afferent] + np.arange(len(self._widths_us))
+        self._table, self._rows = table, np.concatenate([shared, points]).astype(np.uint16)
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return slots, with proof, of one class's activation (E,) at an intensity.
@@ -112,108 +108,76 @@ class FrameSlots:
         that sum to zero in every slot. A masked electrode has no slot.
         """
         asked = activation if intensity > 0 else 0 * activation
-        key = asked.tobytes()
-        if self._last is None or self._last[0] != key:
-            self._last = key, self._plan(asked)
-        plan = self._last[1]
-        current_ua, sums, proof, certain = self._finished(plan, intensity)
-        if not certain:
-            broken = self._broken(current_ua, proof)
-            if broken.any():
-                plan = self._one_by_one(plan, broken)
-                current_ua, sums, proof, _ = self._finished(plan, intensity)
-        site = self._strongest(plan) if sums is None else sums.site
-        return Slots(site, current_ua, self._widths_us[: len(site)], proof, sums)
-
-    def _finished(
-        self, plan: SlotAllocation, intensity: float
-    ) -> tuple[NDArray[np.int16], KernelLists | None, SelectivityReport, bool]:
-        """Return the currents as sent, their effects, and whether all bounds are certainly kept.
-
-        The effects of single points are those of their kernels, as designed; of sums of kernels
-        `Certainty` bounds them, or they are judged.
-        """
-        found, own = plan.found, self._sums
-        sums = self._whole_sums(plan, intensity)
+        if self._perceived_at is not None:
+            asked = np.append(asked, np.float32(0))[self._perceived_at]
+        # The faintest would not be felt at the aim.
+        level = (self._range * asked + self._faintest) * (asked > 0) / self._aim
+        level = np.minimum(level, 1.0, out=level)
+        parts = self._parts(level) if intensity >= self.certain_from else []
+        kernel = np.fromiter(chain.from_iterable(parts), np.intp)
+        points = np.fromiter(map(len, parts), np.intp, len(parts))
+        wanted = level.take(self._sites.take(kernel))
+        level[self._sites.take(kernel)] = 0
+        alone = level.nonzero()[0]
+        alone_level = level.take(alone)
+        scale = np.concatenate([self._aim * wanted, alone_level])
+        shared, count = len(parts), len(parts) + len(alone)
+        points = np.concatenate([points, np.ones(len(alone), np.intp)])
+        first = np.zeros(count + 1, np.intp)
+        points.cumsum(out=first[1:])
+        kernel = np.concatenate([kernel, len(self._sites) + alone])
+        sums = self._sums(first, kernel, intensity * scale)
         if sums is not None:
             current_ua = sums.current_ua
+        elif count:
+            scaled_ua = self._kernels_ma.take(kernel, axis=0) * (1000 * intensity * scale)[:, None]
+            current_ua = round_charge_balanced(np.add.reduceat(scaled_ua, first[:-1], axis=0))
         else:
-            current_ua = round_charge_balanced(1000 * intensity * self._current_ma(plan))
-        shared = len(found.points)
-        do = np.empty((2, len(plan.points)), np.float32)
+            current_ua = np.empty((0, len(level)), np.int16)
+        do = np.empty((2, count), np.float32)
+        owner = self._owner.take(kernel.take(first[:shared]))
+        do[:, :shared] = self._certain.figures(intensity).take(owner, axis=1)
         # A faint point does so much less: figures are scaled to level 1.
-        np.multiply(self._points_do[:, plan.alone], plan.alone_level, out=do[:, shared:])
-        proof = SelectivityReport(plan.points, *do)
-        if intensity >= own.certain_from:
-            do[:, :shared] = own.figures(intensity).take(found.owner, axis=1)
-            most_ua = 1000 * intensity * found.most_ma + own.rounding_ua
-            return current_ua, sums, proof, most_ua < 1000 * self._limit_ma
-        with self._blas.limit(limits=1, user_api="blas"):
-            do[:, :shared] = _selectivity(self._judge, current_ua[:shared] / 1000, found.level)
-        return current_ua, sums, proof, False
+        np.multiply(self._points_do[:, alone], alone_level, out=do[:, shared:])
+        site = self._kernel_sites.take(kernel.take(first[:-1])).astype(np.uint16)
+        proof = SelectivityReport(points.astype(np.uint16), *do)
+        return Slots(site, current_ua, self._widths_us[:count], proof, sums)
 
-    def _current_ma(self, plan: SlotAllocation) -> Array:
-        """Return the currents of a plan's slots at full intensity, (N + M, E)."""
-        if not len(plan.alone):
-            return plan.found.current_ma
-        alone_ma = plan.alone_level[:, None] * self._points_ma[plan.alone]
-        return np.concatenate([plan.found.current_ma, alone_ma])
-
-    def _strongest(self, plan: SlotAllocation) -> NDArray[np.uint16]:
-        """Return the electrode of each slot's strongest point, (N + M,)."""
-        return np.concatenate([plan.found.level.argmax(axis=1), plan.alone]).astype(np.uint16)
-
-    def _whole_sums(self, plan: SlotAllocation, intensity: float) -> KernelLists | None:
-        """Return a plan's slots as sums of the table's kernels; None without one."""
-        found, table = plan.found, self.table
-        if table is None:
+    def _sums(
+        self, first: NDArray[np.intp], kernel: NDArray[np.intp], scale: Array
+    ) -> KernelLists | None:
+        """Return slots as sums of the table's kernels; None without one."""
+        if self._table is None:
             return None
-        first = found.first
-        kernel = table.shared[self._afferent] + found.kernel
-        peak_ma = self._sums.peaks_ma.take(found.kernel) * found.share
-        if alone := len(plan.alone):
-            first = np.concatenate([first, first[-1] + 1 + np.arange(alone)])
-            kernel = np.concatenate([kernel, table.points[self._afferent] + plan.alone])
-            alone_ma = self._peaks_ma.take(plan.alone) * plan.alone_level
-            peak_ma = np.concatenate([peak_ma, alone_ma])
-        amplitude = np.rint(1000 * PER_UA * intensity * peak_ma)
-        return KernelLists(table, first, kernel.astype(np.uint16), amplitude.astype(np.uint16))
+        amplitude = np.rint(1000 * PER_UA * self._peaks_ma.take(kernel) * scale)
+        return KernelLists(self._table, first, self._rows.take(kernel), amplitude.astype(np.uint16))
 
-    def _broken(self, current_ua: NDArray[np.int16], proof: SelectivityReport) -> NDArray[np.bool_]:
-        """Return which slots of several points break a bound or the limit of total current."""
-        # In balance: what flows in is half of all that flows.
-        total_ua = np.abs(current_ua).sum(axis=1, dtype=np.int64)
-        broken = np.asarray(proof.off_target > self._bounds.other)
-        broken |= proof.spill > self._bounds.spill
-        broken |= total_ua > 2000 * self._limit_ma
-        broken &= proof.points > 1
-        return broken
-
-    def _plan(self, activation: NDArray[np.float32]) -> SlotAllocation:
-        asked = activation
-        if self._perceived_at is not None:
-            asked = np.append(activation, np.float32(0))[self._perceived_at]
-        level = self._range * asked
-        level += self._faintest
-        level *= (asked > 0) & self._driven
-        # Slots aim a little low, which saves current; the faintest would not be felt then.
-        level /= 1 - AIM * self._bounds.uneven
-        level = np.minimum(level, 1.0, out=level)
-        found = self._sums.add_up(level)
-        left = found.left(level)
-        alone = left.nonzero()[0]
-        return _completed(found, alone, left.take(alone))
-
-    def _one_by_one(self, plan: SlotAllocation, broken: NDArray[np.bool_]) -> SlotAllocation:
-        """Return a plan in which the points of some slots have slots of their own."""
-        broken = broken[: len(plan.found.points)]
-        level = plan.found.level[broken].sum(axis=0)
-        added = np.flatnonzero(level)
-        return _completed(
-            plan.found.without(broken),
-            np.concatenate([plan.alone, added]),
-            np.concatenate([plan.alone_level, level[added]]),
-        )
+    def _parts(self, level: Array) -> list[list[int]]:
+        """Return the shared kernels of each slot of several points, set after set, each slot filled
+        in the order of strength as far as total current allows."""
+        wanted = level.take(self._sites)
+        active = wanted.nonzero()[0]
+        totals_ma = self._aim * wanted.take(active) * self._totals_ma.take(active)
+        owners = self._owner.take(active)
+        order = np.lexsort((-totals_ma, owners))
+        parts: list[list[int]] = []
+        sums_ma: list[float] = []
+        first, before = 0, -1
+        rows = (active, totals_ma, owners)
+        for index, total_ma, owner in zip(
+            *(each.take(order).tolist() for each in rows), strict=True
+        ):
+            if owner != before:
+                first, before = len(parts), owner
+            for part in range(first, len(parts)):
+                if sums_ma[part] + total_ma <= self._most_ma:
+                    parts[part].append(index)
+                    sums_ma[part] += total_ma
+                    break
+            else:
+                parts.append([index])
+                sums_ma.append(total_ma)
+        return [part for part in parts if len(part) > 1]
 
 
 def _coarse(profile: Profile) -> Profile:
@@ -222,16 +186,3 @@ def _coarse(profile: Profile) -> Profile:
         return profile
     skin = profile.skin.model_copy(update={"node_spacing_mm": _JUDGED_MM})
     return profile.model_copy(update={"skin": skin})
-
-
-def _completed(found: SummedSlots, alone: NDArray[np.intp], level: Array) -> SlotAllocation:
-    """Return a plan with one slot more for each of some points, by its own kernel."""
-    points = np.ones(len(found.points) + len(alone), np.uint16)
-    points[: len(found.points)] = found.points
-    return SlotAllocation(found, alone, level, points)
-
-
-def _selectivity(judge: FrameJudge, current_ma: Array, level: Array) -> Array:
-    """Return worst other and worst spill of many slots, (2, S)."""
-    found = [(each.off_target, each.spill) for each in judge.judge(current_ma, level)]
-    return np.array(found, np.float64).reshape(len(found), 2).T
