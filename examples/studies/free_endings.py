@@ -17,7 +17,7 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.anatomy import Anatomy, Bystander, load_anatomy
 from smarttouch.physiology.spikes import NOCICEPTORS, Bystanders, margins
 from smarttouch.profile import load_profile
-from smarttouch.reading.letter_responses import letter_sequences
+from smarttouch.reading.legibility import letter_sequences
 
 MODES = (Mode.RA, Mode.SAI, Mode.PC)
 CHANGES: dict[str, dict[str, tuple[float, float]]] = {

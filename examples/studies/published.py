@@ -29,7 +29,7 @@ from smarttouch.physiology.membrane import weiss_fit
 from smarttouch.physiology.response import response_map
 from smarttouch.physiology.spikes import NOCICEPTORS, Bystanders, SpikeModel
 from smarttouch.profile import Profile, load_profile
-from smarttouch.reading.letter_responses import (
+from smarttouch.reading.legibility import (
     letter_sequences,
     letter_templates,
     spikes_and_letter,

@@ -44,8 +44,6 @@ def simulate_page(
     json_file: JsonOption = None,
 ) -> None:
     """Run a page on a simulated board and read the result with Tesseract."""
-    from dataclasses import fields
-
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.base.terminal import print_table
     from smarttouch.cli.options import parse_mode
@@ -74,10 +72,8 @@ def simulate_page(
     with lines_progress(quiet=False) as advance:
         found = legibility_of_shapes(text, reading, true_text, advance)
     if json_file is not None:
-        figures = {"source": source, "profile": chosen.name, "rows": rows_of(chosen)}
-        figures |= {"speed_mm_s": reading.motion.speed_mm_s, "notes": notes}
-        figures |= {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}
-        write_json(json_file, figures)
+        about = {"source": source, "profile": chosen.name, "rows": rows_of(chosen), "notes": notes}
+        write_json(json_file, about | found.figures)
     rate = found.page_error_rate
     rows = [
         ("characters", str(len(found.truth))),

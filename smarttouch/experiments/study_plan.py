@@ -28,8 +28,6 @@ from smarttouch.reading.legibility import (
     NerveReading,
     legibility_of_shapes,
     legibility_on_finger,
-)
-from smarttouch.reading.letter_responses import (
     letter_sequences,
     letter_templates,
     letters_on_finger,

@@ -15,7 +15,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
 
 import cv2
 import numpy as np
@@ -90,17 +89,23 @@ def parse_message(line: bytes) -> tuple[str, str]:
     return kind, "".join(chr(ord(BLANK) + pattern) for pattern in patterns)
 
 
-class BrlttyConnection:
-    """Port at which BRLTTY finds a display; keeps the newest cells and sends commands.
+class BrailleDisplaySource(StimulusSource):
+    """Presents the cells that BRLTTY shows, one electrode a dot.
 
-    BRLTTY may end and connect again.
+    Changed cells are presented from the first that is new, and where only the cursor moved, from
+    there, up to the last cell. Nothing is presented without BRLTTY; it may end and connect again.
 
     Parameters
     ----------
     address : str
-        ``PORT`` of this machine, or ``HOST:PORT`` of one of its addresses; 35752 by default.
+        ``PORT`` of this machine, or ``HOST:PORT`` of one of its addresses, where BRLTTY connects;
+        35752 by default.
+    profile : Profile
+        Array, for `profile_for_reading`.
     cells : int
         Width reported to BRLTTY.
+    speed_mm_s : float, mm/s, optional
+        Follows the profile's pulse rate if not given.
 
     Attributes
     ----------
@@ -108,7 +113,18 @@ class BrlttyConnection:
         Newest content; None without a connection.
     """
 
-    def __init__(self, address: str, cells: int = USUAL_CELLS) -> None:
+    knows_force = True
+    ended = "the display is switched off"
+    keys_help = "← →  window    n p  line    [ ]  cell    r  again    Enter  route    h  cursor    "
+
+    def __init__(
+        self,
+        address: str,
+        profile: Profile,
+        *,
+        cells: int = USUAL_CELLS,
+        speed_mm_s: float | None = None,
+    ) -> None:
         host, _, port = address.rpartition(":")
         number = int(port or USUAL_PORT) if re.fullmatch(r"\d{0,5}", port) else 0
         if not 0 < number < 65536:
@@ -118,28 +134,60 @@ class BrlttyConnection:
         if not 1 <= cells <= MOST_CELLS:
             raise SourceError(f"a display of {cells} cells is not possible: give 1 to {MOST_CELLS}")
         self.address: tuple[str, int] = (host.strip("[]") or "127.0.0.1", number)
-        self.cells: int = cells
+        where = ":".join(map(str, self.address))
+        super().__init__(f"BRLTTY at {where}")
+        speed_mm_s = usual_speed_mm_s(profile) if speed_mm_s is None else speed_mm_s
+        require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
+        self.layout: CellLayout = cell_layout(profile, eight=True)
         self.shown: DisplayContent | None = None
-        self._number = 0
+        self._cells, self._name = cells, self.title
+        self._press_n = reading_force_n(profile)
+        self._shape = (profile.optics.sensor_columns, profile.optics.sensor_rows)
+        self._columns_a_s = speed_mm_s / self.layout.pitch_mm[0]
+        self._taken = DisplayContent()
+        self._dots = np.zeros((self.layout.rows, 0), np.bool_)
+        self._first, self._since_s = 0, 0.0
+        """Cell at the start of the motion, and its duration so far."""
+        self._cursor: int | None = None
+        self._before_ns: int | None = None
+        self._paused = False
+        self._jumps = 0
+        self._place: tuple[int, int] | None = None
+        self._asked: deque[Callable[[], None]] = deque()
         self._closing = threading.Event()
         self._line: socket.socket | None = None
-
-    def open(self) -> Self:
-        """Listen for BRLTTY."""
         try:
             listener = socket.create_server(self.address, backlog=1)
         except (OSError, UnicodeError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise SourceError(f"cannot listen at {self}: {reason}: give another port") from None
+            raise SourceError(f"cannot listen at {where}: {reason}: give another port") from None
         listener.settimeout(_ACCEPT_S)
-        self._thread = threading.Thread(
-            target=self._keep, args=(listener,), name="brltty", daemon=True
-        )
+        self._thread = threading.Thread(target=self._listen, args=(listener,), daemon=True)
         self._thread.start()
-        return self
 
-    def __str__(self) -> str:
-        return ":".join(map(str, self.address))
+    def _listen(self, listener: socket.socket) -> None:
+        """Wait for BRLTTY, again and again."""
+        with listener:
+            while not self._closing.is_set():
+                with contextlib.suppress(OSError), listener.accept()[0] as line:
+                    self._serve(line)
+                self.shown = self._line = None
+
+    def _serve(self, line: socket.socket) -> None:
+        """Read messages until the connection ends."""
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        line.settimeout(None)
+        line.sendall(f"cells {self._cells}\r\n".encode())
+        self._line = line
+        text, number = "", self._taken.number
+        with line.makefile("rb") as messages:
+            while not self._closing.is_set() and (data := messages.readline(LONGEST_LINE)):
+                kind, content = parse_message(data)
+                if kind == "Visual":
+                    text = content
+                elif kind == "Braille":
+                    number += 1
+                    self.shown = DisplayContent(content, text, number, time.perf_counter_ns())
 
     def send(self, command: str) -> None:
         """Send a command of BRLTTY's, such as ``fwinrt``; it is dropped without a connection."""
@@ -156,86 +204,10 @@ class BrlttyConnection:
                 self._line.shutdown(socket.SHUT_RDWR)
         self._thread.join(_JOIN_S)
 
-    def _keep(self, listener: socket.socket) -> None:
-        with listener:
-            while not self._closing.is_set():
-                with contextlib.suppress(OSError), listener.accept()[0] as line:
-                    self._serve(line)
-                self.shown = self._line = None
-
-    def _serve(self, line: socket.socket) -> None:
-        """Read messages until the connection ends."""
-        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        line.settimeout(None)
-        line.sendall(f"cells {self.cells}\r\n".encode())
-        self._line = line
-        text = ""
-        with line.makefile("rb") as messages:
-            while not self._closing.is_set() and (data := messages.readline(LONGEST_LINE)):
-                kind, content = parse_message(data)
-                if kind == "Visual":
-                    text = content
-                elif kind == "Braille":
-                    self._number += 1
-                    self.shown = DisplayContent(content, text, self._number, time.perf_counter_ns())
-
-
-def open_brltty(
-    rest: str, profile: Profile, *, cells: int = USUAL_CELLS, speed_mm_s: float | None = None
-) -> "BrailleDisplaySource":
-    """Open ``brltty:PORT`` or ``brltty:HOST:PORT``, to which BRLTTY connects.
-
-    The port is 35752 of this machine if none is given; the speed follows the profile's pulse rate.
-    """
-    connection = BrlttyConnection(rest, cells)
-    source = BrailleDisplaySource(connection, profile, speed_mm_s)
-    connection.open()
-    return source
-
-
-class BrailleDisplaySource(StimulusSource):
-    """Presents the cells that BRLTTY shows, one electrode a dot; closes the connection with itself.
-
-    Changed cells are presented from the first that is new, and where only the cursor moved, from
-    there, up to the last cell. Nothing is presented without BRLTTY.
-    """
-
-    knows_force = True
-    ended = "the display is switched off"
-    keys_help = "← →  window    n p  line    [ ]  cell    r  again    Enter  route    h  cursor    "
-
-    def __init__(
-        self, connection: BrlttyConnection, profile: Profile, speed_mm_s: float | None = None
-    ) -> None:
-        super().__init__(f"BRLTTY at {connection}")
-        speed_mm_s = usual_speed_mm_s(profile) if speed_mm_s is None else speed_mm_s
-        require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
-        self.connection: BrlttyConnection = connection
-        self.layout: CellLayout = cell_layout(profile, eight=True)
-        self._name = self.title
-        self._press_n = reading_force_n(profile)
-        self._shape = (profile.optics.sensor_columns, profile.optics.sensor_rows)
-        self._columns_a_s = speed_mm_s / self.layout.pitch_mm[0]
-        self._shown = DisplayContent()
-        self._dots = np.zeros((self.layout.rows, 0), np.bool_)
-        self._first, self._since_s = 0, 0.0
-        """Cell at the start of the motion, and its duration so far."""
-        self._cursor: int | None = None
-        self._before_ns: int | None = None
-        self._paused = False
-        self._jumps = 0
-        self._place: tuple[int, int] | None = None
-        self._asked: deque[Callable[[], None]] = deque()
-
     @property
     def cell(self) -> int:
         """Index of the cell in the middle of the array."""
-        return min(self._step() // self.layout.cell, max(0, len(self._shown.cells) - 1))
-
-    @property
-    def update(self) -> int:
-        """Number of the update under the finger."""
-        return self._shown.number
+        return min(self._step() // self.layout.cell, max(0, len(self._taken.cells) - 1))
 
     @property
     def at_end(self) -> bool:
@@ -245,7 +217,7 @@ class BrailleDisplaySource(StimulusSource):
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
         """Commands to BRLTTY and to the finger, callable from any thread."""
-        send = self.connection.send
+        send = self.send
         return {
             "right": lambda: send("fwinrt"),
             "left": lambda: send("fwinlt"),
@@ -262,21 +234,21 @@ class BrailleDisplaySource(StimulusSource):
 
     def read(self, time_ns: int) -> Stimulus | None:
         """Return the cells under the array at a time; stale while BRLTTY is away."""
-        shown, age_ns = self.connection.shown, 0
+        shown, age_ns = self.shown, 0
         elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
         self._before_ns = time_ns
         while self._asked:
             self._asked.popleft()()
-        if shown is not None and shown != self._shown:
+        if shown is not None and shown != self._taken:
             age_ns = max(0, time.perf_counter_ns() - shown.time_ns)
             self._take(shown)
         elif shown is not None and not self._paused:
             self._since_s += elapsed_s
         step, layout = self._step(), self.layout
-        if self._place != (self._shown.number, step):
-            self._place = (self._shown.number, step)
+        if self._place != (self._taken.number, step):
+            self._place = (self._taken.number, step)
             self.frames += 1
-        self.title: str = f"{self._name}: {self._shown.text if shown else 'waiting for it'}"
+        self.title: str = f"{self._name}: {self._taken.text if shown else 'waiting for it'}"
         # Columns of the text under the array; blank where there are none.
         left = step - layout.margin
         window = np.zeros((layout.rows, layout.columns), np.bool_)
@@ -296,10 +268,6 @@ class BrailleDisplaySource(StimulusSource):
             age_ns=age_ns, stale=shown is None, image=np.asarray(image, np.uint8),
         )  # fmt: skip
 
-    def close(self) -> None:
-        """Close the connection to BRLTTY."""
-        self.connection.close()
-
     def _toggle_pause(self) -> None:
         self._paused = not self._paused
 
@@ -309,7 +277,7 @@ class BrailleDisplaySource(StimulusSource):
 
     def _take(self, shown: DisplayContent) -> None:
         """Take over what BRLTTY shows, and go to its first new cell."""
-        before, self._shown = self._shown, shown
+        before, self._taken = self._taken, shown
         if shown.number == before.number:
             return
         missed = shown.number - before.number - 1
@@ -329,4 +297,4 @@ class BrailleDisplaySource(StimulusSource):
         """Return the column of the text in the middle of the array; at last, that behind it."""
         moved_s = max(0.0, self._since_s - REST_S)
         step = self._first * self.layout.cell + int(moved_s * self._columns_a_s + 1e-6)
-        return min(step, self._shown.length * self.layout.cell + self.layout.margin)
+        return min(step, self._taken.length * self.layout.cell + self.layout.margin)

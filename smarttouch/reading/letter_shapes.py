@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from skimage.morphology import skeletonize
 
-from smarttouch.base.errors import ExperimentError, ReadingError
+from smarttouch.base.errors import ExperimentError, ReadingError, SmartTouchError
 from smarttouch.imaging.array_window import (
     FEWEST_ROWS,
     pixel_pitch_mm,
@@ -81,17 +81,22 @@ def _words_of(prepared: PreparedPage, source: ReadingMaterial) -> Iterator[str]:
 
 def require_rows(profile: Profile, note: Note) -> None:
     """Raise unless an array has enough rows for letters; add a note if they are few."""
-    rows = rows_of(profile)
-    if rows < FEWEST_ROWS:
-        raise ReadingError(
-            f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letter shapes need at "
-            f"least {FEWEST_ROWS}: choose another profile, for example electric-mouse"
-        )
+    rows = _require_fewest_rows(profile, ReadingError)
     if rows < ENOUGH_ROWS:
         note(
             f"{profile.name} has {rows} rows of electrodes: many letters are indistinguishable on "
             f"fewer than {ENOUGH_ROWS}, read Braille instead"
         )
+
+
+def _require_fewest_rows(profile: Profile, error: type[SmartTouchError]) -> int:
+    rows = rows_of(profile)
+    if rows < FEWEST_ROWS:
+        raise error(
+            f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letters need at least "
+            f"{FEWEST_ROWS}: choose another profile, for example electric-mouse"
+        )
+    return rows
 
 
 def shape_line(prepared: PreparedPage, index: int, profile: Profile) -> TouchLine:
@@ -130,12 +135,7 @@ def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
     Drawn in the middle of an array with rows and columns, in its own proportions, with strokes one
     electrode wide.
     """
-    rows = rows_of(profile)
-    if rows < FEWEST_ROWS:
-        raise ExperimentError(
-            f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letters need at least "
-            f"{FEWEST_ROWS}: choose another profile, for example electric-mouse"
-        )
+    _require_fewest_rows(profile, ExperimentError)
     window = profile_for_reading(profile)
     shape = (window.optics.sensor_rows, window.optics.sensor_columns)
     sheet = Image.new("L", (2 * _DRAWN_PX, 2 * _DRAWN_PX), 255)

@@ -35,8 +35,6 @@ _ALONE = frozenset(["self", "well"])  # words that are not divided from their en
 _SAME_MM = 5.0  # difference of heights at which something repeats on several pages
 _HEAD_GAP = 1.15  # distance of a running head from the text, in usual ones
 _MOST_HEADS = 4  # lines of running heads; more of them mean copies of a page
-_NUMBER = re.compile(r"\d{1,5}|(?<=^)[ivxlc]{1,7}(?=$)", re.IGNORECASE)
-_ROMAN = dict(zip("ivxlc", (1, 5, 10, 50, 100), strict=True))
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
             dropped.add(id(line))
     if heads:
         named = "; ".join(
-            f"“{label}” on pages {', '.join(map(str, sorted(numbers)))}"
+            f"“{label}” on {len(numbers)} pages, {min(numbers)} to {max(numbers)}"
             for label, numbers in heads.items()
         )
         note(
@@ -106,17 +104,9 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
 def _keys(line: PrintedLine) -> Iterator[str]:
     """Yield a line's text, and it with each of its numbers relative to the page's."""
     yield line.text
-    for found in _NUMBER.finditer(line.text):
-        number = int(found[0]) if found[0].isdigit() else _roman(found[0].lower())
+    for found in re.finditer(r"\d{1,5}", line.text):
         before, after = line.text[: found.start()], line.text[found.end() :]
-        yield f"{before}#{after}\n{number - line.page}"
-
-
-def _roman(text: str) -> int:
-    values = [_ROMAN[letter] for letter in text]
-    return sum(
-        -value if value < max(values[k:]) else value for k, value in enumerate(values)
-    )  # fmt: skip
+        yield f"{before}#{after}\n{int(found[0]) - line.page}"
 
 
 def _repeated(line: PrintedLine, same: dict[str, list[PrintedLine]]) -> str:
@@ -223,9 +213,6 @@ class _Layout:
         pairs = list(itertools.pairwise(block))
         right_mm = np.array([line.right_mm for line in lines[:-1]])
         even = np.abs(np.diff(right_mm)) < _EVEN * lines[0].x_height_mm
-        if len(even) > 1 and even.mean() > 0.5:
-            for k in block:
-                self._edge_mm[k] = right_mm.max()
         is_open = list(itertools.starmap(self._is_open, pairs))
         capitals = len(pairs) > 1 and not any(line.text[0].islower() for line in lines)
         keeps = 0 < _OPEN * len(pairs) <= sum(is_open) or (

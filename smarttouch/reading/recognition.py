@@ -49,9 +49,6 @@ _LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "
 _FIRST, _LONGEST = 5, 3  # first lines, and longest ones, by which a page is known to be upright
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
 """Mean confidence of letters from which a page is upright, and the fewest that show it."""
-_MANY_LETTERS, _CLEARLY_MORE = 100, 1.5
-"""Letters of the sample, and factor by which it is more legible than upside down, from which no
-other turn is tried."""
 _MORE = 1.15  # factor by which more must be recognized after a turn for it to be kept
 
 
@@ -232,20 +229,14 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
 def _most_legible(prepared: PreparedPage, options: RecognitionOptions) -> tuple[PreparedPage, int]:
     """Return a page turned so that most of it is recognized, and that turn in degrees, clockwise.
 
-    A few of its lines are read, as part of the page. Only where they are hardly legible, they are
-    read upside down, and all turns tried.
+    A few of its lines are read, as part of the page. Only where they are hardly legible, all turns
+    are tried.
     """
-    sample = _sample(prepared, options)
+    _sample(prepared, options)
     most, letters = _legible(prepared)
     best, best_turn_deg = prepared, 0
     if letters >= _FEWEST_LETTERS and most >= _UPRIGHT * letters:
         return prepared, 0
-    is_guess = QUARTER in prepared.notes
-    if letters >= _MANY_LETTERS and not is_guess:
-        strips = [_strip(prepared, index)[::-1, ::-1] for index in sample]
-        upside_down = sum(map(_weight, recognize_lines(strips, options.languages)))
-        if most > _CLEARLY_MORE * upside_down:
-            return prepared, 0
     for turn_deg in (180, 90, 270):
         turned = np.ascontiguousarray(np.rot90(prepared.page.grey, -turn_deg // 90))
         candidate = _prepared(replace(prepared.page, grey=turned), options, quarter=False)
@@ -258,7 +249,7 @@ def _most_legible(prepared: PreparedPage, options: RecognitionOptions) -> tuple[
     notes = [words for words in prepared.notes
              if words not in (DOUBTFUL, QUARTER) and not words.startswith(LEFT_OUT)]  # fmt: skip
     # The quarter turn that was a guess was counterclockwise.
-    turn_deg = (best_turn_deg - 90 * is_guess) % 360
+    turn_deg = (best_turn_deg - 90 * (QUARTER in prepared.notes)) % 360
     return replace(best, notes=(*notes, *best.notes)), turn_deg
 
 
@@ -267,13 +258,12 @@ def _prepared(page: Page, options: RecognitionOptions, quarter: bool = True) -> 
     return prepare_page(page, options.light_on_dark, quarter=quarter, leftward=leftward)
 
 
-def _sample(prepared: PreparedPage, options: RecognitionOptions) -> list[int]:
-    """Recognize a few lines of a page, and return their indices."""
+def _sample(prepared: PreparedPage, options: RecognitionOptions) -> None:
+    """Recognize a few lines of a page."""
     lines = prepared.lines
     longest = sorted(range(len(lines)), key=lambda k: lines[k].left_mm - lines[k].right_mm)
     sample = sorted({*range(min(_FIRST, len(lines))), *longest[:_LONGEST]})
     _recognize(prepared, sample, options)
-    return sample
 
 
 def _recognize(prepared: PreparedPage, indices: list[int], options: RecognitionOptions) -> None:
@@ -289,14 +279,10 @@ def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
     return prepared.strip(index, min(max(line_px, _STRIP_PIXELS[0]), _STRIP_PIXELS[1]))
 
 
-def _weight(read: Read) -> float:
-    return len(read[0]) * read[1]
-
-
 def _legible(prepared: PreparedPage) -> tuple[float, int]:
     """Return the number of recognized letters, each counted by its confidence, and their number."""
     known = prepared.known.values()
-    return sum(map(_weight, known)), sum(len(text) for text, _ in known)
+    return sum(len(text) * sure for text, sure in known), sum(len(text) for text, _ in known)
 
 
 def recognized_lines(

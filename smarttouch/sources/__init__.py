@@ -18,7 +18,7 @@ SOURCES = Registry(
     Source,
     SourceError,
     {
-        "brltty": "smarttouch.reading.brltty:open_brltty",
+        "brltty": "smarttouch.reading.brltty:BrailleDisplaySource",
         "camera": "smarttouch.sources.camera:open_camera",
         "frames": "smarttouch.sources.video:open_frames",
         "page": "smarttouch.sources.virtual_finger:open_page",

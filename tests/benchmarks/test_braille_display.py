@@ -8,7 +8,7 @@ import pytest
 
 import smarttouch as st
 from smarttouch.imaging.array_window import profile_for_reading
-from smarttouch.reading.brltty import BrailleDisplaySource, BrlttyConnection
+from smarttouch.reading.brltty import BrailleDisplaySource
 from tests.reading.real_brltty import Brltty, free_port, require_brltty, wait_until
 
 HANGS_S = 120
@@ -26,24 +26,23 @@ class Pulses(st.Listener):
 
     def step(self, result):
         if result.sequence.slots:
-            self.sent_ns.setdefault(self._source.update, time.perf_counter_ns())
+            self.sent_ns.setdefault(_shown(self._source), time.perf_counter_ns())
             self.first.set()
 
 
-def _shown(connection):
+def _shown(source):
     """Return the number of what is shown; 0 before the first."""
-    return connection.shown.number if connection.shown else 0
+    return source.shown.number if source.shown else 0
 
 
 @pytest.mark.parametrize("board", ["emulator:"])
 def test_a_write_is_felt(row, quick, tmp_path, board):
     require_brltty()
     profile = profile_for_reading(st.load_profile("electric-mouse"))
-    connection = BrlttyConnection(str(free_port()), 6).open()
-    real = Brltty(f"client:{connection}", tmp_path)
+    source = BrailleDisplaySource(str(free_port()), profile, cells=6)
+    real = Brltty(f"client:{':'.join(map(str, source.address))}", tmp_path)
     real.start()
     late_ms = []
-    source = BrailleDisplaySource(connection, profile)
     with real.writer() as writer, st.open_display(board, profile) as display:
         pulses = Pulses(source)
         run = threading.Thread(
@@ -53,10 +52,10 @@ def test_a_write_is_felt(row, quick, tmp_path, board):
         writer.write("rising")
         assert pulses.first.wait(HANGS_S)
         for count in range(5 if quick else 200):
-            number = _shown(connection)
+            number = _shown(source)
             begun_ns = time.perf_counter_ns()
             writer.write("abcdef"[count % 5 :])
-            assert wait_until(lambda number=number: _shown(connection) > number, HANGS_S)
+            assert wait_until(lambda number=number: _shown(source) > number, HANGS_S)
             time.sleep(SHOWN_S)
             sent_ns = pulses.sent_ns.get(number + 1)
             if sent_ns is not None:
@@ -64,7 +63,7 @@ def test_a_write_is_felt(row, quick, tmp_path, board):
         display.stop()
         run.join(HANGS_S)
     real.kill()
-    connection.close()
+    source.close()
     assert late_ms
     p50, p99 = np.percentile(late_ms, [50, 99])
     row(

@@ -8,7 +8,7 @@ from smarttouch.base.afferent import Mode
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.anatomy import Bystander, load_anatomy
 from smarttouch.physiology.spikes import Bystanders, margins
-from smarttouch.reading.letter_responses import letter_sequences
+from smarttouch.reading.legibility import letter_sequences
 
 
 def test_depth_thickness_and_threshold_move_the_margin(profile):

@@ -12,7 +12,7 @@ from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.reading.brltty import BrailleDisplaySource, BrlttyConnection, DisplayContent
+from smarttouch.reading.brltty import BrailleDisplaySource, DisplayContent
 from smarttouch.reading.line_source import LINE_GAP_MM
 from smarttouch.running.config import RunConfig
 from smarttouch.running.delivered import DeliveredResponses, LinePicture
@@ -35,7 +35,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "braille-display.md"
 
 @pytest.fixture
 def brltty(tmp_path):
-    """Return BRLTTY, not yet started, and a connection that it will look for.
+    """Return BRLTTY, not yet started, and a source that it will look for.
 
     Its settings are those that the documentation asks readers to write.
     """
@@ -43,44 +43,44 @@ def brltty(tmp_path):
     (settings,) = re.findall(
         r"^```text\n(braille-driver.*?)^```$", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL
     )
-    connection = BrlttyConnection(str(free_port()), WIDTH).open()
-    real = Brltty(f"client:{connection}", tmp_path, settings)
-    yield real, connection
+    source = Dictation(str(free_port()))
+    real = Brltty(f"client:{':'.join(map(str, source.address))}", tmp_path, settings)
+    yield real, source
     real.kill()
-    connection.close()
-
-
-def put(writer, connection, text, there, cursor=0):
-    """Write a text until it is shown: just after its start BRLTTY can lose what is written."""
-    for _ in range(HANGS_S):
-        writer.write(text, cursor)
-        if wait_until(there, 1.0):
-            return
-    raise AssertionError(text, connection.shown)
+    source.close()
 
 
 class Dictation(BrailleDisplaySource):
     """Has the next text written as soon as one has been felt."""
 
-    def __init__(self, connection, writer, texts):
+    def __init__(self, address):
         # One pulse for each place.
-        super().__init__(connection, PROFILE, PROFILE.pulse.rate_hz * PROFILE.electrodes.cell_mm[0])
-        self._writer, self._texts = writer, iter(texts)
+        speed_mm_s = PROFILE.pulse.rate_hz * PROFILE.electrodes.cell_mm[0]
+        super().__init__(address, PROFILE, cells=WIDTH, speed_mm_s=speed_mm_s)
+        self.writer, self.texts = None, iter(())
         self._text, self._count = "", -1
         self.lines = {}
         """Line on the sheet of poses of each text, by its number."""
 
+    def put(self, text, there, cursor=0):
+        """Write a text until it is shown: just after its start BRLTTY can lose what is written."""
+        for _ in range(HANGS_S):
+            self.writer.write(text, cursor)
+            if wait_until(there, 1.0):
+                return
+        raise AssertionError(text, self.shown)
+
     def read(self, time_ns):
         if self.at_end:
-            text = next(self._texts, None)
+            text = next(self.texts, None)
             if text is None:
                 return None
             self._text, self._count = text, self._count + 1
-            put(self._writer, self.connection, text, lambda: self._shows(text))
+            self.put(text, lambda: self._shows(text))
         return super().read(time_ns)
 
     def _take(self, shown):
-        anew = shown.number != self._shown.number
+        anew = shown.number != self._taken.number
         super()._take(shown)
         # BRLTTY may show its own message before the first, and a text twice.
         if anew and shown.text == self._text:
@@ -88,14 +88,14 @@ class Dictation(BrailleDisplaySource):
             self.lines[self._count] = self._jumps
 
     def _shows(self, text):
-        shown = self.connection.shown
         # The text comes before its cells.
-        return shown is not None and shown.text == text and shown.number > self._shown.number
+        shown = self.shown
+        return shown is not None and shown.text == text and shown.number > self._taken.number
 
 
 @pytest.mark.timeout(600)
 def test_texts_come_back_from_the_delivered_dots(brltty):
-    real, connection = brltty
+    real, source = brltty
     real.start()
     draw = random.Random(1)
     texts = ["up", "so"] * (RISING // 2)
@@ -107,7 +107,7 @@ def test_texts_come_back_from_the_delivered_dots(brltty):
     bank = load_bank(PROFILE)
     answers = DeliveredResponses(PROFILE, bank, Mode.RA.afferents)
     with real.writer() as writer, Display("simulated:", PROFILE) as display:
-        source = Dictation(connection, writer, texts)
+        source.writer, source.texts = writer, iter(texts)
         config = RunConfig(mode=Mode.RA, scan="points")
         Runner(
             source, display, config, listeners=[answers.watch], load_kernels=lambda _: bank
@@ -126,26 +126,25 @@ def test_texts_come_back_from_the_delivered_dots(brltty):
 
 
 def test_keys_arrive_at_the_program_and_restarts_are_survived(brltty):
-    real, connection = brltty
-    source = BrailleDisplaySource(connection, PROFILE)
+    real, source = brltty
 
     def shown():
-        return connection.shown or DisplayContent()
+        return source.shown or DisplayContent()
 
     for _ in range(5 if WHOLE else 2):
         real.start()
-        with real.writer() as writer:
-            put(writer, connection, "hello", lambda: shown().text == "hello")
+        with real.writer() as source.writer:
+            source.put("hello", lambda: shown().text == "hello")
             source.keys["r"]()
-            source.read(0)
+            super(Dictation, source).read(0)
             source.keys["]"]()
-            source.read(1)
+            super(Dictation, source).read(1)
             for key, command in (("right", 24), ("left", 23), ("n", 2), ("p", 1), ("h", 29)):
                 source.keys[key]()
-                assert writer.key()["command"] == command, key
+                assert source.writer.key()["command"] == command, key
             source.keys["\n"]()
-            routed = writer.key()
+            routed = source.writer.key()
             assert (routed["command"], routed["argument"]) == (ROUTE, 1)
-            put(writer, connection, "hello", lambda: shown().cursor == 4, cursor=5)
+            source.put("hello", lambda: shown().cursor == 4, cursor=5)
         real.kill()
-        assert wait_until(lambda: connection.shown is None, HANGS_S)
+        assert wait_until(lambda: source.shown is None, HANGS_S)

@@ -13,13 +13,12 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ReadingError, SourceError
 from smarttouch.braille.cells import dots_to_cells
 from smarttouch.profile import load_profile
+from smarttouch.reading.braille_lines import cell_layout
 from smarttouch.reading.brltty import (
     MOST_CELLS,
     REST_S,
     BrailleDisplaySource,
-    BrlttyConnection,
     DisplayContent,
-    open_brltty,
     parse_message,
 )
 
@@ -56,24 +55,27 @@ def test_what_is_no_message_is_dropped(line):
 
 
 def test_a_display_is_found_and_lost_and_found_again():
-    connection = BrlttyConnection(str(free_port()), 7).open()
+    source = BrailleDisplaySource(str(free_port()), PROFILE, cells=7)
     with pytest.raises(SourceError, match="give another port"):
-        BrlttyConnection(str(connection)).open()
+        BrailleDisplaySource(str(source.address[1]), PROFILE)
     for number in (1, 2):
-        with socket.create_connection(connection.address) as line:
+        with socket.create_connection(source.address) as line:
             assert line.recv(99) == b"cells 7\r\n"
             for byte in b"x" * 20_000 + b"\n" + said("⠓⠊", "hi"):
                 line.send(bytes([byte]))
-            assert wait_until(lambda: connection.shown is not None, 10)
-            shown = connection.shown
+            assert wait_until(lambda: source.shown is not None, 10)
+            shown = source.shown
             assert (shown.cells, shown.text, shown.number) == ("⠓⠊", "hi", number)
-            connection.send("home")
+            source.read(number)
+            assert source.title.endswith(": hi")
+            source.send("home")
             assert line.recv(99) == b"home\r\n"
-        assert wait_until(lambda: connection.shown is None, 10)
-        connection.send("home")
-    connection.close()
+        assert wait_until(lambda: source.shown is None, 10)
+        assert source.read(number).stale
+        source.send("home")
+    source.close()
     with pytest.raises(OSError, match="refused"):
-        socket.create_connection(connection.address)
+        socket.create_connection(source.address)
 
 
 @pytest.mark.parametrize(("before", "now", "first"), [
@@ -89,13 +91,15 @@ def test_the_first_new_cell(before, now, first):
     assert DisplayContent(now).first_new(DisplayContent(before)) == first
 
 
-class ScriptedDisplay:
-    """Stands in for a connection: shows what a test says, and keeps the commands."""
+class Scripted(BrailleDisplaySource):
+    """Shows what a test says, and keeps the commands to BRLTTY."""
 
-    def __init__(self):
-        self.shown = None
+    def __init__(self, speed_mm_s):
+        super().__init__(str(free_port()), PROFILE, speed_mm_s=speed_mm_s)
         self.sent = []
-        self.send = self.sent.append
+
+    def send(self, command):
+        self.sent.append(command)
 
     def show(self, cells):
         number = self.shown.number if self.shown else 0
@@ -106,10 +110,9 @@ class Finger:
     """A source with its clock, which moves on by a cell a second."""
 
     def __init__(self):
-        self.line = ScriptedDisplay()
-        self.layout = BrailleDisplaySource(self.line, PROFILE).layout
-        speed_mm_s = self.layout.cell * self.layout.pitch_mm[0]
-        self.source = BrailleDisplaySource(self.line, PROFILE, speed_mm_s)
+        layout = cell_layout(PROFILE, eight=True)
+        self.source = Scripted(layout.cell * layout.pitch_mm[0])
+        self.show, self.layout = self.source.show, self.source.layout
         self._time_ns = 0
 
     def after(self, seconds=0.0):
@@ -132,9 +135,15 @@ class Finger:
         return dots_to_cells(window[rows, columns][None])
 
 
-def test_a_line_moves_through_electrode_by_electrode():
-    finger = Finger()
-    finger.line.show("⠓⠊⠞⠀⠀")
+@pytest.fixture
+def finger():
+    made = Finger()
+    yield made
+    made.source.close()
+
+
+def test_a_line_moves_through_electrode_by_electrode(finger):
+    finger.show("⠓⠊⠞⠀⠀")
     first, cell = finger.window(), finger.layout.cell
     windows = [finger.window(REST_S)]
     windows += [finger.window(1 / cell) for _ in range(4 * cell)]
@@ -145,43 +154,39 @@ def test_a_line_moves_through_electrode_by_electrode():
     assert finger.source.at_end
 
 
-def test_without_brltty_nothing_is_felt_and_a_lost_line_stays_where_it_was():
-    finger = Finger()
+def test_without_brltty_nothing_is_felt_and_a_lost_line_stays_where_it_was(finger):
     assert finger.after().stale
-    finger.line.show("⠓⠊⠞")
+    finger.show("⠓⠊⠞")
     assert not finger.after(0.02).stale
     assert finger.cell(REST_S) == "⠓"
-    shown, finger.line.shown = finger.line.shown, None
+    shown, finger.source.shown = finger.source.shown, None
     assert finger.after(60.0).stale
-    finger.line.shown = shown
+    finger.source.shown = shown
     assert finger.cell(1.0) == "⠊"
 
 
-def test_what_was_typed_is_felt_and_not_the_line_again():
-    finger = Finger()
-    finger.line.show("⠓⠊⣀⠀")
+def test_what_was_typed_is_felt_and_not_the_line_again(finger):
+    finger.show("⠓⠊⣀⠀")
     finger.cell(9.0)
-    finger.line.show("⠓⠊⠞⣀")
+    finger.show("⠓⠊⠞⣀")
     assert finger.cell() == "⠞"
     assert finger.cell(REST_S + 1.0) == "⣀"
 
 
-def test_the_cursor_is_followed_but_not_its_blinking():
-    finger = Finger()
-    finger.line.show("⠓⠊⠞⣀")
+def test_the_cursor_is_followed_but_not_its_blinking(finger):
+    finger.show("⠓⠊⠞⣀")
     finger.cell()
-    finger.line.show("⣓⠊⠞⠀")
+    finger.show("⣓⠊⠞⠀")
     assert finger.cell() == "⣓"
     assert finger.cell(REST_S + 1.0) == "⠊"
     for cells in ("⠓⠊⠞⠀", "⣓⠊⠞⠀"):
-        finger.line.show(cells)
+        finger.show(cells)
         finger.cell()
     assert finger.cell(1.0) == "⠞"
 
 
-def test_keys_move_the_finger_and_command_brltty():
-    finger = Finger()
-    finger.line.show("⠓⠊⠞⠎")
+def test_keys_move_the_finger_and_command_brltty(finger):
+    finger.show("⠓⠊⠞⠎")
     finger.cell()
     keys = finger.source.keys
     for key, place in (("]", "⠊"), ("]", "⠞"), ("[", "⠊"), ("r", "⠓"), ("[", "⠓")):
@@ -190,17 +195,16 @@ def test_keys_move_the_finger_and_command_brltty():
     finger.cell(REST_S + 2.0)
     for key in ("right", "left", "n", "p", "h", "\n", "\r"):
         keys[key]()
-    assert finger.line.sent == ["fwinrt", "fwinlt", "lndn", "lnup", "home", "route 2", "route 2"]
+    assert finger.source.sent == ["fwinrt", "fwinlt", "lndn", "lnup", "home", "route 2", "route 2"]
     keys[" "]()
     assert [finger.cell(5.0) for _ in range(2)] == ["⠞", "⠞"]
     keys[" "]()
     assert finger.cell(1.0) == "⠎"
 
 
-def test_updates_that_were_never_read_are_counted():
-    finger = Finger()
+def test_updates_that_were_never_read_are_counted(finger):
     for cells in ("⠓", "⠊", "⠞"):
-        finger.line.show(cells)
+        finger.show(cells)
     numbers = {finger.after(0.02).number for _ in range(50)}
     assert finger.source.dropped_frames == 2
     assert finger.source.frames == len(numbers) + 2
@@ -212,9 +216,9 @@ def test_updates_that_were_never_read_are_counted():
 ])  # fmt: skip
 def test_what_cannot_be_opened(address, options):
     with pytest.raises(SourceError, match=re.escape(address) if not options else None):
-        open_brltty(address, PROFILE, **options)
+        BrailleDisplaySource(address, PROFILE, **options)
 
 
 def test_an_array_too_small_for_cells():
     with raises(ReadingError, names="profile"):
-        open_brltty("1", load_profile("line-7"))
+        BrailleDisplaySource("1", load_profile("line-7"))
