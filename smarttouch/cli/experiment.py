@@ -47,7 +47,6 @@ class _Parts:
     standards: str | None = None
     repetitions: int | None = None
     trials: int | None = None
-    letters: str | None = None
     two_intervals: bool = False
     site: int | None = None
     train_s: float | None = None
@@ -105,7 +104,7 @@ def run_listed(
         argument(
             "An experiment, free, or a file of yours; all are listed without one. Options "
             "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27', "
-            "also trials, letters=AEIOU, two_intervals, train_s, gap_s and answer_s.",
+            "also trials, two_intervals, train_s, gap_s and answer_s.",
             "NAME|FILE.py",
         ),
     ] = None,
@@ -175,7 +174,7 @@ def _run_trials(
     stem, order = session_name(named, who.subject, who.session)
     options = ExperimentOptions(
         afferent, parts.procedure, parse_standards(parts.standards), parts.repetitions,
-        parts.trials, parts.site, parts.train_s, rate_hz, parts.letters, parts.two_intervals, order,
+        parts.trials, parts.site, parts.train_s, rate_hz, parts.two_intervals, order,
     )  # fmt: skip
     made = new_experiment(name, chosen, options)
     patience_s = _PATIENCE_S if simulated else None

@@ -38,7 +38,7 @@ def wrong(*names, **attributes):
 
 def test_the_list_names_every_experiment(program_here):
     listed = program_here("experiment run").stdout
-    for name in ("frequency", "detection", "discomfort", "two-point", "localization", "letters"):
+    for name in ("frequency", "detection", "discomfort", "localization"):
         assert f"\n{name} " in f"\n{listed}"
     assert "staircase" in listed
     assert "free" in listed
@@ -77,14 +77,6 @@ def test_recordings_of_a_session_are_numbered(program_here, tmp_path):
     assert trials[0].startswith("trial 10: standard 30 Hz, comparison ")
     assert trials[1].startswith("response 10: ")
     assert any(each.startswith("trial 1: ") for _, each in Recording(tmp_path / "run.mcap").events)
-
-
-def test_letters_end_with_who_was_taken_for_whom(program_here):
-    letters = "experiment run letters?letters=LOX&train_s=0.1&repetitions=2 --simulate model"
-    result = program_here(letters)
-    assert "1 in 3" in result.stdout
-    assert re.search(r"\b[0-6] of 6\b", result.stdout)
-    assert ["L", "O", "X"] in [line.split() for line in result.stdout.splitlines()]
 
 
 def test_discomfort_ends_with_a_current(program_here, tmp_path):
@@ -165,7 +157,7 @@ def test_free_stimulation_for_some_seconds(program_here, tmp_path):
      wrong(value="memory:", allowed=("simulated:",))),
     ("experiment run frequency --simulate me",
      says(value="me", allowed=("model", "random", "first", "silent"))),
-    ("experiment run sight --simulate model", wrong("'sight'", "frequency", "letters")),
+    ("experiment run sight --simulate model", wrong("'sight'", "frequency", "localization")),
     (f"{SIMULATED} --subject a/b", says(value="a/b")),
     (SIMULATED.replace("=30", "=30,x"), says(value="30,x")),
     (f"{SIMULATED} --output a.txt", wrong("a.txt", ".csv")),

@@ -30,9 +30,7 @@ from smarttouch.experiments.psychophysics.tasks import (
     DetectionTask,
     DiscomfortTask,
     FrequencyTask,
-    LetterTask,
     LocalizationTask,
-    TwoPointTask,
 )
 from smarttouch.experiments.psychophysics.trials import Stimuli, Task, Trial
 from smarttouch.profile import Profile
@@ -94,7 +92,7 @@ PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
 """Standards of PC: those of RA, and the two at which the paper's thresholds change (Fig. 18)."""
 LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
 """Levels of the detection experiment, as parts of the profile's threshold (our own choice)."""
-_FARTHEST = 4  # most steps of distance: to each side of a point, and between two points
+_FARTHEST = 4  # most steps of distance to each side of a point
 
 _IN_MA = ("detection", "discomfort")
 _SLOWER = 2.0
@@ -114,7 +112,6 @@ class ExperimentOptions:
     site: int | None = None
     train_s: float | None = None
     rate_hz: float | None = None
-    letters: str | None = None
     two_intervals: bool = False  # detection: in which of two, and not yes or no
     seed: int = 0
 
@@ -279,18 +276,6 @@ def _discomfort(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Des
     return Design(task, repeats(total), method, total, again=False)
 
 
-def _two_point(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
-    apart_mm = list(stimuli.pairs())
-    if not apart_mm:
-        raise ExperimentError(
-            f"no two electrodes of {stimuli.profile.name} lie beside each other: choose another "
-            "profile"
-        )
-    nearest = apart_mm[: 2 * _FARTHEST]
-    procedure, total = _constant([(0.0, each) for each in nearest], wanted, True, REPETITIONS)
-    return Design(TwoPointTask(stimuli, _rate_hz(stimuli, wanted)), procedure, method, total)
-
-
 def _localization(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
     site = _site(stimuli, wanted)
     beside = stimuli.beside(site)
@@ -305,24 +290,10 @@ def _localization(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> D
     return Design(task, procedure, method, total)
 
 
-def _letters(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
-    from smarttouch.reading.letter_shapes import draw_letter, parse_letters
-
-    letters = parse_letters(wanted.letters)
-    drawn = {each: draw_letter(each, stimuli.profile) for each in letters}
-    pairs = [(0.0, float(place)) for place in range(len(letters))]
-    task = LetterTask(stimuli, drawn, _rate_hz(stimuli, wanted))
-    procedure, total = _constant(pairs, wanted, False, 4)
-    notes = [f"right by chance: 1 in {len(letters)}"]
-    return Design(task, procedure, method, total, notes=notes)
-
-
 CATALOG = {
     "frequency": Experiment("which of two is faster (paper, III-C)", _frequency, ADAPTIVE, 1.0),
     "detection": Experiment("is it felt: threshold current, mA", _detection, ADAPTIVE),
     "discomfort": Experiment("when is a rising current enough, mA", _discomfort, (LIMITS,), 10.0),
-    "two-point": Experiment("which had two points: distance, mm", _two_point),
     "localization": Experiment("was the second left or right: distance, mm", _localization),
-    "letters": Experiment("which letter was drawn", _letters, train_s=1.0),
 }
 """The package's own experiments by name."""

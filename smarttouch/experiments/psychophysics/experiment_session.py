@@ -3,14 +3,11 @@
 import contextlib
 import math
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import count
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from smarttouch.base.errors import ExperimentError, SmartTouchError
 from smarttouch.base.version import __version__
@@ -24,7 +21,7 @@ from smarttouch.experiments.psychophysics.procedures import (
     middle_and_spread,
 )
 from smarttouch.experiments.psychophysics.simulated_subject import Subject, make_observer
-from smarttouch.experiments.psychophysics.tasks import FrequencyTask, LetterTask
+from smarttouch.experiments.psychophysics.tasks import FrequencyTask
 from smarttouch.experiments.psychophysics.trial_rows import About, RowFile, TrialRow
 from smarttouch.experiments.psychophysics.trials import Answer, Trial, TrialTiming
 from smarttouch.profile import Profile
@@ -114,9 +111,7 @@ def summarize(design: Design, session: TrialSession, path: Path) -> list[str]:
     rows = session.rows
     lines = [_progress(session)]
     answered = [row for row in rows if row.success is not None]
-    if isinstance(design.task, LetterTask):
-        lines += _letters(answered, list(design.task.drawn))
-    elif design.method == LIMITS:
+    if design.method == LIMITS:
         enough = [row.comparison for row in rows if row.success]
         if enough:
             middle, spread = middle_and_spread(enough)
@@ -124,7 +119,7 @@ def summarize(design: Design, session: TrialSession, path: Path) -> list[str]:
         if len(enough) < len(rows):
             lines.append(f"{len(rows) - len(enough)} times it was never enough")
         return lines
-    elif answered:
+    if answered:
         lines += _thresholds(path)
     if answered:
         lines.append(f"fit it: smarttouch experiment fit {path}")
@@ -152,33 +147,6 @@ def _thresholds(path: Path) -> list[str]:
     ]
 
 
-def _letters(answered: Sequence[TrialRow], letters: list[str]) -> list[str]:
-    """Return the share correct, and the confusions, a row for each letter."""
-    if not answered:
-        return []
-    right = sum(bool(row.success) for row in answered)
-    lines = [
-        f"{right} of {len(answered)} right, {right / len(answered):.0%}; by chance "
-        f"{1 / len(letters):.0%}"
-    ]
-    counts = confusion(answered, letters)
-    lines.append("shown, and answered as:")
-    lines.append("   " + "".join(f"{each:>3}" for each in letters))
-    for letter, row in zip(letters, counts.tolist(), strict=True):
-        lines.append(f"  {letter}" + "".join(f"{count or '·':>3}" for count in row))
-    return lines
-
-
-def confusion(rows: Sequence[TrialRow], letters: Sequence[str]) -> NDArray[np.int64]:
-    """Return how often each letter (row) was answered as each (column), (L, L) int."""
-    place = {letter: index for index, letter in enumerate(letters)}
-    counts = np.zeros((len(letters), len(letters)), np.int64)
-    for row in rows:
-        if row.response in place:
-            counts[place[row.target], place[row.response]] += 1
-    return counts
-
-
 @dataclass(frozen=True)
 class ExperimentSession:
     """One run of an experiment."""
@@ -204,9 +172,8 @@ class ExperimentSession:
         anatomy: str | Path = "paper",
     ) -> Subject:
         """Return a listener who answers in place of a person, with a finger by its seed."""
-        drawn = getattr(self.made.task, "drawn", None)
         observer = make_observer(
-            simulate, self.profile, seed + self.session.resumed, drawn, finger, anatomy
+            simulate, self.profile, seed + self.session.resumed, finger, anatomy
         )
         return Subject(source, observer)
 

@@ -1,7 +1,7 @@
 """Simulated observers: by thresholds, by spikes, and some that ignore the stimulus."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
@@ -90,8 +90,8 @@ class Observer(Protocol):
     ) -> str | None:
         """Return one of the alternatives, or None for no answer.
 
-        Tasks are ``faster`` and ``two`` (which interval: 1 or 2), ``felt`` and ``enough`` (y or n),
-        ``side`` (of the second point: l or r), ``which`` (a letter).
+        Tasks are ``faster`` (which interval: 1 or 2), ``felt`` and ``enough`` (y or n), ``side``
+        (of the second point: l or r).
         """
         ...
 
@@ -138,19 +138,14 @@ class SimulatedObserver:
     # two or more alternatives any one
     guess: float = 0.02
     lapse: float = 0.02
-    # standard deviation of a felt place, and of a felt distance
+    # standard deviation of a felt place
     place_mm: float = GRATING_LIMIT_MM / (math.sqrt(2) * float(ndtri(0.75)))
-    # standard deviation of each site of a remembered pattern, whose strongest is 1
-    letter_noise: float = 0.4
-    # (E,) in [0, 1]: patterns to recognize, by name
-    templates: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
         self._nerve = Nerve(self.finger, self.seed)
         self._judges: dict[str, Callable[[Sequence[Interval]], str | None]] = {
             "faster": self._faster,
-            "two": self._two,
             "side": self._side,
         }
 
@@ -160,11 +155,12 @@ class SimulatedObserver:
         """Return the answer to a trial."""
         if task in _YES_OR_NO:
             return "y" if self._random.random() < self._chance_of(task, intervals) else "n"
-        judged = (
-            self._which(intervals, alternatives)
-            if task == "which"
-            else self._judge(task)(intervals)
-        )
+        if task not in self._judges:
+            raise ExperimentError(
+                f"the simulated observer has no answer to {task!r}: it can answer "
+                f"{', '.join((*self._judges, *_YES_OR_NO))}"
+            )
+        judged = self._judges[task](intervals)
         if judged is None or self._random.random() < self.lapse:
             return alternatives[int(self._random.integers(len(alternatives)))]
         return judged
@@ -188,15 +184,6 @@ class SimulatedObserver:
         return chance_of_yes(above / self.slope, task, self.guess, self.lapse)
 
     # -- the tasks ---------------------------------------------------------
-
-    def _judge(self, task: str) -> Callable[[Sequence[Interval]], str | None]:
-        if task not in self._judges:
-            known = (*self._judges, *_YES_OR_NO, "which")
-            raise ExperimentError(
-                f"the simulated observer has no answer to {task!r}: it can answer "
-                f"{', '.join(known)}"
-            )
-        return self._judges[task]
 
     @cached_property
     def _enough(self) -> float:
@@ -230,49 +217,12 @@ class SimulatedObserver:
         perceived = np.log([self.frequency.perceived_hz(each.hz, each.ratio) for each in felt])
         return self._larger(perceived, self.frequency.spread)
 
-    def _two(self, intervals: Sequence[Interval]) -> str | None:
-        """Return the interval whose points are farther apart."""
-        wide_mm = [self._nerve.of(each).width_mm for each in intervals]
-        if any(math.isnan(each) for each in wide_mm):
-            return None
-        return self._larger(np.array(wide_mm), self.place_mm)
-
     def _side(self, intervals: Sequence[Interval]) -> str | None:
-        """Return the side of the last point from the first, in one interval or in two."""
-        at_mm = [self._nerve.of(each).center_mm[0] for each in _first_and_last(intervals)]
+        """Return the side of the second point from the first."""
+        at_mm = [self._nerve.of(each).center_mm[0] for each in intervals]
         if any(math.isnan(each) for each in at_mm):
             return None
         return "l" if self._larger(np.array(at_mm), self.place_mm) == "1" else "r"
 
-    def _which(self, intervals: Sequence[Interval], alternatives: Sequence[str]) -> str | None:
-        missing = [each for each in alternatives if each not in self.templates]
-        if missing:
-            raise ExperimentError(
-                f"the simulated observer has no template of {missing[0]!r}: give it a template of "
-                "each alternative"
-            )
-        nerve = self._nerve
-        felt = np.max([nerve.at_electrodes(nerve.of(each)) for each in intervals], axis=0)
-        if not felt.any():
-            return None
-        felt = felt / felt.max() + self.letter_noise * self._random.standard_normal(len(felt))
-        known = np.array([self.templates[each] for each in alternatives], np.float64)
-        known -= known.mean(axis=1, keepdims=True)
-        known /= np.maximum(np.linalg.norm(known, axis=1, keepdims=True), 1e-9)
-        return alternatives[int((known @ felt).argmax())]
-
     def _larger(self, values: NDArray[np.float64], spread: float) -> str:
         return str(1 + int((values + spread * self._random.standard_normal(len(values))).argmax()))
-
-
-def _first_and_last(intervals: Sequence[Interval]) -> tuple[Interval, Interval]:
-    """Return the first and last of several intervals, or one cut at its longest pause."""
-    first, last = intervals[0], intervals[-1]
-    if len(intervals) > 1 or len(first.time_s) < 2:
-        return first, last
-    cut = int(np.diff(first.time_s).argmax()) + 1
-    before, after = (
-        Interval(first.time_s[part], first.width_us[part], first.current_ua[part])
-        for part in (slice(None, cut), slice(cut, None))
-    )
-    return before, after

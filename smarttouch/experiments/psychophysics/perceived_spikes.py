@@ -24,7 +24,7 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import fire_all
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.physiology.vibration_thresholds import best_hz, sensitivity
-from smarttouch.running.delivered import FIELD_MM, DeliveredSlots
+from smarttouch.running.delivered import DeliveredSlots
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,18 +159,6 @@ class Response:
         places = self.finger.receptor_mm.astype(np.float64)
         return np.asarray(self.counts @ places / (total or math.nan))
 
-    @property
-    def width_mm(self) -> float:
-        """Distance of two equal points that spread as the receptors that fire do, mm.
-
-        Twice their largest standard deviation; NaN where none fires.
-        """
-        if not self.counts.any():
-            return math.nan
-        away_mm = self.finger.receptor_mm - self.center_mm
-        spread = (self.counts[:, None] * away_mm).T @ away_mm / self.counts.sum()
-        return 2 * math.sqrt(max(0.0, float(np.linalg.eigvalsh(spread)[-1])))
-
 
 class Nerve:
     """Afferents of one finger that respond to the intervals of trials; the seed is of the noise
@@ -179,8 +167,6 @@ class Nerve:
     def __init__(self, finger: Finger, seed: int = 0) -> None:
         self.finger: Finger = finger
         self._model = SpikeModel(finger, seed)
-        away = finger.receptor_mm[:, None] - finger.profile.electrodes.position_mm
-        self._field = np.exp(-(away**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
 
     def of(self, interval: Interval) -> Response:
         """Return the spikes of an interval."""
@@ -191,7 +177,3 @@ class Nerve:
         slots = DeliveredSlots(interval.current_ua, width_us, pause_us, lasts_us)
         (spikes,) = fire_all(self._model, [slots])
         return Response(self.finger, spikes.fired, interval.time_s)
-
-    def at_electrodes(self, response: Response) -> Floats:
-        """Return the spikes around each electrode, (E,), put where the receptors are."""
-        return np.asarray(response.counts @ self._field, np.float32)

@@ -1,11 +1,10 @@
 """A simulated subject: applies an observer to delivered pulses, and answers by key."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from smarttouch.base.errors import ExperimentError
 from smarttouch.boards.board import Board
@@ -131,7 +130,6 @@ def make_observer(
     kind: str,
     profile: Profile,  # profile of the finger whose spikes the model judges
     seed: int,  # of its noise
-    templates: Mapping[str, NDArray[np.float32]] | None = None,  # (E,): letters to recognize
     finger: int = 1,  # seed of the model's finger
     anatomy: str | Path = "paper",  # of the model's finger
 ) -> Observer:
@@ -139,9 +137,7 @@ def make_observer(
     checks."""
     if kind != "model":
         return BlindObserver(kind, seed)
-    judging = SimulatedObserver(
-        Finger(profile, finger, anatomy), load_bank(profile), seed, templates=templates or {}
-    )
+    judging = SimulatedObserver(Finger(profile, finger, anatomy), load_bank(profile), seed)
     return TwoLooks(judging, seed)
 
 

@@ -1,11 +1,7 @@
 """Tasks: each turns a condition into intervals, a question, and the correct answer."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from smarttouch.experiments.psychophysics.procedures import Condition
 from smarttouch.experiments.psychophysics.trials import (
@@ -124,25 +120,6 @@ class DiscomfortTask:
 
 
 @dataclass(frozen=True, eq=False)
-class TwoPointTask:
-    """Two points: in which interval were there two? They pulse in the same scan."""
-
-    stimuli: Stimuli
-    rate_hz: float
-
-    def trial(self, condition: Condition) -> Trial:
-        """Return the trial: two points, and one in the middle between them."""
-        apart_mm = condition.comparison
-        place_mm = self.stimuli.profile.electrodes.position_mm
-        pairs = self.stimuli.pairs()
-        pair = pairs[min(pairs, key=lambda far_mm: abs(far_mm - apart_mm))]
-        one = self.stimuli.nearest(place_mm[list(pair)].mean(axis=0))
-        two, single = (self.stimuli.train(each, self.rate_hz) for each in (pair, (one,)))
-        words = f"two points {apart_mm:g} mm apart"
-        return in_two_intervals(condition, two, single, "two", "which had two points?", words, "mm")
-
-
-@dataclass(frozen=True, eq=False)
 class LocalizationTask:
     """Localization: was the second point left or right of the first, by an offset in mm?"""
 
@@ -160,25 +137,4 @@ class LocalizationTask:
         return Trial(
             condition, trains, "side", "was the second left or right? arrow keys", LEFT_OR_RIGHT,
             target=side[0], success="r", words=f"second {abs(right_mm):g} mm {side}", unit="mm",
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class LetterTask:
-    """Letter recognition: which letter was it? A condition is its place in the list, from 0."""
-
-    stimuli: Stimuli
-    # (E,) float32: activation of each electrode for each letter
-    drawn: Mapping[str, NDArray[np.float32]]
-    rate_hz: float
-
-    def trial(self, condition: Condition) -> Trial:
-        """Return the trial: one letter."""
-        letter = list(self.drawn)[int(condition.comparison)]
-        train: Train = self.stimuli.train(self.drawn[letter], self.rate_hz)
-        question = f"which letter? {''.join(self.drawn)}, in capitals"
-        answers = {each: each for each in self.drawn}
-        return Trial(
-            condition, (train,), "which", question, answers, target=letter, success=letter,
-            words=f"letter {letter}", unit="letter",
         )  # fmt: skip

@@ -104,17 +104,6 @@ class Stimuli:
             if abs(down) < 1e-3 and abs(right) > 1e-3
         }
 
-    def pairs(self) -> dict[float, tuple[int, int]]:
-        """Return two sites beside each other around the middle, by their distance, mm."""
-        place_mm = self.profile.electrodes.position_mm
-        found: dict[float, tuple[float, tuple[int, int]]] = {}
-        for left in self.profile.driven.tolist():
-            for far_mm, right in self.beside(left).items():
-                off_mm = float(np.hypot(*(place_mm[left] + place_mm[right]))) / 2
-                if far_mm > 0 and off_mm < found.get(far_mm, (np.inf,))[0] - 1e-6:
-                    found[far_mm] = off_mm, (left, right)
-        return {far_mm: found[far_mm][1] for far_mm in sorted(found)}
-
 
 FIRST_OR_SECOND = {"1": "1", "2": "2", "left": "1", "right": "2"}
 YES_OR_NO = {"y": "y", "n": "n"}

@@ -1,7 +1,5 @@
 """A session that is interrupted, whenever and however, has the trials of one that is not."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +7,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
-from smarttouch.experiments.psychophysics.experiment_session import TrialSession, confusion
+from smarttouch.experiments.psychophysics.experiment_session import TrialSession
 from smarttouch.experiments.psychophysics.trial_rows import About, RowFile, read_rows
 from smarttouch.experiments.psychophysics.trials import Answer
 from smarttouch.profile import load_profile
@@ -97,12 +95,6 @@ def test_a_run_that_is_stopped_in_the_middle_of_a_trial_goes_on(
     assert second.session.over
     assert shown(read_rows(parts)) == shown(whole)
     assert [row.success for row in read_rows(parts)] == [row.success for row in whole]
-
-
-def test_letters_are_counted_by_what_they_were_answered_as():
-    answers = [("a", "b"), ("a", "b"), ("b", "b"), ("c", ""), ("c", "x")]
-    rows = [SimpleNamespace(target=shown, response=named) for shown, named in answers]
-    assert confusion(rows, "abc").tolist() == [[0, 2, 0], [0, 1, 0], [0, 0, 0]]
 
 
 def test_rows_hold_what_was_shown_and_answered(profile, bank, tmp_path):

@@ -339,11 +339,11 @@ def test_a_board_that_cannot_keep_a_frequency_is_noted(profile, changed, tmp_pat
     """A profile whose slots take longer than the period asked for."""
     slow = changed(profile, {"pulse.discharge_us": 5000})
     made = new_experiment(
-        "letters", slow, ExperimentOptions(letters="EF", repetitions=1, train_s=0.1)
+        "localization", slow, ExperimentOptions(repetitions=1, train_s=0.1, rate_hz=200)
     )
     sat = sit(made, slow, load_bank(slow), tmp_path / "rows.csv", Perfect(), experiment="l",
               course=TrialTiming(answer_s=0.1))  # fmt: skip
     (note,) = sat.source.notes
     asked_hz, sent_hz = map(float, re.findall(r"([\d.]+) Hz", note))
-    assert asked_hz == 50
-    assert sent_hz < 50
+    assert asked_hz == 200
+    assert sent_hz < 200

@@ -9,7 +9,6 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.psychophysics.catalog import CATALOG, ExperimentOptions, new_experiment
 from smarttouch.experiments.psychophysics.procedures import Condition
-from smarttouch.profile import load_profile
 
 from ...raising import raises
 from .simulated import ask_all
@@ -114,21 +113,6 @@ def test_discomfort_rises_to_the_profile_s_own_ceiling(profile):
     assert train.pulses * train.period_us == 10_000_000
 
 
-def test_two_points_and_one_between(profile):
-    made = new_experiment("two-point", profile, ExperimentOptions())
-    shown = conditions(made)
-    assert {each.comparison for each in shown} == {2, 4, 6, 8, 10, 12, 14}
-    place_mm = profile.electrodes.position_mm
-    for each in shown[:20]:
-        trial = made.task.trial(each)
-        two = sites(trial.intervals[each.comparison_interval - 1])
-        one = sites(trial.intervals[2 - each.comparison_interval])
-        assert (len(two), len(one)) == (2, 1)
-        assert math.dist(*place_mm[two]) == pytest.approx(each.comparison)
-        assert math.dist(place_mm[two].mean(axis=0), place_mm[one[0]]) <= 1.01
-        assert trial.target == trial.success == str(each.comparison_interval)
-
-
 def test_the_second_point_is_as_far_right_as_stated(profile):
     made = new_experiment("localization", profile, ExperimentOptions())
     shown = conditions(made)
@@ -139,17 +123,6 @@ def test_the_second_point_is_as_far_right_as_stated(profile):
         moved_mm = profile.electrodes.position_mm[second] - profile.electrodes.position_mm[first]
         assert moved_mm == pytest.approx((each.comparison, 0))
         assert (trial.target, trial.success) == ("r" if each.comparison > 0 else "l", "r")
-
-
-def test_letters_are_asked_for_by_their_names(profile):
-    made = new_experiment("letters", profile, ExperimentOptions(letters="AEZ", repetitions=2))
-    shown = conditions(made)
-    assert len(shown) == 6
-    trial = made.task.trial(Condition(0.0, 2.0, 0, 0, 0))
-    assert (trial.target, trial.success, trial.alternatives) == ("Z", "Z", ("A", "E", "Z"))
-    assert len(sites(trial.intervals[0])) > 10
-    (note,) = made.notes
-    assert "1 in 3" in note
 
 
 def test_every_experiment_has_a_question_and_answers(profile):
@@ -164,13 +137,12 @@ def test_every_experiment_has_a_question_and_answers(profile):
 
 @pytest.mark.parametrize(("name", "options", "about", "value", "allowed"), [
     ("hearing", {}, "experiment", "hearing", tuple(CATALOG)),
-    ("letters", {"procedure": "staircase"}, "procedure", "staircase", ("constant",)),
+    ("localization", {"procedure": "staircase"}, "procedure", "staircase", ("constant",)),
     ("frequency", {"site": 64}, "site", 64, None),
     ("frequency", {"standards": (300.0,)}, "standards", None, 200),
     ("frequency", {"standards": (200.0,), "procedure": "staircase"}, "standards", 200, 200),
     ("localization", {"site": 0}, "site", 0, None),
     ("discomfort", {"train_s": 0.9}, "train_s", 0.9, 1),
-    ("letters", {"letters": "7"}, "letters", "7", None),
 ])  # fmt: skip
 def test_what_cannot_be_asked_for(profile, name, options, about, value, allowed):
     with raises(ExperimentError, value=value, allowed=allowed):
@@ -182,9 +154,3 @@ def test_where_width_carries_intensity_nothing_counts_in_milliamperes(profile, c
     by_width = changed(profile, {"pulse.carrier": "width"})
     with raises(ExperimentError, names="pulse.carrier", value="width", allowed=("height",)):
         new_experiment(name, by_width, ExperimentOptions())
-
-
-def test_arrays_without_neighbors_have_no_two_points():
-    line = load_profile("line-8")
-    made = new_experiment("two-point", line, ExperimentOptions(repetitions=1))
-    assert {each.comparison for each in conditions(made)} == {1, 2, 3, 4, 5, 6, 7}

@@ -74,15 +74,6 @@ def test_the_middle_is_driven(profile, changed):
     assert np.hypot(*profile.electrodes.position_mm[other]) < 1.5
 
 
-def test_pairs_are_as_far_apart_as_stated_and_around_the_middle(profile, stimuli):
-    pairs = stimuli.pairs()
-    assert list(pairs) == [2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0]
-    place_mm = profile.electrodes.position_mm
-    for far_mm, (left, right) in pairs.items():
-        assert place_mm[right] - place_mm[left] == pytest.approx((far_mm, 0))
-        assert np.abs(place_mm[[left, right]].mean(axis=0)).max() <= 1.0
-
-
 def test_beside_is_to_the_right_and_on_the_same_row(profile, stimuli):
     place_mm = profile.electrodes.position_mm
     for right_mm, other in stimuli.beside(27).items():
