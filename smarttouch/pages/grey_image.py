@@ -27,7 +27,7 @@ _CONTRAST = 64  # levels between the darkest and the brightest of a picture that
 _THICK = 8
 """Strokes are thinner than the image's shorter side divided by this."""
 _WHITE_IS_ZERO = 262, 0  # photometric interpretation of a TIFF
-_ORIENTATION = 0x0112  # EXIF tag
+ORIENTATION = 0x0112  # EXIF tag; 5 and above lay the rows of the file upright
 _MIRRORED = {
     2: (-1, 1), 3: (-1, -1), 4: (1, -1), 5: (1, 1), 6: (-1, 1), 7: (-1, -1), 8: (1, -1),
 }  # fmt: skip
@@ -205,7 +205,7 @@ def _deep_grey(image: Image.Image) -> Pixels:
 def _deep_color(image: Image.Image) -> Pixels:
     """Return an image of 16 bits in color by OpenCV: Pillow reads their upper bytes only."""
     file: Any = getattr(image, "fp", None)
-    page, orientation = image.tell(), image.getexif().get(_ORIENTATION, 1)
+    page, orientation = image.tell(), image.getexif().get(ORIENTATION, 1)
     file.seek(0)
     data = np.frombuffer(file.read(), np.uint8)
     found, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, None, (page, page + 1))

@@ -15,7 +15,7 @@ from PIL import Image, UnidentifiedImageError
 
 from smarttouch.base.errors import PageError
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
-from smarttouch.pages.grey_image import read_pixels, to_grey
+from smarttouch.pages.grey_image import ORIENTATION, read_pixels, to_grey
 
 if TYPE_CHECKING:
     from smarttouch.pages.text_lines import TextLine
@@ -32,7 +32,6 @@ _LEAST_BELIEVED_DPI = 50.0
 _EVEN = 1.02  # ratio of resolutions across and down below which they are equal
 _MOST_UNEVEN = 4.0
 """Largest plausible ratio: the coarsest kind of fax has 2.1; more is an error of the file."""
-_ORIENTATION = 0x0112  # EXIF tag; 5 and above lay the rows of the file upright
 _SUBFILE, _NO_PAGE = 254, 1 | 4  # tag of a TIFF; bits of reduced images and masks
 _OLD_SUBFILE, _REDUCED = 255, 2
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
@@ -123,11 +122,10 @@ def read_grey(
         size = (round(width * finer / across), round(height * finer / down))
         require_pixels(str(path), *size)
         grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_LINEAR), np.uint8)
-    if dpi is not None:
-        return grey, INCH_MM / dpi
     if page_width_mm is not None:
         return grey, page_width_mm / grey.shape[1]
-    return grey, INCH_MM / finer if finer else None
+    dpi = dpi or finer
+    return grey, INCH_MM / dpi if dpi else None
 
 
 def require_pixels(name: str, width: int, height: int) -> None:
@@ -156,11 +154,8 @@ def require_size_mm(name: str, width_mm: float, height_mm: float, options: str =
 def _stated_dpi(image: Image.Image) -> tuple[float, float]:
     """Return pixels per inch across and down the upright page; 0 if implausible."""
     stated = image.info.get("dpi")
-    if not isinstance(stated, tuple):
+    across, down = map(float, stated) if isinstance(stated, tuple) else (0.0, 0.0)
+    low, high = sorted((across, down))
+    if not _LEAST_BELIEVED_DPI <= low <= high <= _MOST_UNEVEN * low or 72 in (low, high):
         return 0.0, 0.0
-    across, down = (float(each) for each in stated)
-    if not all(each >= _LEAST_BELIEVED_DPI and each != 72 for each in (across, down)):
-        return 0.0, 0.0
-    if max(across, down) > _MOST_UNEVEN * min(across, down):
-        return 0.0, 0.0
-    return (down, across) if image.getexif().get(_ORIENTATION, 1) >= 5 else (across, down)
+    return (down, across) if image.getexif().get(ORIENTATION, 1) >= 5 else (across, down)

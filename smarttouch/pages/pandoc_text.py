@@ -29,6 +29,8 @@ _EMBEDDED = {
     "odt": ("content.xml", rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>"),
 }
 """File within a document and elements in it that pandoc drops without a word."""
+_HEADS = rb"<w:t\b|<style:(?:header|footer)\b[^>]*>(?:\s*<[^>]*>)*[^<\s]"
+"""A header or footer with text, in DOCX and in ODT."""
 
 
 def read_pandoc_text(path: Path, note: Callable[[str], None]) -> str:
@@ -43,8 +45,7 @@ def read_pandoc_text(path: Path, note: Callable[[str], None]) -> str:
         raise PageError(f"{path}: this kind of document needs pandoc: {INSTALL}")
     data = read_bytes(path, PageError, MOST_BYTES)
     try:
-        has_heads = data.startswith(b"PK") and _has_heads(data)
-        data, embedded = _prepared(path, kind, data)
+        data, embedded, has_heads = _prepared(path, kind, data)
         done = subprocess.run(
             [program, "+RTS", f"-M{_MEMORY}", "-RTS", "--sandbox",
              "-f", kind + _FORMULAS.get(kind, ""), "-t", "plain",
@@ -57,12 +58,11 @@ def read_pandoc_text(path: Path, note: Callable[[str], None]) -> str:
     except (OSError, RuntimeError, KeyError, zipfile.BadZipFile, zlib.error) as error:
         raise PageError(f"{path} is damaged: {error}") from None
     if done.returncode:
-        lines = done.stderr.decode("utf-8", "replace").split("\n")
-        raise PageError(f"{path} cannot be read: {lines[0] or 'pandoc failed'}")
+        reason = done.stderr.decode("utf-8", "replace").split("\n")[0] or "pandoc failed"
+        raise PageError(f"{path} cannot be read: {reason}")
     text, _, notes = done.stdout.decode("utf-8").rpartition("\f")
-    for words in notes.split("\n"):
-        if words.strip():
-            note(words)
+    for words in filter(None, notes.splitlines()):
+        note(words)
     if has_heads:
         note("headers and footers of its pages are left out")
     if embedded:
@@ -71,19 +71,9 @@ def read_pandoc_text(path: Path, note: Callable[[str], None]) -> str:
     return "\n".join(filter(None, lines))
 
 
-def _has_heads(data: bytes) -> bool:
-    """Return whether a packed document has headers or footers with text."""
-    with zipfile.ZipFile(io.BytesIO(data)) as packed:
-        return any(
-            re.search(rb"<w:t\b", packed.read(name)) for name in packed.namelist()
-            if re.fullmatch(r"word/(header|footer)\d*\.xml", name)
-        ) or ("styles.xml" in packed.namelist() and re.search(
-            rb"<style:(?:header|footer)\b[^>]*>(?:\s*<[^>]*>)*[^<\s]", packed.read("styles.xml")
-        ) is not None)  # fmt: skip
-
-
-def _prepared(path: Path, kind: str, data: bytes) -> tuple[bytes, int]:
-    """Return a document as pandoc reads it best, and the number of its embedded objects.
+def _prepared(path: Path, kind: str, data: bytes) -> tuple[bytes, int, bool]:
+    """Return a document as pandoc reads it best, the number of its embedded objects, and whether it
+    has headers or footers with text.
 
     Raises if it is not in UTF-8, or would fill the memory when unpacked.
     """
@@ -93,7 +83,7 @@ def _prepared(path: Path, kind: str, data: bytes) -> tuple[bytes, int]:
         text = decoded(data, path, PageError)
         if kind not in _FORMULAS:
             text = _TEX.sub(lambda found: f"${found[1] or found[2]}$", text)
-        return text.encode(), len(embedded.findall(data))
+        return text.encode(), len(embedded.findall(data)), False
     with zipfile.ZipFile(io.BytesIO(data)) as packed:
         size = sum(member.file_size for member in packed.infolist())
         if size > MOST_UNPACKED_BYTES:
@@ -101,9 +91,13 @@ def _prepared(path: Path, kind: str, data: bytes) -> tuple[bytes, int]:
                 f"{path} would unpack to {size // 10**6} MB, above the limit of "
                 f"{MOST_UNPACKED_BYTES // 10**6}: give a smaller document"
             )
+        has_heads = any(
+            re.search(_HEADS, packed.read(member)) for member in packed.namelist()
+            if re.fullmatch(r"word/(?:header|footer)\d*\.xml|styles\.xml", member)
+        )  # fmt: skip
         content = packed.read(name) if name else b""
         if kind != "odt":
-            return data, len(embedded.findall(content))
+            return data, len(embedded.findall(content)), has_heads
         # pandoc drops the heads of an ODT's tables.
         content = re.sub(rb"</?table:table-header-rows[^>]*>", b"", content)
         content, count = embedded.subn(b"(embedded object)", content)
@@ -111,4 +105,4 @@ def _prepared(path: Path, kind: str, data: bytes) -> tuple[bytes, int]:
         with zipfile.ZipFile(file, "w") as copy:
             for member in packed.infolist():
                 copy.writestr(member, content if member.filename == name else packed.read(member))
-    return file.getvalue(), count
+    return file.getvalue(), count, has_heads
