@@ -129,6 +129,7 @@ def test_a_page_and_a_frame_of_any_kind(profile, tmp_path, name):
     KINDS[name](tmp_path / name)
     with open_document(tmp_path / name, dpi=150) as document:
         page = document.page(0).grey
+        assert len(document) == 1
     with open_source(f"frames:{tmp_path}", profile, unpaced=True) as source:
         frame = source.read(0).image
     np.testing.assert_array_equal(page, frame)

@@ -167,15 +167,6 @@ def test_html_names_what_it_hides_and_opens_nothing_else(tmp_path):
 
 
 @needs_pandoc
-def test_encrypted_fonts_of_an_epub_are_not_needed(tmp_path):
-    path = written(tmp_path, "epub")
-    with zipfile.ZipFile(path, "a") as packed:
-        packed.writestr("META-INF/encryption.xml", "<encryption/>")
-        packed.writestr("EPUB/fonts/a.otf", b"\x00\xff")
-    assert "Mill; 8:05; -" in read(path)[0]
-
-
-@needs_pandoc
 def test_damaged_large_and_foreign_documents_are_refused(tmp_path, monkeypatch):
     damaged = tmp_path / "damaged.odt"
     damaged.write_bytes(written(tmp_path, "odt").read_bytes()[:2000])
@@ -195,9 +186,3 @@ def test_without_pandoc_it_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(pandoc_text.shutil, "which", lambda _name: None)
     with pytest.raises(PageError, match="apt install pandoc"):
         read(path)
-
-
-def test_what_pandoc_does_not_read(tmp_path):
-    for name, data in (("a", b"# words"), ("a.txt", b"words"), ("a.html", b"\x00"), ("a.jpg", b"")):
-        (tmp_path / name).write_bytes(data)
-        assert format_of(tmp_path / name) is None
