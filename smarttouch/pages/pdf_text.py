@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.pages.grey_image import LUMA
 from smarttouch.pages.page_image import Page
@@ -94,20 +95,23 @@ def _pictured(page: Page, reason: str) -> Page:
 
 def _is_seen(page: Page, word: Word, point_mm: float) -> bool:
     """Return whether a word has another color than its ground, or any contrast: scans have it."""
-    box = page.grey[_box(page, word, point_mm)].astype(float)
+    box = _box(page, word, point_mm, _X_HEIGHT, 0.0, 0.0).astype(float)
     return not box.size or np.ptp(box) >= _FAINT or abs(box.mean() - word.grey) >= _FAINT
 
 
-def _box(page: Page, word: Word, point_mm: float) -> tuple[slice, slice]:
-    """Return the rows and columns of a word, and a little around it."""
+def _box(
+    page: Page, word: Word, point_mm: float, above: float, below: float, beside: float
+) -> NDArray[np.uint8]:
+    """Return the pixels of a word, and around its baseline and ends, in sizes of its letters."""
     scale, size = point_mm / page.mm_per_pixel, word.size
-    top, bottom = word.y - 0.95 * size, word.y + 0.4 * size
-    left, right = word.left - 0.2 * size, word.right + 0.2 * size
     rows, columns = (
         slice(max(0, int(low * scale)), max(0, math.ceil(high * scale)))
-        for low, high in ((top, bottom), (left, right))
+        for low, high in (
+            (word.y - above * size, word.y + below * size),
+            (word.left - beside * size, word.right + beside * size),
+        )
     )
-    return rows, columns
+    return page.grey[rows, columns]
 
 
 def _signs(sheet: "pypdfium2.PdfPage", printed: float) -> Iterator[Word]:
@@ -254,19 +258,18 @@ def _makes_sense(text: str) -> bool:
 
 def _print_beside(page: Page, words: list[Word], point_mm: float) -> list[TextLine]:
     """Return the lines of print on a page beside its words."""
-    rest = page.grey.copy()
+    page = replace(page, grey=page.grey.copy())
     for word in words:
-        box = rest[_box(page, word, point_mm)]
+        box = _box(page, word, point_mm, 0.95, 0.4, 0.2)
         if box.size:
             box[:] = np.median(box)
     step = page.mm_per_pixel / _COARSE_MM
-    coarse = cv2.resize(rest, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
+    coarse = cv2.resize(page.grey, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
     ink = np.abs(coarse - np.median(coarse)) > _CONTRAST
     heights = cv2.connectedComponentsWithStats(ink.astype(np.uint8))[2][1:, cv2.CC_STAT_HEIGHT]
     low, high = (height / _COARSE_MM for height in _LETTERS_MM)
     if np.count_nonzero((heights >= low) & (heights <= high)) < _FEWEST_SPOTS:
         return []
     # A scan may lie on its side.
-    turned = np.ascontiguousarray(np.rot90(rest))
-    pages = (Page(grey, page.mm_per_pixel) for grey in (rest, turned))
-    return next(filter(None, (find_lines(page, None) for page in pages)), [])
+    turned = Page(np.ascontiguousarray(np.rot90(page.grey)), page.mm_per_pixel)
+    return find_lines(page, None) or find_lines(turned, None)

@@ -39,7 +39,7 @@ FONTS = '<a Algorithm="http://www.idpf.org/2008/embedding"/>'
     ("a.brf", b"ABC", FileKind.BRF), ("a.BRL", b"ABC", FileKind.BRF),
     ("a.ueb", b"ABC", FileKind.BRF), ("a.bfm", b"ABC", FileKind.BRF),
     ("a", b"\x89PNG\r\n\x1a\n", FileKind.PAGES), ("a", b"%PDF-1.4\nplain", FileKind.PAGES),
-    ("a", b"a\x00b", FileKind.PAGES), ("a.html", b"\x00", FileKind.PAGES),
+    ("a", b"a\x00b", FileKind.PAGES), ("a.html", b"a\x00b", FileKind.PAGES),
 ])  # fmt: skip
 def test_kinds_of_files(tmp_path, name, data, kind):
     (tmp_path / name).write_bytes(data)

@@ -257,8 +257,9 @@ def test_a_hidden_text_of_a_scan_is_read(tmp_path):
 
 def test_words_that_nobody_sees_are_not_read(tmp_path):
     hidden = b"1 g " + put(40, 222, "white words here") + b"0 g "
-    page = load(pdf(tmp_path / "a.pdf", (40, 250, "These words are seen."), hidden))
-    assert page.words == ("These words are seen.",)
+    grey = b"0.9 g " + put(130, 222, "but pale ones are, -") + b"0 g "
+    page = load(pdf(tmp_path / "a.pdf", (40, 233, "These words are seen,"), hidden, grey))
+    assert page.words == ("These words are seen,", "but pale ones are, -")
     assert page.notes == ("words that are not visible are left out: 3",)
 
 
