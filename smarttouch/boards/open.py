@@ -22,7 +22,7 @@ BOARDS = Registry(
     Driver,
     BoardError,
     {
-        "emulator": "smarttouch.emulator.emulated_boards:open_emulator",
+        "emulator": "smarttouch.emulator.emulated_boards:EmulatorDriver",
         "etactilekit": "smarttouch.boards.kits.etactilekit:ETactileKitDriver",
         "kajimoto61": "smarttouch.boards.kits.kajimoto61:Kajimoto61Driver",
         "link": "smarttouch.boards.link.link_driver:LinkDriver",

@@ -13,15 +13,16 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import BoardError, SilentBoardError
+from smarttouch.base.errors import BoardError
 from smarttouch.base.posix import HAS_POSIX
 from smarttouch.base.registry import refuse_rest
-from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.board_answers import SentPart
 from smarttouch.boards.link.link_driver import LinkDriver
-from smarttouch.boards.link.link_host import LinkHost, reason_of
-from smarttouch.boards.link.protocol import ANSWERS, HostSession, Message, MessageKind
+from smarttouch.boards.link.packet_line import PacketLine
+from smarttouch.boards.link.protocol import MessageKind
+from smarttouch.boards.link.sequence_encoding import ScanPart
 from smarttouch.boards.reports import Capabilities
 from smarttouch.emulator import link_rules
 from smarttouch.emulator.firmware import DeliveryLog
@@ -31,6 +32,7 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 
 _BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest silence of the host
+_STEP_NS = 20_000  # of time while a sequence waits for the one before
 _LONGEST_GAP_NS = 1000 * (link_rules.KEPT_US + link_rules.SECOND_US)
 """Gap after which a board has forgotten all but its session: a longer one is cut to this."""
 
@@ -59,59 +61,70 @@ class _KeptBooks(DeliveryLog):
         )
 
 
-class _Packets:
+class _Packets(PacketLine):
     """Packets to and from firmware in the same thread, with the time that both go by."""
 
-    name = "simulated:"
+    def power_up(self, firmware: LinkFirmware) -> None:
+        self._firmware, self._now_ns, self._said_ns = firmware, 0, 0
 
-    def __init__(self, firmware: LinkFirmware, receive: Callable[[Message], None]) -> None:
-        self.session, self.now_ns, self._said_ns = HostSession(), 0, 0
-        self._firmware, self._receive, self._deframer = firmware, receive, Deframer()
-        self._answers: dict[int, Message] = {}
+    def _listen(self) -> None:
+        """Take each answer where the packet is sent."""
 
-    def ask(self, question: MessageKind, payload: bytes = b"") -> Message:
-        self.say(question, 0, payload)
-        if (answer := self._answers.pop(ANSWERS[question], None)) is None:
-            raise SilentBoardError(f"the board at {self.name} does not answer")
-        return answer
+    def now_s(self) -> float:
+        return self._now_ns / 1e9
 
-    def say(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> None:
-        self._said_ns = self.now_ns
-        self._take(self._firmware.feed(self.session.encode(kind, about, payload), self.now_ns))
+    def now_ns(self) -> int:
+        return self._now_ns
 
-    def wait_until(self, end_ns: int, go_on: Callable[[], None]) -> None:
-        """Let time pass, with heartbeats; ``go_on`` raises if the board is to be stopped."""
+    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        end_ns = self._now_ns + int(1e9 * timeout_s)
+        while not condition():
+            if self._now_ns >= end_ns:
+                return False
+            self.wait_until(self._now_ns + _STEP_NS)
+        return True
+
+    def send(
+        self,
+        kind: MessageKind,
+        about: int = 0,
+        payload: bytes = b"",
+        *,
+        proved: ProvedSequence | None = None,
+    ) -> None:
+        with self.line.current(proved):
+            self._said_ns = self._now_ns
+            packet = self.session.encode(kind, about, payload)
+            self.take(self._firmware.feed(packet, self._now_ns))
+
+    def wait_until(self, end_ns: int) -> None:
+        """Let time pass, with heartbeats."""
         while end_ns - self._said_ns > _BEAT_NS:
-            go_on()
-            self.now_ns = self._said_ns + _BEAT_NS
-            self.say(MessageKind.HEARTBEAT)
-        self.now_ns = end_ns
-        self._take(self._firmware.advance(end_ns))
-
-    def _take(self, data: bytes) -> None:
-        for packet in self._deframer.feed(data):
-            message = self.session.take(packet)
-            if message is not None and message.kind in ANSWERS.values():
-                self._answers[message.kind] = message
-            elif message is not None:
-                self._receive(message)
+            self._now_ns = self._said_ns + _BEAT_NS
+            self.send(MessageKind.HEARTBEAT)
+        self._now_ns = end_ns
+        self.take(self._firmware.advance(end_ns))
 
 
-class SimulatedDriver(LinkHost):
+class SimulatedDriver(LinkDriver):
     """Emulated ``link`` board in the same thread: ``simulated:``. Its firmware, its packets and its
     host are those of ``emulator:``, but time is simulated: a sequence begins when its time stamp
     says, or at the end of the one before, and is over as soon as it has been computed."""
 
     simulated_time: ClassVar[bool] = True
+    idle_s: ClassVar[float] = 0.0
     room: Room = Room()  # what the board has room for
     _packets: _Packets
 
     def __init__(
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
     ) -> None:
-        super().__init__(limits, output)
+        super().__init__("simulated", limits, output)
         refuse_rest("simulated:", rest, BoardError)
-        self._power_up()
+        self.port = None
+        self._packets = _Packets(self._receive)
+        self._books = _KeptBooks(limits.electrodes)
+        self._numbers = [0]  # of the board's sequences, by the numbers of their packets
 
     def take_pulses(self) -> Pulses:
         """Return all pulses delivered since the last call."""
@@ -119,16 +132,12 @@ class SimulatedDriver(LinkHost):
         return np.array(self._numbers, np.uint32)[packets.astype(np.intp)], width_us, current_ua
 
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
-        self._line, self._limits = line, limits
-        self._power_up()
-        self._take_offer(self._packets.ask(MessageKind.HELLO))
-        self._packets.ask(MessageKind.BEGIN)
-        self._set_up()
+        can = super().open(line, limits)
         # Until it reports the finger's force.
-        self._wait_until(protocol.ALIVE_MS * 1_000_000)
-        return self.can
+        self._packets.wait_until(protocol.ALIVE_MS * 1_000_000)
+        return can
 
-    def _power_up(self) -> None:
+    def _connect(self) -> None:
         self._books = _KeptBooks(self._limits.electrodes)
         self._firmware = LinkFirmware(
             "weighted" if self._output is None else self._output.kind,
@@ -136,34 +145,30 @@ class SimulatedDriver(LinkHost):
             ramp_ms=link_rules.RAMP_MS,
             room=self.room,
         )
-        self._packets = _Packets(self._firmware, self._receive)
-        self._number, self._suspicion = 0, ""
-        self._numbers = [0]  # of the board's sequences, by the numbers of their packets
+        self._line.name = "simulated:"
+        self._packets.power_up(self._firmware)
+        self._number, self._numbers = 0, [0]
         self._stamp_ns = self._ahead_ns = 0
         """Time stamp of the last sequence, and by how much such stamps are ahead of time here."""
 
-    def _wait_until(self, end_ns: int) -> None:
-        self._packets.wait_until(end_ns, self._line.require_running)
-
     def write(self, proved: ProvedSequence) -> None:
-        parts, packets, sequence = self._encoded(proved), self._packets, proved.sequence
-        with self._line.current(proved):
-            self._wait_until(self._start_ns(sequence.time_ns))
-            start_ns, before = packets.now_ns, parts[0]
-            for part in parts:
-                # The board has room for it as soon as the one before has begun.
-                self._wait_until(start_ns + 1000 * before.start_us)
-                before, self._number = part, self._number + 1
-                self._numbers.append(proved.number)
-                self._note_sent(proved, part, packets.now_ns)
-                packets.say(MessageKind.SEQUENCE, self._number, part.payload)
-            self._wait_until(start_ns + sequence.period_us * proved.times * 1000)
+        packets, sequence = self._packets, proved.sequence
+        with self._line.current():
+            packets.wait_until(self._start_ns(sequence.time_ns))
+            end_ns = packets.now_ns() + sequence.period_us * proved.times * 1000
+            super().write(proved)
+            packets.wait_until(end_ns)
+        packets.raise_fault()
         if self._suspicion:
             raise self._line.events.fault(self._suspicion)
 
+    def _note_sent(self, proved: ProvedSequence, part: ScanPart, now_ns: int) -> SentPart:
+        self._numbers.append(proved.number)
+        return super()._note_sent(proved, part, now_ns)
+
     def _start_ns(self, stamp_ns: int) -> int:
         """Return when a sequence with a time stamp begins."""
-        now_ns, before_ns, self._stamp_ns = self._packets.now_ns, self._stamp_ns, stamp_ns
+        now_ns, before_ns, self._stamp_ns = self._packets.now_ns(), self._stamp_ns, stamp_ns
         if not self._number or stamp_ns < before_ns:
             # Time stamps have started again, as they may.
             self._ahead_ns = stamp_ns - now_ns
@@ -171,22 +176,10 @@ class SimulatedDriver(LinkHost):
         self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)
         return now_ns + min(max(0, gap_ns), _LONGEST_GAP_NS)
 
-    def _receive(self, message: Message) -> None:
-        match message.kind:
-            case MessageKind.ACK:
-                self._note_start(message, self._packets.now_ns)
-            case MessageKind.NAK:
-                self._line.events.refused()
-                self._unsafe_refused += 1
-                _, _, words = reason_of(message)
-                raise BoardError(f"the simulated board refused sequence {message.about}: {words}")
-            case _:
-                super()._receive(message)
-
     def zero(self) -> None:
         # A stop from another thread waits for the end of the sequence.
         with self._line.current():
-            self._packets.say(MessageKind.STOP)
+            super().zero()
 
 
 _STARTS_WITHIN_S = 30.0  # time limit of the start, long enough for a busy computer
@@ -194,27 +187,42 @@ _ENDS_WITHIN_S = 3.0
 _SPEAKS_WITHIN_S = 5.0  # longest silence: it may wait for a processor
 
 
-def open_emulator(
-    rest: str,
-    limits: SafetyLimits,
-    output: Output | None = None,
-    books: Path | None = None,
-    events: Sequence[str] = (),
-) -> LinkDriver:
-    """Return the driver of a board that a process of its own emulates: ``emulator:``. ``books`` is
-    an existing folder for its delivery log, and ``events`` of the finger are as ``smarttouch
-    devices emulate`` takes them."""
-    refuse_rest("emulator:", rest, BoardError)
-    if not HAS_POSIX:
-        raise BoardError("emulator: needs a pseudo-terminal of Linux or macOS: use simulated: here")
-    kind = "weighted" if output is None else output.kind
-    url = f"link?electrodes={limits.electrodes}&output={kind}&linger=0.2"
-    url += f"&ramp_ms={link_rules.RAMP_MS}"
-    url += "".join(f"&event={quote(event)}" for event in events)
-    url += "" if books is None else f"&books={quote(str(books))}"
-    driver = LinkDriver("", limits, output, process=EmulatorProcess(url))
-    driver.answer_within(_SPEAKS_WITHIN_S)
-    return driver
+class EmulatorDriver(LinkDriver):
+    """Driver of a board that a process of its own emulates: ``emulator:``. ``books`` is an existing
+    folder for its delivery log, and ``events`` of the finger are as ``smarttouch devices emulate``
+    takes them."""
+
+    def __init__(
+        self,
+        rest: str,
+        limits: SafetyLimits,
+        output: Output | None = None,
+        books: Path | None = None,
+        events: Sequence[str] = (),
+    ) -> None:
+        refuse_rest("emulator:", rest, BoardError)
+        if not HAS_POSIX:
+            raise BoardError(
+                "emulator: needs a pseudo-terminal of Linux or macOS: use simulated: here"
+            )
+        super().__init__("emulator", limits, output)
+        self.port = None
+        kind = "weighted" if output is None else output.kind
+        url = f"link?electrodes={limits.electrodes}&output={kind}&linger=0.2"
+        url += f"&ramp_ms={link_rules.RAMP_MS}"
+        url += "".join(f"&event={quote(event)}" for event in events)
+        url += "" if books is None else f"&books={quote(str(books))}"
+        self.process: EmulatorProcess = EmulatorProcess(url)
+        self._packets.answer_s = self._packets.silence_s = _SPEAKS_WITHIN_S
+
+    def _connect(self) -> None:
+        self._line.connect(self.process.start(self._line))
+
+    def close(self) -> None:
+        super().close()
+        if not self._line.reopened:
+            self._line.disconnect()
+            self.process.end()
 
 
 class EmulatorProcess:

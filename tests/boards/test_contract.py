@@ -308,8 +308,9 @@ class TestSimulated(TestMemory):
     def assert_silent(self):
         # What repeats, or a measurement: its ramp of probes, a slot for each electrode.
         probes = probe_sequences(self.driver._limits, self.output)
-        assert self.driver.status().slots <= max(80, sum(each.slots for each in probes))
-        assert self.driver._firmware.books.state == "shorted"
+        books = self.driver._firmware.books
+        assert books.slots <= max(80, sum(each.slots for each in probes))
+        assert books.state == "shorted"
 
     def test_a_newer_sequence_ends_a_repetition(self, make_board):
         # Its time passes within a send: nothing newer can come before the end.
@@ -327,5 +328,5 @@ class TestSimulated(TestMemory):
             with raises(BoardError, names="board", value=2) as error:
                 board.send(self.sequence(1))
             assert "1234" in str(error.value)
-            assert (board.refused, board.report().violations) == (1, 1)
+            assert (board.refused, self.driver._firmware.books.violations) == (1, 1)
         self.assert_silent()

@@ -62,6 +62,6 @@ def test_stamps_may_begin_again(send):
 def test_what_overlaps_waits(send):
     """Two sequences at the same time are one after the other, and the next is on time again."""
     board = send((0, SILENT), (1, FAINT), (1.1, FAINT), (2, STRONG), (3, STRONG))
-    before_ns = board.driver._packets.now_ns
+    before_ns = board.driver._packets.now_ns()
     send((4, STRONG))
-    assert board.driver._packets.now_ns == before_ns + SECOND
+    assert board.driver._packets.now_ns() == before_ns + SECOND

@@ -15,7 +15,7 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import KernelTableError
 from smarttouch.base.wire.framing import Deframer, frame_packet
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.link_host import give_kernels
+from smarttouch.boards.link.link_driver import give_kernels
 from smarttouch.boards.link.protocol import (
     NOTHING,
     Feature,
@@ -305,7 +305,7 @@ def test_a_host_takes_no_table_of_the_same_size_for_its_own():
             ask=lambda *_, kept=kept: SimpleNamespace(payload=kept),
         )  # fmt: skip
         with raises(KernelTableError, names="kernels"):
-            give_kernels(line, image, 1000, lambda: None)
+            give_kernels(line, image, 1000)
 
 
 def test_every_cut_of_a_payload_is_malformed(keeper):

@@ -2,83 +2,149 @@
 
 import contextlib
 from collections import deque
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.base.errors import (
     BoardError,
     EmergencyStopError,
+    KernelTableError,
+    LineLostError,
+    OtherDeviceError,
     SequenceLateError,
 )
+from smarttouch.base.wire.framing import LARGEST_PACKET
+from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.link_host import OLD_PACKETS, LinkHost, SentPart, reason_of
+from smarttouch.boards.link.board_answers import (
+    BoardClock,
+    SentPart,
+    capabilities_of,
+    malformed,
+    reason_of,
+)
 from smarttouch.boards.link.packet_line import HEARTBEAT_S, PAUSED_S, PacketLine
-from smarttouch.boards.link.protocol import Message, MessageKind, Refusal, Rule
-from smarttouch.boards.link.sequence_encoding import ScanPart
-from smarttouch.boards.reports import Capabilities
+from smarttouch.boards.link.protocol import Message, MessageKind, Refusal, Rule, decode_volts
+from smarttouch.boards.link.sequence_encoding import (
+    KernelImage,
+    ScanPart,
+    encode_limits,
+    encode_scan,
+)
+from smarttouch.boards.reports import BoardReport, Capabilities, SequenceStart
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
+from smarttouch.stimulation.scan_sequence import KernelTable
 
 AGAIN_S = 0.04
 """Time after which a sequence without an ACK is sent again, unless it is too late for it."""
 AFTER_ZERO_S = 0.02
 """Time after a stop in which the board's count of slots must stand still: a period at 50 Hz."""
+OLD_PACKETS = slice(8, 10)
+"""Places of packets refused as old and as of another session in a board's account."""
+MOST_COMPLIANCES = 2.1
+"""Bound of a slot's voltage: sources of both poles at their limit reach twice the compliance."""
+OPEN_SHARE = 0.97
+"""Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
+OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
+_PIECE = 1024  # bytes of kernels at once: nothing else can pass while they do
+_IDLE = 3  # times that nothing new may have been kept
 
 
-class PortProcess(Protocol):
-    """Process that emulates a board, on a port of its own."""
+def give_kernels(packets: PacketLine, image: KernelImage, most_bytes: int) -> None:
+    """Give a board its kernels, in packets of at most ``most_bytes``; what it keeps already is not
+    sent again. A board that keeps nothing is lost."""
+    piece = min(_PIECE, most_bytes - OVERHEAD - protocol.KERNELS.size)
+    at, most, data, idle = 0, 0, b"", 0
+    while idle < _IDLE:
+        head = protocol.KERNELS.pack(image.identity, len(image.data), at)
+        answer = packets.ask(MessageKind.KERNELS, head + data).payload
+        if len(answer) != protocol.KEPT.size:
+            raise malformed(packets.name)
+        identity, kept, whole, proof = protocol.KEPT.unpack(answer)
+        if identity == image.identity and whole:
+            if proof == image.proof(packets.session.number):
+                return
+            raise KernelTableError(
+                f"the board at {packets.name} holds other kernels than those sent"
+            )
+        # The first query carries no kernels: its answer shows where to begin.
+        kept = kept if identity == image.identity and kept < len(image.data) else 0
+        idle = 0 if kept > most else idle + 1
+        most = max(most, kept)
+        at, data = kept, image.data[kept : kept + piece]
+    # Its session may have ended, as after 100 ms in which the host was held up.
+    raise LineLostError(
+        f"the board at {packets.name} does not keep the kernels that it is sent: check its firmware"
+    )
 
-    def start(self, line: Line) -> str:
-        """Return the name of the port; of the same process if the line was only lost."""
-        ...
 
-    def end(self) -> None: ...
-
-
-class LinkDriver(LinkHost):
+class LinkDriver(Driver):
     """Driver of a board at the far end of a serial line: ``link:PORT``, a device or any URL that
-    pyserial knows; ``process`` emulates the board where there is none."""
+    pyserial knows."""
 
+    keeps_kernels: ClassVar[bool] = True
+    reports_delivery: ClassVar[bool] = True
+    reports_starts: ClassVar[bool] = True
+    _line: Line
     idle_s: ClassVar[float] = HEARTBEAT_S / 4
 
-    def __init__(
-        self,
-        port: str,
-        limits: SafetyLimits,
-        output: Output | None = None,
-        *,
-        process: PortProcess | None = None,
-    ) -> None:
-        super().__init__(limits, output)
-        if not port and process is None:
+    def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
+        if not port:
             raise BoardError("link: needs a port, for example link:/dev/ttyACM0")
-        self.port = port or None
-        self.process = process
+        self.port = port
         self._packets: PacketLine = PacketLine(self._receive)
         self._flight: SentPart | None = None  # without an answer: the board has room for one
         self._repeated: deque[int] = deque(maxlen=64)
         """Sequences sent more than once: they may be answered more than once."""
         self._again_s = 0.0
-
-    def answer_within(self, seconds: float) -> None:
-        """Set the longest wait for an answer, and the longest silence of the board."""
-        self._packets.answer_s = self._packets.silence_s = seconds
+        self._output = output
+        self._limits = limits
+        self._can: Capabilities | None = None
+        self._number = 0
+        self._account: tuple[Any, ...] | None = None
+        """Account of the board at zero, since it was stopped."""
+        self._account_before: tuple[Any, ...] = ()
+        """Account of the board when it was opened, or opened again after its line was lost."""
+        self._packets_before = 0  # packets that it had refused when it was opened
+        self._slots_sent = 0  # slots sent since then, repetitions included
+        self._unsafe_refused = 0
+        """Sequences refused as unsafe since then, and those sent again: they may count twice."""
+        self._suspicion = ""  # fault found in what the board says, until the board is latched
+        self._table: KernelTable | None = None
+        self._image: KernelImage | None = None
+        self._board_clock = BoardClock()
+        self._sent: deque[SentPart] = deque(maxlen=4)
+        self._volts: list[NDArray[np.float32]] = []  # voltages of the parts of a scan so far
 
     # -- the driver's interface --------------------------------------------
 
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
         self._line, self._limits = line, limits
-        line.connect(self.process.start(line) if self.process is not None else str(self.port))
+        self._connect()
         self._flight = None
         self._suspicion = ""
         self._packets.open(line)
         if not line.reopened:
             self._packets_before = 0
         self._packets.begin(self._take_offer)
-        self._set_up()
+        limited = self._packets.ask(MessageKind.LIMITS, encode_limits(self._limits))
+        if limited.payload != b"\1":
+            raise malformed(self._packets.name)
+        self._give_kernels()
+        self._account_before, self._account = self._ask_account(), None
+        self._slots_sent = self._unsafe_refused = 0
+        # It may have been switched off meanwhile.
+        self._board_clock = BoardClock()
         if not line.reopened:
             self._packets_before = sum(self._account_before[OLD_PACKETS])
         return self.can
+
+    def _connect(self) -> None:
+        self._line.connect(str(self.port))
 
     def write(self, proved: ProvedSequence) -> None:
         for part in self._encoded(proved):
@@ -109,9 +175,6 @@ class LinkDriver(LinkHost):
             # A board still in its session would refuse the next HELLO; after a stop this is barred.
             packets.stop_blindly()
         packets.close()
-        if self.process is not None and not self._line.reopened:
-            self._line.disconnect()
-            self.process.end()
 
     def idle(self) -> float | None:
         """Send a lost packet again, and a heartbeat if one is due."""
@@ -137,11 +200,101 @@ class LinkDriver(LinkHost):
         """Number of packets from the board that were old, of another session, or not requested."""
         return self._packets.refused
 
+    # -- the session ---------------------------------------------------------
+
+    @property
+    def can(self) -> Capabilities:
+        """Capabilities of the board, which is open."""
+        assert self._can is not None
+        return self._can
+
+    def store_kernels(self, table: KernelTable) -> None:
+        self._table = table
+        self._give_kernels()
+
+    def _give_kernels(self) -> None:
+        """Give the board as many kernels as it has room for; the rest goes as currents."""
+        can, self._image = self.can, None
+        if self._table is None or not can.kernel_bytes or not can.packet_bytes:
+            return
+        image = KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
+        try:
+            give_kernels(self._packets, image, can.packet_bytes)
+        except KernelTableError as other:
+            raise self._line.events.fault(str(other)) from None
+        self._image = image
+
+    def _take_offer(self, answer: Message) -> None:
+        """Take a board's capabilities if they fit the profile and, once its line was lost, those
+        from before. A wrong board has received no more than HELLO."""
+        name, known = self._packets.name, self._can if self._line.reopened else None
+        found = capabilities_of(answer, name)
+        if found.emergency_switch and answer.state & protocol.SWITCH_OPEN:
+            raise EmergencyStopError(
+                f"the emergency switch of the board at {name} is open: close it, then begin again"
+            )
+        if known not in (None, found):
+            raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
+        outputs, electrodes = found.electrodes, self._limits.electrodes
+        wanted = found.output if self._output is None else self._output.kind
+        if (outputs, found.output) != (electrodes, wanted):
+            raise BoardError(
+                f"the board at {name} has {outputs} electrodes and is {found.output}, the profile "
+                f"needs {electrodes} and {wanted}: use the profile of this board"
+            )
+        self._can = found
+
+    def _ask_account(self) -> tuple[Any, ...]:
+        """Return a REPORT: counts, mA and µC, in the order of `protocol.REPORT`."""
+        answer = self._packets.ask(MessageKind.STATUS)
+        if len(answer.payload) != protocol.REPORT.size:
+            raise malformed(self._packets.name)
+        fields = protocol.REPORT.unpack(answer.payload)
+        strongest_ua, charge_pc, net_pc = fields[4:7]
+        return (*fields[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *fields[7:])
+
+    def status(self) -> BoardReport:
+        """Return the board's report; latch the board if that has what was not sent."""
+        now, before, limits = self._account, self._account_before, self._limits
+        if now is None:
+            now = self._ask_account()
+        violations, slots = now[3] - before[3], now[1] - before[1]
+        largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
+        fault = self._line.events.fault
+        if violations > self._unsafe_refused:
+            raise fault(
+                f"the board counted {violations} violations of its own rules, and refused "
+                f"{self._unsafe_refused} sequences for one"
+            )
+        if slots > self._slots_sent:
+            raise fault(f"the board delivered {slots} slots where {self._slots_sent} were sent")
+        if now[4] > max(before[4], largest_ma):
+            raise fault(
+                f"the board delivered {now[4]:g} mA, above the {largest_ma:g} mA that may be sent"
+            )
+        refused = max(0, sum(now[OLD_PACKETS]) - self._packets_before)
+        return BoardReport(*(*now[:7], refused))
+
     # -- sequences ---------------------------------------------------------
+
+    def _encoded(self, proved: ProvedSequence) -> list[ScanPart]:
+        can = self.can
+        room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
+        switched = can.output != "weighted"
+        return encode_scan(
+            proved.sequence, proved.times, can.measures, switched, self._image, room, can.max_slots
+        )
+
+    def _note_sent(self, proved: ProvedSequence, part: ScanPart, now_ns: int) -> SentPart:
+        """Remember what is about to be sent, and return it."""
+        sent = SentPart(self._number, proved, part, now_ns)
+        self._sent.append(sent)
+        self._slots_sent += part.slots * proved.times
+        return sent
 
     def _send_part(self, proved: ProvedSequence, part: ScanPart) -> None:
         """Send a sequence, or a part of one, which is due when the part before has begun."""
-        packets, now_ns = self._packets, self._line.now_ns()
+        packets, now_ns = self._packets, self._packets.now_ns()
         if part.first:
             proved = self._line.later(proved, max(proved.due_ns, now_ns))
         with packets.news:
@@ -210,11 +363,49 @@ class LinkDriver(LinkHost):
         match message.kind:
             case MessageKind.ACK if len(message.payload) == protocol.ACK.size:
                 if self._is_first_answer(message):
-                    self._note_start(message, self._line.now_ns())
+                    self._note_start(message, self._packets.now_ns())
             case MessageKind.NAK:
                 self._refused(message)
+            case MessageKind.ALIVE:
+                measures = self._can is not None and self._can.force
+                if measures and len(message.payload) == protocol.ALIVE.size:
+                    (force_mn,) = protocol.ALIVE.unpack(message.payload)
+                    self._line.events.force(force_mn / 1000)
+            case MessageKind.VOLTAGES:
+                self._note_volts(message)
             case _:
-                super()._receive(message)
+                self._packets.session.refuse()
+
+    def _note_start(self, message: Message, now_ns: int) -> None:
+        """Take the start of a sequence from its acknowledgment."""
+        (board_us,) = protocol.ACK.unpack(message.payload)
+        for sent in self._sent:
+            if sent.number == message.about:
+                time_ns = self._board_clock.note(board_us, sent.sent_ns, now_ns)
+                if not sent.part.first:
+                    start = SequenceStart(sent.proved.number, time_ns, board_us)
+                    self._line.events.started(start)
+
+    def _note_volts(self, message: Message) -> None:
+        sent = next((each for each in self._sent if each.number == message.about), None)
+        if sent is None:
+            return self._packets.session.refuse()
+        sequence, part = sent.proved.sequence, sent.part
+        found = decode_volts(message.payload)
+        if len(found) != part.slots or not len(found):
+            return None
+        self._volts = [*self._volts, found] if part.first else [found]
+        volts = np.concatenate(self._volts)
+        if len(volts) == sequence.slots == part.first + part.slots:
+            compliance = self.can.compliance_v
+            if compliance is not None and volts.max() > MOST_COMPLIANCES * compliance:
+                self._suspicion = (
+                    f"the board measured {volts.max():.0f} V with a source of {compliance:g} V"
+                )
+            self._line.events.volts(sequence, volts)
+            lifted = compliance is not None and bool((volts >= OPEN_SHARE * compliance).all())
+            self._line.events.lift(lifted)
+        return None
 
     def _is_first_answer(self, message: Message) -> bool:
         """Return whether a packet answers the sequence on its way; count it if it answers none."""

@@ -95,6 +95,10 @@ class PacketLine:
         """Return the time by the clock of all timeouts here."""
         return time.monotonic()
 
+    def now_ns(self) -> int:
+        """Return the time by which sequences are sent and answered."""
+        return self.line.now_ns()
+
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for a condition, with `news` held; return whether it holds."""
         return self.news.wait_for(condition, timeout_s)
