@@ -50,6 +50,7 @@ __all__ = ["BOTH", "Board", "BoardReport", "Capabilities", "Polarity"]
 
 FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock
 MEASURED_WITHIN_NS = 10_000_000_000  # time in which measuring scans must be written
+PROBES = 3  # attempts at a measuring scan: a reading may be lost on the way
 ENDS_WITHIN_S = 3.0  # of the sender thread
 RESTARTS = 3  # attempts to restart a board after its line was lost
 _MOST_VOLTS = 64
@@ -622,15 +623,16 @@ class Board:
 
     def _probe(self, probe: ScanSequence) -> NDArray[np.float64]:
         """Deliver a scan and return its voltages."""
-        self.send(probe)
-        self.drain()
-        found = [volts for scan, volts in self.take_volts() if scan.time_ns == probe.time_ns]
-        if probe.slots and not found:
-            raise BoardError(
-                f"the board at {self._line.name} did not report the voltages of its electrodes: "
-                "measure again"
-            )
-        return found[-1].astype(np.float64) if found else np.empty(0)
+        for again in range(PROBES):
+            self.send(replace(probe, time_ns=probe.time_ns + again))
+            self.drain()
+            found = [volts for scan, volts in self.take_volts() if scan.time_ns >= probe.time_ns]
+            if found or not probe.slots:
+                return found[-1].astype(np.float64) if found else np.empty(0)
+        raise BoardError(
+            f"the board at {self._line.name} did not report the voltages of its electrodes: "
+            "measure again"
+        )
 
     def report(self) -> BoardReport:
         """Return the report of what was delivered: the device's own, else the host's."""

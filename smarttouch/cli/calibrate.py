@@ -334,12 +334,11 @@ def scale(
     With the resistor in place of the finger, devices test --electrode N --current-ma 1 makes the
     pulses.
     """
-    from smarttouch.boards.kits.current_scale import check_reading, measured_scale
+    from smarttouch.boards.kits.current_scale import measured_scale
     from smarttouch.running.display import open_display
 
-    ratio = check_reading(volts, ohm, current_ma)
-    board = open_display(url, profile).board
-    scale_ua = measured_scale(url.partition(":")[0], board.driver.ua_per_count, ratio)
+    before_ua = open_display(url, profile).board.driver.ua_per_count
+    ratio, scale_ua = measured_scale(url.partition(":")[0], before_ua, volts, ohm, current_ma)
     typer.echo(
         f"{volts:g} V across {ohm:g} ohm are {1000 * volts / ohm:.3f} mA: {ratio:.3f} of nominal."
     )

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError
-from smarttouch.boards.kits.current_scale import BAND, NOMINAL_UA, check_reading
+from smarttouch.boards.kits.current_scale import BAND, NOMINAL_UA, measured_scale
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.profile.device import Output
@@ -88,4 +88,4 @@ def test_a_scale_that_is_too_low_does_not_raise_the_largest_current(kind):
 ])  # fmt: skip
 def test_impossible_readings_are_refused(volts, ohm, current_ma):
     with raises(BoardError):
-        check_reading(volts, ohm, current_ma)
+        measured_scale("link", None, volts, ohm, current_ma)

@@ -224,7 +224,7 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
     assert profile.title == load_profile("etactilekit-32").title
     assert profile.output.masked == (5, 9)
     assert all(10 < each < 60 for each in profile.output.impedance_kohm)
-    assert len(set(profile.output.impedance_kohm)) > 20
+    assert len(set(profile.output.impedance_kohm)) > 10
     assert "30 good, 1 open, 1 short of 32 el" in profile.calibrated["contact"].found
     rows = [line.split() for line in shown.splitlines()[:4]]
     assert (rows[0][5], rows[1][1]) == ("open", "short")

@@ -75,9 +75,11 @@ def in_band(ratio: float) -> bool:
     return abs(ratio - 1) <= BAND + 1e-9
 
 
-def check_reading(volts: float, ohm: float, current_ma: float) -> float:
-    """Return the ratio of measured to nominal current, from the voltage across a resistor; raise if
-    it is out of band."""
+def measured_scale(
+    kind: str, before_ua: float | None, volts: float, ohm: float, current_ma: float
+) -> tuple[float, float | None]:
+    """Return the ratio of measured to nominal current, from the voltage across a resistor, and the
+    board's scale by it, µA per count; None if the board has no scale. Raise if out of band."""
     for what, value in (("volts", volts), ("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
             raise BoardError(f"{what} {value:g} must be above 0 and finite")
@@ -88,19 +90,11 @@ def check_reading(volts: float, ohm: float, current_ma: float) -> float:
             f"and boards differ by {100 * BAND:.0f} % at most: check units, connections, the "
             "resistor, and which board this is"
         )
-    return ratio
-
-
-def measured_scale(kind: str, before_ua: float | None, ratio: float) -> float | None:
-    """Return a board's measured scale, µA per count, from its scale so far and the ratio of
-    `check_reading`; None if it has none."""
-    if before_ua is None:
-        return None
-    scale_ua = before_ua * ratio
-    if kind in NOMINAL_UA:
+    scale_ua = None if before_ua is None else before_ua * ratio
+    if scale_ua is not None and kind in NOMINAL_UA:
         # The band is around the nominal scale, also where the profile has a measured one.
         scale_of(kind, float(f"{scale_ua:.4g}"))
-    return scale_ua
+    return ratio, scale_ua
 
 
 def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import (
     BoardError,
-    LineLostError,
     OtherDeviceError,
     SilentBoardError,
 )
@@ -37,7 +36,6 @@ CHIPS_S = 0.5  # longest time to an answer
 MORE_S = 0.03  # wait for more than the answer: USB chips keep bytes for 16 ms
 FORGETS_S = 2.15  # silence after which a partial command is dropped
 MOST_LOSSES = 4  # lost commands in a row after which the firmware cannot be driven safely
-TRIES = 3
 LOOKS = 5  # answers in a row without an echo after which the firmware has none
 AWAY_S, AWAY_MOST_S = 0.6, 1.8
 """Time of a closed port after which the newest firmware drops half a command, and after which any
@@ -75,16 +73,9 @@ class ETactileKitLine:
         else:
             # Only a reset takes the time to boot.
             line.pause(current_scale.BOOT_S)
-        for _ in range(TRIES - 1):
-            # Bytes may be lost here too.
-            with contextlib.suppress(LineLostError):
-                found = self._identify()
-                break
-        else:
-            found = self._identify()
+        self._wanted, capacity = self._identify()
         self._arm()
-        self._wanted = found[0]
-        return found
+        return self._wanted, capacity
 
     @property
     def is_at_zero(self) -> bool:
