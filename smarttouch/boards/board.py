@@ -6,7 +6,6 @@ import threading
 import time
 from collections import deque
 from dataclasses import replace
-from types import TracebackType
 from typing import Self, final
 
 import numpy as np
@@ -262,14 +261,11 @@ class Board:
         self._require_own_process()
         if self._opened:
             self._opened = self._line.reopened = False
-            try:
+            with contextlib.ExitStack() as stack:
+                stack.callback(lambda: leave(self, at_zero=self._zeroed))
+                stack.callback(setattr, self, "_ready", False)
+                stack.callback(self._close_driver)
                 self.stop()
-            finally:
-                try:
-                    self._close_driver()
-                finally:
-                    self._ready = False
-                    leave(self, at_zero=self._zeroed)
             if self._fault_found is not None:
                 raise self._fault_found
 
@@ -277,18 +273,10 @@ class Board:
         self.open()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        try:
+    def __exit__(self, _kind: object, error: object, _trace: object) -> None:
+        # The first fault is the one to report.
+        with contextlib.suppress(*[BoardError] * (error is not None)):
             self.close()
-        except BoardError:
-            # The first fault is the one to report.
-            if error is None:
-                raise
 
     # -- stops and faults --------------------------------------------------
 
@@ -299,7 +287,11 @@ class Board:
             try:
                 self._line._bar()
             finally:
-                self._zero()
+                with self._news:
+                    self._waiting = None
+                    self._news.notify_all()
+                if self._ready:
+                    self._confirm_zero()
             self._zeroed = True
 
     def halt(self) -> None:
@@ -308,17 +300,13 @@ class Board:
         self._halted = True
         self.stop()
 
-    def _zero(self) -> None:
-        with self._news:
-            self._waiting = None
-            self._news.notify_all()
-        if self._ready:
-            try:
-                self._line._put_at_zero()
-            except (BoardClosedError, LineLostError):
-                # Where silence is zero, only the first loss needs a report.
-                if not self._is_lost or self.capabilities.time_to_zero_ms is None:
-                    raise
+    def _confirm_zero(self) -> None:
+        try:
+            self._line._put_at_zero()
+        except (BoardClosedError, LineLostError):
+            # Where silence is zero, only the first loss needs a report.
+            if not self._is_lost or self.capabilities.time_to_zero_ms is None:
+                raise
 
     def _refusal(self) -> BoardError:
         """Return the error of a call after a stop."""

@@ -243,7 +243,11 @@ class Line:
     def read_some(self) -> bytes:
         """Return what has come; waits a moment for the first byte."""
         with self._open_port("has vanished") as port:
-            return read_some(port)
+            if (data := read_some(port)) is None:
+                note = f"another program reads from {self.name}: close it (ModemManager or a "
+                note += "serial monitor?)"
+                self._board.notes += [note] * (note not in self._board.notes)
+            return data or b""
 
     def discard_input(self) -> None:
         """Drop what has come and was not read."""

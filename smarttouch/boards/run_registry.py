@@ -170,19 +170,17 @@ class RunEntry:
         """Announce this run again if its files are gone; return why it must end, if it must."""
         try:
             with self._changing:
-                if self._over.is_set() or self._is_there():
+                if self._over.is_set():
+                    return ""
+                lock, held = self._run.path("lock"), os.fstat(self._lock_number)
+                is_there = self._run.has("json") and lock.exists()
+                if is_there and os.path.samestat(lock.stat(), held):
                     return ""
                 self._announce()
         except OSError as error:
             return f"the loss of {self._run.path('json')} ({error.strerror})"
         # A stop that came meanwhile did not find this run, but it left its mark.
         return "smarttouch stop" if stopped_since_start() else ""
-
-    def _is_there(self) -> bool:
-        with suppress(OSError):
-            lock, held = self._run.path("lock").stat(), os.fstat(self._lock_number)
-            return self._run.has("json") and os.path.samestat(lock, held)
-        return False
 
     def _answer(self, at_zero: bool) -> None:
         with suppress(OSError):
@@ -196,11 +194,15 @@ def stop_all() -> list[Answer]:
 
     Answers are awaited for 3 s. A run that cannot be asked does not keep others from being asked.
     """
+    global _begun_ns
     problems, asked = [], []
+    # The program that stops all others may itself put a board at zero.
+    _begun_ns = now_ns()
     # First: a run that is not listed yet finds the mark before it opens a board.
     try:
-        _leave_mark()
-    except (OSError, SmartTouchError) as error:
+        registry_folder().mkdir(mode=0o700, parents=True, exist_ok=True)
+        _write(registry_folder() / "stopped", f"{_place()[1]} {_begun_ns}")
+    except OSError as error:
         problems.append(
             f"runs that are just starting cannot be kept from opening a board ({error}): stop again"
         )
@@ -268,16 +270,6 @@ def stopped_since_start() -> bool:
         boot, time_ns = _read(registry_folder() / "stopped").split()
         return boot == _place()[1] and _begun_ns < int(time_ns) <= now_ns()
     return False
-
-
-def _leave_mark() -> None:
-    global _begun_ns
-    registry_folder().mkdir(mode=0o700, parents=True, exist_ok=True)
-    with _registry_lock():
-        time_ns = now_ns()
-        _write(registry_folder() / "stopped", f"{_place()[1]} {time_ns}")
-    # The program that stops all others may itself put a board at zero.
-    _begun_ns = time_ns
 
 
 def _start_ns(pid: int) -> int:

@@ -9,6 +9,7 @@ import time
 import pytest
 
 from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
+from smarttouch.boards import line
 from smarttouch.boards.link.packet_line import SILENCE_S
 from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.open import make_board
@@ -144,3 +145,14 @@ def test_heartbeats_keep_an_idle_board(make_limits, make_sequence):
         time.sleep(0.8)
         deliver(board, make_sequence(0))
         assert board.report().sequences == 1
+
+
+def test_a_program_that_reads_from_the_port_is_named_once(make_limits, make_sequence, monkeypatch):
+    read, takes = line.read_some, [True] * 3
+    monkeypatch.setattr(
+        line, "read_some", lambda port: None if takes and takes.pop() else read(port)
+    )
+    with make_board("emulator:", make_limits()) as board:
+        deliver(board, make_sequence(0))
+        (note,) = [note for note in board.notes if "another program" in note]
+    assert board._line.name in note

@@ -182,6 +182,8 @@ def test_what_happens_to_a_run_and_its_files_hides_it_from_no_stop(
         if happens in (lose_folder, lose_file, lose_lock):
             # Once a second it looks whether they are there.
             until(lambda: len([*folder.glob("*.json"), *folder.glob("*.lock")]) == 2)
+            # Then it looks for a mark: that of this stop would end it before it is asked.
+            time.sleep(0.2)
         found, sentences = smarttouch_stop()
         assert found == code
         for pattern in said:

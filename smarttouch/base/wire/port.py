@@ -137,15 +137,25 @@ def _descriptor(port: Port) -> int | None:
         return None
 
 
-def read_some(port: Port) -> bytes:
-    """Return what has come; wait for the first byte for the port's timeout."""
+def read_some(port: Port) -> bytes | None:
+    """Return what has come, after a wait for the first byte for the port's timeout; None if another
+    program has taken it."""
     if (number := _descriptor(port)) is None:
         return bytes(port.read(port.in_waiting or 1))
     if not select.select([number], [], [], port.timeout)[0]:
         return b""
-    if not (data := os.read(number, _MOST_AT_ONCE)):
-        raise serial.SerialException("it is gone")
-    return data
+    with contextlib.suppress(BlockingIOError):
+        if data := os.read(number, _MOST_AT_ONCE):
+            return data
+        if not isinstance(port, serial.Serial) or _is_hung_up(number):
+            raise serial.SerialException("it is gone")
+    return None
+
+
+def _is_hung_up(number: int) -> bool:
+    poll = select.poll()
+    poll.register(number, 0)  # for what is told without asking
+    return bool(poll.poll(0))
 
 
 def write_before(
@@ -178,6 +188,8 @@ def _other(name: str) -> OtherDeviceError:
 
 def reason(error: Exception) -> str:
     """Return the system's text of an error on a line."""
+    if "multiple access" in str(error):
+        return "it is gone, or another program reads from it: close that"
     number = getattr(error, "errno", None)
     return os.strerror(number) if number else (str(error) or type(error).__name__)
 

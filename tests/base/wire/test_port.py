@@ -11,11 +11,13 @@ from pathlib import Path
 import pytest
 
 from smarttouch.base.errors import BoardError, OtherDeviceError
+from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.base.wire.port import (
     LINE_ERRORS,
     UsbIdentity,
     identity_of,
     open_port,
+    read_some,
     reopen_port,
     write_before,
 )
@@ -226,3 +228,14 @@ def test_brltty_is_named_where_it_may_have_claimed_a_port(tmp_path):
         with raises(BoardError, names="BRLTTY"):
             open_port("/dev/ttyUSB99")
         process.kill()
+
+
+def test_bytes_that_another_program_has_taken_are_no_loss(monkeypatch):
+    line = PtyLine()
+    port = open_port(line.name)
+    # Bytes had come when it looked.
+    monkeypatch.setattr("select.select", lambda *_: ([port], [], []))
+    assert read_some(port) is None
+    line.pull_out()
+    with pytest.raises(LINE_ERRORS):
+        read_some(port)
