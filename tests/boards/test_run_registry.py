@@ -65,7 +65,7 @@ def entries(folder):
 
 def test_a_run_is_announced_to_its_owner_alone_as_long_as_it_lasts(own_state):
     folder = registry_folder()
-    with Display():
+    with Display(6_000), Display(4_000):
         (file,) = folder.glob("*.json")
         (lock,) = folder.glob("*.lock")
         run = json.loads(file.read_text())

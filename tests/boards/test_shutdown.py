@@ -21,7 +21,6 @@ from ..raising import raises
 from .fresh import until
 from .runs import ANSWERED_S, PATIENCE_S, Display, exit_code, in_child
 
-FILES = 1024  # as many as `select` knows
 MOST_UA = round(1000 * CEILING_USER_MA)
 
 
@@ -32,12 +31,6 @@ def folder(own_state):
 
 def runs(folder):
     return len(list(folder.glob("*.json")))
-
-
-def test_boards_of_a_process_have_one_entry(folder):
-    with Display(), Display(5_000):
-        assert runs(folder) == 1
-    assert runs(folder) == 0
 
 
 @pytest.mark.parametrize("url", ["memory:", "simulated:"])
@@ -85,23 +78,6 @@ def test_that_zero_was_not_confirmed_is_said_also_where_the_program_closes_its_b
     assert "switch the board off" in answer.sentence
 
 
-def test_a_stop_is_for_good_in_a_program_that_goes_on():
-    def work(say):
-        with Display() as board:
-            say()
-            until(lambda: board.zeros)
-            with pytest.raises(BoardStoppedError), Display():
-                pass
-        with pytest.raises(BoardStoppedError), Display():
-            pass
-        with pytest.raises(BoardStoppedError), stoppable_run(StopRequest(), Display()):
-            pass
-
-    with in_child(work) as child:
-        assert [answer.at_zero for answer in stop_all()] == [True]
-        assert exit_code(child) == 0
-
-
 def test_a_run_that_finds_a_request_opens_no_board(folder):
     def work(say):
         with Display(5_000):
@@ -126,23 +102,6 @@ def test_a_run_is_asked_to_end_before_its_board_is_at_zero():
             assert stop.event.wait(PATIENCE_S)
             until(lambda: order)
         assert (stop.reason, order) == ("smarttouch stop", [True])
-
-    with in_child(work) as child:
-        assert [answer.at_zero for answer in stop_all()] == [True]
-        assert exit_code(child) == 0
-
-
-def test_a_program_with_many_open_files_is_stopped():
-    def work(say):
-        import resource
-
-        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-        for _ in range(FILES):
-            os.open("/dev/null", os.O_RDONLY)
-        with Display() as board:
-            say()
-            until(lambda: board.zeros)
 
     with in_child(work) as child:
         assert [answer.at_zero for answer in stop_all()] == [True]
