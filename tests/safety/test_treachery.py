@@ -1,6 +1,7 @@
 """Sequences that are not what they seem: what a gate lets through is safe, plain and for good."""
 
 import dataclasses
+import itertools
 import threading
 
 import numpy as np
@@ -54,7 +55,7 @@ def asked(made):
 class TwoFaced(ScanSequence):
     """Shows another level each time it is looked at."""
 
-    looks = 0
+    looks, odd = 0, False
 
     def __getattribute__(self, name):
         value = super().__getattribute__(name)
@@ -62,14 +63,6 @@ class TwoFaced(ScanSequence):
             return value
         object.__setattr__(self, "looks", super().__getattribute__("looks") + 1)
         return value * np.int16(1 + 9 * (self.looks % 2 == type(self).odd))
-
-
-class FirstGood(TwoFaced):
-    odd = 0
-
-
-class FirstBad(TwoFaced):
-    odd = 1
 
 
 class Modest(ScanSequence):
@@ -114,38 +107,16 @@ class Meek(np.ndarray):
         return np.zeros(self.shape, self.dtype)
 
 
-class Agreeable(int):
-    """A number that is never too large nor too small."""
-
-    def __lt__(self, other):
-        return True
-
-    __le__ = __gt__ = __ge__ = __eq__ = __lt__
-
-    def __hash__(self):
-        return 0
-
-    def __int__(self):
-        return 20_000
-
-    __index__ = __int__
-
-
-class AgreeableFloat(float):
-    def __lt__(self, other):
-        return True
-
-    __le__ = __gt__ = __ge__ = __eq__ = __lt__
-
-    def __hash__(self):
-        return 0
-
-    def __float__(self):
-        return 1.0
+def agreeable(value, looks):
+    """Return a number that is never too large nor too small, and looks like another."""
+    kind = type(value)
+    lies = dict.fromkeys(("__lt__", "__le__", "__gt__", "__ge__", "__eq__"), lambda *_: True)
+    lies |= dict.fromkeys(("__int__", "__index__", "__float__"), lambda _: looks)
+    return type("Agreeable", (kind,), lies | {"__hash__": lambda _: 0})(value)
 
 
 @pytest.mark.parametrize("level_ua", [300, 3000])
-@pytest.mark.parametrize("kind", [FirstGood, FirstBad, Modest])
+@pytest.mark.parametrize("kind", [TwoFaced, type("Odd", (TwoFaced,), {"odd": True}), Modest])
 def test_a_sequence_that_lies(kind, level_ua):
     answer = asked(sequence(level_ua, kind))
     assert answer.accepted in (True, False)
@@ -165,15 +136,13 @@ def test_an_array_that_lies(name, value):
         assert value not in getattr(answer.copy, name)
 
 
-@pytest.mark.parametrize("name", ["period_us", "time_ns"])
-@pytest.mark.parametrize("value", [1, -5, 2**63, 10**30])
-def test_a_number_that_lies(name, value):
-    asked(sequence(**{name: Agreeable(value)}))
-
-
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), 7.0, -1.0])
-def test_an_intensity_that_lies(value):
-    asked(sequence(intensity=AgreeableFloat(value)))
+@pytest.mark.parametrize(("names", "looks", "values"), [
+    (["period_us", "time_ns"], 20_000, [1, -5, 2**63, 10**30]),
+    (["intensity"], 1.0, [float("nan"), float("inf"), 7.0, -1.0]),
+])  # fmt: skip
+def test_a_number_that_lies(names, looks, values):
+    for name, value in itertools.product(names, values):
+        asked(sequence(**{name: agreeable(value, looks)}))
 
 
 @pytest.mark.parametrize("name", ["current_ua", "width_us", "discharge_us", "site"])
