@@ -628,7 +628,7 @@ class Board:
         if own is not None:
             return own
         with self._news:
-            return self._statistics.report()
+            return self._statistics.report
 
     def start_of(self, number: int) -> SequenceStart | None:
         """Return when a sequence began, by the number that `send` returned.

@@ -1,6 +1,6 @@
 """Reports of a board: its capabilities, delivery statistics and impedances."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress
 from typing import Any, Literal
 
@@ -129,38 +129,35 @@ class BoardReport:
 
 
 class HostStatistics:
-    """Delivery statistics kept by the host."""
+    """Delivery statistics kept by the host, in ``report``."""
 
     def __init__(self, electrodes: int) -> None:
-        self._sequences = self._slots = self._pulses = self._most_pulses = 0
-        self._current_ma = self._charge_uc = self._net_uc = self._unsure_uc = 0.0
-        self._ledger = ChargeBalance(electrodes)
+        self.report = BoardReport(0, 0, 0, 0, 0.0, 0.0, 0.0, by="host", most_pulses=0)
+        self._ledger, self._unsure_uc = ChargeBalance(electrodes), 0.0
 
     def add(
         self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
     ) -> None:
         """Add a sequence that was scanned ``times`` times, or at least that and at most ``most``
         times; ``again`` if the sequence itself has been counted before."""
-        most = times if most is None else most
-        self._sequences += not again
+        most, old = times if most is None else most, self.report
+        self.report = replace(old, sequences=old.sequences + (not again))
         if not sequence.slots or not most:
             return
         pulses = int(np.count_nonzero(sequence.current_ua))
-        self._slots += times * sequence.slots
-        self._pulses += times * pulses
-        self._most_pulses += most * pulses
-        peaks = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1)
-        self._current_ma = max(self._current_ma, float(peaks.max()) / 1000)
-        self._charge_uc = max(self._charge_uc, float((peaks * sequence.width_us).max()) / 1e6)
+        peaks_ua = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1)
+        charges_pc = peaks_ua * sequence.width_us
         self._ledger.add(sequence, times)
-        self._unsure_uc += (most - times) * float((peaks * sequence.width_us).sum()) / 1e6
-        self._net_uc = max(self._net_uc, self._ledger.worst_uc + self._unsure_uc)
-
-    def report(self) -> BoardReport:
-        return BoardReport(
-            self._sequences, self._slots, self._pulses, 0, self._current_ma, self._charge_uc,
-            self._net_uc, by="host", most_pulses=self._most_pulses,
-        )  # fmt: skip
+        self._unsure_uc += (most - times) * float(charges_pc.sum()) / 1e6
+        self.report = replace(
+            self.report,
+            slots=old.slots + times * sequence.slots,
+            pulses=old.pulses + times * pulses,
+            most_pulses=(old.most_pulses or 0) + most * pulses,
+            max_current_ma=max(old.max_current_ma, float(peaks_ua.max()) / 1000),
+            max_charge_uc=max(old.max_charge_uc, float(charges_pc.max()) / 1e6),
+            max_net_charge_uc=max(old.max_net_charge_uc, self._ledger.worst_uc + self._unsure_uc),
+        )
 
 
 SATURATED = 0.97  # part of the compliance at which a source counts as saturated

@@ -123,12 +123,13 @@ class _Process:
     def end(self, reason: str, *, for_good: bool = True) -> bool:
         """Bring all boards to zero and ask all runs to end; return whether all boards have
         confirmed zero. ``for_good``: no board opens any more."""
-        with self.lock:
-            if for_good:
-                self.reason = self.reason or reason
-            requests, boards, entry = [*self.runs], [*self.boards], self.entry
-            if self.command is not None:
-                requests.append(self.command.stop)
+        # Without the lock, which may be held while the disk does not answer: a board that is
+        # entered now finds the reason, or is among these.
+        if for_good:
+            self.reason = self.reason or reason
+        requests, boards, entry = [*self.runs], [*self.boards], self.entry
+        if self.command is not None:
+            requests.append(self.command.stop)
         for request in requests:
             # Before its board refuses.
             request.ask(reason, at_once=False)
