@@ -66,19 +66,29 @@ def judge_pulses(pulses, bounds, period_us=None):
     """
     if not len(pulses.current_ua):
         return []
+    current_ua, charge_pc = np.abs(pulses.current_ua), np.abs(pulses.charge_pc)
+    allowance, every_ua = _allowance(pulses), bounds.electrodes * ROUNDING_UA
+    totals_ua = np.maximum(pulses.current_ua, 0).sum(axis=1)
+    if pulses.width_us is None:
+        # A mean current and its charge tell the width, as closely as whole µA do.
+        rounding_pc = 0
+        keeps_width = charge_pc <= (current_ua + ROUNDING_UA) * bounds.pulse_us * CLOSE
+    else:
+        rounding_pc = ROUNDING_UA * pulses.width_us[:, None]
+        keeps_width = pulses.width_us <= bounds.pulse_us * CLOSE
     kept = {
-        "current": _keeps_current(pulses, bounds),
-        "total": _keeps_total(pulses, bounds),
-        "charge": _keeps_charge(pulses, bounds),
-        "width": _keeps_width(pulses, bounds),
-        "balance": _keeps_balance(pulses),
+        "current": current_ua <= np.array(bounds.electrode_ua) * allowance + ROUNDING_UA,
+        "total": totals_ua <= bounds.total_ua * CLOSE + every_ua,
+        "charge": charge_pc <= bounds.charge_pc * allowance + rounding_pc,
+        "width": keeps_width,
+        "balance": np.abs(pulses.current_ua.sum(axis=1)) <= every_ua,
     }
     if pulses.time_us is not None:
         kept["strong in a second"] = _keeps_strong(pulses, bounds)
         kept["mean in a second"] = _keeps_mean(pulses)
         if period_us is not None:
             kept["rise"] = _keeps_rise(pulses, bounds, period_us)
-    return [name for name, keeps in kept.items() if not keeps]
+    return [name for name, keeps in kept.items() if not np.all(keeps)]
 
 
 def _allowance(pulses):
@@ -87,35 +97,6 @@ def _allowance(pulses):
     poles = [(current > 0).sum(axis=1), (current < 0).sum(axis=1)]
     shares = np.where(current > 0, poles[0][:, None], poles[1][:, None]) > 1
     return np.where(shares, SHARED, CLOSE)
-
-
-def _keeps_current(pulses, bounds):
-    most = np.array(bounds.electrode_ua) * _allowance(pulses) + ROUNDING_UA
-    return bool((np.abs(pulses.current_ua) <= most).all())
-
-
-def _keeps_total(pulses, bounds):
-    totals = np.maximum(pulses.current_ua, 0).sum(axis=1)
-    return bool((totals <= bounds.total_ua * CLOSE + bounds.electrodes * ROUNDING_UA).all())
-
-
-def _keeps_charge(pulses, bounds):
-    rounding = 0 if pulses.width_us is None else ROUNDING_UA * pulses.width_us[:, None]
-    most = bounds.charge_pc * _allowance(pulses) + rounding
-    return bool((np.abs(pulses.charge_pc) <= most).all())
-
-
-def _keeps_width(pulses, bounds):
-    if pulses.width_us is not None:
-        return bool((pulses.width_us <= bounds.pulse_us * CLOSE).all())
-    # A mean current and its charge tell the width, as closely as whole µA do.
-    longest_pc = (np.abs(pulses.current_ua) + ROUNDING_UA) * bounds.pulse_us * CLOSE
-    return bool((np.abs(pulses.charge_pc) <= longest_pc).all())
-
-
-def _keeps_balance(pulses):
-    electrodes = pulses.current_ua.shape[1]
-    return bool((np.abs(pulses.current_ua.sum(axis=1)) <= electrodes * ROUNDING_UA).all())
 
 
 def _keeps_strong(pulses, bounds):

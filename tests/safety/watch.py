@@ -139,14 +139,33 @@ class Watch:
         patch = pytest.MonkeyPatch()
         patch.setattr(SafetyLimits, "of", classmethod(self._of(SafetyLimits.of.__func__)))
         patch.setattr(SafetyGate, "__init__", self._made(SafetyGate.__init__))
-        patch.setattr(SafetyGate, "prove", self._proved(SafetyGate.prove))
-        patch.setattr(SafetyGate, "note", self._noted(SafetyGate.note))
-        patch.setattr(SafetyGate, "restart", self._ended(SafetyGate.restart, self.restart))
-        begin = self._ended(SafetyGate.begin_session, self.begin)
-        patch.setattr(SafetyGate, "begin_session", begin)
-        patch.setattr(SimulatedDriver, "take_pulses", self._taken(SimulatedDriver.take_pulses))
-        patch.setattr(SimulatedDriver, "close", self._closed(SimulatedDriver.close))
-        patch.setattr(Board, "__init__", self._board_made(Board.__init__))
+
+        def judge(gate, proved, *_, **__):
+            self.judge(gate, proved.sequence, proved.times, not proved.ramped)
+
+        def note(gate, _, proved):
+            sent = self._proved_sequences.pop(proved.sequence, None)
+            if sent is not None and (oracle := self._oracles.get(gate)) is not None:
+                clock = self._clocks.get(gate)
+                oracle.wrote(sent, proved.sequence.time_ns if clock is None else clock.heard_ns)
+
+        def rest(driver, _):
+            # From a copy: they are still there for whoever takes them later.
+            self.judge_taken(driver, copy(driver._books).take())
+
+        def made(board, _, driver, *__, **___):
+            self._limits[driver] = board._gate.limits
+
+        for kind, name, do in (
+            (SafetyGate, "prove", judge),
+            (SafetyGate, "note", note),
+            (SafetyGate, "restart", lambda gate, _: self.restart(gate)),
+            (SafetyGate, "begin_session", lambda gate, _: self.begin(gate)),
+            (SimulatedDriver, "take_pulses", self.judge_taken),
+            (SimulatedDriver, "close", rest),
+            (Board, "__init__", made),
+        ):
+            patch.setattr(kind, name, _then(getattr(kind, name), do))
         return patch
 
     def _of(self, of):
@@ -178,56 +197,14 @@ class Watch:
 
         return watched
 
-    def _proved(self, prove):
-        @functools.wraps(prove)
-        def watched(gate, *given, **named):
-            proved = prove(gate, *given, **named)
-            self.judge(gate, proved.sequence, proved.times, not proved.ramped)
-            return proved
 
-        return watched
+def _then(call, do):
+    """Return a method that does something more, with what it returns, after it was called."""
 
-    def _noted(self, note):
-        @functools.wraps(note)
-        def watched(gate, proved):
-            note(gate, proved)
-            sent = self._proved_sequences.pop(proved.sequence, None)
-            if sent is not None and (oracle := self._oracles.get(gate)) is not None:
-                clock = self._clocks.get(gate)
-                oracle.wrote(sent, proved.sequence.time_ns if clock is None else clock.heard_ns)
+    @functools.wraps(call)
+    def watched(owner, *given, **named):
+        returned = call(owner, *given, **named)
+        do(owner, returned, *given, **named)
+        return returned
 
-        return watched
-
-    def _ended(self, call, do):
-        @functools.wraps(call)
-        def watched(gate):
-            call(gate)
-            do(gate)
-
-        return watched
-
-    def _taken(self, take):
-        @functools.wraps(take)
-        def watched(driver):
-            pulses = take(driver)
-            self.judge_taken(driver, pulses)
-            return pulses
-
-        return watched
-
-    def _closed(self, close):
-        @functools.wraps(close)
-        def watched(driver):
-            close(driver)
-            # From a copy: they are still there for whoever takes them later.
-            self.judge_taken(driver, copy(driver._books).take())
-
-        return watched
-
-    def _board_made(self, init):
-        @functools.wraps(init)
-        def watched(board, driver, limits, *given, **named):
-            init(board, driver, limits, *given, **named)
-            self._limits[driver] = board._gate.limits
-
-        return watched
+    return watched
