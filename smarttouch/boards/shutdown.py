@@ -227,12 +227,13 @@ class _Signals:
         return signal.getsignal(number) == self._handle
 
     def _work(self) -> None:
-        command, deadline_s, ends = self._command, float("inf"), 0
+        command, deadline_s = self._command, float("inf")
         # The same signals, as the system tells them, unless an event loop has its descriptor, and
         # as the handler does, unless the main thread cannot run it.
         woken: list[int] = []
         handled: list[int] = []
-        while ends < 2 and time.monotonic() < deadline_s:
+        ends: list[int] = []  # those that end the process
+        while len(ends) < 2 and time.monotonic() < deadline_s:
             seen = max(len(woken), len(handled))
             with suppress(TimeoutError):
                 if not (told := self._hears.recv(64)):
@@ -242,16 +243,15 @@ class _Signals:
                 handled.append(self._numbers.get())
             for number in max(woken, handled, key=len)[seen:]:
                 again = command is None and number == signal.SIGINT
-                ends += not again
-                if ends < 2:
+                ends += [number] * (not again)
+                if len(ends) < 2:
                     _process.end(SIGNALS[signal.Signals(number)], for_good=not again)
-                if command is not None and ends == 1:
+                if command is not None and len(ends) == 1:
                     deadline_s = time.monotonic() + command.patience_s
         # Every board is at zero, or that is unknown: what still blocks the end is cut off.
-        number = max(woken, handled, key=len)[0]
         if command is not None:
-            command.give_up(number)
-        os._exit(128 + number)
+            command.give_up(ends[0])
+        os._exit(128 + ends[0])
 
 
 def _after_fork() -> None:
