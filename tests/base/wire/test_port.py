@@ -236,6 +236,6 @@ def test_bytes_that_another_program_has_taken_are_no_loss(monkeypatch):
     # Bytes had come when it looked.
     monkeypatch.setattr("select.select", lambda *_: ([port], [], []))
     assert read_some(port) is None
-    line.pull_out()
+    line.close()
     with pytest.raises(LINE_ERRORS):
         read_some(port)
