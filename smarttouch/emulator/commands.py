@@ -1,10 +1,8 @@
 """Emulated devices by URLs, as in ``smarttouch devices emulate "link?electrodes=16"``."""
 
-import json
 import math
 from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
-from dataclasses import asdict
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -16,12 +14,12 @@ from smarttouch.base.url_options import options_of, read_options
 from smarttouch.base.wire.device_lines import PtyLine, TcpLine
 from smarttouch.boards.link.protocol import OUTPUTS
 from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
-from smarttouch.emulator.finger_events import EmulatedFinger, parse
+from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, Firmware
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_rules import Room
-from smarttouch.emulator.server import FAULTS, Orders, Server
+from smarttouch.emulator.server import Orders, Server
 
 BOARDS = {"link": (64, 1, 4096), "kajimoto61": (61, 61, 61), "etactilekit": (32, 1, 255)}
 """Default, smallest and largest number of electrodes of each board."""
@@ -103,31 +101,22 @@ def emulate_sensor(
     advise: bool,
     rate: float | None = None,
     force: float = 0.5,
-    event: Sequence[str] = (),
     linger: float = math.inf,
 ) -> None:
-    """Emulate a sensor as `emulate_board` does a board, and print how many messages it has sent.
-
-    ``rate`` is in Hz, ``force`` in newtons on a load cell, and each ``event`` is a fault as in
-    `server`.
-    """
+    """Emulate a sensor as `emulate_board` does a board; ``rate`` is in Hz, and ``force`` in newtons
+    on a load cell."""
     from smarttouch.emulator import sensors
 
     rate_hz = SENSORS[name] if rate is None else rate
     require_within(SmartTouchError, "rate", rate_hz, 0.01, 2000.0)
     require_within(SmartTouchError, "force", force, -_LARGEST_N, _LARGEST_N)
-    faults = [parse(text, FAULTS) for text in event]
-    if name == "serial-array" and "nan" in {fault.kind for fault in faults}:
-        raise SmartTouchError("a pixel is always a number: event nan is for load cells")
     if name == "serial-array":
         device: Firmware = sensors.SensorArray(rate_hz)
     else:
         device = sensors.EmulatedLoadCell(force, framed=name == "loadcell", rate_hz=rate_hz)
     with closing(_opened(PtyLine)) as line:
-        server = Server(device, line, faults, Orders())
+        server = Server(device, line, Orders())
         _serve(server, linger, partial(_sensor_advice, name) if advise else str)
-    with suppress(BrokenPipeError):
-        print(json.dumps(asdict(server.statistics)), flush=True)
 
 
 def _sensor_advice(name: str, port: str) -> str:

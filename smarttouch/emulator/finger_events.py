@@ -1,4 +1,4 @@
-"""Events of emulated devices, and the finger and its contact over time.
+"""The emulated finger and its contact over time.
 
 Events are texts, a time in seconds and what happens then::
 
@@ -16,7 +16,7 @@ Events are texts, a time in seconds and what happens then::
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,40 +24,6 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
 from smarttouch.emulator.skin import SkinCircuit
-
-
-@dataclass(frozen=True)
-class DeviceEvent:
-    """One event of an emulated device."""
-
-    time_s: float
-    kind: str
-    electrode: int = 0
-    values: tuple[float, ...] = ()
-
-
-def parse(text: str, forms: Mapping[str, str]) -> DeviceEvent:
-    """Return the event of a text. ``forms`` maps each kind to the names of its numbers:
-    ``ELECTRODE`` comes first, one in brackets may be left out."""
-    words = text.split()
-    kind = "".join(words[1:2])
-    if kind not in forms:
-        known = ", ".join(forms)
-        raise BoardError(f"event {text!r} is unknown: write a time in s and one of {known}")
-    names, words = ["TIME", *forms[kind].split()], [words[0], *words[2:]]
-    if len(words) < len(names):
-        names = [name for name in names if not name.startswith("[")]
-    try:
-        pairs = zip(names, words, strict=True)
-        numbers = [int(word) if name == "ELECTRODE" else float(word) for name, word in pairs]
-    except ValueError:
-        form = f"TIME {kind} {forms[kind]}".strip()
-        raise BoardError(f"event {text!r} has another form: write {form}") from None
-    if not all(0 <= number < math.inf for number in numbers):
-        raise BoardError(f"event {text!r} has a number that is negative or not finite")
-    electrode = int(numbers.pop(1)) if "ELECTRODE" in names else 0
-    return DeviceEvent(numbers[0], kind, electrode, tuple(numbers[1:]))
-
 
 FORCE_N = 1.0  # default force: a firm reading pressure, which does not reduce the current
 OPEN_FACTOR = 5e5  # impedance factor of an open electrode: about 1 GΩ
@@ -78,13 +44,40 @@ FORMS = {
 }
 
 
-def parse_event(text: str) -> DeviceEvent:
-    event = parse(text, FORMS)
-    most = {"drift": math.inf, "peel": 1.0}.get(event.kind)
-    if most is not None and not 0 < event.values[0] <= most:
-        limit = "above 0" if most == math.inf else f"above 0 and at most {most:g}"
-        raise BoardError(f"event {text!r}: {event.values[0]:g} is out of range, it must be {limit}")
-    return event
+@dataclass(frozen=True)
+class FingerEvent:
+    """One event."""
+
+    time_s: float
+    kind: str
+    electrode: int
+    values: tuple[float, ...]
+
+
+def parse_event(text: str) -> FingerEvent:
+    """Return the event of a text."""
+    words = text.split()
+    kind = "".join(words[1:2])
+    if kind not in FORMS:
+        known = ", ".join(FORMS)
+        raise BoardError(f"event {text!r} is unknown: write a time in s and one of {known}")
+    names = ["TIME", *FORMS[kind].split()]
+    try:
+        numbers = {
+            name: int(word) if name == "ELECTRODE" else float(word)
+            for name, word in zip(names, [words[0], *words[2:]], strict=True)
+        }
+    except ValueError:
+        form = f"TIME {kind} {FORMS[kind]}".strip()
+        raise BoardError(f"event {text!r} has another form: write {form}") from None
+    if not all(0 <= number < math.inf for number in numbers.values()):
+        raise BoardError(f"event {text!r} has a number that is negative or not finite")
+    if numbers.get("FACTOR") == 0 or not 0 < numbers.get("AREA", 1) <= 1:
+        raise BoardError(
+            f"event {text!r} is out of range: a FACTOR is above 0, an AREA above 0 and at most 1"
+        )
+    time_s, electrode = numbers.pop("TIME"), int(numbers.pop("ELECTRODE", 0))
+    return FingerEvent(time_s, kind, electrode, tuple(numbers.values()))
 
 
 class EmulatedFinger:
@@ -143,7 +136,7 @@ class EmulatedFinger:
         share = (now_s - begins_s) / np.maximum(ends_s - begins_s, 1e-9)
         return np.asarray(before * (after / before) ** np.clip(share, 0, 1))
 
-    def _happen(self, event: DeviceEvent) -> None:
+    def _happen(self, event: FingerEvent) -> None:
         electrode, values = event.electrode, event.values
         match event.kind:
             case "lift" | "touch":

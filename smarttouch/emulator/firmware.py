@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.base.errors import BoardError
 from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.skin import Delivered, SkinCircuit
 
@@ -155,7 +156,6 @@ class Firmware(ABC):
     books: DeliveryLog | None = None
     longest_step_ns = 10_000_000  # a process kept waiting for longer stops the device's time
     backlog = 65536  # as soon as so many bytes wait for the host, messages are dropped
-    wrong: frozenset[str] = frozenset()  # faults at this time, other than those of the line
 
     @property
     def busy(self) -> bool:
@@ -186,9 +186,9 @@ class Firmware(ABC):
     def zero(self, reason: str, now_ns: int) -> None:  # noqa: B027, may be left out
         """Lose power; sensors do nothing."""
 
-    def take_order(self, words: list[str]) -> bool:
-        """Execute a line of input; return whether it was an order."""
-        return False
+    def take_order(self, order: str) -> None:
+        """Execute a line of input; raise BoardError if it is no order."""
+        raise BoardError(f"{order!r} is no order: this device takes none")
 
 
 class DeviceClock:

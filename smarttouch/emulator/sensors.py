@@ -4,7 +4,6 @@ import sys
 from abc import abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
 from smarttouch.emulator.firmware import DeviceClock, Firmware
@@ -67,13 +66,11 @@ class SensorArray(SensorFirmware):
         coarse = np.random.default_rng(0).integers(0, 2, (_SIDE // _BLOCK, _PATTERN_SIDE // _BLOCK))
         blocks = np.kron(coarse, np.ones((_BLOCK, _BLOCK)))
         self._pattern = np.where(blocks, 220, 40).astype(np.uint8)
-        self._image: NDArray[np.uint8] | None = None
 
     def packet(self, number: int, time_s: float) -> bytes:
-        if "freeze" not in self.wrong or self._image is None:
-            start = int(time_s * _PATTERN_PIXELS_S) % (_PATTERN_SIDE - _SIDE)
-            self._image = self._pattern[:, start : start + _SIDE]
-        return encode_frame(number, round(time_s * 1e6), self._image)
+        start = int(time_s * _PATTERN_PIXELS_S) % (_PATTERN_SIDE - _SIDE)
+        image = self._pattern[:, start : start + _SIDE]
+        return encode_frame(number, round(time_s * 1e6), image)
 
 
 class EmulatedLoadCell(SensorFirmware):
@@ -86,32 +83,22 @@ class EmulatedLoadCell(SensorFirmware):
         super().__init__(rate_hz)
         self._force_n, self._noise, self._framed = force_n, noise, framed
         self._random = np.random.default_rng(0)
-        self._reading: int | None = None
 
     def packet(self, number: int, time_s: float) -> bytes:
-        if "freeze" not in self.wrong or self._reading is None:
-            noise = self._noise * self._random.standard_normal()
-            counts = round(ZERO_COUNTS + COUNTS_PER_N * self._force_n + noise)
-            self._reading = int(np.clip(counts, -_LARGEST_RAW - 1, _LARGEST_RAW))
-        reading = None if "nan" in self.wrong else self._reading
+        noise = self._noise * self._random.standard_normal()
+        counts = round(ZERO_COUNTS + COUNTS_PER_N * self._force_n + noise)
+        reading = min(max(counts, -_LARGEST_RAW - 1), _LARGEST_RAW)
         if self._framed:
             return encode_force(number, round(time_s * 1e6), reading)
-        return f"HX711 reading: {'nan' if reading is None else reading}\r\n".encode()
+        return f"HX711 reading: {reading}\r\n".encode()
 
-    def take_order(self, words: list[str]) -> bool:
+    def take_order(self, order: str) -> None:
         """Change the force: ``weight GRAMS`` or ``force NEWTONS``."""
-        match words:
-            case ["weight", grams]:
-                self._force_n = _number(grams) * GRAVITY_N_PER_G
-            case ["force", force]:
-                self._force_n = _number(force)
-            case _:
-                return False
-        return True
-
-
-def _number(word: str) -> float:
-    try:
-        return float(np.nan_to_num(float(word)))
-    except ValueError:
-        raise BoardError(f"{word!r} is not a number") from None
+        what, _, number = order.partition(" ")
+        try:
+            newtons = float(number) * {"weight": GRAVITY_N_PER_G, "force": 1.0}[what]
+            self._force_n = float(np.nan_to_num(newtons))
+        except (KeyError, ValueError):
+            raise BoardError(
+                f"{order!r} is no order: write weight GRAMS or force NEWTONS"
+            ) from None

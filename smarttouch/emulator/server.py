@@ -1,53 +1,21 @@
-"""Runs an emulated device on a line: as long as there is a host, and a while longer.
-
-Faults are events as texts: seconds since a host first opened the line, kind, and duration in
-seconds (for ever if not given)::
-
-    2 garbage 0.5       random bytes in place of messages
-    3 nan 1             readings that are not numbers (load cells)
-    4 freeze 3          the same image or reading again and again (sensors)
-    5 silent 1          nothing passes
-"""
+"""Runs an emulated device on a line: as long as there is a host, and a while longer."""
 
 import contextlib
 import math
 import os
-import random
 import select
 import signal
 import sys
-from collections import deque
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
 from types import FrameType
 
 from smarttouch.base.errors import BoardError
 from smarttouch.base.wire.device_lines import PtyLine, TcpLine
-from smarttouch.emulator.finger_events import DeviceEvent, parse
 from smarttouch.emulator.firmware import DeviceClock, Firmware
 
-FAULTS = dict.fromkeys(("garbage", "nan", "freeze", "silent"), "[SECONDS]")
 FIRST_HOST_S = 8.0  # time beyond its lingering that it waits for the first host
 _WRITE_EVERY_NS = 50_000_000
 _FULL_WAIT_S = 0.0005  # time after which the rest of a message is tried again
-
-
-@dataclass
-class LineStatistics:
-    """Counts of messages, each counted when its last byte was taken."""
-
-    sent: int = 0
-    dropped: int = 0  # due, but not sent: the line was still full
-    garbage: int = 0
-
-
-def faults_at(faults: Iterable[DeviceEvent], time_s: float) -> frozenset[str]:
-    """Return the kinds of faults at a time."""
-    return frozenset(
-        fault.kind
-        for fault in faults
-        if fault.time_s <= time_s < fault.time_s + (*fault.values, math.inf)[0]
-    )
 
 
 class Orders:
@@ -73,24 +41,14 @@ class Orders:
 
 
 class Server:
-    """Serves one host after another. ``orders`` are for the device, or are events without their
-    time, such as ``garbage 0.5``."""
+    """Serves one host after another; ``orders`` are for the device."""
 
     def __init__(
-        self,
-        firmware: Firmware,
-        line: PtyLine | TcpLine,
-        faults: Iterable[DeviceEvent] = (),
-        orders: Orders | None = None,
+        self, firmware: Firmware, line: PtyLine | TcpLine, orders: Orders | None = None
     ) -> None:
-        self.statistics: LineStatistics = LineStatistics()
-        self._firmware, self._line, self._faults = firmware, line, list(faults)
-        self._orders = orders
-        self._first_host_ns: int | None = None
+        self._firmware, self._line, self._orders = firmware, line, orders
         self._hosted = False
-        self._waiting: deque[tuple[bytes, bool]] = deque()
-        """Messages that wait for the line, and whether they are garbage."""
-        self._random = random.Random(0)
+        self._waiting = b""  # of messages that the line has not taken yet
 
     def serve(self, linger_s: float = 2.0, describe: Callable[[str], str] = str) -> None:
         """Print the port's name, as ``describe`` words it, and run until SIGTERM, or ``linger_s``
@@ -131,54 +89,34 @@ class Server:
 
     def step(self, data: bytes | None, now_ns: int) -> None:
         """Execute what is due, with the bytes of the host; None if there is no host."""
-        if data is not None and self._first_host_ns is None:
-            self._first_host_ns = now_ns
-        wrong = self._wrong_at(now_ns)
-        had_host, self._hosted = self._hosted, data is not None
+        firmware, had_host = self._firmware, self._hosted
+        self._hosted = data is not None
+        self._obey()
         if data is None:
-            self._waiting.clear()
+            self._waiting = b""
             if had_host:
-                self._firmware.hang_up(now_ns)
+                firmware.hang_up(now_ns)
                 self._write_books()
-        self._push()
-        if data is None or "silent" in wrong:
-            self._firmware.idle(now_ns)
+            firmware.idle(now_ns)
             return
-        self._firmware.wrong = wrong
-        feed, advance = self._firmware.feed, self._firmware.advance
-        if message := feed(data, now_ns) if data else advance(now_ns):
-            self._send(message, "garbage" in wrong)
-
-    def _send(self, message: bytes, garbage: bool) -> None:
-        if sum(len(each) for each, _ in self._waiting) >= self._firmware.backlog:
-            self.statistics.dropped += 1
-            return
-        if garbage:
-            # Ends of lines and packets stay, so that a host can find the next one.
-            message = self._random.randbytes(max(0, len(message) - 2)) + message[-2:]
-        self._waiting.append((message, garbage))
         self._push()
+        message = firmware.feed(data, now_ns) if data else firmware.advance(now_ns)
+        # A message for which there is no room is dropped whole.
+        if len(self._waiting) < firmware.backlog:
+            self._waiting += message
+            self._push()
 
     def _push(self) -> None:
-        while self._waiting:
-            message, garbage = self._waiting.popleft()
-            if rest := self._line.write(message):
-                self._waiting.appendleft((rest, garbage))
-                return
-            self.statistics.garbage += garbage
-            self.statistics.sent += not garbage
+        if self._waiting:
+            self._waiting = self._line.write(self._waiting)
 
-    def _wrong_at(self, now_ns: int) -> frozenset[str]:
-        first_ns = now_ns if self._first_host_ns is None else self._first_host_ns
-        time_s = (now_ns - first_ns) / 1e9
-        for line in self._orders.read() if self._orders is not None else ():
+    def _obey(self) -> None:
+        for order in self._orders.read() if self._orders is not None else ():
             with contextlib.suppress(BrokenPipeError):
                 try:
-                    if not self._firmware.take_order(line.split()):
-                        self._faults.append(parse(f"{time_s:.6f} {line}", FAULTS))
+                    self._firmware.take_order(order)
                 except BoardError as error:
                     print(error, file=sys.stderr, flush=True)
-        return frozenset() if self._first_host_ns is None else faults_at(self._faults, time_s)
 
     def _write_books(self) -> None:
         if self._firmware.books is not None:

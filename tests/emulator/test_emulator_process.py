@@ -1,7 +1,5 @@
 """The emulator as a process: its ports, its options, its account and its end."""
 
-import json
-import math
 import os
 import re
 import select
@@ -130,8 +128,6 @@ def test_ctrl_c_ends_a_board_without_a_host(start_board, tmp_path, linger, progr
     ("link?electrodes=4&event=1 open 4", "4 3"),
     ("mouse", "emulator 'mouse' serial-array hx711 loadcell"),
     ("loadcell?rate=0", "0 2000"),
-    ("serial-array?event=1 nan", "nan"),
-    ("hx711?event=1 dance", "'1 dance' garbage"),
     ("hx711?force=nan", "nan"),
     ("hx711?linger=-1", "-1"),
     ("hx711?electrodes=4", "electrodes rate force"),
@@ -146,60 +142,25 @@ def test_what_it_cannot_do_is_one_sentence(capsys, monkeypatch, url, names):
     assert set(names.split()) <= set(re.split(r"[\s:,()]+", said))
 
 
-def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile):
-    options = ("rate=400", "event=0.75 silent", "linger=0.2")
-    process, name = start("serial-array", *options)
+def test_every_frame_of_an_array_is_read_or_dropped(start, profile):
+    process, name = start("serial-array", "rate=400", "linger=0.2")
     with open_source(f"serial-array:{name}", profile) as sensor:
         look = sensor.read(0)
         assert look.image.shape == (64, 64)
         read = {look.number}
-
-        def see():
-            look = sensor.read(0)
-            read.add(look.number)
-            return look
-
-        def is_over():
-            """While the line is full none is sent: others come instead, after a while."""
-            before = sensor.frames
-            time.sleep(0.5)
-            return see().stale and sensor.frames == before
-
-        until(is_over)
-    assert process.wait(60) == 0
-    account = json.loads(process.stdout.read())
-    assert account["garbage"] == 0
+        until(lambda: read.add(sensor.read(0).number) or sensor.frames > 100)
     assert sensor.frames == len(read) + sensor.dropped_frames
-    # What was sent while the port was opened, as many frames as that takes, was nobody's.
-    assert 0 < sensor.frames <= account["sent"] <= 301
+    assert process.wait(60) == 0
 
 
-def test_a_cell_with_all_faults_and_orders(start, profile, changed):
+def test_a_cell_with_orders(start, profile, changed):
     process, name = start("hx711", "force=0.6")
     in_newtons = changed(profile, {"force.curve": (-1.6, 1 / 50_000)})
-
-    def order(words):
-        process.stdin.write(f"{words}\n")
-        process.stdin.flush()
-
     with open_force(f"hx711:{name}", in_newtons) as force:
-        readings, watch = force._cell._readings, force._cell._watch
-        for fault, seen in (
-            ("garbage 0.6", lambda: readings.garbled > 0),
-            ("nan 0.3", lambda: watch._invalid > 0),
-            ("silent 0.6", lambda: watch._silence.times > 0),
-        ):
-            # One reading: the next may have come late, and be none.
-            found = [math.nan]
-            until(lambda found=found: found.append(force.read(0)) or found[-1] > 0)
-            assert found[-1] == pytest.approx(0.6, abs=0.4)
-            order(fault)
-            until(lambda seen=seen: math.isnan(force.read(0)) and seen())
-        until(lambda: force.read(0) > 0)
-        assert len(force.notes) >= 3
+        until(lambda: force.read(0) == pytest.approx(0.6, abs=0.01))
     with open_cell(f"hx711:{name}") as cell:
-        order("weight 200")
+        process.stdin.write("weight 200\n")
+        process.stdin.flush()
         until(lambda: cell.reading() > 170_000)
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 0
-    assert json.loads(process.stdout.read())["sent"] > 0

@@ -8,14 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError
-from smarttouch.emulator.finger_events import (
-    FORMS,
-    DeviceEvent,
-    EmulatedFinger,
-    parse,
-    parse_event,
-)
-from smarttouch.emulator.server import FAULTS, faults_at
+from smarttouch.emulator.finger_events import FORMS, EmulatedFinger, parse_event
 from smarttouch.emulator.skin import SkinCircuit
 
 from ..raising import raises
@@ -113,15 +106,6 @@ def test_a_change_leaves_the_voltage_on_an_electrode():
 def test_bad_text_is_one_clear_sentence(text, allowed):
     with raises(BoardError, names="event", value=text, allowed=allowed):
         EmulatedFinger(16, [text])
-
-
-def test_faults_of_a_line_may_end():
-    assert parse(" 0.5  silent  1 ", FAULTS) == DeviceEvent(0.5, "silent", values=(1,))
-    faults = [parse("1 nan 1", FAULTS), parse("1.5 silent", FAULTS)]
-    found = [faults_at(faults, time_s) for time_s in (0.99, 1, 1.6, 2)]
-    assert found == [frozenset(), {"nan"}, {"nan", "silent"}, {"silent"}]
-    with raises(BoardError, names="event", value="2 nan 1 1", allowed="TIME nan [SECONDS]"):
-        parse("2 nan 1 1", FAULTS)
 
 
 def test_an_event_of_an_electrode_that_is_not_there_is_named():

@@ -1,14 +1,11 @@
-"""Emulated sensors, and the server of emulated devices: deadlines, faults and orders."""
-
-import math
+"""Emulated sensors, and the server of emulated devices: deadlines, full lines and orders."""
 
 import numpy as np
 import pytest
 
-from smarttouch.emulator.finger_events import parse
 from smarttouch.emulator.firmware import Firmware
 from smarttouch.emulator.sensors import EmulatedLoadCell, SensorArray, SensorFirmware
-from smarttouch.emulator.server import FAULTS, Server
+from smarttouch.emulator.server import Server
 from smarttouch.sources.sensor_protocol import ArrayFrame, CellReading, MessageStream
 from smarttouch.sources.serial_input import TextReadings
 
@@ -37,105 +34,10 @@ class FakeOrders:
 
 
 class Counter(SensorFirmware):
-    """A device that sends its numbers, four bytes each."""
+    """A device that sends its numbers, four bytes each, 100 times a second."""
 
     def packet(self, number, time_s):
         return b"%03d;" % number
-
-
-def parse_fault(text):
-    return parse(text, FAULTS)
-
-
-def make_server(device=None, line=None, faults=(), orders=()):
-    line = line or FakeLine()
-    wrong = [parse_fault(text) for text in faults]
-    server = Server(device or Counter(100.0), line, wrong, FakeOrders(*orders))
-    return server, line
-
-
-def step(server, *times_ms, present=True):
-    """Let a server do what is due, with or without a host."""
-    for now_ms in times_ms:
-        server.step(b"" if present else None, now_ms * MS)
-
-
-def test_one_packet_at_each_deadline_and_none_without_a_host():
-    server, line = make_server()
-    step(server, 5, present=False)
-    assert line.taken == b""
-    step(server, *range(100, 151))
-    assert line.taken == b"000;001;002;003;004;005;"
-    assert (server.statistics.sent, server.statistics.dropped) == (6, 0)
-
-
-def test_a_late_tick_moves_no_deadline_but_a_long_one_is_not_made_up_for():
-    server, _ = make_server()
-    step(server, 0, 17, 20, 26, 30)
-    assert server.statistics.sent == 4
-    step(server, *range(1000, 1010))
-    assert server.statistics.sent == 5
-
-
-def test_what_the_host_does_not_take_is_dropped_and_never_queued():
-    server, line = make_server(line=FakeLine(room=6))
-    step(server, *range(0, 50))
-    assert line.taken == b"000;00"
-    assert (server.statistics.sent, server.statistics.dropped) == (1, 3)
-    line.room = 100
-    step(server, *range(50, 61))
-    assert line.taken == b"000;001;005;006;"
-    assert (server.statistics.sent, server.statistics.dropped) == (4, 3)
-
-
-def test_a_host_that_goes_takes_its_half_packet_along():
-    server, line = make_server(line=FakeLine(room=2))
-    step(server, 0)
-    step(server, 1, present=False)
-    line.room = 100
-    step(server, 20)
-    assert line.taken == b"00001;"
-    assert server.statistics.sent == 1
-
-
-def test_faults_of_the_line():
-    server, line = make_server(faults=["0.0625 silent 0.0625"])
-    taken = []
-    for now_ms in range(0, 200):
-        step(server, now_ms)
-        taken.append(len(line.taken))
-    assert taken[62] == taken[124] == 4 * 7 < taken[190]
-
-
-def test_orders(capsys):
-    cell = EmulatedLoadCell(0.0, noise=0)
-    orders = ("weight 100", "force x", "silent 0.02", "dance")
-    server, line = make_server(cell, orders=orders)
-    step(server, *range(0, 60))
-    assert line.taken == b"HX711 reading: 129033\r\n" * server.statistics.sent
-    assert server.statistics.sent == 4
-    number, dance = capsys.readouterr().err.splitlines()
-    assert "'x'" in number
-    assert "'0.003000 dance'" in dance
-    assert "garbage, nan, freeze, silent" in dance
-
-
-def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
-    array, cell = SensorArray(100.0), EmulatedLoadCell(1.0, framed=True, rate_hz=100.0)
-    for device in (array, cell):
-        server, line = make_server(device, faults=["0 garbage 0.05"])
-        step(server, *range(0, 50))
-        assert (server.statistics.sent, server.statistics.garbage) == (0, 5)
-        stream = MessageStream()
-        assert stream.feed(line.taken) == []
-        assert stream.broken > 0
-        line.taken = b""
-        step(server, 50)
-        assert [each.number for each in stream.feed(line.taken)] == [5]
-    text, line = make_server(EmulatedLoadCell(1.0), faults=["0 garbage"])
-    step(text, 0)
-    assert line.taken.endswith(b"\r\n")
-    assert TextReadings().feed(b"\n" + line.taken) == []
 
 
 class Answering(Firmware):
@@ -156,9 +58,40 @@ class Answering(Firmware):
         self.calls.append("hung up")
 
 
+def steps(line, *acts, device=None):
+    """Let a server do what is due at times, ms, or without a host at a time, and give a line room.
+
+    Acts are a time, a time without a host (in a list), or room as ``{"room": bytes}``.
+    """
+    server = Server(device or Counter(100.0), line)
+    for act in acts:
+        match act:
+            case {"room": room}:
+                line.room = room
+            case [now_ms]:
+                server.step(None, now_ms * MS)
+            case now_ms:
+                server.step(b"", now_ms * MS)
+    return line.taken
+
+
+@pytest.mark.parametrize(("room", "acts", "taken"), [
+    # A packet at each deadline, and none without a host.
+    (99, ([5], *range(100, 151)), b"000;001;002;003;004;005;"),
+    # A late tick moves no deadline, and a long one is not made up for.
+    (99, (0, 17, 20, 26, 30, *range(1000, 1010)), b"000;001;002;003;004;"),
+    # What the host does not take is dropped and never queued.
+    (6, (*range(50), {"room": 99}, *range(50, 61)), b"000;001;005;006;"),
+    # A host that goes takes its half packet along.
+    (2, (0, [1], {"room": 99}, 20), b"00001;"),
+])  # fmt: skip
+def test_what_a_sensor_sends(room, acts, taken):
+    assert steps(FakeLine(room), *acts) == taken
+
+
 def test_a_boards_answers_wait_for_a_host_that_reads_later_and_not_for_ever():
-    board = Answering()
-    server, line = make_server(board, FakeLine(room=3))
+    board, line = Answering(), FakeLine(room=3)
+    server = Server(board, line)
     server.step(b"abcd", 0)
     server.step(b"efgh", MS)
     line.room = 100
@@ -170,28 +103,34 @@ def test_a_boards_answers_wait_for_a_host_that_reads_later_and_not_for_ever():
     line.room = 100
     server.step(b"", 6 * MS)
     assert line.taken == b"abcdefghijklmnop"
-    assert (server.statistics.sent, server.statistics.dropped) == (4, 1)
 
 
-def test_a_board_goes_on_without_a_host_and_receives_nothing_on_a_silent_line():
-    board = Answering()
-    server, line = make_server(board, faults=["0.002 silent 0.002"])
-    for now_ms, data in enumerate((None, b"a", b"", b"lost", None, None)):
+def test_a_board_goes_on_without_a_host():
+    board, line = Answering(), FakeLine()
+    server = Server(board, line)
+    for now_ms, data in enumerate((None, b"a", b"", None, None)):
         server.step(data, now_ms * MS)
     assert (board.heard, line.taken) == (b"a", b"a")
-    assert board.calls == [0, 2, 3, "hung up", 4, 5]
+    assert board.calls == [0, 2, "hung up", 3, 4]
 
 
-def packet(device, number, time_s, *wrong):
-    device.wrong = frozenset(wrong)
-    return device.packet(number, time_s)
+def test_orders(capsys):
+    line = FakeLine()
+    orders = FakeOrders("weight 100", "force x", "dance")
+    server = Server(EmulatedLoadCell(0.0, noise=0), line, orders)
+    for now_ms in range(4):
+        server.step(b"", now_ms * MS)
+    assert line.taken == b"HX711 reading: 129033\r\n"
+    for order, said in zip(("force x", "dance"), capsys.readouterr().err.splitlines(), strict=True):
+        assert repr(order) in said
+        assert "weight GRAMS or force NEWTONS" in said
 
 
 def test_an_array_sends_frames():
     device = SensorArray(4)
     stream, messages = MessageStream(), []
     for number in range(5):
-        messages += stream.feed(packet(device, number, number / 4))
+        messages += stream.feed(device.packet(number, number / 4))
     frames = [each for each in messages if isinstance(each, ArrayFrame)]
     assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
     assert [frame.time_us for frame in frames] == [0, 250_000, 500_000, 750_000, 1_000_000]
@@ -200,39 +139,27 @@ def test_an_array_sends_frames():
     np.testing.assert_array_equal(frames[0].image[:, 10:], frames[1].image[:, :-10])
 
 
-def test_an_array_that_freezes():
-    device = SensorArray(100)
-    stream = MessageStream()
-    (before,) = stream.feed(packet(device, 0, 0))
-    (frozen,) = stream.feed(packet(device, 1, 10, "freeze"))
-    (after,) = stream.feed(packet(device, 2, 10))
-    np.testing.assert_array_equal(before.image, frozen.image)
-    assert (after.image != frozen.image).any()
-
-
 @pytest.mark.parametrize("framed", [False, True])
 def test_a_cell_follows_its_line(framed):
     device = EmulatedLoadCell(0.5, noise=0, framed=framed)
 
-    def at(force_n, *wrong):
-        device.take_order(["force", str(force_n)])
-        data = packet(device, 0, 0.0, *wrong)
+    def at(force_n):
+        device.take_order(f"force {force_n}")
+        data = device.packet(0, 0.0)
         if framed:
             (message,) = MessageStream().feed(data)
             assert isinstance(message, CellReading)
             return message.reading
         (reading,) = TextReadings().feed(b"\n" + data)
-        return None if math.isnan(reading) else reading
+        return reading
 
     assert [at(0.5), at(1), at(-2)] == [105_000, 130_000, -20_000]
-    assert at(0.5, "freeze") == -20_000
-    assert at(0.5, "nan") is None
     assert at(1e9) == 2**23 - 1
 
 
 def test_a_cells_noise():
     device = EmulatedLoadCell(-1.6, noise=50, framed=True)
     stream = MessageStream()
-    readings = [stream.feed(packet(device, 0, 0))[0].reading for _ in range(2000)]
+    readings = [stream.feed(device.packet(0, 0))[0].reading for _ in range(2000)]
     assert np.mean(readings) == pytest.approx(0, abs=5)
     assert np.std(readings) == pytest.approx(50, rel=0.1)
