@@ -1,7 +1,7 @@
 """Emulated devices by URLs, as in ``smarttouch devices emulate "link?electrodes=16"``."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -83,17 +83,7 @@ def emulate_board(
         # Kernels of all classes, however many electrodes there are.
         room = Room(kernels=max(Room.kernels, len(Afferent) * electrodes))
         device = LinkFirmware(kind, log, finger, ramp_ms=ramp_ms, room=room)
-    with closing(_opened(TcpLine if tcp else PtyLine)) as line:
-        _serve(Server(device, line), linger, partial(_board_advice, name) if advise else str)
-
-
-def _board_advice(name: str, port: str) -> str:
-    # The kits do not measure force.
-    force = "" if name == "link" else " --force fixed:0.9"
-    return (
-        f"A {name} board on emulated skin. In another terminal:\n\n"
-        f"  smarttouch live --board {name}:{port}{force}\n\nCtrl-C ends it."
-    )
+    _serve(name, device, linger, advise, TcpLine if tcp else PtyLine)
 
 
 def emulate_sensor(
@@ -114,38 +104,43 @@ def emulate_sensor(
         device: Firmware = sensors.SensorArray(rate_hz)
     else:
         device = sensors.EmulatedLoadCell(force, framed=name == "loadcell", rate_hz=rate_hz)
-    with closing(_opened(PtyLine)) as line:
-        server = Server(device, line, Orders())
-        _serve(server, linger, partial(_sensor_advice, name) if advise else str)
+    _serve(name, device, linger, advise, orders=Orders())
 
 
-def _sensor_advice(name: str, port: str) -> str:
+_USES = {
+    "kajimoto61": "live --board kajimoto61:PORT --force fixed:0.9",  # kits do not measure force
+    "etactilekit": "live --board etactilekit:PORT --force fixed:0.9",
+    "link": "live --board link:PORT",
+    "serial-array": "live serial-array:PORT --force fixed:0.5",
+    "hx711": "live --force hx711:PORT --profile P",
+    "loadcell": "live --force loadcell:PORT --profile P",
+}
+
+
+def _advice(name: str, port: str) -> str:
     from smarttouch.emulator.sensors import COUNTS_PER_N, ZERO_COUNTS
 
-    if name == "serial-array":
-        return (
-            f"A sensor array. In another terminal:\n\n  smarttouch devices show {name}:{port}\n"
-            f"  smarttouch live {name}:{port} --force fixed:0.5\n\nCtrl-C ends it."
+    more = ""
+    if name in ("hx711", "loadcell"):
+        more = (
+            f" The curve in [force] of the profile P is [{-ZERO_COUNTS / COUNTS_PER_N:g}, "
+            f"{1 / COUNTS_PER_N:g}], or smarttouch calibrate force finds it. A line typed here "
+            "puts something else on the cell: weight 100 (grams), force 0.5 (newtons)."
         )
-    return (
-        "A load cell. In another terminal:\n\n"
-        f"  smarttouch devices show {name}:{port} --profile P\n"
-        f"  smarttouch live --force {name}:{port} --profile P\n\n"
-        f"with curve = [{-ZERO_COUNTS / COUNTS_PER_N:g}, {1 / COUNTS_PER_N:g}] in [force] of the "
-        "profile P, or smarttouch calibrate force to find it. A line typed here puts something "
-        "else on it: weight 100 (grams), force 0.5 (newtons). Ctrl-C ends it."
-    )
+    use = _USES[name].replace("PORT", port)
+    return f"In another terminal:\n\n  smarttouch {use}\n\nCtrl-C ends this {name}.{more}"
 
 
-def _opened(line: Callable[[], PtyLine | TcpLine]) -> PtyLine | TcpLine:
-    try:
-        return line()
-    except OSError as error:
-        raise SmartTouchError(f"cannot open a port: {error}") from None
-
-
-def _serve(server: Server, linger_s: float, describe: Callable[[str], str]) -> None:
+def _serve(
+    name: str,
+    device: Firmware,
+    linger_s: float,
+    advise: bool,
+    line: type[PtyLine | TcpLine] = PtyLine,
+    orders: Orders | None = None,
+) -> None:
     require_within(SmartTouchError, "linger", linger_s, 0, math.inf)
     # Circuits and images are small: a second thread would only slow down the host.
-    with threadpool_limits(1):
-        server.serve(linger_s, describe)
+    with closing(line()) as opened, threadpool_limits(1):
+        server = Server(device, opened, orders)
+        server.serve(linger_s, partial(_advice, name) if advise else str)
