@@ -32,8 +32,8 @@ def test_no_command_drives_a_real_board_that_nobody_controls(program_here, comma
 @pytest.mark.parametrize(
     "command",
     [
-        ("live",), ("live", "--force", "recorded:a.csv"),
-        ("read", "text:a"), ("live", "texture:"), ("live", "vibration:tone:30Hz,8um+press:0.5N"),
+        ("live",), ("read", "text:a"), ("live", "texture:"),
+        ("live", "vibration:tone:30Hz,8um+press:0.5N"),
         ("experiment", "run", "detection"),
         ("experiment", "run", "free", "--seconds", "1", "--profile", "kajimoto-61"),
         ("devices", "test", "--seconds", "1", "--current-ma", "0.5"),
@@ -42,9 +42,8 @@ def test_no_command_drives_a_real_board_that_nobody_controls(program_here, comma
     ids=" ".join,
 )  # fmt: skip
 def test_no_command_drives_a_real_board_whose_finger_nobody_measures(
-    start_at_a_terminal, start_emulator, tmp_path, command
+    start_at_a_terminal, start_emulator, command
 ):
-    (tmp_path / "a.csv").write_text("time_s,force_n\n0,0.9\n10,0.9\n")
     _, port, books = start_emulator(61, "kajimoto61")
     url = f"kajimoto61:{port}"
     board = (url,) if command[0] == "devices" else ("--board", url)

@@ -38,12 +38,11 @@ def test_a_page_is_shown(run):
     assert re.search(r"\b0\.\d+ N", rows["force"])
 
 
-def test_a_force_is_shown(run, tmp_path):
-    (tmp_path / "force.csv").write_text("time_s,force_n\n0,0.25\n0.1,0.25\n")
-    shown = run("show", "recorded:force.csv", "--seconds", 0.2)
+def test_a_force_is_shown(run):
+    shown = run("show", "fixed:0.25", "--seconds", 0.2)
     assert shown.exit_code == 0, shown.exception
     assert re.findall(r"\b\d\.\d{3}\b", shown.output)[:3] == ["0.250"] * 3
-    assert "10 of 21 " in shown.output
+    assert "0 of 21 " in shown.output
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [

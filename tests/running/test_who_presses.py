@@ -93,17 +93,11 @@ def flows(profile, bank):
 
 @pytest.mark.parametrize("name", VIRTUAL)
 def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, name):
-    table = tmp_path / "force.csv"
-    table.write_text("time_s,force_n\n0,0.9\n10,0.9\n")
-
     def source():
         return VIRTUAL[name](profile, tmp_path)
 
-    refused = {"names": "force"}
-    with raises(SourceError, **refused):
+    with raises(SourceError, names="force"):
         flows(source())
-    with raises(SourceError, **refused):
-        flows(source(), f"recorded:{table}")
     # Stated by a person, for this run or in the profile, or measured by the board.
     ways = {
         "run": lambda newtons: flows(source(), f"fixed:{newtons}"),

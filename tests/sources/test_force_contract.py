@@ -22,16 +22,6 @@ class TestFixed(Contract):
     url, nowhere = "fixed:0.5", "fixed:hard"
 
 
-class TestRecorded(Contract):
-    nowhere = "recorded:nothing.csv"
-
-    @pytest.fixture(autouse=True)
-    def _table(self, tmp_path):
-        path = tmp_path / "force.csv"
-        path.write_text("time_s,force_n\n0.2,0.1\n0.5,-1\n0.8,2\n", encoding="utf-8")
-        self.url = f"recorded:{path}"
-
-
 class TestLoadCell(Contract):
     nowhere = "hx711:/dev/nothing"
 
