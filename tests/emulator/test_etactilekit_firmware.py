@@ -68,19 +68,15 @@ def test_its_own_example(rig):
     np.testing.assert_allclose(period_us, 1e6 / 60, atol=2)
 
 
-def test_it_goes_on_for_ever_also_without_a_host(rig):
+def test_it_goes_on_for_ever_without_a_host_and_zeros_end_it(rig):
     rig.say(0, EXAMPLE + ONE)
     rig.board.hang_up(100 * MS)
     rig.advance(10_000)
     assert rig.books.sequences == pytest.approx(600, abs=1)
     assert (rig.books.state, rig.board.busy) == ("driving", True)
-
-
-def test_zeros_end_it(rig):
-    rig.after(105, EXAMPLE + ONE)
-    rig.say(105, "FE" + "0000" * 4)
+    rig.say(10_005, "FE" + "0000" * 4)
     slots = rig.books.slots
-    assert rig.advance(1000) == slots
+    assert rig.advance(11_000) == slots
     assert (rig.books.state, rig.books.reason, rig.board.busy) == ("shorted", "pattern", False)
 
 
@@ -94,35 +90,23 @@ def test_at_boot_there_is_no_pulse_width_but_a_pulse_and_the_rate_is_100_hz(rig)
     assert rig.books.max_charge_uc == pytest.approx(0.21978)
 
 
-@pytest.mark.parametrize(("polarity", "sign"), [("FD00", 1), ("FD01", -1), ("", -1)])
-def test_polarity(rig, polarity, sign):
-    assert np.sign(rig.after(50, "FC04 FA6400" + polarity + ONE).slots["current_ua"][0, 1]) == sign
-
-
-def test_a_slot_is_width_discharge_and_switching_also_for_idle_electrodes(rig):
-    slots = rig.after(15, "FC04 FA6400 F732" + "FE 0A00 0000 0000 0A00").slots
-    assert slots["site"].tolist() == [0, 3]
-    assert np.diff(slots["time_us"]).tolist() == [3 * 160]
-
-
-def test_biphasic_pulses_are_two_of_opposite_sign(rig):
-    slots = rig.after(15, "FC04 FB01 FD01 FA6400 F732" + "FE 6400 6400 0000 0000").slots
-    assert slots["site"].tolist() == [0, 0, 1, 1]
-    assert np.diff(slots["time_us"]).tolist() == [110, 160, 110]
-    own = slots["current_ua"][range(4), slots["site"]]
-    assert own.tolist() == [-999, 999, -999, 999]
-    assert (rig.books.slots, rig.books.sequences) == (2, 1)
-    # What the first pulse left is mostly taken back by the second.
-    residual = np.abs(slots["residual_uc"].astype(float)).max(axis=1)
-    assert residual[1] < residual[0]
-
-
-def test_sense_pulses_go_to_every_electrode_whatever_the_pattern(rig):
-    slots = rig.after(15, "FC04 FB02 FA6400 F732 F964 F832" + ONE).slots
-    assert slots["site"].tolist() == [0, 1, 2, 3]
-    assert slots["current_ua"][range(4), range(4)].tolist() == [-999] * 4
-    assert np.diff(slots["time_us"]).tolist() == [110] * 3
-    assert rig.books.max_charge_uc == pytest.approx(0.999 * 0.05)
+@pytest.mark.parametrize(("commands", "sites", "apart_us", "own_ua"), [
+    # A slot is width, discharge and switching, also for idle electrodes.
+    ("FA6400 F732 FE 0A00 0000 0000 0A00", [0, 3], [3 * 160], [-100, -100]),
+    ("FA6400 FD00" + ONE, [1], [], [2198]),
+    ("FA6400 FD01" + ONE, [1], [], [-2198]),
+    # Biphasic pulses are two of opposite sign.
+    ("FB01 FA6400 F732 FE 6400 6400 0000 0000", [0, 0, 1, 1], [110, 160, 110],
+     [-999, 999, -999, 999]),
+    # Sense pulses go to every electrode, whatever the pattern.
+    ("FB02 FA6400 F732 F964 F832" + ONE, [0, 1, 2, 3], [110] * 3, [-999] * 4),
+])  # fmt: skip
+def test_a_scan(rig, commands, sites, apart_us, own_ua):
+    slots = rig.after(15, "FC04" + commands).slots
+    assert slots["site"].tolist() == sites
+    assert np.diff(slots["time_us"]).tolist() == apart_us
+    assert slots["current_ua"][range(len(sites)), sites].tolist() == own_ua
+    assert (rig.books.slots, rig.books.sequences) == (len(set(sites)), 1)
 
 
 def test_readings_are_the_volts_of_the_last_slots(rig):

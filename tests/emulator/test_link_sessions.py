@@ -68,16 +68,7 @@ def reasons(answers):
     return [(each.kind, each.about, each.payload[:1]) for each in answers]
 
 
-OLD = [(MessageKind.NAK, 0, bytes([Refusal.OLD]))]
 FOREIGN = [(MessageKind.NAK, 0, bytes([Refusal.FOREIGN]))]
-
-
-def test_a_sequence_that_comes_again_byte_by_byte_is_old(rig):
-    assert [each.kind for each in rig.tell(MessageKind.SEQUENCE, 1, payload())] == [MessageKind.ACK]
-    rig.wait(20)
-    assert reasons(rig.hear(rig.sent[3])) == OLD
-    rig.wait(20)
-    assert (rig.books.slots, rig.counted) == (1, (1, 0))
 
 
 def test_a_sequence_that_is_sent_again_is_acknowledged_again_and_not_delivered(rig):
@@ -221,11 +212,3 @@ def test_a_stop_is_never_too_late(rig, monkeypatch):
     (answer,) = rig.tell(MessageKind.STOP)
     assert answer.kind == MessageKind.STOPPED
     assert (rig.books.state, rig.books.reason) == ("shorted", "stop")
-
-
-def test_a_report_counts_what_was_refused(rig):
-    rig.hear(rig.sent[0])
-    rig.hear(rig.sent[1])
-    (report,) = rig.tell(MessageKind.STATUS)
-    old, foreign = protocol.REPORT.unpack(report.payload)[8:10]
-    assert (old, foreign) == rig.counted == (1, 1)
