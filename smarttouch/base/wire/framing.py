@@ -53,18 +53,16 @@ class Deframer:
     def head(self, count: int) -> bytes | None:
         """Return the first bytes of the incomplete packet, decoded but unchecked; None if fewer
         than ``count`` have come."""
-        found = bytearray()
-        start = 0
-        while len(found) < count:
-            if start >= len(self._waiting):
-                return None
-            code = self._waiting[start]
-            block = self._waiting[start + 1 : start + code]
-            found += block
-            if len(block) == code - 1 and code < 0xFF:
-                found.append(0)
-            start += code
-        return bytes(found[:count])
+        data, at = bytearray(self._waiting[: count + 2]), 0
+        if not data:
+            return None
+        while at + data[at] < len(data):
+            at += data[at]
+        # A block that has not come whole ends here; a zero follows one that has.
+        zero = b"\0" if at + data[at] == len(data) and data[at] < 0xFF else b""
+        data[at] = len(data) - at
+        found = bytes(cobs.decode(bytes(data))) + zero
+        return found[:count] if len(found) >= count else None
 
     def feed(self, data: bytes) -> list[WirePacket]:
         """Return every packet completed by these bytes."""
