@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from smarttouch.base.command_options import argument, option
-from smarttouch.cli.options import RateOption, takes_options
+from smarttouch.cli.options import takes_options
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.cli.source_options import or_standard_input
 from smarttouch.views.keys_and_signals import drives_a_board, opened
@@ -28,17 +28,6 @@ def live(
         str | None,
         option("Choose the class that is stimulated: RA (usual), SAI, PC or natural.", "CLASS"),
     ] = None,
-    rate_hz: RateOption = None,
-    seed: Annotated[int | None, option("Set the seed of all simulated noise.", "N", min=0)] = None,
-    light_on_dark: Annotated[
-        bool,
-        option(
-            "Read light print on dark paper.",
-            None,
-            "--light-on-dark",
-            show_default=False,
-        ),
-    ] = False,
 ) -> None:
     """Show on the finger what a source sees.
 
@@ -49,18 +38,11 @@ def live(
     from smarttouch.base.files import data_folder
 
     url = source or f"page:{data_folder('sample_images') / 'page.png'}"
-    _show(run, url, mode, rate_hz, seed, light_on_dark)
+    _show(run, url, mode)
 
 
 @drives_a_board
-def _show(
-    run: RunOptionGroup,
-    url: str,
-    mode: str | None,
-    rate_hz: float | None,
-    seed: int | None,
-    light_on_dark: bool,
-) -> None:
+def _show(run: RunOptionGroup, url: str, mode: str | None) -> None:
     chosen = run.load_profile()
     ready = run.display(chosen)
     from smarttouch.base.errors import SourceError
@@ -68,25 +50,24 @@ def _show(
     from smarttouch.sources import open_source, options_taken
     from smarttouch.sources.virtual_finger import READER_MM_S
 
-    asked = None if mode is None else parse_mode(mode)
+    settings, asked = run.settings(), None if mode is None else parse_mode(mode)
+    rate_hz = settings.get("rate_hz")
     offered = {"mode": asked, "rate_hz": rate_hz, "display": ready, "vibrated": bool(run.vibrators)}
     if run.is_watched:
         offered |= {"passes": 0, "speed_mm_s": READER_MM_S}
     taken = options_taken(url)
     given = {name: value for name, value in offered.items() if name in taken}
-    with open_source(url, chosen, light_on_dark=light_on_dark, seed=seed, **given) as opened:
+    dark, seed = bool(settings.get("light_on_dark")), settings.get("seed")
+    with open_source(url, chosen, light_on_dark=dark, seed=seed, **given) as opened:
         if opened.pointer is not None and not run.window:
             raise SourceError("motion=page follows the pointer over the run's page: add --window")
         suits = {"mode": asked or "RA"} | dict(opened.settings)
         if asked is not None and suits["mode"] != asked:
             message = f"{opened.title} chooses its classes by itself: leave out the mode"
             raise SourceError(message)
-        config = run.config(
-            **suits,
-            rate_hz=None if "rate_hz" in taken else rate_hz,
-            light_on_dark=light_on_dark,
-            seed=seed or 0,
-        )
+        config = run.config(**suits)
+        if "rate_hz" in taken:
+            config = config.model_copy(update={"rate_hz": None})
         run.start(
             opened, chosen, config, ready, keys=opened.keys,
             keys_help=opened.keys_help,

@@ -105,9 +105,6 @@ ClassOption = Annotated[str, option("Choose the class that is stimulated: RA, SA
 ModeOption = Annotated[
     str, option("Choose the class that is stimulated: RA, SAI, PC or natural.", "CLASS")
 ]
-RateOption = Annotated[
-    float | None, option("Set the number of scan sequences per second.", "HZ", "--rate")
-]
 JsonOption = Annotated[Path | None, option("Write the results as JSON.", "FILE", "--json")]
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.base.command_options import argument, option
-from smarttouch.cli.options import ModeOption, RateOption, takes_options
+from smarttouch.cli.options import ModeOption, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.cli.source_options import (
     DocumentOptions,
@@ -40,7 +40,6 @@ def read(
         float, option("Rest this long after each line; inf waits for a key.", "S", "--pause")
     ] = 1.0,
     mode: ModeOption = "RA",
-    rate_hz: RateOption = None,
 ) -> None:
     """Read a page with a fingertip, line by line.
 
@@ -55,10 +54,10 @@ def read(
     own = run.load_profile()
     chosen = profile_for_reading(own)
     presentation, speed_mm_s = feel.presentation(own.defaults.read_as, document.languages)
-    motion = presentation.motion(chosen, speed_mm_s, rate_hz)
+    motion = presentation.motion(chosen, speed_mm_s, run.settings().get("rate_hz"))
     notes: list[str] = []
     text = ReadingMaterial(*document.recognition(source), notes.append)
-    config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=presentation.tone)
+    config = run.config(parse_mode(mode), tone=presentation.tone)
     lines = presentation.lines(text, chosen)
     with ReadingSource(text.title, chosen, lines, motion, pause_s) as reading:
         reading.url, reading.notes = source, notes
@@ -199,7 +198,6 @@ def braille_display(
         ),
     ] = "35752",
     mode: ModeOption = "RA",
-    rate_hz: RateOption = None,
 ) -> None:
     """Be the Braille display of a screen reader, by BRLTTY.
 
@@ -216,6 +214,6 @@ def braille_display(
     from smarttouch.sources import open_source
 
     chosen = profile_for_reading(run.load_profile())
-    config = run.config(parse_mode(mode), rate_hz=rate_hz, scan="points")
+    config = run.config(parse_mode(mode), scan="points")
     with open_source(f"brltty:{address}", chosen) as source:
         run.start(source, chosen, config, keys=source.keys, keys_help=source.keys_help)

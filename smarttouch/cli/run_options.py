@@ -44,9 +44,9 @@ class RunOptionGroup(OptionGroup):
     set_: Annotated[
         list[str] | None,
         option(
-            "Change a setting of the run: scan=points (or auto), hold=charge (or "
-            "energy), softness=0..1, balance, paced=no (simulated: as fast as it can), or any "
-            "other of RunConfig.",
+            "Change a setting of the run: rate_hz=HZ, scan=points (or auto), hold=charge (or "
+            "energy), softness=0..1, balance, light_on_dark, seed=N, note=WORDS, paced=no "
+            "(simulated: as fast as it can).",
             "NAME=VALUE",
             "--set",
         ),

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Self, TypedDict
 
 from pydantic import (
     ConfigDict,
+    Field,
     ModelWrapValidatorHandler,
     ValidationError,
     ValidationInfo,
@@ -103,7 +104,7 @@ class RunConfig(Table):
     hold: Hold | None = None
     balance: bool = False
     paced: bool = False
-    seed: int = 0
+    seed: int = Field(default=0, ge=0)
     subject: str = ""
     note: str = ""
 

@@ -77,8 +77,8 @@ def ran(folder, seconds, *options, rate_hz=50):
         TEXT,
         "--board",
         "emulator:",
-        "--rate",
-        f"{rate_hz}",
+        "--set",
+        f"rate_hz={rate_hz}",
         "--json",
         str(out),
     ]

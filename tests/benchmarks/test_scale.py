@@ -147,7 +147,7 @@ def in_threads(count, seconds):
 
 
 def in_processes(count, seconds, folder):
-    command = [PROGRAM, "live", "text:Hello world", "--board", "memory:", "--rate", "50"]
+    command = [PROGRAM, "live", "text:Hello world", "--board", "memory:", "--set", "rate_hz=50"]
     command += ["--quiet", "--seconds", f"{seconds:g}", "--json"]
     files = [folder / f"{index}.json" for index in range(count)]
     running = [subprocess.Popen([*command, str(each)]) for each in files]

@@ -66,8 +66,8 @@ def no_place(name):
     ("live --vibrators x.wav --mode PC", says(SmartTouchError, "mode PC", "vibrator")),
     ("live --set scan=frame", no_choice("scan", "frame", "auto", "points")),
     ("live --mode color", no_choice("mode", "color", "RA", "SAI", "PC", "natural")),
-    ("live --rate 1000", says(ScheduleError, " 1000 Hz", "200 Hz")),
-    ("live --rate nan", says(ScheduleError, " nan Hz", "200 Hz")),
+    ("live --set rate_hz=1000", says(ScheduleError, " 1000 Hz", "200 Hz")),
+    ("live --set rate_hz=nan", says(ScheduleError, " nan Hz", "200 Hz")),
     ("live --seconds -1", says(value=-1, allowed=0)),
     ("live text:i?speed_mm_s=0",
      says(SourceError, value=0, allowed=(0.1, 500))),
@@ -106,7 +106,7 @@ def test_one_sentence(program_here, folder, arguments, wrong):
 
 
 @pytest.mark.parametrize(
-    "arguments", ["live --nonsense", "live --rate abc", "live --seed -1", "nothing"]
+    "arguments", ["live --nonsense", "live --set rate_hz=abc", "live --set seed=-1", "nothing"]
 )
 def test_usage(program_here, arguments):
     done = program_here(*arguments.split(" "))
@@ -120,7 +120,9 @@ def test_help_names_every_command(program_here):
         assert command in done.stdout
 
 
-@pytest.mark.parametrize("arguments", ["profiles show nobody", "devices extra", "live --seed x"])
+@pytest.mark.parametrize(
+    "arguments", ["profiles show nobody", "devices extra", "live --set seed=x"]
+)
 def test_nothing_ends_what_no_option_is_about(program_here, arguments):
     done = program_here(*arguments.split(" "))
     assert done.returncode == 2

@@ -28,7 +28,7 @@ def test_by_the_hosts_books_charge_is_back(live, mode):
 
 
 def test_where_it_does_not_fit_the_rate_falls_with_a_note(live, program_here):
-    hurried = "--board simulated: --rate 150 --set scan=points --set balance"
+    hurried = "--board simulated: --set rate_hz=150 --set scan=points --set balance"
     done = live(f"{hurried} --record run.mcap").fine()
     figures = done.figures
     assert figures["slowed_sequences"] > 0

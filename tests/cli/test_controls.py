@@ -102,7 +102,7 @@ def test_the_force_is_unknown(program_here, tmp_path):
     ("--set softness=nan", says(value=math.nan, allowed=(0, 1))),
     ("camera:0?size=640", says(SourceError, "size", "640x480")),
     ("text:a?exposure=3", says(SourceError, " exposure:", "speed_mm_s")),
-    ("--mode natural --rate 50",
+    ("--mode natural --set rate_hz=50",
      says(ScheduleError, " 50 Hz", "pulse.ra_rate_hz", "pulse.sai_rate_hz")),
     ("--force cell:", says(SourceError, value="cell:")),
 ])  # fmt: skip

@@ -101,7 +101,7 @@ def test_a_vibrator_plays_what_was_recorded(program_here, tmp_path, changed):
 def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_path):
     # Twenty frames a second: ten pulses open the level, and the others are in full.
     felt = "--felt felt.png --finger paper"
-    program_here(f"{FAST.replace('grating:4mm', 'text:I')} --rate 20 {felt}").fine()
+    program_here(f"{FAST.replace('grating:4mm', 'text:I')} --set rate_hz=20 {felt}").fine()
     picture = np.asarray(Image.open(tmp_path / "felt.png").convert("L"))
     touched = picture[picture.shape[0] // 2 + 40 :]
     assert np.percentile(touched, 0.5) < 60
@@ -117,7 +117,7 @@ def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_pat
     ("texture:?motion=page", says(SourceError, "motion=page", "--window")),
     ("texture:?motion=evdev:/dev/null",
      says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]")),
-    ("texture: --rate 300", says(SourceError, value=300, allowed=(10, 200))),
+    ("texture: --set rate_hz=300", says(SourceError, value=300, allowed=(10, 200))),
     ("texture: --mode natural",
      says(SourceError, value="natural", allowed=("RA", "SAI", "PC"))),
 ])  # fmt: skip

@@ -110,13 +110,13 @@ def test_every_profile_runs(figures_of, tmp_path, name):
 
 def test_sai_and_light_on_dark(figures_of):
     page = data_folder("sample_images") / "light_on_dark.png"
-    options = "--set paced=no --mode=sai --light-on-dark --seconds=2"
+    options = "--set paced=no --mode=sai --set light_on_dark --seconds=2"
     assert_safe(figures_of(f"live page:{page}?speed_mm_s=500 {options}"))
 
 
 def recorded(program_here, tmp_path, name, seed):
     same = "live --set paced=no text:same?speed_mm_s=200 --quiet"
-    program_here(f"{same} --seed={seed} --record={name}").fine()
+    program_here(f"{same} --set seed={seed} --record={name}").fine()
     sequences = messages(tmp_path / name, "/step")
     return [
         (entry["site"], entry["period_us"], base64.b64decode(entry["current_ua"]))
