@@ -124,17 +124,16 @@ class Loop:
         regulator = regulator or Regulator()
         self._regulator = None if regulator.is_idle(board) else regulator
         pipeline.adaptation = regulator.adaptation
-        self._phase = PhaseLock(board, statistics)
+        says_starts = board.driver.reports_starts and not board.simulated_time
+        self._phase = PhaseLock(board, statistics) if says_starts else None
         self._clock = clock or board.clock
+        self.is_simulated: bool = isinstance(self._clock, SimulatedClock)
+        """Whether time passes only by waiting, as fast as this computer can."""
+        self._own_time = not self.is_simulated and self._clock is not board.clock
         self._seconds = seconds
         self._start_ns: int | None = None
         self._shift_ns = self._over_ns = self._report_late_ns = 0
         self._expected_ns: int | None = None  # when the next step is expected, by the one before
-
-    @property
-    def is_simulated(self) -> bool:
-        """Whether time passes only by waiting, as fast as this computer can."""
-        return isinstance(self._clock, SimulatedClock)
 
     def run(self) -> None:
         """Deliver inputs until the source ends or a stop is requested."""
@@ -176,7 +175,8 @@ class Loop:
     def end(self) -> None:
         """Wait until the board has delivered everything, and complete the statistics."""
         self.inputs.board.drain()
-        self._phase.follow(self._shift_ns)
+        if self._phase is not None:
+            self._phase.follow(self._shift_ns)
         if self._start_ns is not None:
             self.inputs.statistics.seconds = (self._clock.now_ns() - self._start_ns) / 1e9
         self._emit(RunEnded(self.elapsed_ns, self.stop.reason or self.inputs.source.ended))
@@ -193,9 +193,8 @@ class Loop:
     def deliver(self) -> bool:
         """Deliver one input; return False at the end of the source or of the run."""
         board, clock = self.inputs.board, self._clock
-        own_time = not self.is_simulated and clock is not board.clock
         # In this order: a pause of the computer between the two makes the frame late.
-        board_ns = board.clock.now_ns() if own_time else None
+        board_ns = board.clock.now_ns() if self._own_time else None
         now_ns = clock.now_ns()
         self.inputs.statistics.seconds = (now_ns - (self._start_ns or 0)) / 1e9
         late_ns = now_ns - self._deadline_ns
@@ -249,7 +248,7 @@ class Loop:
             (over_ns - worked_ns) / 1000,
             board.acknowledged,
             board.refused,
-            self._phase.newest,
+            None if self._phase is None else self._phase.newest,
             now_ns - (self._start_ns or 0),
         )
         # Proving and writing are the loop's own work, however long.
@@ -293,13 +292,13 @@ class Loop:
             self._shift_ns += sent.sent_ns - now_ns
             self._expected_ns = None
             self._over_ns = 0
-            self._phase.forget()
+            if self._phase is not None:
+                self._phase.forget()
         else:
             expected_ns, self._expected_ns = self._expected_ns, now_ns + period_ns
             error_us = None if expected_ns is None else abs(now_ns - expected_ns) / 1000
             statistics.enter(result, error_us)
             self._over_ns = sent.sent_ns + period_ns
-            self._phase.note(sent)
             # After a wait the board's clock is behind: frames taken later reach the skin as soon,
             # and fresher.
             self._shift_ns += sent.waited_ns
@@ -307,6 +306,7 @@ class Loop:
             if late_ns > period_ns:
                 statistics.late += 1
                 self._shift_ns += late_ns
-            if later_ns := self._phase.follow(self._shift_ns):
-                self._move(later_ns)
+            if self._phase is not None:
+                self._phase.note(sent)
+                self._move(self._phase.follow(self._shift_ns))
         self.elapsed_ns += period_ns

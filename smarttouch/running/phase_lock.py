@@ -29,7 +29,7 @@ class Sent:
 
 
 class PhaseLock:
-    """Shift of a loop's deadlines by the times at which a board has begun earlier sequences.
+    """Shift of a loop's deadlines by the times at which a board says it began earlier sequences.
 
     A sequence is complete some delay after its deadline. Deadlines move later until they lie
     before the board's need by the delay that 19 of 20 of the last ones had, what the line takes,
@@ -39,7 +39,6 @@ class PhaseLock:
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:
         self._board, self._statistics = board, statistics
-        self._says_starts = board.driver.reports_starts and not board.simulated_time
         self._pending: deque[Sent] = deque(maxlen=8)
         self._delays_ns: deque[int] = deque(maxlen=64)
         self._lines: deque[tuple[int, int]] = deque(maxlen=8)
@@ -50,9 +49,7 @@ class PhaseLock:
         """Of the newest sequence whose start has become known since the step before."""
 
     def note(self, sent: Sent) -> None:
-        """Note a sequence that was sent, on a board that reports when it began."""
-        if not self._says_starts:
-            return
+        """Note a sequence that was sent."""
         self._delays_ns.append(sent.sent_ns - sent.waited_ns - sent.deadline_ns)
         self._pending.append(sent)
 
