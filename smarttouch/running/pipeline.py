@@ -17,9 +17,8 @@ from smarttouch.running.step import Step
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.frame_slots import FrameSlots
-from smarttouch.stimulation.intensity import force_gate
 from smarttouch.stimulation.net_plan import NetPlan
-from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.pulse_rates import ScanTiming, force_gate
 from smarttouch.stimulation.ramp import Ramp
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import KernelTable

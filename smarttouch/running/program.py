@@ -32,7 +32,7 @@ from smarttouch.running.loop import Loop
 from smarttouch.running.step import StepResult
 from smarttouch.sources.given_sources import checked_activation, gray_image
 from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
-from smarttouch.stimulation.intensity import force_gate
+from smarttouch.stimulation.pulse_rates import force_gate
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 STEADY = 0.98  # part of a level that counts as reached

@@ -1,4 +1,4 @@
-"""Rates of pulses: the scan timing of a board, and the rate of each class by force."""
+"""Rates of pulses by the scan timing of a board, and rate and intensity by finger force."""
 
 import math
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError
-from smarttouch.profile import Profile
+from smarttouch.profile import ForceLaw, Profile
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,21 @@ SLOWEST = 0.2
 the paper's experiments (Section III-B.2)."""
 _ON_TIME = 0.25  # part of its interval: a class that is later than this starts a new grid
 _SLOWEST_HZ = 0.1
+
+
+def force_gate(force_n: float, law: ForceLaw) -> float:
+    """Return the intensity at a finger force, in [0, 1].
+
+    Zero below contact, one from full force on, rising linearly or with the logarithm of force in
+    between (paper, Section IV-B). A force of NaN is no contact.
+    """
+    if not force_n > law.contact_n:
+        return 0.0
+    if force_n >= law.full_n:
+        return 1.0
+    if law.law == "linear":
+        return (force_n - law.contact_n) / (law.full_n - law.contact_n)
+    return math.log(force_n / law.contact_n) / math.log(law.full_n / law.contact_n)
 
 
 def rate_share(pressure: float, softness: float) -> float:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.profile import ForceLaw
-from smarttouch.stimulation.intensity import force_gate
+from smarttouch.stimulation.pulse_rates import force_gate
 
 LINEAR = ForceLaw(law="linear", contact_n=0.2, full_n=1.0)
 LOGARITHMIC = ForceLaw(law="logarithmic", contact_n=0.2, full_n=1.0)
