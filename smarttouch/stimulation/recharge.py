@@ -116,11 +116,15 @@ def add_recharge(
     allowed_us = np.minimum(MOST_RECHARGE_PC // most_ua[able], MOST_RECHARGE_US)
     width_us = int(np.minimum(needed_us, allowed_us).max())
     most_ua = np.minimum(most_ua, MOST_RECHARGE_PC // width_us)
-    passed_pc = _passed_pc(sequence)
+    # Exact in 53 bits, as the net charge.
+    widths = sequence.width_us.astype(np.float64)
+    passed_pc = (widths @ np.abs(sequence.current_ua.astype(np.float64))).astype(np.int64)
+    most_pc = passed_pc + np.minimum(asked_pc, most_ua * width_us)
     period_us = max(
         sequence.period_us,
         _fitting_us(sequence, width_us, rules),
-        _calm_us(passed_pc + np.minimum(asked_pc, most_ua * width_us), rules.timing),
+        # At which no electrode's mean current exceeds the planned one.
+        rules.timing.possible_period_us(min(BURST_US, -(-int(most_pc.max()) // _PLANNED_UA))),
     )
     room_pc = np.maximum(_PLANNED_UA * min(period_us, BURST_US) - passed_pc, 0)
     most_ua = np.minimum(most_ua, room_pc // width_us)
@@ -149,18 +153,6 @@ def _whole_ua(
     return np.asarray(np.diff(cathodic - anodic, prepend=0), np.int16)
 
 
-def _slots_us(sequence: ScanSequence) -> int:
-    """Return the time of a sequence's slots, µs."""
-    return int(sequence.width_us.sum(dtype=np.int64) + sequence.discharge_us.sum(dtype=np.int64))
-
-
-def _passed_pc(sequence: ScanSequence) -> NDArray[np.int64]:
-    """Return the charge of either sign of slots through each electrode, (E,) pC."""
-    # Exact in 53 bits, as in the ledger.
-    widths = sequence.width_us.astype(np.float64)
-    return np.asarray((widths @ np.abs(sequence.current_ua.astype(np.float64))).astype(np.int64))
-
-
 def _fitting_us(sequence: ScanSequence, width_us: int, rules: RechargeRules) -> int:
     """Return the shortest period with room for a recharge phase and a short circuit after it."""
     timing = rules.timing
@@ -171,13 +163,9 @@ def _fitting_us(sequence: ScanSequence, width_us: int, rules: RechargeRules) -> 
         float(sequence.discharge_us.mean()),
     )
     rest_us = int(sequence.discharge_us.max())
-    busy_us = max(slots_us, _slots_us(sequence)) + width_us + rest_us
-    flowing_us = int(sequence.width_us.sum(dtype=np.int64)) + width_us
+    pulses_us = int(sequence.width_us.sum(dtype=np.int64))
+    all_us = pulses_us + int(sequence.discharge_us.sum(dtype=np.int64))
+    busy_us = max(slots_us, all_us) + width_us + rest_us
+    flowing_us = pulses_us + width_us
     # A hair more: the duty is compared in whole numbers.
     return timing.possible_period_us(max(busy_us, (flowing_us + 1e-6) / rules.duty))
-
-
-def _calm_us(passed_pc: NDArray[np.int64], timing: ScanTiming) -> int:
-    """Return the period at which no electrode's mean current exceeds the planned one."""
-    longest_us = min(BURST_US, -(-int(passed_pc.max()) // _PLANNED_UA))
-    return timing.possible_period_us(longest_us)

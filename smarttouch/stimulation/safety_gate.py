@@ -12,26 +12,22 @@ from smarttouch.base.errors import SafetyError
 from smarttouch.stimulation.exposure import Dose, Exposure
 from smarttouch.stimulation.ramp import PPB, Ramp
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
-from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.scan_sequence import ScanSequence, unwritable
 from smarttouch.stimulation.sequence_limits import prove_sequence
 from smarttouch.stimulation.slot_sums import SlotAdder
 
 __all__ = ["ProvedSequence", "SafetyGate", "SafetyLimits"]
 
-_ARRAYS = tuple(
-    (name, np.dtype(kind), dimensions, of_slots)
-    for name, kind, dimensions, of_slots in (
-        ("current_ua", np.int16, 2, True),
-        ("width_us", np.uint16, 1, True),
-        ("discharge_us", np.uint16, 1, True),
-        ("site", np.uint16, 1, True),
-        ("vibration", np.float32, 1, False),
-        ("recharge_ua", np.int16, 1, False),
-    )
+_ARRAYS = (
+    ("current_ua", np.dtype(np.int16), 2, True),
+    ("width_us", np.dtype(np.uint16), 1, True),
+    ("discharge_us", np.dtype(np.uint16), 1, True),
+    ("site", np.dtype(np.uint16), 1, True),
+    ("vibration", np.dtype(np.float32), 1, False),
+    ("recharge_ua", np.dtype(np.int16), 1, False),
 )
 """Arrays of a sequence: type, dimensions, and whether they have a row for each slot; the others
 may be None."""
-_WHOLE = ("period_us", "time_ns", "recharge_us")
 
 
 class NanosecondClock(Protocol):
@@ -297,29 +293,23 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
         values = getattr(sequence, name)
         if values is None and not of_slots:
             continue
+        if not isinstance(values, np.ndarray):
+            raise SafetyError(f"{name} is {type(values).__name__}, must be an array", limit=name)
         # As a plain array: a foreign class may pretend to be another array.
-        plain = values if type(values) is np.ndarray else None
-        if plain is None and isinstance(values, np.ndarray):
-            plain = np.asarray(values)
-        if (
-            plain is None
-            or plain.dtype != kind
-            or plain.ndim != dimensions
-            or (of_slots and slots is not None and len(plain) != slots)
-        ):
-            found = type(values).__name__ if plain is None else f"{plain.dtype} {plain.shape}"
-            of = "" if slots is None or not of_slots else f" of {slots} slots"
+        plain = np.asarray(values)
+        fits = plain.dtype == kind and plain.ndim == dimensions
+        if fits and of_slots:
+            slots = len(plain) if slots is None else slots
+            fits = len(plain) == slots
+        if not fits:
             raise SafetyError(
-                f"{name} is {found}, must be {kind} in {dimensions} "
-                f"dimension{'s' * (dimensions > 1)}{of}",
+                f"{name} is {plain.dtype} {plain.shape}, must be {kind} in {dimensions} "
+                f"dimension(s), {slots} slots",
                 limit=name,
             )
-        slots = len(plain) if slots is None else slots
-        flat = np.frombuffer(plain.tobytes(), kind)
-        fields[name] = flat if dimensions == 1 else flat.reshape(plain.shape)
-    for name in _WHOLE:
-        value = getattr(sequence, name)
-        fields[name] = value if type(value) is int else _whole(value, name)
+        fields[name] = unwritable(plain)
+    for name in ("period_us", "time_ns", "recharge_us"):
+        fields[name] = _whole(getattr(sequence, name), name)
     value = sequence.intensity
     if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)):
         raise SafetyError(f"intensity is {value!r}, must be a number", limit="intensity")

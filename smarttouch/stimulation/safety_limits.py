@@ -110,99 +110,54 @@ class SafetyLimits:
     width_us: float | None = None
 
     def __post_init__(self) -> None:
-        self._check_electrodes()
-        for name, ceiling in (
-            ("current_ma", CEILING_MA),
-            ("pulse_us", CEILING_PULSE_US),
-            ("charge_uc", CEILING_CHARGE_UC),
-            ("rate_hz", CEILING_RATE_HZ),
-            ("duty", CEILING_DUTY),
-            ("full_ma", self.current_ma),
-            ("total_ma", CEILING_TOTAL_MA),
-            ("full_us", CEILING_PULSE_US),
-            ("width_us", CEILING_PULSE_US),
-            ("density_uc_cm2", CEILING_DENSITY_UC_CM2),
-            ("session_s", CEILING_SESSION_S),
-            ("session_mc", CEILING_SESSION_MC),
-            ("electrode_ma", CEILING_MA),
-            ("area_mm2", CEILING_AREA_MM2),
-            ("threshold_ma", CEILING_MA),
+        for name, least, most in (
+            ("electrodes", 1, CEILING_ELECTRODES),
+            ("masked", 0, self.electrodes - 1),
+            ("current_ma", 0.0, CEILING_MA),
+            ("pulse_us", 0.0, CEILING_PULSE_US),
+            ("charge_uc", 0.0, CEILING_CHARGE_UC),
+            ("rate_hz", 0.0, CEILING_RATE_HZ),
+            ("duty", 0.0, CEILING_DUTY),
+            ("full_ma", 0.0, self.current_ma),
+            ("total_ma", 0.0, CEILING_TOTAL_MA),
+            ("full_us", 0.0, CEILING_PULSE_US),
+            ("width_us", 0.0, CEILING_PULSE_US),
+            ("density_uc_cm2", 0.0, CEILING_DENSITY_UC_CM2),
+            ("session_s", 0.0, CEILING_SESSION_S),
+            ("session_mc", 0.0, CEILING_SESSION_MC),
+            ("electrode_ma", 0.0, CEILING_MA),
+            ("area_mm2", 0.0, CEILING_AREA_MM2),
+            ("threshold_ma", 0.0, CEILING_MA),
+            ("ramp_s", SHORTEST_RAMP_S, LONGEST_RAMP_S),
         ):
-            for value in self._values(name):
-                # Nothing is above NaN: such a limit would be none.
-                if not 0 < value <= ceiling or math.isinf(value):
-                    raise SafetyError(
-                        f"limit {name} = {value} must be above 0 and at most {ceiling:g}",
-                        limit=name,
-                        value=value,
-                        allowed=ceiling,
-                    )
-        if not SHORTEST_RAMP_S <= self.ramp_s <= LONGEST_RAMP_S:
-            raise SafetyError(
-                f"limit ramp_s = {self.ramp_s} must be from {SHORTEST_RAMP_S:g} to "
-                f"{LONGEST_RAMP_S:g}",
-                limit="ramp_s",
-                value=self.ramp_s,
-                allowed=SHORTEST_RAMP_S,
-            )
-
-    def _check_electrodes(self) -> None:
-        """Raise unless the number of electrodes is possible, and all masked ones exist."""
-        for name, values, least, most in (
-            ("electrodes", (self.electrodes,), 1, CEILING_ELECTRODES),
-            ("masked", self.masked, 0, self.electrodes - 1),
-        ):
-            for value in values:
-                whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-                if not whole or not least <= value <= most:
-                    raise SafetyError(
-                        f"limit {name} = {value!r} must be a whole number from {least} to {most}",
-                        limit=name,
-                        value=value,
-                        allowed=most,
-                    )
-
-    def _values(self, name: str) -> tuple[float, ...]:
-        """Return the values of a field, one or one for each electrode; none if not given."""
-        value = getattr(self, name)
-        if value is None:
-            return ()
-        if not isinstance(value, tuple):
-            return (value,)
-        if len(value) != self.electrodes:
-            raise SafetyError(
-                f"limit {name} lists {len(value)} of {self.electrodes} electrodes",
-                limit=name,
-                value=len(value),
-                allowed=self.electrodes,
-            )
-        return value
+            values = getattr(self, name)
+            if values is None:
+                continue
+            each = values if isinstance(values, tuple) else (values,)
+            if each is values and name != "masked" and len(each) != self.electrodes:
+                raise SafetyError(
+                    f"limit {name} lists {len(each)} of {self.electrodes} electrodes",
+                    limit=name, value=len(each), allowed=self.electrodes,
+                )  # fmt: skip
+            for value in each:
+                _check(name, value, least, most)
 
     @classmethod
     def of(cls, profile: Profile) -> "SafetyLimits":
         """Return the limits of a profile."""
-        limits = profile.limits
+        limits, pulse, output = profile.limits, profile.pulse, profile.output
         return cls(
-            electrodes=len(profile.electrodes),
-            current_ma=limits.current_ma,
-            pulse_us=limits.pulse_us,
-            width_us=profile.pulse.width_us,
-            charge_uc=limits.charge_uc,
-            rate_hz=limits.rate_hz,
-            duty=limits.duty,
-            ramp_s=limits.ramp_s,
-            full_ma=float(profile.full_ma.max()),
+            len(profile.electrodes), limits.current_ma, limits.pulse_us, limits.charge_uc,
+            limits.rate_hz, limits.duty, limits.ramp_s, float(profile.full_ma.max()),
             total_ma=CEILING_TOTAL_MA if limits.total_ma is None else limits.total_ma,
             electrode_ma=limits.electrode_ma,
-            full_us=profile.pulse.width_us if profile.pulse.carrier == "width" else None,
+            full_us=pulse.width_us if pulse.carrier == "width" else None,
             area_mm2=tuple(profile.electrodes.area_mm2.tolist()),
             threshold_ma=tuple(profile.threshold_ma.tolist()),
             density_uc_cm2=limits.density_uc_cm2,
-            session_s=limits.session_s,
-            session_mc=limits.session_mc,
-            one_source=profile.output.kind != "weighted",
-            masked=profile.output.masked,
-        )
+            session_s=limits.session_s, session_mc=limits.session_mc,
+            one_source=output.kind != "weighted", masked=output.masked, width_us=pulse.width_us,
+        )  # fmt: skip
 
     def on(self, output: Output | None) -> "SafetyLimits":
         """Return the same limits, on a board with such an output."""
@@ -339,6 +294,23 @@ class SafetyLimits:
     def _thresholds(self) -> tuple[float, ...]:
         given = self.full_ma / 2 if self.threshold_ma is None else self.threshold_ma
         return given if isinstance(given, tuple) else (given,) * self.electrodes
+
+
+def _check(name: str, value: float, least: float, most: float) -> None:
+    """Raise unless a limit is a number in its range: above it where that begins at 0.0, and whole
+    where it begins with a whole number."""
+    if isinstance(least, int):
+        fits = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+        fits, words = fits and least <= value <= most, "a whole number from"
+    else:
+        # Every comparison with NaN is false, so it would never limit anything.
+        fits = (least <= value if least else value > 0) and value <= most < math.inf
+        words = "from" if least else "above"
+    if not fits:
+        raise SafetyError(
+            f"limit {name} = {value!r} must be {words} {least:g} to {most:g}",
+            limit=name, value=value, allowed=most,
+        )  # fmt: skip
 
 
 def recharge_most_ua(threshold_ma: NDArray[np.floating]) -> NDArray[np.int64]:
