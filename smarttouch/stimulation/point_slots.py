@@ -45,68 +45,55 @@ class PointSlots:
         timing: ScanTiming,
         table: KernelTable | None = None,
     ) -> None:
-        weights = np.asarray(bank.kernels(afferent), np.float32)
-        masked = list(profile.output.masked)
+        weights, masked = np.asarray(bank.kernels(afferent), np.float32), profile.output.masked
         if weights[:, masked].any():
             raise ScheduleError(
-                f"the kernels drive an electrode that output.masked {masked} lists: design the "
-                "bank for this profile"
+                f"the kernels drive an electrode that output.masked {list(masked)} lists: design "
+                "the bank for this profile"
             )
-        self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
-        self._strongest = np.abs(weights).argmax(axis=1)
-        limits, pulse_us = profile.limits, profile.pulse.width_us
-        highest_ma = min(limits.current_ma, 1000 * limits.charge_uc / pulse_us)
-        most_ma = np.full(len(weights), highest_ma)
-        if limits.electrode_ma is not None:
-            most_ma = np.minimum(most_ma, limits.electrode_ma)
-        self._most_ua = np.floor(1000 * most_ma[self._strongest] + 1e-6)
-        self._table = table
-        if table is not None:
-            self._base = table.points[afferent]
-            own = table.weights[self._base : self._base + len(weights)]
-            self._largest = largest_amplitude(own, np.floor(1000 * most_ma + 1e-6))
-            # The table's rows all have the same peak.
-            peak_ua = np.abs(self._kernels_ua).max(axis=1)
-            self._full = np.asarray(PER_UA * peak_ua, np.float32)
-        self._prove_totals(profile)
-        rounding_ua = len(weights) / 2
-        self._tight = bool((1000 * profile.full_ma + rounding_ua > self._most_ua).any())
-        self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
-        self._range = 1 - self._faintest
-        self._weakest_level = self._weakest_that_switches(profile.output.kind)
-        self._weakest_level[masked] = np.inf
-        self._always_switches = not self._weakest_level.any()
         count = len(weights)
-        self._scratch = np.empty((min(rows_of_block(count), count), count), np.float32)
-        self._ones = np.ones(count, np.float32)
-        self._row_starts = count * np.arange(count)
-        self._widths_all_us = constant_us(count, profile.pulse.width_us)
-        self._single = afferent in bank.discs
-        self._perceived_at = None if self._single else perceived_at(profile, afferent)
-        self._pulse = profile.pulse
-        self._by_width = profile.pulse.carrier == "width" and not self._single
-        self._in_index_order = timing.in_index_order
-
-    def _prove_totals(self, profile: Profile) -> None:
-        """Raise a ScheduleError if a kernel at full strength has more in total than a slot may."""
-        most_ma = profile.total_ma
-        total_ma = np.abs(self._kernels_ua).sum(axis=1) / 2000
+        self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
+        magnitude = np.abs(self._kernels_ua)
+        total_ma = magnitude.sum(axis=1) / 2000
         # In single precision; the gate proves what is sent in whole numbers.
-        if total_ma.max() > most_ma * (1 + 1e-6):
+        if total_ma.max() > profile.total_ma * (1 + 1e-6):
             site = int(total_ma.argmax())
             raise ScheduleError(
                 f"the kernel of electrode {site} carries {total_ma[site]:.2f} mA in all at full "
-                f"strength, above the {most_ma:g} mA of a slot: lower perception.comfort_ratio, or "
-                "set limits.total_ma below it and kernels are designed within",
+                f"strength, above the {profile.total_ma:g} mA of a slot: lower "
+                "perception.comfort_ratio, or design kernels within a lower limits.total_ma",
                 electrode=site,
             )
-
-    def _weakest_that_switches(self, kind: str) -> NDArray[np.float32]:
-        """Level per site below which a switched electrode would round to insulated."""
-        if kind == "weighted":
-            return np.zeros(len(self._kernels_ua), np.float32)
-        magnitude = np.abs(self._kernels_ua)
-        return np.asarray(1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1))
+        self._strongest = np.abs(weights).argmax(axis=1)
+        limits, self._pulse = profile.limits, profile.pulse
+        highest_ma = min(limits.current_ma, 1000 * limits.charge_uc / self._pulse.width_us)
+        most_ma = np.full(count, highest_ma)
+        if limits.electrode_ma is not None:
+            most_ma = np.minimum(most_ma, limits.electrode_ma)
+        self._most_ua = np.floor(1000 * most_ma[self._strongest] + 1e-6)
+        self._tight = bool((1000 * profile.full_ma + count / 2 > self._most_ua).any())
+        self._table = table
+        if table is not None:
+            self._base = table.points[afferent]
+            own = table.weights[self._base : self._base + count]
+            self._largest = largest_amplitude(own, np.floor(1000 * most_ma + 1e-6))
+            # The table's rows all have the same peak.
+            self._full = np.asarray(PER_UA * magnitude.max(axis=1), np.float32)
+        self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
+        self._range = 1 - self._faintest
+        # Level of each site below which a switched electrode would round to insulated.
+        self._weakest_level = np.zeros(count, np.float32)
+        if profile.output.kind != "weighted":
+            least_ua = np.where(magnitude > 0, magnitude, np.inf).min(axis=1)
+            self._weakest_level = np.asarray(1 / least_ua, np.float32)
+        self._weakest_level[list(masked)] = np.inf
+        self._scratch = np.empty((min(rows_of_block(count), count), count), np.float32)
+        self._ones = np.ones(count, np.float32)
+        self._widths_all_us = constant_us(count, self._pulse.width_us)
+        self._single = afferent in bank.discs
+        self._perceived_at = None if self._single else perceived_at(profile, afferent)
+        self._by_width = self._pulse.carrier == "width" and not self._single
+        self._in_index_order = timing.in_index_order
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return the slots of a row (E,) of a tactile image, in [0, 1], at an intensity in [0, 1].
@@ -128,39 +115,31 @@ class PointSlots:
         level *= self._range.take(site)
         level += self._faintest.take(site)
         level *= intensity
-        width_us = kept = None
+        width_us = self._widths_all_us[: len(site)]
         if self._by_width:
             width_us = self._widths_us(level)
-            level = np.where(width_us >= SHORTEST_PULSE_US, np.float32(1), np.float32(0))
-            kept = level > 0
-        elif not self._always_switches:
-            kept = level >= self._weakest_level[site]
-        if kept is not None and not kept.all():
-            site, level = site[kept], level[kept]
-            width_us = None if width_us is None else width_us[kept]
-        slots = len(site)
-        if width_us is None:
-            width_us = self._widths_all_us[:slots]
+            kept = width_us >= SHORTEST_PULSE_US
+            level = np.ones(len(site), np.float32)
+        else:
+            kept = level >= self._weakest_level.take(site)
+        if not kept.all():
+            site, level, width_us = site[kept], level[kept], width_us[kept]
+        sums = None
         if self._table is not None:
-            sums = self._sums(self._table, site, level)
-            return Slots(site.astype(np.uint16), sums.current_ua, width_us, None, sums)
-        if self._single:
+            amplitude = np.minimum(np.rint(level * self._full[site]), self._largest[site])
+            kernel = (self._base + site).astype(np.uint16)
+            starts = np.arange(len(site) + 1)
+            sums = KernelLists(self._table, starts, kernel, amplitude.astype(np.uint16))
+            current_ua = sums.current_ua
+        elif self._single:
             full_ua = np.abs(self._kernels_ua[site]).max(axis=1)
-            whole = np.rint(level * full_ua) / full_ua
-            return Slots(site.astype(np.uint16), self._carried(site, whole), width_us)
-        current_ua, surplus = self._rounded(site, level)
-        strongest = self._row_starts[:slots] + self._strongest.take(site)
-        flat = current_ua.reshape(-1)
-        own_ua = flat[strongest] - surplus
-        flat[strongest] = own_ua
-        if self._tight and (over := np.abs(own_ua) > self._most_ua[site]).any():
-            current_ua[over] = self._carried(site[over], level[over])
-        return Slots(site.astype(np.uint16), current_ua, width_us)
+            current_ua = self._carried(site, np.rint(level * full_ua) / full_ua)
+        else:
+            current_ua = self._rounded(site, level)
+        return Slots(site.astype(np.uint16), current_ua, width_us, None, sums)
 
-    def _rounded(
-        self, site: NDArray[np.intp], level: NDArray[np.float32]
-    ) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
-        """Return each kernel times its level in whole µA, (S, E), and each imbalance, (S,)."""
+    def _rounded(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
+        """Return each kernel times its level in whole µA, (S, E); the strongest takes the rest."""
         slots, rows = len(site), len(self._scratch)
         current_ua = np.empty((slots, len(self._ones)), np.int16)
         surplus = np.empty(slots, np.float32)
@@ -174,15 +153,11 @@ class PointSlots:
             # Whole numbers far below 2^24: exact in single precision.
             block.dot(self._ones, out=surplus[part])
             np.copyto(current_ua[part], block, casting="unsafe")
-        return current_ua, surplus.astype(np.int16)
-
-    def _sums(
-        self, table: KernelTable, site: NDArray[np.intp], level: NDArray[np.float32]
-    ) -> KernelLists:
-        """Return slots of one kernel each, none above the limit of an electrode."""
-        amplitude = np.minimum(np.rint(level * self._full[site]), self._largest[site])
-        kernel = (self._base + site).astype(np.uint16)
-        return KernelLists(table, np.arange(len(site) + 1), kernel, amplitude.astype(np.uint16))
+        own = np.arange(slots), self._strongest.take(site)
+        current_ua[own] -= surplus.astype(np.int16)
+        if self._tight and (over := np.abs(current_ua[own]) > self._most_ua[site]).any():
+            current_ua[over] = self._carried(site[over], level[over])
+        return current_ua
 
     def _carried(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
         """Return slots with the imbalance spread: each under a µA, within its limit, (S, E)."""
@@ -240,10 +215,10 @@ def spread_order(count: int) -> NDArray[np.intp]:
 
 def joined(parts: list[Slots]) -> Slots:
     """Return the slots of several classes one after another."""
-    site = np.concatenate([each.site for each in parts])
-    current_ua = np.concatenate([each.current_ua for each in parts])
-    width_us = np.concatenate([each.width_us for each in parts])
-    proof = None
+    site, current_ua, width_us = (
+        np.concatenate([each[index] for each in parts]) for index in range(3)
+    )
+    proof, sums = None, parts[0].sums
     if any(each.proof is not None for each in parts):
         proofs = [each.proof or SelectivityReport.of_nothing(len(each.site)) for each in parts]
         proof = SelectivityReport(
@@ -251,7 +226,6 @@ def joined(parts: list[Slots]) -> Slots:
             np.concatenate([each.off_target for each in proofs]),
             np.concatenate([each.spill for each in proofs]),
         )
-    sums = parts[0].sums
     for each in parts[1:]:
         sums = None if sums is None or each.sums is None else sums.joined(each.sums)
     return Slots(site, current_ua, width_us, proof, sums)

@@ -2,7 +2,7 @@
 pulses that count as felt, and charge, on each electrode.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,12 +47,8 @@ def shortest_period_us(load: Load) -> int:
     return int(np.ceil(load.max(initial=0) / (PLANNED * MOST_PER_US)))
 
 
-BLOCK = 131_072
-"""Currents per block: in single precision half a megabyte, which stays in a
-processor's own cache."""
-_EXACT_SINGLE = 2**24  # bound below which whole numbers are exact in single precision
-
-_largest = np.maximum.reduce
+BLOCK = 65_536
+"""Currents per block: half a megabyte in doubles, which stays in a processor's own cache."""
 
 
 def rows_of_block(electrodes: int) -> int:
@@ -63,65 +59,40 @@ def rows_of_block(electrodes: int) -> int:
 class SlotSums(NamedTuple):
     """Sums over the currents of S slots."""
 
-    net_ua: NDArray[np.floating]  # (S,) zero where a slot is in balance
-    total_ua: NDArray[np.floating]  # (S,) sum of magnitudes
+    net_ua: NDArray[np.float64]  # (S,) zero where a slot is in balance
+    total_ua: NDArray[np.float64]  # (S,) sum of magnitudes
     highest_ua: int  # largest magnitude of all
     sums: Sums  # (3, E) load of each electrode, and its charge, positive cathodic
 
 
 class SlotAdder:
     """Adder of slots, block by block, that counts pulses from currents `felt_ua`, (E,), on; not for
-    two threads at once."""
+    two threads at once. All sums are whole numbers below 2^53, where doubles are exact."""
 
     def __init__(self, felt_ua: NDArray[np.float32]) -> None:
-        self._felt_ua, self._electrodes = felt_ua, len(felt_ua)
-        self._rows = rows_of_block(self._electrodes)
-        self._most = max(self._rows, self._electrodes)
-        self._scratch: dict[type[np.floating], tuple[NDArray[Any], NDArray[Any]]] = {}
+        self._felt_ua, self._rows = felt_ua, rows_of_block(len(felt_ua))
+        self._scratch = np.empty((self._rows, len(felt_ua)))
+        self._ones = np.ones(max(self._scratch.shape))
 
-    def add_up(
-        self,
-        current_ua: NDArray[np.int16],
-        width_us: NDArray[np.uint16],
-        kind: type[np.floating] = np.float32,
-    ) -> SlotSums:
-        """Return the sums of slots, currents (S, E) and widths (S,), S > 0, again in double
-        precision where single is not exact."""
-        slots = len(current_ua)
-        if kind not in self._scratch:
-            block = np.empty((self._rows, self._electrodes), kind)
-            self._scratch[kind] = block, np.ones(self._most, kind)
-        scratch, ones = self._scratch[kind]
-        across = ones[: self._electrodes]
-        one_us = int(width_us[0])
-        alike = bool((width_us == one_us).all())
-        times_us = one_us if alike else 1
-        units = np.array([[PER_PULSE], [PER_PC * times_us], [times_us]], np.float64)
-        net, total = np.empty(slots, kind), np.empty(slots, kind)
-        of_block = np.empty((3, self._electrodes), kind if alike else np.float64)
-        sums = np.empty(of_block.shape)
-        highest = 0
+    def add_up(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> SlotSums:
+        """Return the sums of slots, currents (S, E) and widths (S,), S > 0."""
+        slots, electrodes = current_ua.shape
+        across, wide_us = self._ones[:electrodes], width_us.astype(np.float64)
+        net, total = np.empty(slots), np.empty(slots)
+        sums, highest = np.zeros((3, electrodes)), 0
         for first in range(0, slots, self._rows):
             part = slice(first, min(slots, first + self._rows))
-            block = scratch[: part.stop - first]
-            down = ones[: len(block)]
+            block = self._scratch[: part.stop - first]
             np.copyto(block, current_ua[part])
             block.dot(across, out=net[part])
-            each = down if alike else width_us[part].astype(np.float64)
-            each.dot(block, out=of_block[2])
+            sums[2] += wide_us[part].dot(block)
             np.abs(block, out=block)
-            highest = max(highest, int(_largest(block, axis=None)))
+            highest = max(highest, int(np.maximum.reduce(block, axis=None)))
             block.dot(across, out=total[part])
-            each.dot(block, out=of_block[1])
+            sums[1] += wide_us[part].dot(block)
             np.greater_equal(block, self._felt_ua, out=block, casting="unsafe")
-            of_block[0] = down.dot(block)
-            if first:
-                sums += of_block * units
-            else:
-                np.multiply(of_block, units, out=sums)
-        # No sum on the way is larger than that of all magnitudes.
-        if kind is np.float32 and highest * self._most >= _EXACT_SINGLE:
-            return self.add_up(current_ua, width_us, np.float64)
+            sums[0] += self._ones[: len(block)].dot(block)
+        sums[:2] *= [[PER_PULSE], [PER_PC]]
         return SlotSums(net, total, highest, sums)
 
 
