@@ -35,17 +35,6 @@ def test_charge_is_current_times_width():
     assert ledger.worst_uc == pytest.approx(0.84)
 
 
-@given(balanced(), st.integers(1, 40))
-def test_over_equal_sequences_net_charge_stays_within_one(one, times):
-    balanced_ledger, plain, single = (ChargeBalance(16) for _ in range(3))
-    single.add(one)
-    for _ in range(times):
-        balanced_ledger.add(balanced_ledger.balancing(one))
-        plain.add(one)
-        assert balanced_ledger.worst_uc <= single.worst_uc + 1e-12
-    assert plain.worst_uc == pytest.approx(times * single.worst_uc), "grows with every sequence"
-
-
 @given(st.lists(balanced(), min_size=1, max_size=20))
 def test_the_choice_is_the_better_one(run):
     ledger = ChargeBalance(16)

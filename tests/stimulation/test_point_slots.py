@@ -1,6 +1,5 @@
 """The slots of one class: as strong as asked, by height or by width."""
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -15,10 +14,8 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.point_slots import SHORTEST_PULSE_US, PointSlots
 from smarttouch.stimulation.pulse_rates import ScanTiming
-from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits, frozen
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scheduler import ScanScheduler
-from smarttouch.stimulation.sequence_limits import prove_sequence
-from smarttouch.stimulation.slot_sums import SlotAdder
 
 from ..raising import raises
 from ..rising import open_level
@@ -92,35 +89,6 @@ def test_a_board_with_one_width_needs_height(by_width, bank):
         ScanScheduler(by_width, bank, (Afferent.RA,), timing=ScanTiming(own_widths=False))
 
 
-def test_measured_maxima_are_what_full_activation_gets(profile, changed, bank):
-    comfort = [2.0] * 64
-    comfort[9] = 1.5
-    mine = changed(profile, {"perception.comfort_ma": comfort})
-    slots = PointSlots(mine, bank, Afferent.RA, ScanTiming())
-    activation = np.zeros(64, np.float32)
-    activation[[9, 10, 11]] = 1.0, 1.0, 1e-6
-    site, current_ua, *_ = slots.slots(activation, 1.0)
-    strongest = dict(zip(site.tolist(), np.abs(current_ua).max(axis=1).tolist(), strict=True))
-    # What rounding leaves over is the strongest electrode's.
-    assert strongest == pytest.approx({9: 1500, 10: 2000, 11: 1200}, abs=5)
-
-
-def test_natural_mode_pulses_both_classes_at_their_own_rates(profile, bank):
-    scan = ScanScheduler(profile, bank, Mode.NATURAL.afferents)
-    rows = np.zeros((3, 64), np.float32)
-    rows[Afferent.RA, 9] = rows[Afferent.SAI, 18] = 1.0
-    time_ns, pulses = 0, {9: [], 18: []}
-    while time_ns < 10**9:
-        sequence = scan.schedule(TactileImage(rows, time_ns, 1.0), 1.0)
-        for slot, site in enumerate(sequence.site.tolist()):
-            pulses[site].append(time_ns)
-            # RA at its center anodic, SAI cathodic.
-            assert (sequence.current_ua[slot, site] > 0) == (site == 18)
-        time_ns += 1000 * sequence.period_us
-    assert len(pulses[9]) == pytest.approx(30, abs=1)
-    assert len(pulses[18]) == pytest.approx(50, abs=1)
-
-
 def test_hard_things_pulse_faster_when_pressed(profile, bank):
     def period_us(softness, pressure):
         scan = ScanScheduler(profile, bank, (Afferent.SAI,), softness=softness)
@@ -180,39 +148,3 @@ def test_rounding_of_a_thousand_small_currents_is_no_charge_above_the_limit(prof
         assert np.abs(sequence.current_ua).max() <= 2500
     strongest = sequence.site.tolist().index(99)
     assert np.abs(sequence.current_ua[strongest] - 2400 * weights[99]).max() < 1.01
-
-
-def test_a_frame_allocates_its_sequence_and_its_proved_copy_and_no_scratch(
-    profile, make_bank, changed
-):
-    wide = changed(profile, {"array.rows": 32, "array.columns": 32})
-    weights = np.full((1024, 1024), 1 / 1023, np.float32)
-    np.fill_diagonal(weights, -1)
-    scan = ScanScheduler(wide, make_bank(weights, weights), (Afferent.RA,), 1.0)
-    limits = SafetyLimits.of(wide)
-    adder = SlotAdder(limits.felt_ua)
-
-    def proved(given):
-        """As the gate does it, which here has an oracle beside it."""
-        copy = frozen(given)
-        prove_sequence(copy, limits, adder)
-        return copy
-
-    activation = np.zeros((3, 1024), np.float32)
-    activation[Afferent.RA, :300] = 1
-
-    def peak_of(make):
-        tracemalloc.start()
-        try:
-            return make(), tracemalloc.get_traced_memory()[1]
-        finally:
-            tracemalloc.stop()
-
-    for second in range(2):
-        shown = TactileImage(activation, second * 10**9, 1.0)
-        sequence, making = peak_of(lambda shown=shown: scan.schedule(shown, 1.0))
-        copy, proving = peak_of(lambda given=sequence: proved(given))
-    # Scratch in single precision would be twice as much again.
-    assert copy.current_ua.nbytes == 600 * 1024
-    assert making < 1.25 * copy.current_ua.nbytes
-    assert proving < 1.25 * copy.current_ua.nbytes

@@ -2,7 +2,6 @@
 
 import functools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,8 +16,7 @@ from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.point_slots import perceived_at, spread_order
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
-from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
-from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
+from smarttouch.stimulation.scheduler import ScanScheduler
 
 from ..raising import raises
 from ..rising import open_level
@@ -77,11 +75,6 @@ def test_full_activation_gets_the_comfortable_current_and_faint_the_threshold(pr
         assert max(map(abs, found[site])) == pytest.approx(peak_ua, abs=32)
         assert found[site][site] == min(found[site]) < 0
     assert (sequence.state[np.arange(2), sequence.site] == -1).all()
-
-
-def test_no_intensity_no_slots(profile, bank):
-    scan = ScanScheduler(profile, bank, (Afferent.RA,), 50)
-    assert scan.schedule(tactile(np.ones(64)), 0.0).slots == 0
 
 
 def test_rate_is_kept_where_it_fits_and_lowered_where_not(profile, bank):
@@ -200,55 +193,3 @@ def test_classes_that_are_due_together_follow_one_another(profile, bank, changed
     assert len(set(joined.width_us.tolist())) > 30 or carrier == "height"
     assert joined.proof is None
     started(profile, bank).prove(joined, ramped=False)
-
-
-@pytest.mark.parametrize(("sharing", "proved"), [
-    (SlotPolicy((Afferent.RA,)), (True, False)),
-    (SlotPolicy((Afferent.SAI,)), (False, True)),
-    (SlotPolicy((Afferent.RA, Afferent.SAI)), (True, True)),
-])  # fmt: skip
-def test_proofs_stay_with_their_slots_where_classes_are_joined(profile, bank, sharing, proved):
-    both = (Afferent.RA, Afferent.SAI)
-    joined = ScanScheduler(profile, bank, both, common=SchedulerContext(sharing)).schedule(
-        natural_image(), 0.7
-    )
-    parts = [
-        ScanScheduler(profile, bank, (each,), 10.0, common=SchedulerContext(sharing)).schedule(
-            natural_image(), 0.7
-        )
-        for each in both
-    ]
-    assert [each.proof is not None for each in parts] == list(proved)
-    assert joined.slots == sum(each.slots for each in parts)
-    assert_joined(joined, parts)
-    slot = 0
-    for part in parts:
-        mine = slice(slot, slot := slot + part.slots)
-        points, other, spill = (
-            getattr(joined.proof, name)[mine] for name in ("points", "off_target", "spill")
-        )
-        if part.proof is None:
-            assert not points.any()
-            assert np.isnan([other, spill]).all()
-            continue
-        assert points.tolist() == part.proof.points.tolist()
-        assert other.tolist() == part.proof.off_target.tolist()
-        assert spill.tolist() == part.proof.spill.tolist()
-        assert not np.array_equal(other, spill)
-    assert joined.points == 22 + 13
-
-
-def test_three_classes_are_joined_as_two_are(profile, bank):
-    rows = natural_image().activation.copy()
-    rows[Afferent.PC, 2::11] = 0.5
-    image = TactileImage(rows, 10**9, 1.0, 200_000)
-    for sharing in (NO_SHARING, SlotPolicy(tuple(Afferent))):
-        scan = ScanScheduler(profile, bank, tuple(Afferent), common=SchedulerContext(sharing))
-        joined = scan.schedule(image, 0.7)
-        parts = [
-            ScanScheduler(profile, bank, (each,), common=SchedulerContext(sharing)).schedule(
-                replace(image, activation=np.where(np.eye(3)[each, :, None] > 0, rows, 0)), 0.7
-            )
-            for each in Afferent
-        ]
-        assert_joined(joined, parts)
