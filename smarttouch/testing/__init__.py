@@ -6,8 +6,7 @@ from smarttouch.base.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from smarttouch.base.wire.device_lines import PtyLine, TcpLine
-    from smarttouch.testing.driver_contract import DriverContract
-    from smarttouch.testing.pulses import ZERO, SentPulse
+    from smarttouch.testing.driver_contract import ZERO, DriverContract, SentPulse
     from smarttouch.testing.source_contracts import ForceContract, SourceContract, StimulusContract
 
 __all__ = [
@@ -20,8 +19,7 @@ if not TYPE_CHECKING:  # pytest loads a plug-in from here before it can rewrite 
         __name__,
         {
             "base.wire.device_lines": "PtyLine TcpLine",
-            "testing.driver_contract": "DriverContract",
-            "testing.pulses": "ZERO SentPulse",
+            "testing.driver_contract": "DriverContract SentPulse ZERO",
             "testing.source_contracts": "ForceContract SourceContract StimulusContract",
         },
     )

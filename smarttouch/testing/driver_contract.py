@@ -1,10 +1,12 @@
 """Contract tests of a driver: subclass `DriverContract` beside yours."""
 
 import contextlib
+import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -15,22 +17,107 @@ from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.testing.pulses import ZERO, AtLine, SentPulse, assert_same_pulses, planned_pulses
 
 SECOND = 10**9
-UNSAFE = {
-    "strong": "current_ma",
-    "unbalanced": "balance",
-    "long": "pulse_us",
-    "often": "rate_hz",
-    "intense": "intensity",
-    "sudden": "ramp_s",
-    "earlier": "time_ns",
-}
-"""Limits that a sequence of `DriverContract.unsafe_sequence` breaks, by how."""
-
-
+LOCKED_S = 0.02  # delay of a driver's line: an action not through by then waits for its lock
 NewBoard = Callable[[], Board]
+
+
+@dataclass(frozen=True)
+class SentPulse:
+    """One pulse that a device was sent, or `ZERO`, where all electrodes are put at zero.
+
+    Attributes
+    ----------
+    current_ua : tuple of float, µA
+        Of each electrode, positive cathodic.
+    width_us : float, µs
+    discharge_us, period_us : float, optional, µs
+        For how long all electrodes are shorted after it, and how long a pass of its sequence
+        takes; None where the device is not sent this, but has its own.
+    """
+
+    current_ua: tuple[float, ...]
+    width_us: float
+    discharge_us: float | None = None
+    period_us: float | None = None
+
+
+ZERO = SentPulse((), 0.0)  # all electrodes are shorted, and what was sent before is forgotten
+
+
+def planned_pulses(sequence: ScanSequence, times: int) -> list[SentPulse]:
+    """Return the pulses of all passes of a sequence, with its recharge phase as one of them."""
+    period_us = float(sequence.period_us)
+    one_pass = [
+        SentPulse(tuple(map(float, current_ua)), float(width_us), float(discharge_us), period_us)
+        for current_ua, width_us, discharge_us in zip(
+            sequence.current_ua, sequence.width_us, sequence.discharge_us, strict=True
+        )
+    ]
+    if sequence.recharge_ua is not None:
+        current_ua = tuple(map(float, sequence.recharge_ua))
+        one_pass.append(SentPulse(current_ua, float(sequence.recharge_us), None, period_us))
+    return one_pass * times
+
+
+def assert_same_pulses(
+    found: Sequence[SentPulse], wanted: Sequence[SentPulse], step_ua: float, step_us: float
+) -> None:
+    """Fail unless pulses are those that were planned, each rounded to the device's steps."""
+    assert len(found) == len(wanted), f"{len(found)} pulses where {len(wanted)} were proved"
+    for number, (pulse, plan) in enumerate(zip(found, wanted, strict=True)):
+        for name, flows in vars(pulse).items():
+            proved = getattr(plan, name)
+            if flows is not None and proved is not None:
+                atol = (step_ua if name == "current_ua" else step_us) / 2 + 1e-6
+                message = f"pulse {number} of {len(wanted)}: {name}"
+                np.testing.assert_allclose(flows, proved, rtol=0, atol=atol, err_msg=message)
+
+
+class AtLine:
+    """Context in which an action is started, in a thread of its own, at one line of a driver's
+    code: the one with this number, from 0, of those that its package executes, without `Board`
+    itself."""
+
+    thread: threading.Thread | None
+
+    def __init__(self, board: Board, number: int, action: Callable[[], object]) -> None:
+        kinds = [kind for kind in type(board.driver).__mro__ if issubclass(kind, Driver)]
+        self._packages = {_package(kind.__module__) for kind in kinds if kind is not Driver}
+        self._number, self._action = number, action
+        self.lines: int = 0  # that were executed
+        self.thread = None  # the action's, once it has started
+
+    def __enter__(self) -> "AtLine":
+        self._before = sys.gettrace()
+        sys.settrace(self._enter)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.settrace(self._before)
+
+    def _enter(self, frame: FrameType, event: str, argument: Any) -> Any:
+        name = frame.f_globals.get("__name__", "")
+        counts = name != Board.__module__ and _package(name) in self._packages
+        return self._count if counts else None
+
+    def _count(self, frame: FrameType, event: str, argument: Any) -> Any:
+        if event == "line":
+            if self.lines == self._number:
+                self.thread = threading.Thread(target=self._action)
+                self.thread.start()
+                # A driver that holds its lock here lets it through later.
+                self.thread.join(LOCKED_S)
+            self.lines += 1
+        return self._count
+
+
+def _package(module: str) -> str:
+    """Return the package of a module; of those of SmartTouch the room, all drivers' parts."""
+    if module.startswith("smarttouch."):
+        return ".".join(module.split(".")[:2])
+    return module.rpartition(".")[0] or module
 
 
 class DriverContract:
@@ -142,7 +229,6 @@ class DriverContract:
         self,
         step: int,
         level_ua: int | None = None,
-        electrodes: int | None = None,
         sites: Iterable[int] = range(4),
     ) -> ScanSequence:
         """Return one electrode against all others in each slot; step 0 is silent.
@@ -153,11 +239,10 @@ class DriverContract:
             Seconds since the start.
         level_ua : int, µA
             Of the one electrode; positive is cathodic, where the board can be.
-        electrodes : int
         sites : iterable of int
         """
         level_ua = self.level_ua if level_ua is None else level_ua
-        count = electrodes or self.electrodes
+        count = self.electrodes
         site = np.array(list(sites) if step else [], np.uint16)
         current = np.full((len(site), count), -(level_ua // (count - 1)), np.int16)
         current[np.arange(len(site)), site] = 0
@@ -169,41 +254,11 @@ class DriverContract:
             step * SECOND,
         )  # fmt: skip
 
-    def unsafe_sequence(self, how: str, limits: SafetyLimits) -> ScanSequence:
-        """Return a sequence for step 1 that breaks a limit in one of the ways of `UNSAFE`."""
-        sequence = self.sequence(1)
-        if how == "strong":
-            return self.sequence(1, level_ua=round(1000 * limits.current_ma) + 100)
-        if how == "unbalanced":
-            current_ua = sequence.current_ua.copy()
-            current_ua[-1, -1] += 1
-            return replace(sequence, current_ua=current_ua)
-        if how == "long":
-            return replace(
-                sequence, width_us=np.full_like(sequence.width_us, int(limits.pulse_us) + 1)
-            )
-        if how == "often":
-            return replace(sequence, period_us=round(1e6 / limits.rate_hz) - 1)
-        if how == "earlier":
-            return replace(sequence, time_ns=0)
-        if how == "sudden":
-            # As strong as it may be: weak pulses may begin at once.
-            peak_ua = int(np.abs(sequence.current_ua).max())
-            total_ua = int(sequence.current_ua.clip(0).sum(axis=1).max())
-            times = min(limits.full_ua // peak_ua, limits.total_ua // total_ua)
-            longest_us = np.full_like(sequence.width_us, limits.width_whole_us)
-            sequence = replace(
-                sequence, current_ua=max(1, int(times)) * sequence.current_ua, width_us=longest_us
-            )
-        return replace(sequence, intensity={"intense": 1.1, "sudden": 1.0}[how], time_ns=1)
-
     def _start(self, board: Board) -> None:
         """Send a silent sequence, then one that goes on for a while."""
         board.send(self.sequence(0))
         board.drain()
         board.send(self.sequence(1), times=1000)
-
-    # -- what is kept ------------------------------------------------------
 
     def test_it_tells_what_it_can_do(self, new_board: NewBoard) -> None:
         with new_board() as board:
@@ -213,23 +268,14 @@ class DriverContract:
             assert all(name and value for name, value in can.describe())
             assert board.report().slots == 0
 
-    def test_what_is_sent_is_what_was_proved(self, new_board: NewBoard) -> None:
+    def test_what_is_sent_is_counted(self, new_board: NewBoard) -> None:
         with new_board() as board:
             for step in range(5):
                 board.send(self.sequence(step))
                 board.drain()
             assert (board.acknowledged, board.refused, board.replaced) == (5, 0, 0)
             assert board.report().violations == 0
-            assert board.dose.seconds > 0
-        given = [given[0] for name, given in self.calls if name == "write"]
-        assert len(given) == 5
-        for step, proved in enumerate(given):
-            wanted, sequence = self.sequence(step), proved.sequence
-            assert (proved.times, sequence.time_ns) == (1, wanted.time_ns)
-            assert type(sequence) is ScanSequence
-            np.testing.assert_array_equal(sequence.current_ua, wanted.current_ua)
-            np.testing.assert_array_equal(sequence.width_us, wanted.width_us)
-            assert not sequence.current_ua.flags.writeable
+        assert [name for name, _ in self.calls].count("write") == 5
 
     def test_what_the_device_is_sent_is_what_was_proved(self, new_board: NewBoard) -> None:
         """Each electrode is a site once, all but one rest once, and passes are repeated."""
@@ -293,11 +339,9 @@ class DriverContract:
             board.send(self.sequence(0))
             board.drain()
             before = len(self.calls)
-            for how, limit in UNSAFE.items():
-                with pytest.raises(SafetyError) as error:
-                    board.send(self.unsafe_sequence(how, limits))
-                assert error.value.limit == limit, how
-                assert self.calls[before:] == [], how
+            with pytest.raises(SafetyError):
+                board.send(self.sequence(1, level_ua=round(1000 * limits.current_ma) + 100))
+            assert self.calls[before:] == []
 
     def test_a_stop_from_another_thread_ends_it(self, new_board: NewBoard) -> None:
         with new_board() as board:
@@ -308,6 +352,9 @@ class DriverContract:
             assert not thread.is_alive()
             with pytest.raises(BoardStoppedError):
                 board.send(self.sequence(2))
+            with pytest.raises(BoardError):
+                board.measure()
+            assert "measure" not in [name for name, _ in self.calls]
             self.assert_silent()
 
     @pytest.mark.parametrize("what", ["send", "measure"])
@@ -334,42 +381,16 @@ class DriverContract:
                     assert not there.thread.is_alive()
                     self.assert_silent()
 
-    def test_nothing_is_measured_after_a_stop(self, new_board: NewBoard) -> None:
-        with new_board() as board:
+    @pytest.mark.parametrize("breaks", [False, True], ids=["closed", "broken"])
+    def test_closing_puts_it_at_zero(self, new_board: NewBoard, breaks: bool) -> None:
+        with contextlib.suppress(ZeroDivisionError), new_board() as board:
             self._start(board)
-            board.stop()
-            with pytest.raises(BoardError):
-                board.measure()
-            assert "measure" not in [name for name, _ in self.calls]
-            self.assert_silent()
-
-    def test_one_that_was_halted_is_never_opened(self, new_board: NewBoard) -> None:
-        board = new_board()
-        board.halt()
-        with pytest.raises(BoardStoppedError):
-            board.open()
-        assert {"open", "write"}.isdisjoint(name for name, _ in self.calls)
-
-    def test_closing_puts_it_at_zero(self, new_board: NewBoard) -> None:
-        with new_board() as board:
-            self._start(board)
+            if breaks:
+                raise ZeroDivisionError
         self.assert_silent()
         assert [name for name, _ in self.calls][-2:] == ["zero", "close"]
         with pytest.raises(BoardClosedError):
             board.send(self.sequence(2))
-
-    def test_an_exception_puts_it_at_zero(self, new_board: NewBoard) -> None:
-        broken = RuntimeError("something broke")
-
-        def run() -> None:
-            with new_board() as board:
-                self._start(board)
-                raise broken
-
-        with pytest.raises(RuntimeError) as error:
-            run()
-        assert error.value is broken
-        self.assert_silent()
 
     def test_a_driver_that_breaks_is_put_at_zero(
         self, new_board: NewBoard, monkeypatch: pytest.MonkeyPatch
@@ -392,33 +413,14 @@ class DriverContract:
         assert broken in (error.value, error.value.__cause__)
         self.assert_silent()
 
-    def test_another_number_of_electrodes_is_refused(self, new_board: NewBoard) -> None:
-        more = self.electrodes + 1
-        with new_board() as board, pytest.raises(BoardError) as error:
-            board.send(self.sequence(0, electrodes=more))
-        assert f"{more}" in str(error.value)
-        assert f"{self.electrodes}" in str(error.value)
-
-    def test_impossible_repetitions_are_named(self, new_board: NewBoard) -> None:
-        with new_board() as board:
-            for times in (0, -1, 65_536):
-                with pytest.raises(BoardError) as error:
-                    board.send(self.sequence(0), times)
-                assert f"{times} " in str(error.value)
-
     def test_it_can_be_opened_again_and_begins_at_zero(self, new_board: NewBoard) -> None:
         board = new_board()
-        board.close()
         for _ in range(2):
             with board:
-                with pytest.raises(BoardError):
-                    board.open()
                 with pytest.raises(SafetyError) as error:
                     board.send(self.sequence(1))
                 assert (error.value.limit, error.value.allowed) == ("ramp_s", 0)
-                assert error.value.value == pytest.approx(self.intensity)
                 board.send(self.sequence(0))
                 board.drain()
                 board.send(self.sequence(1))
                 board.drain()
-        board.close()

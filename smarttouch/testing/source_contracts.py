@@ -74,15 +74,19 @@ class SourceContract(_Opened):
         with self.make(profile) as source:
             yield source
 
-    def read(self, source: Source, reads: int = READS) -> list[Input]:
-        """Return what it gives, until it ends or has been read often enough."""
+    def read(self, source: Source) -> list[Input]:
+        """Return what it gives, until it ends or has been read often enough; none changes later."""
         given: list[Input] = []
+        copies: list[NDArray[Any]] = []
         time_ns = 0
-        while len(given) < reads and (each := source.read(time_ns)) is not None:
+        while len(given) < READS and (each := source.read(time_ns)) is not None:
             assert each.time_ns == time_ns
             given.append(each)
+            copies.append(_content(each).copy())
             self.pause()
             time_ns += self.lasts_ns(each)
+        for each, copy in zip(given, copies, strict=True):
+            np.testing.assert_array_equal(_content(each), copy)
         return given
 
     def lasts_ns(self, given: Input) -> int:
@@ -101,14 +105,6 @@ class SourceContract(_Opened):
         """Compare two inputs of one number."""
         np.testing.assert_array_equal(_content(one), _content(other))
 
-    # -- what is kept ------------------------------------------------------
-
-    def test_its_class_keeps_the_contract(self, source: Source) -> None:
-        assert source.title
-        assert source.ended
-        assert source.duration_s is None or source.duration_s > 0
-        assert all(isinstance(note, str) and note for note in source.notes)
-
     def test_each_is_what_it_is_to_be(self, source: Source, profile: Profile) -> None:
         given = self.read(source)
         assert given
@@ -121,26 +117,18 @@ class SourceContract(_Opened):
         assert source.knows_force or not source.measures_force
         if source.knows_force:
             assert not all(math.isnan(each.force_n) for each in given)
+        assert source.title
+        assert source.ended
+        assert source.duration_s is None or source.duration_s > 0
+        assert all(isinstance(note, str) and note for note in source.notes)
 
-    def test_every_frame_is_counted(self, source: Source) -> None:
-        frames = self.read(source)
+    def test_every_frame_is_counted_and_one_number_is_one_image(self, source: Source) -> None:
+        given = self.read(source)
         source.close()
-        numbers = [frame.number for frame in frames]
+        numbers = [each.number for each in given]
         assert numbers == sorted(numbers)
         assert numbers[0] >= 0
         assert source.frames == len(set(numbers)) + source.dropped_frames
-
-    def test_one_number_is_one_image_and_stays_it(self, source: Source) -> None:
-        given: list[Input] = []
-        copies = []
-        time_ns = 0
-        while len(given) < READS and (each := source.read(time_ns)) is not None:
-            given.append(each)
-            copies.append(_content(each).copy())
-            self.pause()
-            time_ns += self.lasts_ns(each)
-        for each, copy in zip(given, copies, strict=True):
-            np.testing.assert_array_equal(_content(each), copy)
         for one, next_one in pairwise(given):
             if one.number == next_one.number:
                 self.check_same(one, next_one)
@@ -156,34 +144,23 @@ class SourceContract(_Opened):
             frame = source.read(round(time_s * 1e9))
         assert source.read(round(time_s * 1e9) + 1) is None
 
-    def test_it_can_be_closed_twice(self, profile: Profile) -> None:
-        source = self.make(profile)
+    def test_it_can_be_closed_twice(self, source: Source, profile: Profile) -> None:
         source.read(0)
         source.close()
+        with contextlib.suppress(SmartTouchError):
+            given = source.read(round(self.step_s * 1e9))
+            assert given is None or isinstance(given, Input)
         source.close()
         self.make(profile).close()
 
-    def test_reading_it_when_closed_is_no_fault(self, source: Source) -> None:
-        source.read(0)
-        source.close()
-        frame = None
-        with contextlib.suppress(SmartTouchError):
-            frame = source.read(round(self.step_s * 1e9))
-        assert frame is None or isinstance(frame, Input)
-
     def test_reading_waits_for_nothing(self, source: Source) -> None:
         # The first may wait for a device that starts; one of the others may meet a busy computer.
-        given = source.read(0)
-        assert given is not None
-        time_ns = self.lasts_ns(given)
-        took_s: list[float] = []
-        while len(took_s) < READS:
-            start = time.perf_counter()
-            given = source.read(time_ns)
-            took_s.append(time.perf_counter() - start)
-            if given is None:
-                break
+        given, time_ns, took_s = source.read(0), 0, list[float]()
+        while given is not None and len(took_s) < READS:
             time_ns += self.lasts_ns(given)
+            start_s = time.perf_counter()
+            given = source.read(time_ns)
+            took_s.append(time.perf_counter() - start_s)
         assert min(took_s) < self.quickest_s
 
 
@@ -246,24 +223,17 @@ class ForceContract(_Opened):
         with self.make(profile) as force:
             yield force
 
-    def test_its_class_keeps_the_contract(self, force: ForceSource) -> None:
-        assert force.title
-        assert all(isinstance(note, str) and note for note in force.notes)
-
-    def test_it_is_a_force_or_not_known(self, force: ForceSource) -> None:
-        for time_ns in (*range(0, 10**9, 10**8), 10**12, 0):
+    def test_it_is_a_force_or_not_known_and_waits_for_nothing(self, force: ForceSource) -> None:
+        took_s = []
+        for time_ns in (*range(0, 10**9, 5 * 10**7), 10**12, 0):
+            start_s = time.perf_counter()
             force_n = force.read(time_ns)
+            took_s.append(time.perf_counter() - start_s)
             assert isinstance(force_n, float)
             assert math.isnan(force_n) or 0 <= force_n <= self.largest_n
-
-    def test_reading_waits_for_nothing(self, force: ForceSource) -> None:
-        force.read(0)
-        took_s = []
-        for number in range(1, 30):
-            start = time.perf_counter()
-            force.read(number * 10**7)
-            took_s.append(time.perf_counter() - start)
         assert min(took_s) < self.quickest_s
+        assert force.title
+        assert all(isinstance(note, str) and note for note in force.notes)
 
     def test_it_can_be_closed_twice_and_still_be_read(self, force: ForceSource) -> None:
         force.read(0)

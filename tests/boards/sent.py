@@ -3,7 +3,7 @@
 import numpy as np
 
 from smarttouch.emulator.firmware import read_slots
-from smarttouch.testing.pulses import SentPulse
+from smarttouch.testing.driver_contract import SentPulse
 
 
 class Source:

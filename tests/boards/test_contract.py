@@ -18,8 +18,7 @@ from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_rules import BrokenRule, LinkRules
 from smarttouch.profile.device import Output
-from smarttouch.testing.driver_contract import DriverContract
-from smarttouch.testing.pulses import SentPulse, planned_pulses
+from smarttouch.testing.driver_contract import DriverContract, SentPulse, planned_pulses
 from tests.boards.fresh import deliver, fresh_state, until
 from tests.boards.sent import SentBytes, pulses_in_books
 

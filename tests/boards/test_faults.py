@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 
+import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
@@ -15,6 +16,7 @@ from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.open import make_board
 from smarttouch.emulator.firmware import read_state
 from smarttouch.profile.device import Output
+from smarttouch.stimulation.scan_sequence import ScanSequence
 from tests.boards.fresh import deliver
 
 from ..raising import assert_says, raises
@@ -90,6 +92,21 @@ def test_another_board_than_the_profiles_is_refused(make_limits, start_emulator)
         make_board(f"link:{port}", make_limits(9)).open()
     with raises(BoardError, value="three-state", allowed="weighted"):
         make_board(f"link:{port}", make_limits(), Output(kind="three-state")).open()
+
+
+def test_impossible_repetitions_and_electrodes_of_a_sequence_are_named(make_limits):
+    none = np.zeros(0, np.uint16)
+
+    def silent(electrodes):
+        current_ua = np.zeros((0, electrodes), np.int16)
+        return ScanSequence(current_ua, none, none, none, 20_000, 0.0, 0)
+
+    with make_board("simulated:", make_limits()) as board:
+        for times in (0, -1, 65_536):
+            with raises(BoardError, value=times):
+                board.send(silent(8), times)
+        with raises(BoardError, value=9, allowed=8):
+            board.send(silent(9))
 
 
 def test_a_silent_port_is_reported(make_limits):

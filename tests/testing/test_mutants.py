@@ -166,8 +166,8 @@ ANY_LINE, MEASURED = (
     "a_stop_at_any_line_of_the_driver[send]",
     "a_stop_at_any_line_of_the_driver[measure]",
 )
-STOPS = {"a_stop_from_another_thread_ends_it", "nothing_is_measured_after_a_stop"}
-CLOSES = {"closing_puts_it_at_zero", "an_exception_puts_it_at_zero"}
+STOPS = {"a_stop_from_another_thread_ends_it"}
+CLOSES = {"closing_puts_it_at_zero[closed]", "closing_puts_it_at_zero[broken]"}
 FOUND = {
     **dict.fromkeys(
         ("Reversed", "OnePolarity", "Wide", "Hundredfold", "Twofold", "FiftiethMore", "Swapped",

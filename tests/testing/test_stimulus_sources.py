@@ -42,7 +42,7 @@ class TestExperiment(StimulusContract):
         made = lab.new_experiment("detection", profile, lab.ExperimentOptions(repetitions=1))
         about = lab.About("detection-RA", made.method, "S1", "", 1)
         path = self.folder / f"{len([*self.folder.iterdir()])}.csv"
-        opened = lab.open_experiment(made, profile, lab.TrialTiming(), about, path, overwrite=False)
+        opened = lab.open_experiment(made, profile, lab.TrialTiming(), about, path)
         sitting = self.sittings.enter_context(opened)
         return sitting.source()
 
