@@ -1,9 +1,11 @@
 """Braille of texts, files and pages: paragraphs of cells, and lines of cells under the finger."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +24,6 @@ from smarttouch.braille.page_layout import COLUMNS, INDENT, ROWS, join, lay_out
 from smarttouch.imaging.array_window import pixel_pitch_mm, usual_speed_mm_s
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.profile import Profile
-from smarttouch.profile.electrodes import ElectrodeArray
 from smarttouch.reading.line_source import LineMotion, TouchLine
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import Note, recognized_lines
@@ -98,14 +99,11 @@ class CellLayout:
 
     def line(self, cells: str, text: str = "") -> TouchLine:
         """Return cells to be moved under the finger."""
+        dots = np.full((self.rows, max(1, len(cells) * self.cell)), 255, np.uint8)
+        dots[self.dots_of(cells)] = 0
         across, down = (pitch / self.pixel_mm for pitch in self.pitch_mm)
-        width = max(1, round(len(cells) * self.cell * across))
-        image = np.full((round(self.rows * down), width), 255, np.uint8)
-        for row, column in np.transpose(self.dots_of(cells)).tolist():
-            image[
-                round(row * down) : round((row + 1) * down),
-                round(column * across) : round((column + 1) * across),
-            ] = 0
+        size = (round(dots.shape[1] * across), round(self.rows * down))
+        image = np.asarray(cv2.resize(dots, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         half_mm = self.columns * self.pitch_mm[0] / 2
         length_mm = len(cells) * self.cell * self.pitch_mm[0]
         return TouchLine(image, -half_mm, length_mm + half_mm, text, cells)
@@ -114,7 +112,14 @@ class CellLayout:
 def cell_layout(profile: Profile, eight: bool = False) -> CellLayout:
     """Return the layout of Braille on an array, at the distances of Braille on paper."""
     electrodes = profile.electrodes
-    rows, columns = _grid_of(electrodes, profile.name)
+    rows, columns = (
+        len(np.unique(np.round(electrodes.position_mm[:, axis], 6))) for axis in (1, 0)
+    )  # fmt: skip
+    if rows * columns != len(electrodes):
+        raise ReadingError(
+            f"the electrodes of {profile.name} are no grid of rows and columns, dots would fall "
+            "between them: choose another profile, or read letter shapes"
+        )
     pitch_x, pitch_y = electrodes.cell_mm
     dot_x, dot_y = max(1, round(DOT_MM / pitch_x)), max(1, round(DOT_MM / pitch_y))
     # Cells must be farther apart than their dots to be distinguishable.
@@ -128,17 +133,6 @@ def cell_layout(profile: Profile, eight: bool = False) -> CellLayout:
             f"{8 if eight else 6} dots needs {layout.height} x {dot_x + 1}: choose another profile"
         )
     return layout
-
-
-def _grid_of(electrodes: ElectrodeArray, name: str) -> tuple[int, int]:
-    """Return rows and columns of a grid that is numbered row by row."""
-    x, y = (np.unique(np.round(electrodes.position_mm[:, axis], 6)) for axis in (0, 1))
-    if len(x) * len(y) != len(electrodes):
-        raise ReadingError(
-            f"the electrodes of {name} are no grid of rows and columns, dots would fall between "
-            "them: choose another profile, or read letter shapes"
-        )
-    return len(y), len(x)
 
 
 @dataclass(frozen=True)
@@ -175,18 +169,13 @@ class Braille:
         if source.words is not None or source.holds_cells:
             paragraphs = document_cells(source, table, source.note).paragraphs
             texts = (source.words or "").splitlines()
-            yield from zip(
-                paragraphs,
-                texts if len(texts) == len(paragraphs) else [""] * len(paragraphs),
-                strict=True,
-            )
+            known = len(texts) == len(paragraphs)
+            yield from zip(paragraphs, texts if known else itertools.repeat(""), strict=False)
             return
-        named: set[str] = set()
         for prepared in source.prepared():
-            texts = [text for _, text in recognized_lines(prepared, source.options, source.note)]
-            signs = set("".join(texts)) - named
-            if losses := table.losses("".join(sorted(signs))):
-                source.note(losses)
-            named |= signs
-            for text in texts:
+            signs: dict[str, None] = {}
+            for _, text in recognized_lines(prepared, source.options, source.note):
+                signs |= dict.fromkeys(text)
                 yield table.to_cells(text, leave_out=True), text
+            if losses := table.losses("".join(signs)):
+                source.note(losses)

@@ -210,11 +210,6 @@ class BrailleDisplaySource(StimulusSource):
         return min(self._step() // self.layout.cell, max(0, len(self._taken.cells) - 1))
 
     @property
-    def at_end(self) -> bool:
-        """Whether the last cell has passed."""
-        return self._step() - self.layout.margin >= self._dots.shape[1]
-
-    @property
     def keys(self) -> dict[str, Callable[[], None]]:
         """Commands to BRLTTY and to the finger, callable from any thread."""
         send = self.send

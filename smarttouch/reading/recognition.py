@@ -23,7 +23,7 @@ from smarttouch.base.errors import PageError, ReadingError
 from smarttouch.braille.dot_detection import shows_dots
 from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.prepared_page import DOUBTFUL, LEFT_OUT, PreparedPage, prepare_page
+from smarttouch.pages.prepared_page import PreparedPage, prepare_page
 from smarttouch.pages.straighten import QUARTER
 
 Note = Callable[[str], None]
@@ -114,7 +114,6 @@ def _words(
     """
     if not re.fullmatch(r"\w+(\+\w+)*", languages, re.ASCII):
         raise ReadingError(f"languages {languages!r}: give codes such as eng or eng+deu")
-    find_tesseract()
     shown = [k for k, image in enumerate(images) if image.size and image.min() < image.max()]
     if not shown:
         return []
@@ -214,10 +213,10 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
             f"page {number} shows Braille dots, and pictures of Braille are not read: give a text "
             "or a .brf file, or leave the page out as in ?pages=1-3"
         )
-    prepared, turn_deg = _prepared(page, options), 0
+    prepared, turn_deg = _turned(page, 0, options, quarter=True), 0
     # Without Tesseract a page stays as it is.
     with contextlib.suppress(ReadingError):
-        prepared, turn_deg = _most_legible(prepared, options)
+        prepared, turn_deg = _most_legible(page, prepared, options)
     notes = list(prepared.notes)
     if turn_deg:
         notes.insert(0, f"it was turned by {turn_deg}° to be upright")
@@ -226,7 +225,9 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
     return prepared
 
 
-def _most_legible(prepared: PreparedPage, options: RecognitionOptions) -> tuple[PreparedPage, int]:
+def _most_legible(
+    page: Page, prepared: PreparedPage, options: RecognitionOptions
+) -> tuple[PreparedPage, int]:
     """Return a page turned so that most of it is recognized, and that turn in degrees, clockwise.
 
     A few of its lines are read, as part of the page. Only where they are hardly legible, all turns
@@ -234,27 +235,25 @@ def _most_legible(prepared: PreparedPage, options: RecognitionOptions) -> tuple[
     """
     _sample(prepared, options)
     most, letters = _legible(prepared)
-    best, best_turn_deg = prepared, 0
+    best = prepared, 0
     if letters >= _FEWEST_LETTERS and most >= _UPRIGHT * letters:
-        return prepared, 0
-    for turn_deg in (180, 90, 270):
-        turned = np.ascontiguousarray(np.rot90(prepared.page.grey, -turn_deg // 90))
-        candidate = _prepared(replace(prepared.page, grey=turned), options, quarter=False)
+        return best
+    # A quarter turn by the run of the lines is a guess.
+    for turn_deg in (0, 90, 180, 270)[QUARTER not in prepared.notes :]:
+        candidate = _turned(page, turn_deg, options)
         _sample(candidate, options)
         legible, _ = _legible(candidate)
         if legible > _MORE * most:
-            best, most, best_turn_deg = candidate, legible, turn_deg
-    if not best_turn_deg:
-        return prepared, 0
-    notes = [words for words in prepared.notes
-             if words not in (DOUBTFUL, QUARTER) and not words.startswith(LEFT_OUT)]  # fmt: skip
-    # The quarter turn that was a guess was counterclockwise.
-    turn_deg = (best_turn_deg - 90 * (QUARTER in prepared.notes)) % 360
-    return replace(best, notes=(*notes, *best.notes)), turn_deg
+            best, most = (candidate, turn_deg), legible
+    return best
 
 
-def _prepared(page: Page, options: RecognitionOptions, quarter: bool = True) -> PreparedPage:
+def _turned(
+    page: Page, turn_deg: int, options: RecognitionOptions, quarter: bool = False
+) -> PreparedPage:
+    grey = np.ascontiguousarray(np.rot90(page.grey, -turn_deg // 90))
     leftward = options.languages.partition("+")[0] in _LEFTWARD
+    page = replace(page, grey=grey)
     return prepare_page(page, options.light_on_dark, quarter=quarter, leftward=leftward)
 
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from smarttouch.base.errors import BrailleError
-from smarttouch.braille.cells import POSITION, cells_to_dots, dots_to_cells
+from smarttouch.braille.cells import cells_to_dots, dots_to_cells
 
 from ..raising import raises
 
@@ -21,22 +20,11 @@ def test_dots_of_a_cell(cell, dots):
     assert (np.flatnonzero(cells_to_dots(cell)[0]) + 1).tolist() == list(dots)
 
 
-def test_where_the_dots_are():
-    assert POSITION.tolist() == [
-        [0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2], [0, 3], [1, 3],
-    ]  # fmt: skip
-
-
 @given(LINES)
 def test_dots_give_the_cells_back(cells):
     dots = cells_to_dots(cells)
     assert dots.shape == (len(cells), 8)
     assert dots_to_cells(dots) == cells
-
-
-@given(arrays(bool, st.tuples(st.integers(0, 9), st.sampled_from([6, 8]))))
-def test_cells_give_the_dots_back(dots):
-    assert np.array_equal(cells_to_dots(dots_to_cells(dots))[:, : dots.shape[1]], dots)
 
 
 def test_what_is_no_cell():

@@ -85,12 +85,6 @@ def test_unknown_names(name):
         open_table(name)
 
 
-@pytest.mark.parametrize("name", ["en-1", "ja"])
-def test_lines_stay_lines(name):
-    assert open_table(name).to_cells("1\r\n\n2\t\u00a02\n") == "⠼⠁\n\n⠼⠃⠀⠀⠼⠃\n"
-    assert open_table().to_text("⠼⠁\n\n⠼⠃\n") == "1\n\n2\n"
-
-
 def test_accents_may_come_apart_and_invisible_characters_go():
     table = open_table("en-1")
     assert table.to_cells("cafe\u0301") == table.to_cells("café")
@@ -130,12 +124,6 @@ def test_signs_without_cells_get_a_plain_form_and_a_note(name, text, plain, note
     assert bool(table.losses(text)) == bool(noted)
 
 
-@needs_liblouis
-def test_some_tables_cannot_go_back():
-    with raises(BrailleError, names="table", value="de-2"):
-        open_table("de-2").to_text("⠁")
-
-
 @pytest.mark.parametrize("name", TABLES)
 @settings(deadline=None)
 @given(text=st.text())
@@ -159,10 +147,3 @@ def test_tags_that_liblouis_names_otherwise(tag):
     assert set(table.to_cells("我" if chinese else "“abc” – ‘def’…")) <= SIX_DOTS
     if not chinese:
         assert table.to_text(table.to_cells("abc def")) == "abc def"
-
-
-@needs_liblouis
-@pytest.mark.parametrize("tag", ["tr", "fi", "ro", "el"])
-def test_typographic_signs_become_plain_ones(tag):
-    table = open_table(tag)
-    assert table.losses("“”‘’„–—…«»") == ""

@@ -44,10 +44,6 @@ def test_known_words(text, cells):
     assert JAPANESE.encode(text) == cells
 
 
-def test_what_is_missing():
-    assert JAPANESE.missing("漢字と かな、CD。") == "漢字CD"
-
-
 def lifted(cells):
     """Return cells with all dots one row higher: kana lie low among the 8 dots of Kantenji."""
     dots = cells_to_dots(cells)

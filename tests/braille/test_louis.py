@@ -5,7 +5,6 @@ import threading
 import pytest
 
 from smarttouch.base.errors import BrailleError
-from smarttouch.braille import louis
 from smarttouch.braille.code_tables import open_table
 from smarttouch.braille.louis import LouisCode
 
@@ -38,11 +37,6 @@ def test_what_is_missing(table):
 
 
 @needs_liblouis
-def test_a_cell_that_cannot_be_read_stays():
-    assert LouisCode("en-ueb-g1.ctb").decode("⠓⣿⠊") == "h⣿i"
-
-
-@needs_liblouis
 def test_one_may_become_many():
     code = LouisCode("en-ueb-g1.ctb")
     # An undefined character is shown by its number, eight cells.
@@ -62,12 +56,6 @@ def test_no_such_table(table, capfd):
 
 
 @needs_liblouis
-def test_the_metadata_of_a_table():
-    assert not LouisCode("de-g2.ctb").goes_back
-    assert LouisCode("fr-bfu-g2.ctb").goes_back
-
-
-@needs_liblouis
 def test_many_threads_at_once():
     tables = {"en-ueb-g2.ctb": "The child", "de-g1.ctb": "schön", "fr-bfu-comp6.utb": "été"}
     expected = {table: LouisCode(table).encode(text) for table, text in tables.items()}
@@ -83,15 +71,6 @@ def test_many_threads_at_once():
     for thread in threads:
         thread.join()
     assert not wrong
-
-
-def test_without_it(no_liblouis):
-    assert louis.version() is None
-    assert not louis.has_table("en-ueb-g1.ctb")
-    assert louis.find_table("fr") is None
-    remedy = "apt install liblouis20 liblouis-data"
-    with raises(BrailleError, names=remedy, value="en-ueb-g1.ctb"):
-        LouisCode("en-ueb-g1.ctb")
 
 
 @needs_liblouis

@@ -40,11 +40,6 @@ def test_words_wrap_and_long_ones_go_on():
     assert pages == [["⠀⠀⠁⠁⠀⠃⠃⠃", "⠉⠉", ""], ["⠀⠀⠙⠙⠙⠙⠙⠐", "⠙⠙⠙⠙⠙⠙⠙⠐", "⠙⠙⠀⠑"]]
 
 
-def test_two_blanks_in_a_line_stay():
-    assert lay_out(["⠁⠀⠀⠃"], 8, indent=0) == [["⠁⠀⠀⠃"]]
-    assert lay_out(["⠁⠁⠁⠀⠀⠃"], 5, indent=0) == [["⠁⠁⠁", "⠃"]]
-
-
 def test_lines_of_others_join():
     pages = [["⠀⠀⠁", "⠃"], ["⠉", "", "⠙", "⠑", "⠀⠀⠋"]]
     assert join(pages) == ["⠁⠀⠃⠀⠉", "", "⠙⠀⠑", "⠋"]
@@ -54,3 +49,8 @@ def test_lines_of_others_join():
 def test_too_small_a_page(columns, rows, indent):
     with raises(BrailleError, value=(columns, rows), allowed=(indent + 2, 1)):
         lay_out(["⠁"], columns, rows, indent)
+
+
+def test_two_blanks_in_a_line_stay():
+    assert lay_out(["⠁⠀⠀⠃"], 8, indent=0) == [["⠁⠀⠀⠃"]]
+    assert lay_out(["⠁⠁⠁⠀⠀⠃"], 5, indent=0) == [["⠁⠁⠁", "⠃"]]

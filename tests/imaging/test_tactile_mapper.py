@@ -28,12 +28,6 @@ def test_graded_is_the_ink_itself(shades):
     np.testing.assert_allclose(found, np.tile(np.linspace(0, 1, 8), (8, 1)), atol=0.003)
 
 
-def test_on_or_off(shades):
-    profile, image = shades
-    found = mapped(profile, image, Tone(0.3, 0.3, prepared=True)).reshape(8, 8)
-    np.testing.assert_array_equal(found, np.tile([0, 0, 0, 1, 1, 1, 1, 1], (8, 1)))
-
-
 def test_exactly_the_part_asked_for_is_enough(profile):
     profile = profile_for_reading(profile)
     image = np.full((64, 64), 255, np.uint8)

@@ -71,7 +71,7 @@ class Dictation(BrailleDisplaySource):
         raise AssertionError(text, self.shown)
 
     def read(self, time_ns):
-        if self.at_end:
+        if self._step() - self.layout.margin >= self._dots.shape[1]:
             text = next(self.texts, None)
             if text is None:
                 return None

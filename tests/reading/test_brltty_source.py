@@ -151,7 +151,6 @@ def test_a_line_moves_through_electrode_by_electrode(finger):
     for before, now in pairwise(windows):
         np.testing.assert_array_equal(now[:, :-1], before[:, 1:])
     assert not windows[-1].any()
-    assert finger.source.at_end
 
 
 def test_without_brltty_nothing_is_felt_and_a_lost_line_stays_where_it_was(finger):
