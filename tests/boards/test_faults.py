@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
+from smarttouch.base.wire.port import open_port
 from smarttouch.boards import line
 from smarttouch.boards.link.packet_line import SILENCE_S
 from smarttouch.boards.link.protocol import MessageKind
@@ -73,11 +74,21 @@ def test_a_board_without_a_host_ends_by_itself(make_limits, start_emulator):
 
 def test_a_busy_port_is_named(make_limits, start_emulator):
     _, port = start_emulator()
-    with make_board(f"link:{port}", make_limits()) as board:
-        with raises(BoardError, value=port):
-            make_board(f"link:{port}", make_limits()).open()
-        # Programs that ask for no lock are kept out as well: TIOCGEXCL.
-        assert fcntl.ioctl(board._line._port.fileno(), 0x80045440, bytes(4)) == b"\1\0\0\0"
+    with make_board(f"link:{port}", make_limits()), raises(BoardError, value=port):
+        make_board(f"link:{port}", make_limits()).open()
+
+
+@pytest.mark.parametrize("name", ["/dev/ttyUSB0", "/dev/pts/7"])
+def test_programs_that_ask_for_no_lock_are_kept_out_of_devices(monkeypatch, name):
+    monkeypatch.setattr("smarttouch.base.wire.port.os.ttyname", lambda _: name)
+    master, slave = os.openpty()
+    port = open_port(f"/proc/self/fd/{slave}")
+    # TIOCGEXCL
+    exclusive = fcntl.ioctl(port.fileno(), 0x80045440, bytes(4))
+    assert exclusive == (b"\1\0\0\0" if "USB" in name else bytes(4))
+    port.close()
+    for each in (master, slave):
+        os.close(each)
 
 
 @pytest.mark.parametrize(("port", "value"), [("/dev/nowhere", "/dev/nowhere"), ("", None)])

@@ -23,6 +23,7 @@ __all__ = [
 ]  # fmt: skip
 
 _MOST_AT_ONCE = 65_536
+_PSEUDO = ("/dev/pts/", "/dev/ttys")  # names of pseudo-terminals on Linux and macOS
 
 LINE_ERRORS = (
     OSError, serial.SerialException, termios.error if termios else OSError, TypeError
@@ -54,7 +55,7 @@ def open_port(
         port.timeout, port.write_timeout, port.exclusive = timeout_s, 0.5, True
         port.dtr = port.rts = False
         port.open()
-        if HAS_POSIX and isinstance(port, serial.Serial):
+        if HAS_POSIX and _is_device(port):
             # Keeps out programs that ask for no lock, though not those of root.
             fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
         if url.startswith("socket://"):
@@ -63,6 +64,14 @@ def open_port(
     except (*LINE_ERRORS, ValueError, AttributeError) as failure:
         raise error(f"cannot open {name}: {_advice(failure)}") from None
     return port
+
+
+def _is_device(port: Port) -> bool:
+    """Return whether a port is a device; a pseudo-terminal would stay exclusive when closed."""
+    try:
+        return not os.ttyname(port.fileno()).startswith(_PSEUDO)
+    except (OSError, AttributeError):
+        return False
 
 
 @dataclass(frozen=True)
