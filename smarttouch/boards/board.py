@@ -206,11 +206,11 @@ class Board:
     def _open_driver(self, *, again: bool) -> None:
         self._line.reopened = again
         try:
-            found = self.driver.open(self._line, replace(self._limits))
-            if not isinstance(found, Capabilities):
+            capabilities = self.driver.open(self._line, replace(self._limits))
+            if not isinstance(capabilities, Capabilities):
                 kind = type(self.driver).__name__
                 raise BoardError(f"{kind}.open returns no Capabilities: return those of the device")
-            self.capabilities = found
+            self.capabilities = capabilities
             self._line.require_running()
         except BaseException:
             self._close_driver()
@@ -589,13 +589,13 @@ class Board:
             if scans := self.driver.measuring_scans():
                 self.drain()
                 now_ns, within_ns = self._clock.now_ns(), MEASURED_WITHIN_NS
-                found = self.driver.measure([
+                impedance = self.driver.measure([
                     self._gate.prove(scan, times, due_ns=now_ns, late_ns=within_ns, ramped=False)
                     for scan, times in scans
                 ])  # fmt: skip
             else:
                 self.take_volts()
-                found = measure_by_probes(
+                impedance = measure_by_probes(
                     self._probe, self._limits, self._output, self.capabilities
                 )
         except BoardError as error:
@@ -607,7 +607,7 @@ class Board:
             # What comes next begins at zero, and its time may start again.
             self._gate.restart()
         self._line.require_running()
-        return found
+        return impedance
 
     def _probe(self, probe: ScanSequence) -> NDArray[np.float64]:
         """Deliver a scan and return its voltages."""

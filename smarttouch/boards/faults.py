@@ -52,18 +52,18 @@ def find_latch(device: str) -> Latch | None:
 
 def clear_latch(device: str) -> Latch | None:
     """Remove the record of a board; return it, or None if there is none."""
-    found = find_latch(device)
-    if found is not None:
+    record = find_latch(device)
+    if record is not None:
         _path(device).unlink(missing_ok=True)
-    return found
+    return record
 
 
 def refuse_latched(device: str | None) -> None:
     """Raise BoardLatchedError if a board is latched."""
-    if device is not None and (found := find_latch(device)) is not None:
+    if device is not None and (record := find_latch(device)) is not None:
         raise BoardLatchedError(
-            f"the board ({device}) is latched since {found.date}: {found.reason}; have it checked, "
-            "then clear it with smarttouch devices clear"
+            f"the board ({device}) is latched since {record.date}: {record.reason}; have it "
+            "checked, then clear it with smarttouch devices clear"
         )
 
 

@@ -66,18 +66,18 @@ def one_each(
     equally by the other electrodes; no slots if that is 0. Masked ones take no share, as an open
     one would need all the voltage there is."""
     count = limits.electrodes
-    chosen = range(count) if sites is None else sites
-    currents = np.zeros((len(chosen) if level_ua else 0, count), np.int16)
-    for current, site in zip(currents, chosen, strict=False):
+    driven = list(range(count) if sites is None else sites) if level_ua else []
+    currents = np.zeros((len(driven), count), np.int16)
+    for current, site in zip(currents, driven, strict=True):
         # From the driven electrode on: the nearest ones take the remainder.
-        away = [(site + step) % count for step in range(1, count)]
-        returns = [each for each in away if each not in masked]
-        each, over = divmod(level_ua, len(returns))
-        current[returns] = -each
-        current[returns[:over]] -= 1
+        others = ((site + step) % count for step in range(1, count))
+        returns = [other for other in others if other not in masked]
+        share, rest = divmod(level_ua, len(returns))
+        current[returns] = -share
+        current[returns[:rest]] -= 1
         current[site] = level_ua
     return _scan(
-        limits, currents if cathodic else -currents, list(chosen)[: len(currents)], width_us,
+        limits, currents if cathodic else -currents, driven, width_us,
         intensity, time_ns, discharge_us, period_us,
     )  # fmt: skip
 
@@ -121,15 +121,9 @@ def measure_by_probes(
         raise BoardError("this board does not measure: use a multimeter")
     for probe in probe_sequences(limits, output):
         volts = ask(probe)
-    if (
-        can.output == "weighted"
-        and (volts >= SATURATED * can.compliance_v).any()
-        and not limits.masked
-    ):
-        level_ua = int(np.abs(probe.current_ua).max())
-        return measure_in_pairs(
-            ask, limits, level_ua, probe.intensity, probe.time_ns, can.compliance_v
-        )  # fmt: skip
+    is_saturated = bool((volts >= SATURATED * can.compliance_v).any())
+    if can.output == "weighted" and is_saturated and not limits.masked:
+        return measure_in_pairs(ask, limits, probe, can.compliance_v)
     # A masked electrode is not driven, and counts as open.
     every = np.full(limits.electrodes, can.compliance_v)
     every[probe.site] = volts
@@ -139,21 +133,16 @@ def measure_by_probes(
 
 
 def measure_in_pairs(
-    ask: Ask,
-    limits: SafetyLimits,
-    level_ua: int,
-    intensity: float,
-    time_ns: int,
-    compliance_v: float,
+    ask: Ask, limits: SafetyLimits, probe: ScanSequence, compliance_v: float
 ) -> Impedance:
     """Return the impedance of each electrode, from scans of two electrodes at a time.
 
     All are measured against one reference r: I (Zᵢ + Zᵣ). Of three electrodes that all conduct, Zᵣ
-    = (Zᵢᵣ + Zⱼᵣ − Zᵢⱼ) / 2; the median over neighbors counts. The board is at the intensity of
-    ``level_ua`` already; scans are stamped a millisecond apart from ``time_ns`` on.
+    = (Zᵢᵣ + Zⱼᵣ − Zᵢⱼ) / 2; the median over neighbors counts. The board is at the intensity of the
+    last ``probe`` already; scans are stamped a millisecond apart after it.
     """
     count, step = limits.electrodes, 0
-    current_ma = level_ua / 1000
+    level_ua = int(np.abs(probe.current_ua).max())
 
     def kohm_of(pairs: list[tuple[int, int]]) -> NDArray[np.float64]:
         nonlocal step
@@ -161,27 +150,26 @@ def measure_in_pairs(
         currents = np.zeros((len(pairs), count), np.int16)
         for current, (first, second) in zip(currents, pairs, strict=True):
             current[first], current[second] = level_ua, -level_ua
-        sites, scan_ns = [first for first, _ in pairs], time_ns + step * 1_000_000
-        volts = ask(_scan(limits, currents, sites, PROBE_US, intensity, scan_ns))
-        return np.where(volts >= SATURATED * compliance_v, np.inf, volts / current_ma)
+        sites, time_ns = [first for first, _ in pairs], probe.time_ns + step * 1_000_000
+        volts = ask(_scan(limits, currents, sites, PROBE_US, probe.intensity, time_ns))
+        return np.where(volts >= SATURATED * compliance_v, np.inf, 1000 * volts / level_ua)
 
     references = np.unique(np.linspace(0, count - 1, min(count, MOST_REFERENCES)).round())
-    best = np.full(count, np.inf)
-    chosen = 0
+    best, chosen = np.full(count, np.inf), 0
     for reference in references.astype(int).tolist():
-        others = [each for each in range(count) if each != reference]
-        found = np.full(count, np.inf)
-        found[others] = kohm_of([(each, reference) for each in others])
-        if np.isfinite(found).sum() > np.isfinite(best).sum():
-            best, chosen = found, reference
+        others = [electrode for electrode in range(count) if electrode != reference]
+        kohm = np.full(count, np.inf)
+        kohm[others] = kohm_of([(other, reference) for other in others])
+        if np.isfinite(kohm).sum() > np.isfinite(best).sum():
+            best, chosen = kohm, reference
         if np.isfinite(best).sum() >= ENOUGH * (count - 1):
             break
     good = np.flatnonzero(np.isfinite(best))[: MOST_TRIPLES + 1]
     if len(good) < 2:
-        return classify(np.full(count, np.inf), current_ma)
-    pairs = list(zip(good[:-1].tolist(), good[1:].tolist(), strict=True))
-    between = kohm_of(pairs)
-    its_own = float(np.median((best[good[:-1]] + best[good[1:]] - between) / 2))
-    kohm = np.maximum(best - its_own, 1e-3)
-    kohm[chosen] = max(its_own, 1e-3)
-    return classify(kohm, current_ma)
+        return classify(np.full(count, np.inf), level_ua / 1000)
+    first, second = good[:-1], good[1:]
+    between = kohm_of(list(zip(first.tolist(), second.tolist(), strict=True)))
+    reference_kohm = float(np.median((best[first] + best[second] - between) / 2))
+    kohm = np.maximum(best - reference_kohm, 1e-3)
+    kohm[chosen] = max(reference_kohm, 1e-3)
+    return classify(kohm, level_ua / 1000)

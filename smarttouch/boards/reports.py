@@ -61,8 +61,8 @@ class Capabilities:
             raise BoardError(
                 "the sequence ends with a recharge phase, and this board makes none: leave it out"
             )
-        whole = isinstance(times, (int, np.integer)) and not isinstance(times, bool)
-        if not whole or not 1 <= times <= LONGEST_REPEAT:
+        is_integer = isinstance(times, (int, np.integer)) and not isinstance(times, bool)
+        if not is_integer or not 1 <= times <= LONGEST_REPEAT:
             raise BoardError(
                 f"{times} repetitions are not possible: a whole number from 1 to {LONGEST_REPEAT}"
             )
@@ -183,18 +183,18 @@ class Impedance:
     @property
     def broken(self) -> tuple[int, ...]:
         """Electrodes that are open or shorted."""
-        return tuple(i for i, each in enumerate(self.condition) if each in ("open", "short"))
+        return tuple(i for i, name in enumerate(self.condition) if name in ("open", "short"))
 
     @property
     def lifted(self) -> bool:
         """True if nothing touches the electrodes."""
-        return all(each == "open" for each in self.condition)
+        return all(name == "open" for name in self.condition)
 
     def figures(self) -> dict[str, Any]:
         """Return the values for a JSON file; open electrodes have no number."""
         kohm = [
-            None if condition == "open" else float(f"{each:.4g}")
-            for each, condition in zip(self.kohm, self.condition, strict=True)
+            None if condition == "open" else float(f"{value:.4g}")
+            for value, condition in zip(self.kohm, self.condition, strict=True)
         ]
         return {
             "impedance_kohm": kohm,

@@ -108,7 +108,7 @@ class _Process:
             if board is not None and self.boards.pop(board, None) is not None and entry is not None:
                 entry.lost_a_board = entry.lost_a_board or not at_zero
             # By identity, as equal requests compare equal.
-            self.runs = [each for each in self.runs if each is not run]
+            self.runs = [request for request in self.runs if request is not run]
             if self.boards or self.runs or (command is not None and command.opens_a_board):
                 if entry is not None:
                     with suppress(SmartTouchError, OSError):
@@ -224,7 +224,7 @@ class _Signals:
             self.end_main_thread()
 
     def _is_ours(self, number: int) -> bool:
-        return signal.getsignal(number) == self._handle
+        return number in SIGNALS and signal.getsignal(number) == self._handle
 
     def _work(self) -> None:
         command, deadline_s = self._command, float("inf")
@@ -236,9 +236,9 @@ class _Signals:
         while len(ends) < 2 and time.monotonic() < deadline_s:
             seen = max(len(woken), len(handled))
             with suppress(TimeoutError):
-                if not (told := self._hears.recv(64)):
+                if not (numbers := self._hears.recv(64)):
                     return self._hears.close()
-                woken += [number for number in told if number in SIGNALS and self._is_ours(number)]
+                woken += [number for number in numbers if self._is_ours(number)]
             while not self._numbers.empty():
                 handled.append(self._numbers.get())
             for number in max(woken, handled, key=len)[seen:]:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.boards.open import make_board
-from smarttouch.boards.probe_scans import measure_in_pairs
+from smarttouch.boards.probe_scans import measure_in_pairs, one_each
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
@@ -31,7 +31,8 @@ class Skin:
 
     def measured(self):
         with np.errstate(invalid="ignore"):
-            return measure_in_pairs(self, LIMITS, 400, 0.2, 0, COMPLIANCE_V)
+            probe = one_each(LIMITS, 400, 50, 0.2, 0, cathodic=True)
+            return measure_in_pairs(self, LIMITS, probe, COMPLIANCE_V)
 
 
 @given(

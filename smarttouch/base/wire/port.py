@@ -97,17 +97,17 @@ def identity_of(port: Port) -> UsbIdentity | None:
 def device_of(name: str) -> str:
     """Return the identity of the device at a port: its USB serial number, else the port's name."""
     with contextlib.suppress(*LINE_ERRORS):
-        if found := _usb_identity(name):
-            return f"USB {found.vendor:04x}:{found.product:04x} {found.serial_number}"
+        if usb := _usb_identity(name):
+            return f"USB {usb.vendor:04x}:{usb.product:04x} {usb.serial_number}"
     return os.path.realpath(name) if Path(name).exists() else name
 
 
 def _usb_identity(name: str) -> UsbIdentity | None:
     device = os.path.realpath(name)
-    for each in list_ports.comports():
-        if each.device in (name, device) and each.vid is not None and each.serial_number:
-            _, _, interface = (each.location or "").partition(":")
-            return UsbIdentity(each.vid, each.pid, each.serial_number, interface)
+    for port in list_ports.comports():
+        if port.device in (name, device) and port.vid is not None and port.serial_number:
+            _, _, interface = (port.location or "").partition(":")
+            return UsbIdentity(port.vid, port.pid, port.serial_number, interface)
     return None
 
 
