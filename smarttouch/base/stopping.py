@@ -42,9 +42,11 @@ class StopRequest:
             self.event.set()
             calls = self._on_stop.copy() if at_once else []
         with contextlib.ExitStack() as stack:
-            # All of them, whatever one raises.
+            # All of them, whatever one raises. A board that cannot be reached is reported when its
+            # thread closes it.
             for call in reversed(calls):
-                stack.callback(_call, call)
+                stack.enter_context(contextlib.suppress(SmartTouchError))
+                stack.callback(call)
 
     def always_on_stop(self, tell: Callable[[], None]) -> None:
         """Call a function whenever the end is requested from now on, before earlier functions: a
@@ -63,12 +65,6 @@ class StopRequest:
         finally:
             with self._lock:
                 self._on_stop.remove(tell)
-
-
-def _call(tell: Callable[[], None]) -> None:
-    # A board that cannot be reached is reported by its own thread when it is closed.
-    with contextlib.suppress(SmartTouchError):
-        tell()
 
 
 _writes = 0  # blocks of `uninterrupted` that the main thread is in
