@@ -1,6 +1,11 @@
-"""The attack itself: it reaches every limit, finds every gap, and comes out the same again."""
+"""Gate and oracle agree on every sequence; the attack finds every gap, and is always the same.
+
+``SMARTTOUCH_SAFETY_SEQUENCES`` says how many sequences are asked about; for a million of them
+``python -m tests.safety.agreement 1000000 --jobs 2`` prints the table as well.
+"""
 
 import dataclasses
+import os
 
 import numpy as np
 import pytest
@@ -14,7 +19,20 @@ from .drafts import intensity_of
 from .gates import Answer, faults_of_copy
 from .oracle import Oracle
 from .quick import judge_alone_quickly
-from .test_gate import FIRST
+
+SEQUENCES = int(os.environ.get("SMARTTOUCH_SAFETY_SEQUENCES", "9000"))
+FIRST = 900
+"""From this seed on each rule is soon the only one broken."""
+
+
+@pytest.mark.timeout(60 + SEQUENCES / 100)
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
+def test_gate_and_oracle_agree():
+    tally = attack(FIRST, SEQUENCES)
+    print(tally.table())
+    assert tally.disagreements == 0, tally.table()
+    assert min(tally.accepted, tally.refused) > SEQUENCES / 5
+    assert tally.missing() == []
 
 
 class Careless:

@@ -1,0 +1,272 @@
+"""Several threads open, halt, stop and close a board, and a Ctrl-C comes at any instant."""
+
+import contextlib
+import os
+import signal
+import threading
+
+import pytest
+
+from smarttouch.base.errors import BoardError, BoardStoppedError, LineLostError
+from smarttouch.base.wire.device_lines import PtyLine
+from smarttouch.boards.board import Board
+from smarttouch.boards.driver import Driver
+from smarttouch.boards.line import Line
+from smarttouch.boards.open import MemoryDriver, make_board
+from smarttouch.boards.reports import Capabilities
+from smarttouch.boards.run_registry import registry_folder
+from smarttouch.profile.device import Output
+from smarttouch.stimulation.safety_gate import SafetyLimits
+
+from ..raising import raises
+from .runs import PATIENCE_S
+
+LIMITS = SafetyLimits(
+    electrodes=4, current_ma=2.0, pulse_us=200.0, charge_uc=0.4, rate_hz=50.0, duty=0.5,
+    ramp_s=1.0, full_ma=2.0,
+)  # fmt: skip
+
+
+class Unlined(Driver):
+    """A driver without a line, whose board may have a finger on it."""
+
+    opened = 0
+
+    def __init__(self):
+        self.zeros = []
+
+    def open(self, line, limits):
+        self.opened += 1
+        self.line = line
+        return Capabilities(4, "weighted", 5.0, 8, time_to_zero_ms=0.0, firmware="plain")
+
+    def write(self, proved):
+        with self.line.current(proved):
+            return
+
+    def zero(self):
+        self.zeros.append(threading.get_ident())
+
+
+def plain():
+    return Board(Unlined(), LIMITS)
+
+
+def announced():
+    """Return the number of entries in the run registry."""
+    return len(list(registry_folder().glob("*.json")))
+
+
+def test_a_board_that_two_threads_open_at_once_is_announced_and_opened_once(monkeypatch):
+    within, goes_on = threading.Event(), threading.Event()
+
+    own = Unlined.open
+
+    def slow(driver, *given):
+        if within.is_set():
+            raise BoardError("as of a port that is in use")
+        within.set()
+        assert goes_on.wait(PATIENCE_S)
+        return own(driver, *given)
+
+    monkeypatch.setattr(Unlined, "open", slow)
+    board = plain()
+    opening = threading.Thread(target=board.open, daemon=True)
+    opening.start()
+    assert within.wait(PATIENCE_S)
+    with raises(BoardError, names="board"):
+        board.open()
+    assert announced() == 1
+    goes_on.set()
+    opening.join(PATIENCE_S)
+    assert (board.driver.opened, announced()) == (1, 1)
+    board.close()
+
+
+def test_a_board_that_one_thread_closes_while_another_opens_it_is_announced(monkeypatch):
+    within, goes_on = threading.Event(), threading.Event()
+
+    def slow(_):
+        within.set()
+        assert goes_on.wait(PATIENCE_S)
+
+    monkeypatch.setattr(Unlined, "close", slow)
+    board = plain()
+    board.open()
+    closing = threading.Thread(target=board.close, daemon=True)
+    closing.start()
+    assert within.wait(PATIENCE_S)
+    with contextlib.suppress(BoardError):
+        board.open()
+    goes_on.set()
+    closing.join(PATIENCE_S)
+    assert announced() == board._opened
+    board.close()
+
+
+def test_a_board_that_is_interrupted_when_it_is_open_is_closed(monkeypatch):
+    """As by Ctrl-C: it would be open, could drive, and be announced no more."""
+    looks = []
+
+    def interrupted(line):
+        looks.append(line)
+        if len(looks) == 3:
+            raise KeyboardInterrupt
+
+    # The last look of `open`, when all else is done.
+    monkeypatch.setattr(Line, "require_running", interrupted)
+    board = plain()
+    with pytest.raises(KeyboardInterrupt):
+        board.open()
+    assert (board._opened, announced()) == (False, 0)
+
+
+@pytest.mark.parametrize("how", ["stop", "halt", "close"])
+def test_a_stop_that_is_interrupted_while_it_waits_still_ends_in_zero(monkeypatch, how):
+    """As by Ctrl-C; a write under way is waited for."""
+    signals = [signal.SIGINT]
+    with plain() as board:
+        with monkeypatch.context() as interrupted:
+            interrupted.setattr(
+                Line, "_bar", lambda _: signals and signal.raise_signal(signals.pop())
+            )
+            with pytest.raises(KeyboardInterrupt):
+                getattr(board, how)()
+        assert board.driver.zeros
+
+
+KIT_LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
+OUTPUT = Output(kind="one-against-all")
+
+
+@pytest.fixture
+def deaf_port():
+    """A port on which nobody answers."""
+    line = PtyLine()
+    # Held open, so that what is written is kept and nobody hangs up.
+    end = os.open(line.name, os.O_RDWR | os.O_NOCTTY)
+    yield line.name
+    os.close(end)
+    os.close(line._master)
+
+
+class Opening(threading.Thread):
+    """Opens a board, and keeps what that raised."""
+
+    def __init__(self, board):
+        super().__init__(daemon=True)
+        self.board, self.raised = board, None
+        self.start()
+
+    def run(self):
+        try:
+            self.board.open()
+        except BoardError as error:
+            self.raised = error
+
+    def halted(self):
+        self.board.halt()
+        self.join(PATIENCE_S)
+        assert not self.is_alive()
+        return self.raised
+
+
+@pytest.mark.parametrize("kind", ["kajimoto61", "etactilekit", "link"])
+def test_halting_ends_the_wait_for_a_board_that_does_not_answer(monkeypatch, deaf_port, kind):
+    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 600.0)
+    monkeypatch.setattr("smarttouch.boards.link.packet_line.ANSWER_S", 600.0)
+    board = make_board(f"{kind}:{deaf_port}", KIT_LIMITS, OUTPUT)
+    assert isinstance(Opening(board).halted(), BoardStoppedError)
+
+
+def test_halting_ends_the_silence_that_an_etactilekit_is_given(monkeypatch, deaf_port):
+    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.FORGETS_S", 600.0)
+    monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.CHIPS_S", 0.01)
+    board = make_board(f"etactilekit:{deaf_port}", KIT_LIMITS, OUTPUT)
+    waiting, pause = threading.Event(), board._line.pause
+
+    def tell_and_pause(seconds):
+        if seconds == 600.0:
+            waiting.set()
+        pause(seconds)
+
+    board._line.pause = tell_and_pause
+    opening = Opening(board)
+    assert waiting.wait(PATIENCE_S)
+    assert isinstance(opening.halted(), BoardStoppedError)
+
+
+def test_halting_ends_the_start_of_an_emulator():
+    board = make_board("emulator:", KIT_LIMITS)
+    board.driver.process._command = ["sleep", "600"]
+    opening = Opening(board)
+    assert isinstance(opening.halted(), BoardStoppedError)
+    process = board.driver.process._process
+    assert process is None or process.poll() is not None
+
+
+def test_halting_ends_the_wait_for_a_port_that_is_gone(monkeypatch, deaf_port):
+    """The line breaks in a send, and does not come back."""
+    monkeypatch.setattr("smarttouch.boards.line.RECOVER_S", 600.0)
+    board = make_board("link:/dev/nowhere", KIT_LIMITS, OUTPUT)
+    thread = threading.Thread(target=recover, args=(board, raised := []), daemon=True)
+    thread.start()
+    board.halt()
+    thread.join(PATIENCE_S)
+    assert [type(error) for error in raised] == [BoardStoppedError]
+
+
+def recover(board, raised):
+    try:
+        board._recover(LineLostError("the line broke"))
+    except BoardError as error:
+        raised.append(error)
+
+
+class Noting(MemoryDriver):
+    """A driver that notes what flows, and what it does just before that."""
+
+    def __init__(self, before, *given):
+        super().__init__(*given)
+        self.before, self.did = before, []
+
+    def write(self, proved):
+        with self._line.current(proved):
+            self.before()
+            self.did.append("current")
+
+    def zero(self):
+        self.did.append("zero")
+
+
+def noting(before, limits):
+    return Board(Noting(before, "", limits), limits, on_a_finger=False, claimed_time=True)
+
+
+@pytest.mark.parametrize("long", [False, True])
+def test_a_write_that_meets_a_stop_is_over_before_zero_or_followed_by_it(
+    monkeypatch, make_limits, make_sequence, long
+):
+    """As of a driver that was never made for that, with a line that takes its time."""
+    if long:
+        monkeypatch.setattr("smarttouch.boards.line.WRITE_S", 0.05)
+    writing, goes_on = threading.Event(), threading.Event()
+
+    def wait():
+        writing.set()
+        goes_on.wait(20)
+
+    with noting(wait, make_limits()) as board:
+        sender = threading.Thread(target=board.send, args=(make_sequence(0),), daemon=True)
+        stopper = threading.Thread(target=board.stop, daemon=True)
+        sender.start()
+        assert writing.wait(20)
+        stopper.start()
+        assert board._stopped.wait(20)
+        if long:
+            stopper.join(20)
+        goes_on.set()
+        for each in (sender, stopper):
+            each.join(20)
+        assert board.driver.did == (["zero", "current", "zero"] if long else ["current", "zero"])
