@@ -203,7 +203,7 @@ def listed(table, amplitudes, **fields):
     sums = KernelLists(table, first, pairs[:, 0], pairs[:, 1])
     column = np.ones(len(amplitudes), np.uint16)
     values = {
-        "current_ua": sums.current_ua(), "width_us": 100 * column, "discharge_us": 50 * column,
+        "current_ua": sums.current_ua, "width_us": 100 * column, "discharge_us": 50 * column,
         "site": sums.site, "period_us": 10_000, "intensity": 1.0, "time_ns": 0, "sums": sums,
     }  # fmt: skip
     return ScanSequence(**(values | fields))
@@ -278,7 +278,7 @@ def test_without_limits_and_without_kernels_nothing_flows():
 def test_lists_that_would_make_other_currents_go_as_currents(keeper, first, kernel, amplitude):
     wanted = listed(keeper.table, [[(0, 4000)]]).current_ua
     sums = KernelLists(keeper.table, np.array(first), kernel, amplitude)
-    wanted = sums.current_ua() if amplitude[0] < 0 else wanted
+    wanted = sums.current_ua if amplitude[0] < 0 else wanted
     assert keeper.ask(listed(keeper.table, [[(0, 4000)]], current_ua=wanted, sums=sums)) is None
     keeper.advance(9)
     assert keeper.books.kept == wanted.tolist()

@@ -32,7 +32,7 @@ def sequence_of(lists, **other):
     """Return a sequence of lists."""
     column = np.ones(len(lists.first) - 1, np.uint16)
     fields = {
-        "current_ua": lists.current_ua(), "width_us": 100 * column, "discharge_us": 50 * column,
+        "current_ua": lists.current_ua, "width_us": 100 * column, "discharge_us": 50 * column,
         "site": lists.site, "period_us": 10_000, "intensity": 1.0, "time_ns": 0, "sums": lists,
     }  # fmt: skip
     return ScanSequence(**(fields | other))

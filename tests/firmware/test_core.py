@@ -100,7 +100,7 @@ def test_host_board_and_core_compute_the_same_currents(make_core):
     compared = 0
     for number in range(1, 41):
         lists = random_lists(rng, table, 50, most=6, loud=5000)
-        wanted = lists.current_ua()
+        wanted = lists.current_ua
         for slot, (first, end) in enumerate(zip(lists.first, lists.first[1:], strict=False)):
             pairs = slice(first, end)
             every = table.weights[lists.kernel[pairs]].astype(int)

@@ -153,7 +153,7 @@ def test_no_subset_breaks_what_is_certain_after_rounding(
     table = KernelTable(quantized(one.kernels), one.sites.astype(np.uint16), {}, {})
     first = np.array([0, len(kernel)])
     lists = KernelLists(table, first, kernel, np.rint(amplitude[kernel]).astype(np.uint16))
-    for current_ua in (round_charge_balanced(exact_ua[None])[0], lists.current_ua()[0]):
+    for current_ua in (round_charge_balanced(exact_ua[None])[0], lists.current_ua[0]):
         (figures,) = operator.judge.judge(current_ua[None] / 1000, level[None])
         off_target, spill = certain.figures(intensity)[:, 0]
         assert figures.off_target <= off_target

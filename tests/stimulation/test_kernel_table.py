@@ -40,7 +40,7 @@ def test_currents_are_defined_to_the_bit(seed, pairs):
     kernel, amplitude = np.array(pairs, np.uint16).T
     lists = KernelLists(table, np.array([0, len(pairs)]), kernel, amplitude)
     joined = lists.joined(lists)
-    assert joined.current_ua().tolist() == [slowly(table, pairs)] * 2
+    assert joined.current_ua.tolist() == [slowly(table, pairs)] * 2
     assert sum(slowly(table, pairs)) == 0
     assert joined.site.tolist() == [pairs[0][0]] * 2
 
@@ -65,7 +65,7 @@ def test_the_largest_amplitude_keeps_every_electrode_within_its_limit(seed, most
     most = np.random.default_rng(seed).integers(most_ua // 2, most_ua + 1, 12).astype(float)
     kernel = np.arange(6, dtype=np.uint16)
     amplitude = largest_amplitude(table.weights, most)
-    made = KernelLists(table, np.arange(7), kernel, amplitude).current_ua().astype(int)
+    made = KernelLists(table, np.arange(7), kernel, amplitude).current_ua.astype(int)
     assert (np.abs(made) <= most).all()
     assert (np.abs(made).max(axis=1) >= most.min() - 2).all()
 
@@ -84,7 +84,7 @@ def test_sequences_are_sums_and_proved_as_such(scan):
         before, sequence = plain.process(given).sequence, whole.process(given).sequence
         gate.check(sequence)
         assert sequence.sums.table is whole.table
-        np.testing.assert_array_equal(sequence.sums.current_ua(), sequence.current_ua)
+        np.testing.assert_array_equal(sequence.sums.current_ua, sequence.current_ua)
         if before.current_ua.shape == sequence.current_ua.shape:
             # What rounding leaves over does not go to one electrode any more.
             np.testing.assert_allclose(sequence.current_ua, before.current_ua, atol=12)
