@@ -45,98 +45,44 @@ class LockedError(PageError):
 
 
 class Document(Closing):
-    """Pages loaded on request, by one thread at a time; ``notes`` lists what was assumed."""
+    """Pages loaded on request, by one thread at a time; ``notes`` lists what was assumed.
 
-    has_scale: bool = False
-    """Whether the size of its pages is known: of a PDF it is."""
+    A PDF is rendered, with filled-in forms, and brings its text; an image is open only while a page
+    is loaded.
+    """
 
-    def __init__(self, path: Path, dpi: float | None, page_width_mm: float | None) -> None:
+    def __init__(
+        self, path: Path, dpi: float | None, page_width_mm: float | None, password: str | None
+    ) -> None:
         self.path: Path = path
         self.notes: list[str] = []
         self._dpi, self._page_width_mm = dpi, page_width_mm
+        self._pdf = _open_pdf(path, password)
+        self._frames: list[int] = []
+        if self._pdf is None:
+            with open_image(path, _DOCUMENT) as image:
+                self._frames = page_frames(image)
 
     def __len__(self) -> int:
         """Return the number of pages."""
-        raise NotImplementedError
+        return len(self._frames if self._pdf is None else self._pdf)
+
+    @property
+    def has_scale(self) -> bool:
+        """Whether it surely states the size of its pages, as a PDF does."""
+        return self._pdf is not None
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._pdf is not None:
+            self._pdf.close()
 
     def page(self, index: int) -> Page:
         """Return a page by its index from 0."""
         if not 0 <= index < len(self):
             raise PageError(f"{self.path} {_absent(index + 1, len(self))}")
-        return self._load(index)
-
-    def _load(self, index: int) -> Page:
-        raise NotImplementedError
-
-    def _note(self, sentence: str) -> None:
-        if sentence not in self.notes:
-            self.notes.append(sentence)
-
-
-class _ImageDocument(Document):
-    """An image file, or the pages of a TIFF; it is open only while a page is loaded."""
-
-    def __init__(self, path: Path, dpi: float | None, page_width_mm: float | None) -> None:
-        super().__init__(path, dpi, page_width_mm)
-        with open_image(path, _DOCUMENT) as image:
-            self._frames = page_frames(image)
-
-    def __len__(self) -> int:
-        return len(self._frames)
-
-    def _load(self, index: int) -> Page:
-        with open_image(self.path, _DOCUMENT) as image:
-            image.seek(self._frames[index])
-            grey, mm_per_pixel = read_grey(self.path, image, self._dpi, self._page_width_mm)
-        height, width = grey.shape
-        if mm_per_pixel is None:
-            mm_per_pixel = min(GUESSED_WIDTH_MM / width, LARGEST_MM / height)
-            self._note(
-                f"{self.path} does not state its size: "
-                f"assumed to be {width * mm_per_pixel:.0f} mm wide"
-            )
-        require_size_mm(str(self.path), width * mm_per_pixel, height * mm_per_pixel)
-        return Page(grey, mm_per_pixel)
-
-
-class _PdfDocument(Document):
-    """A PDF; its pages are rendered, with filled-in forms, and bring their text."""
-
-    has_scale = True
-
-    def __init__(
-        self, path: Path, dpi: float | None, page_width_mm: float | None, password: str | None
-    ) -> None:
-        super().__init__(path, dpi or PDF_DPI, page_width_mm)
-        try:
-            import pypdfium2
-        except ImportError:
-            raise PageError(
-                f"{path}: a PDF needs the extra pdf: pip install 'smarttouch[pdf]'"
-            ) from None
-        try:
-            self._pdf = pypdfium2.PdfDocument(path, password)
-        except pypdfium2.PdfiumError as error:
-            if "password" not in str(error).lower():
-                message = f"{path} is damaged, or has no pages: save it again"
-                raise PageError(message) from None
-            message = (
-                f"{path} is locked: give --password-file FILE, or page:FILE?password_file=FILE"
-                if password is None
-                else f"{path} is locked, and this is not its password: check it"
-            )
-            raise LockedError(message) from None
-        # Needed to render filled-in fields, before any page is opened.
-        if self._pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
-            self._pdf.init_forms()
-
-    def __len__(self) -> int:
-        return len(self._pdf)
-
-    def close(self) -> None:
-        self._pdf.close()
-
-    def _load(self, index: int) -> Page:
+        if self._pdf is None:
+            return self._image_page(index)
         import pypdfium2
 
         name = f"page {index + 1} of {self.path}"
@@ -155,6 +101,20 @@ class _PdfDocument(Document):
         # PDFium has no rotation of a page whose description is damaged.
         except (pypdfium2.PdfiumError, KeyError):
             raise PageError(f"{name} cannot be read: the file is damaged") from None
+
+    def _image_page(self, index: int) -> Page:
+        with open_image(self.path, _DOCUMENT) as image:
+            image.seek(self._frames[index])
+            grey, mm_per_pixel = read_grey(self.path, image, self._dpi, self._page_width_mm)
+        height, width = grey.shape
+        if mm_per_pixel is None:
+            mm_per_pixel = min(GUESSED_WIDTH_MM / width, LARGEST_MM / height)
+            self._note(
+                f"{self.path} does not state its size: "
+                f"assumed to be {width * mm_per_pixel:.0f} mm wide"
+            )
+        require_size_mm(str(self.path), width * mm_per_pixel, height * mm_per_pixel)
+        return Page(grey, mm_per_pixel)
 
     def _render(self, sheet: "pypdfium2.PdfPage", name: str, printed: int | None) -> Page:
         width, height = sheet.get_size()
@@ -177,6 +137,10 @@ class _PdfDocument(Document):
             grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
         return with_text(sheet, Page(grey, INCH_MM / dpi), mm, printed)
 
+    def _note(self, sentence: str) -> None:
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
 
 def open_document(
     path: Path,
@@ -191,14 +155,7 @@ def open_document(
     ``page_width_mm`` replaces the file's own scale.
     """
     check_scale_options(dpi, page_width_mm)
-    try:
-        with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
-            is_pdf = _SIGNATURE in file.read(_SIGNATURE_WITHIN)
-    except OSError as error:
-        raise unreadable(PageError, path, error) from None
-    if is_pdf:
-        return _PdfDocument(path, dpi, page_width_mm, password)
-    return _ImageDocument(path, dpi, page_width_mm)
+    return Document(path, dpi, page_width_mm, password)
 
 
 def password_of(path: Path, password_file: str | None = None) -> str | None:
@@ -248,6 +205,35 @@ def parse_pages(text: str, count: int) -> list[int]:
             raise PageError(f"pages {text}: {first} is after {last}: write {last}-{first}")
         indexes += range(first - 1, last)
     return indexes
+
+
+def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None":
+    """Return an open PDF; None for other files."""
+    try:
+        with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
+            if _SIGNATURE not in file.read(_SIGNATURE_WITHIN):
+                return None
+    except OSError as error:
+        raise unreadable(PageError, path, error) from None
+    try:
+        import pypdfium2
+    except ImportError:
+        message = f"{path}: a PDF needs the extra pdf: pip install 'smarttouch[pdf]'"
+        raise PageError(message) from None
+    try:
+        pdf = pypdfium2.PdfDocument(path, password)
+    except pypdfium2.PdfiumError as error:
+        if "password" not in str(error).lower():
+            message = f"{path} is damaged, or has no pages: save it again"
+            raise PageError(message) from None
+        message = f"{path} is locked: give --password-file FILE, or page:FILE?password_file=FILE"
+        if password is not None:
+            message = f"{path} is locked, and this is not its password: check it"
+        raise LockedError(message) from None
+    # Needed to render filled-in fields, before any page is opened.
+    if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
+        pdf.init_forms()
+    return pdf
 
 
 def _flatten(sheet: "pypdfium2.PdfPage") -> int | None:

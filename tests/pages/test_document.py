@@ -170,18 +170,6 @@ def test_a_poster_is_rendered_coarser_with_a_note(put):
     assert page.size_mm == pytest.approx((1270, 1270))
 
 
-def test_what_is_filled_into_a_form_is_seen(put):
-    ink = stream(b"0 0 72 72 re f", b"/Type/XObject/Subtype/Form/BBox[0 0 72 72]")
-    field = (
-        b"<</Type/Annot/Subtype/Widget/FT/Tx/T(name)/V(x)/F 4/P 3 0 R"
-        b"/Rect[0 0 72 72]/AP<</N 6 0 R>>>>"
-    )
-    form = {"page": b"/Annots[5 0 R]", "catalog": b"/AcroForm<</Fields[5 0 R]>>"}
-    path = put(one_page(**form, more=[field, ink]))
-    page = first_page(path)
-    assert page.grey[950:1150, 50:250].max() < 20
-
-
 @pytest.mark.parametrize("content", [
     b"%PDF-1.7\n",
     b"%PDF-1.7\nnonsense\n%%EOF",
@@ -228,16 +216,6 @@ def outcome(path, **options):
 
 
 @pytest.mark.parametrize("suffix", ["pdf", "tif"])
-@pytest.mark.parametrize("kept", [0.05, 0.6, 0.99])
-def test_a_truncated_document_gives_pages_or_one_sentence(tmp_path, suffix, kept):
-    whole = save(tmp_path / f"whole.{suffix}", sheets(3)).read_bytes()
-    path = tmp_path / f"cut.{suffix}"
-    path.write_bytes(whole[: int(kept * len(whole))])
-    result = outcome(path)
-    assert result in (1, 2, 3) or path.name in str(result)
-
-
-@pytest.mark.parametrize("suffix", ["pdf", "tif"])
 @given(data=st.binary(min_size=1, max_size=20), at=st.floats(0, 1))
 @example(data=bytes(20), at=0.1)  # pages without a type, which PDFium 6462 opens
 @example(data=bytes(13), at=0.34375)  # a page without a description
@@ -247,7 +225,9 @@ def test_no_bytes_crash_the_opener(tmp_path_factory, suffix, data, at):
     whole = save(folder / f"whole.{suffix}", made, dpi=(99, 99), resolution=99).read_bytes()
     path = folder / f"page.{suffix}"
     place = int(at * len(whole))
-    path.write_bytes(whole[:place] + data + whole[place + len(data) :])
+    # Some are cut off.
+    end = len(whole) if len(data) % 4 else place
+    path.write_bytes(whole[:place] + data + whole[place + len(data) : end])
     result = outcome(path, page_width_mm=100)
     if result not in (0, 1, 2):
         assert_says(result)
@@ -306,11 +286,6 @@ def test_pages_asked_for(text, indexes):
 def test_what_is_no_page(text, value, more):
     with raises(PageError, names="pages", value=value, **more):
         parse_pages(text, 12)
-
-
-@given(st.lists(st.integers(1, 500), min_size=1, max_size=20))
-def test_any_pages_come_back(numbers):
-    assert parse_pages(",".join(map(str, numbers)), 500) == [number - 1 for number in numbers]
 
 
 class Terminal(io.StringIO):
