@@ -308,28 +308,26 @@ def _table(band: list[Row], middles: list[float]) -> list[Line]:
     """Return the rows of a table: cells are parted by semicolons, an empty one is a hyphen; further
     lines of cells add to the text of their row, and have none of their own."""
     table: list[tuple[dict[int, str], list[Row]]] = []
-    above: Row = []
     for row in band:
-        cells = _cells(row, middles)
-        texts = {column: text_of(words) for column, words in cells.items()}
+        texts = {column: text_of(words) for column, words in _cells(row, middles).items()}
+        above = table[-1][1][-1] if table else []
         is_near = bool(above) and row[0].y - above[0].y < _WRAPPED * row[0].size
         if is_near and 0 not in texts and not any(map(_FIGURE.fullmatch, texts.values())):
             for column, text in texts.items():
-                table[-1][0][column] = f"{table[-1][0].get(column, '').strip('-')} {text}".strip()
+                table[-1][0][column] = f"{table[-1][0].get(column, '')} {text}".strip()
             table[-1][1].append(row)
         else:
-            for column, middle in enumerate(middles, 1):
-                if not any(words[0].left < middle < words[-1].right for words in cells.values()):
-                    texts.setdefault(column, "-")
             table.append((texts, [row]))
-        above = row
     lines = []
-    for texts, (first, *others) in table:
-        texts = {0: "-"} | texts
-        is_alone = {*texts.values()} <= {texts[0], "-"}
-        text = texts[0] if is_alone else "; ".join(texts[k] for k in sorted(texts))
-        lines.append(Line(first, text, True))
-        lines += [Line(row, "", True) for row in others]
+    for texts, rows in table:
+        cells = [words for row in rows for words in _cells(row, middles).values()]
+        covered = {
+            k for k, middle in enumerate(middles, 1)
+            if any(words[0].left < middle < words[-1].right for words in cells)
+        }  # fmt: skip
+        columns = [0] if [*texts] == [0] else range(len(middles) + 1)
+        text = "; ".join(texts.get(k, "-") for k in columns if k in texts or k not in covered)
+        lines += [Line(row, "" if number else text, True) for number, row in enumerate(rows)]
     return lines
 
 
