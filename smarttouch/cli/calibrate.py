@@ -127,7 +127,6 @@ def optics(
 ) -> None:
     """Measure dark level and gain of every pixel, covered and on blank white paper."""
     from smarttouch.experiments.calibration import sensor_optics
-    from smarttouch.experiments.calibration.contact import show_optics
 
     file = calibration.file("optics", simulate)
     if simulate:
@@ -146,7 +145,6 @@ def optics(
                 _answer(f"{question} Then press Enter")
             seen.append(sensor_optics.images_of(url, file.profile, _FRAMES, corrected=False))
     found = sensor_optics.measure_optics(*seen)
-    show_optics(found)
     field_file = file.beside("flat-field.npz")
     file.set("optics.flat_field", field_file.name)
     finish(file, "optics", found.sentence(), simulate, {field_file: found.field.to_bytes()})
@@ -165,7 +163,6 @@ def registration(
     simulate: _Simulate = False,
 ) -> None:
     """Find each electrode's position in the sensor's image with a printed target."""
-    from smarttouch.experiments.calibration.contact import show_registration
     from smarttouch.experiments.calibration.page_registration import (
         bench_view,
         register,
@@ -197,7 +194,6 @@ def registration(
         mean = mean_image(images_of(source, file.profile, _FRAMES, corrected=True))
         image = mean.round().astype("uint8")
     found = register(image, file.profile, made)
-    show_registration(found)
     file.set("optics.homography", [float(f"{each:.12g}") for each in found.homography.ravel()])
     file.set("optics.sensor_columns", found.shape[1])
     file.set("optics.sensor_rows", found.shape[0])
@@ -219,7 +215,6 @@ def force(
     simulate: _Simulate = False,
 ) -> None:
     """Measure the load cell's curve with known weights; one given twice shows hysteresis."""
-    from smarttouch.experiments.calibration.contact import show_force
     from smarttouch.experiments.calibration.force_curve import fit_curve, parse_grams, weigh_on
     from smarttouch.experiments.calibration.sensor_optics import weigh_simulated
 
@@ -233,7 +228,6 @@ def force(
     else:
         weighings = weigh_on(cell, weights_laid(listed), seconds)
     found = fit_curve(weighings, file.profile.force)
-    show_force(found)
     file.set("force.curve", found.curve)
     finish(file, "force", found.sentence(), simulate)
 
@@ -297,7 +291,6 @@ def contact(
     from smarttouch.experiments.calibration.contact import (
         judge_contact,
         measure_contact,
-        show_contact,
     )
     from smarttouch.running.display import open_display
 
@@ -307,7 +300,6 @@ def contact(
     found = judge_contact(
         measure_contact(lambda: opened(open_display(board, chosen).board), repeats)
     )
-    show_contact(found, chosen.electrodes)
     masked = found.masked(chosen)
     still = sorted(set(chosen.output.masked) - set(found.broken))
     if still:

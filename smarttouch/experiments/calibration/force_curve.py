@@ -16,63 +16,11 @@ from smarttouch.sources.load_cell import open_cell
 FEWEST_FOR_BEND = 4  # fewest distinct weights for a quadratic
 
 
-def fit(
-    reading: NDArray[np.float64], force: NDArray[np.float64], degree: int
-) -> NDArray[np.float64]:
-    """Return coefficients, lowest first; fitted about the mean, as raw counts are large."""
-    fitted = np.polynomial.Polynomial.fit(reading, force, degree)
-    coefficients = np.zeros(degree + 1)
-    found = fitted.convert().coef
-    coefficients[: len(found)] = found
-    return coefficients
-
-
-def left_out(
-    grams: NDArray[np.float64],
-    reading: NDArray[np.float64],
-    force: NDArray[np.float64],
-    degree: int,
-) -> float:
-    """Return the rms error, N, at weights left out of the fit; infinite if too few."""
-    weights = np.unique(grams)
-    if len(weights) < (FEWEST_FOR_BEND if degree > 1 else 3):
-        return float("inf")
-    errors = []
-    for each in weights:
-        out = grams == each
-        fitted = np.polynomial.Polynomial.fit(reading[~out], force[~out], degree)
-        errors += list(fitted(reading[out]) - force[out])
-    return float(np.sqrt(np.mean(np.square(errors))))
-
-
-def rises(coefficients: NDArray[np.float64], reading: NDArray[np.float64]) -> bool:
-    """Return whether a curve goes in one direction over and a little beyond the readings."""
-    low, high = reading.min(), reading.max()
-    spare = 0.25 * (high - low)
-    slope = np.polynomial.Polynomial(coefficients).deriv()
-    ends = slope(np.array([low - spare, high + spare]))
-    return bool(ends[0] * ends[1] > 0)
-
-
-def zero_of(polynomial: np.polynomial.Polynomial, reading: NDArray[np.float64]) -> float:
-    """Return the reading without force; NaN if the curve has none."""
-    roots = polynomial.roots()
-    real = roots[np.isreal(roots)].real
-    middle = (reading.min() + reading.max()) / 2
-    return float(real[np.abs(real - middle).argmin()]) if len(real) else float("nan")
-
-
-def hysteresis(grams: NDArray[np.float64], force: NDArray[np.float64]) -> float:
-    """Return the largest difference of weighings of one weight; NaN if none was repeated."""
-    apart = [np.ptp(force[grams == each]) for each in np.unique(grams) if (grams == each).sum() > 1]
-    return float(max(apart)) if apart else float("nan")
-
-
 STANDARD_GRAVITY = 9.80665  # m/s²
 FEWEST_READINGS = 5
 MOST_MISSING = 0.5  # largest part of missing readings
 BEND_WORTH = 0.7
-"""Largest error of a quadratic, relative to a line's, at weights that it was not fitted to."""
+"""Largest error of a quadratic, relative to a line's."""
 BEND_LEAST = 0.002  # error, as a part of full force, below which a line is good enough
 MOST_RESIDUAL = 0.05  # largest rms residual, as a part of full force
 MOST_DRIFT = 0.03  # largest drift, as a part of full force, while one weight lies on the cell
@@ -181,27 +129,49 @@ def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
     force = np.array([each.force_n for each in weighings])
     _require_weights(grams, law)
     _require_answer(weighings, grams, reading)
-    coefficients = fit(reading, force, 1)
-    line_n, bend_n = (left_out(grams, reading, force, degree) for degree in (1, 2))
-    better = bend_n < BEND_WORTH * line_n and line_n > BEND_LEAST * law.full_n
-    if better and rises(bent := fit(reading, force, 2), reading):
-        coefficients = bent
-    polynomial = np.polynomial.Polynomial(coefficients)
+    polynomial, line_n = _fit(reading, force, 1)
+    if len(np.unique(grams)) >= FEWEST_FOR_BEND and line_n > BEND_LEAST * law.full_n:
+        bent, bend_n = _fit(reading, force, 2)
+        if bend_n < BEND_WORTH * line_n and _goes_one_way(bent, reading):
+            polynomial = bent
     residual = polynomial(reading) - force
-    slope_n = float(polynomial.deriv()((reading.min() + reading.max()) / 2))
+    middle = (reading.min() + reading.max()) / 2
+    slope_n = float(polynomial.deriv()(middle))
+    roots = polynomial.roots()
+    real = roots[np.isreal(roots)].real
+    apart = [np.ptp(polynomial(reading[grams == each])) for each in np.unique(grams)]
+    twice = len(grams) > len(apart)
     found = ForceFound(
-        tuple(float(f"{each:.9g}") for each in coefficients),
-        zero_of(polynomial, reading),
+        tuple(float(f"{each:.9g}") for each in polynomial.coef),
+        float(real[np.abs(real - middle).argmin()]) if len(real) else math.nan,
         slope_n,
         float(np.sqrt(np.mean(residual**2))),
         float(np.abs(residual).max()),
         float(np.median([each.spread for each in weighings])) * abs(slope_n),
-        hysteresis(grams, polynomial(reading)),
+        float(max(apart)) if twice else math.nan,
         law.full_n,
         tuple(weighings),
     )
     _require_good(found)
     return found
+
+
+def _fit(
+    reading: NDArray[np.float64], force: NDArray[np.float64], degree: int
+) -> tuple[np.polynomial.Polynomial, float]:
+    """Return a polynomial, and its rms error, N, for the degrees of freedom that are left."""
+    # Fitted about the mean, as raw counts are large.
+    found = np.polynomial.Polynomial.fit(reading, force, degree).convert()
+    found = np.polynomial.Polynomial(np.resize([*found.coef, 0, 0], degree + 1))
+    free = max(1, len(reading) - degree - 1)
+    return found, float(np.sqrt(((found(reading) - force) ** 2).sum() / free))
+
+
+def _goes_one_way(polynomial: np.polynomial.Polynomial, reading: NDArray[np.float64]) -> bool:
+    """Return whether a curve goes in one direction over and a little beyond the readings."""
+    spare = 0.25 * np.ptp(reading)
+    ends = polynomial.deriv()(np.array([reading.min() - spare, reading.max() + spare]))
+    return bool(ends[0] * ends[1] > 0)
 
 
 def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:

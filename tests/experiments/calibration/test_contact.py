@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import CalibrationError, LineLostError
-from smarttouch.boards.reports import Impedance, judge
+from smarttouch.boards.reports import Impedance
 from smarttouch.experiments.calibration.contact import (
     MOST_LOSSES,
     judge_contact,
     measure_contact,
-    show_contact,
 )
-from smarttouch.profile import load_profile
 
 from ...raising import raises
 
@@ -40,7 +38,9 @@ def test_medians_spreads_and_most_conditions():
     assert found.spread_kohm[0] == pytest.approx(1.4826 * 2)
     assert found.spread_kohm[1] == 0
     assert np.isnan(found.spread_kohm[[2, 3]]).all()
-    assert found.sentence().startswith("4 good, 1 open, 1 short of 6 electrodes, the good ones 31")
+    assert found.sentence().startswith(
+        "4 good, 1 open (electrodes 2), 1 short (electrodes 4) of 6 electrodes, the good ones 31"
+    )
 
 
 def test_what_they_disagree_on_is_unsure_and_not_masked():
@@ -80,20 +80,6 @@ LIFTED = {"names": "finger"}
 def test_no_contact_is_one_sentence(runs, attributes):
     with raises(CalibrationError, **attributes):
         judge_contact(runs)
-
-
-def test_the_map_shows_each_electrode_where_it_lies(capsys):
-    profile = load_profile("kajimoto-61")
-    volts = np.linspace(5, 9, 61)
-    volts[60] = 200.0
-    found = judge_contact([judge(volts, 0.5, 60.0)])
-    show_contact(found, profile.electrodes)
-    lines = capsys.readouterr().out.splitlines()
-    assert [len(line.split()) for line in lines[:9]] == [5, 6, 7, 8, 9, 8, 7, 6, 5]
-    # The board counts from the right: its last electrode is the first of the last row.
-    assert lines[8].split()[0] == "open"
-    assert float(lines[0].split()[-1]) == pytest.approx(found.kohm[0], abs=0.1)
-    assert len(lines[0]) - len(lines[0].lstrip()) > len(lines[4]) - len(lines[4].lstrip())
 
 
 class Lossy:
