@@ -48,7 +48,7 @@ class Capabilities:
     packet_bytes: int | None = None
     """Largest packet that it takes, before it is encoded, if that has a limit."""
     kept_ms: float | None = None
-    """Longest time from the end of this program to zero, if a keeper process ensures that."""
+    """Longest time from the end of this program to zero, if a watchdog process ensures that."""
 
     def require(self, sequence: ScanSequence, times: int) -> None:
         """Raise BoardError unless the board can deliver a sequence a number of times."""

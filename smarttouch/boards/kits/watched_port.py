@@ -82,16 +82,15 @@ class WatchedPort:
             self._beating.start()
 
     def write(self, data: bytes) -> int:
-        """Write bytes; raise SerialException if the watchdog has ended."""
+        """Write bytes; raise SerialException if the watchdog has ended or may write zero now."""
         if self._beaten_s is not None:
-            if self._process.poll() is not None:
-                self._put_at_zero()
-                raise serial.SerialException("its watchdog has ended")
-            if time.monotonic() - self._beaten_s > STALE * watchdog.SILENCE_S:
-                self._control.close()
+            silence_s = time.monotonic() - self._beaten_s
+            if silence_s > STALE * watchdog.SILENCE_S or self._process.poll() is not None:
+                self._end()
                 raise serial.SerialException(
-                    "this program stood still for more than "
-                    f"{1000 * STALE * watchdog.SILENCE_S:g} ms, so its watchdog puts it at zero"
+                    "this program stood still, so its watchdog put the board at zero"
+                    if self.at_zero
+                    else "its watchdog has ended"
                 )
         self._port.write(data)
         return len(data)
@@ -112,15 +111,21 @@ class WatchedPort:
         self._closing.set()
         if self._beating.ident:
             self._beating.join()
+        self._end()
+        with contextlib.suppress(*LINE_ERRORS):
+            self._port.close()
+
+    def _end(self) -> None:
+        """Let the watchdog put the board at zero and end; put it at zero here if it could not."""
         self._control.close()
         try:
             self._process.wait(ENDS_WITHIN_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        self._put_at_zero()
-        with contextlib.suppress(*LINE_ERRORS):
-            self._port.close()
+        if self._beaten_s is not None and not self.at_zero:
+            with contextlib.suppress(*LINE_ERRORS):
+                self._port.write(self._zero)
 
     @prioritized()
     def _beat(self) -> None:
@@ -133,22 +138,13 @@ class WatchedPort:
                 self._send_beat()
             except OSError:
                 # It is gone; if it was killed, the board is not at zero yet.
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    self._process.wait(ENDS_WITHIN_S)
-                self._put_at_zero()
+                self._end()
                 return
 
     def _send_beat(self) -> None:
         now_s = time.monotonic()
         self._control.sendall(b".")
         self._beaten_s = now_s
-
-    def _put_at_zero(self) -> None:
-        """Write zero from this process if the watchdog was killed, or could not."""
-        ended = self._process.poll() is not None
-        if ended and self._beaten_s is not None and not self.at_zero:
-            with contextlib.suppress(*LINE_ERRORS):
-                self._port.write(self._zero)
 
 
 def _descriptor(port: Port) -> int:
