@@ -76,15 +76,6 @@ def test_charge_that_an_earlier_run_left_is_known(write, balance):
         check_recording(path)
 
 
-def test_one_that_was_reversed_is_not_recharged(write):
-    """Recordings from before there was a recharge phase do not say a word of it."""
-    report = check_recording(write())
-    assert not report.exact
-    listed = "\n".join(report.differences)
-    assert "recharge_us" in listed
-    assert "recharge_ua" in listed
-
-
 def test_another_threshold_is_reported_with_its_electrode(write, profile, changed):
     path = write(recharge=True)
     higher = changed(
@@ -104,9 +95,3 @@ def test_they_are_arrays(write, balanced):
     for row, sequence in zip(arrays.recharge_ua, sequences, strict=True):
         expected = np.zeros(64) if sequence.recharge_ua is None else sequence.recharge_ua
         assert np.array_equal(row, expected)
-
-
-def test_those_of_before_have_none(golden):
-    arrays = load_recording(golden("regulated")).arrays
-    assert not arrays.recharge_us.any()
-    assert not arrays.recharge_ua.any()
