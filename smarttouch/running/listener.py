@@ -28,7 +28,6 @@ class RunContext:
     """Parts of a run that its listeners may look at, and must not change.
 
     ``settings`` is all that sequences depend on and where it came from, ready for JSON.
-    ``open_level`` returns the intensity that pulses may begin with at a time of the run, in ns.
     """
 
     source: "Source"
@@ -39,7 +38,6 @@ class RunContext:
     controls: "Controls"
     statistics: "RunStatistics"
     settings: dict[str, Any]
-    open_level: Callable[[int], float]
 
 
 class Listener:

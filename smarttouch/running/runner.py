@@ -157,7 +157,7 @@ class Runner:
         controls = self._make_controls(state, offered)
         context = RunContext(
             source, board, profile, bank, config, controls, self.statistics,
-            self._settings(profile), board.open_level,
+            self._settings(profile),
         )  # fmt: skip
         source.emit = self._emit
         for listener in self._listeners:

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from typing import Self
 
+from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.stopping import StopRequest
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
@@ -64,6 +65,8 @@ class Session(Program):
         return f"Session({self._display!r}, {'closed' if self._loop is None else 'open'})"
 
     def __enter__(self) -> Self:
+        if self.statistics.ended:
+            raise SmartTouchError("a session is entered once: ask its display for another")
         self._loop = self._run.__enter__()
         return self
 

@@ -288,6 +288,8 @@ def test_a_generator_that_is_closed_ends_its_session():
     shown = patterns()
     assert next(shown).sequences == 5
     shown.close()
+    with raises(SmartTouchError, names="session"), touch:
+        pass
     assert "GeneratorExit" in touch.statistics.ended
     assert "closed" in repr(touch)
 
