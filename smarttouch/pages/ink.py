@@ -3,13 +3,11 @@
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-
-from smarttouch.pages.spots import Spots, find_spots, usual_height
 
 Grey = NDArray[np.uint8]
 
@@ -24,32 +22,15 @@ _CALM, _GRAINY = 5.0, 9.0  # grain up to which, and from which no more, threshol
 class Paper:
     """Page as dark on light, with the mask of its ink."""
 
-    grey: Grey  # (H, W), inverted if it was light on dark
     ink: NDArray[np.bool_]  # (H, W); empty on blank paper
     light_on_dark: bool
     clean: Callable[[], Grey]
     faint: bool = False  # whether faint marks were left out, as if from the back of the sheet
-    panels: tuple[list[int], ...] = ()  # turned panels: left, top, right, bottom, px
 
     @functools.cached_property
     def cleaned(self) -> Grey:
         """Page, (H, W): paper exactly 255, ink near 0; computed on first use."""
         return self.clean()
-
-    @functools.cached_property
-    def spots(self) -> Spots:
-        """Connected spots of its ink."""
-        return find_spots(self.ink)
-
-    @functools.cached_property
-    def letter_height(self) -> float | None:
-        """Usual height of its letters, px; None if no spot may be one."""
-        return usual_height(self.spots, self.ink.shape)
-
-    def halved(self) -> "Paper":
-        """Return the page at half the size; a line as thin as a pixel stays ink."""
-        grey, ink = _halved(self.grey), _halved(self.ink.view(np.uint8) * np.uint8(255)) > 126
-        return replace(self, grey=grey, ink=ink, clean=lambda: _halved(self.cleaned))
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
@@ -81,7 +62,7 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     enough |= counts[level < 1.4 * sure - 0.4 * middle].sum() >= 4
     if not enough or middle - mean < 0.85 * (middle - sure):
         blank = np.zeros_like(grey)
-        return Paper(grey, blank > 0, light_on_dark, lambda: ~blank)
+        return Paper(blank > 0, light_on_dark, lambda: ~blank)
     window = (round(20 / factor) | 1,) * 2
     # Means around, weighted by depth: the pale edges of strokes change these little.
     depth = np.where(flat <= first, np.float32(middle) - flat, np.float32(0))
@@ -96,7 +77,7 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     white = cv2.convertScaleAbs((middle - max(2.5 * grain, 0.03 * middle)) * light)
     gain = 255 / np.maximum(white - light * (middle - 1.1 * contrast), 1)
     faint = ((flat < sure) & (cv2.blur(depth, (5, 5)) < 1)).mean() > 5 * _FEWEST
-    return Paper(grey, ink, light_on_dark, lambda: _cleaned(grey, white, gain), bool(faint))
+    return Paper(ink, light_on_dark, lambda: _cleaned(grey, white, gain), bool(faint))
 
 
 def _cleaned(grey: Grey, white: Grey, gain: NDArray[np.float32]) -> Grey:

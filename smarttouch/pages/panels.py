@@ -1,4 +1,4 @@
-"""Panels of the other polarity on a page, such as light print on a dark box."""
+"""Dark panels of a page with light print in them, turned dark on light."""
 
 from dataclasses import replace
 
@@ -6,49 +6,48 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.pages.components import Components, find_components, usual_height
 from smarttouch.pages.ink import Paper, separate_ink
-from smarttouch.pages.spots import find_spots, usual_height
 
-_LEAST_SIDE = 1.5  # least height of a panel, in letter heights, and half its least width
-_LEAST_BOX = 0.8  # least part of its box that a panel fills; letters that touch fill less
-_LETTER = (0.5, 9.0)
+_LEAST_SIDES, _LEAST_BOX, _LEAST_INK = (2.5, 5.0), 0.8, 0.35
+"""Least height and width of a panel, in letter heights, part of its box that it fills, and ink."""
+_LETTER, _FEWEST_LETTERS = (0.5, 9.0), 4
 """Range of its letter height, in letter heights of the page: halftones have less, windows more."""
-_FEWEST_LETTERS = 4
 
 
-def turn_panels(paper: Paper) -> Paper:
-    """Return a page with its panels made dark on light as well."""
-    spots, height = paper.spots, paper.letter_height
-    if height is None:
-        return paper
-    large = (spots.height > _LEAST_SIDE * height) & (spots.width > 2 * _LEAST_SIDE * height)
-    chosen = spots.of(large & (spots.area > 0.35 * spots.width * spots.height))
-    boxes = np.column_stack([chosen.left, chosen.top, chosen.right, chosen.bottom])
-    return turn_boxes(paper, boxes.tolist(), height)
+def turn_panels(
+    grey: NDArray[np.uint8], paper: Paper, components: Components, height: float, scale: int
+) -> tuple[Paper, list[list[int]]]:
+    """Return a page with its panels made dark on light, and their boxes: left, top, right, bottom.
 
-
-def turn_boxes(paper: Paper, boxes: list[list[int]], height: float) -> Paper:
-    """Return a page with the panels made dark on light that fill some boxes.
-
-    The boxes are left, top, right, bottom, px, and ``height`` is that of the page's letters.
+    ``components`` of its ink, their usual height and the boxes are ``scale`` times coarser.
     """
-    ink, panels, cleaned = paper.ink.copy(), [], paper.cleaned.copy()
-    for left, top, right, bottom in boxes:
+    wide, tall = components.width, components.height
+    large = (tall > _LEAST_SIDES[0] * height) & (wide > _LEAST_SIDES[1] * height)
+    chosen = components.of(large & (components.area > _LEAST_INK * wide * tall))
+    sides = np.column_stack([chosen.left, chosen.top, chosen.right, chosen.bottom])
+    ink, cleaned = paper.ink, paper.cleaned
+    boxes: list[list[int]] = []
+    for side in sides.tolist():
+        left, top, right, bottom = (scale * each for each in side)
         box = np.s_[top:bottom, left:right]
-        panel, edge = _panel(paper.ink[box], _LETTER[1] * height)
-        turned = separate_ink(np.ascontiguousarray(paper.grey[box]), light_on_dark=True)
-        letters = find_spots(turned.ink & panel)
+        panel, edge = _panel(paper.ink[box], scale * _LETTER[1] * height)
+        turned = separate_ink(np.ascontiguousarray(grey[box]), not paper.light_on_dark)
+        letters, _ = find_components(turned.ink & panel)
         usual = usual_height(letters, panel.shape) or 0.0
         alike = np.count_nonzero((letters.height > usual / 2) & (letters.height < 2 * usual))
-        if alike >= _FEWEST_LETTERS and _LETTER[0] * height < usual < _LETTER[1] * height:
-            panels.append([left, top, right, bottom])
-            ink[box] = np.where(panel, turned.ink, paper.ink[box] & ~edge)
-            cleaned[box] = np.where(panel, turned.cleaned, cleaned[box] | 255 * edge)
-    return replace(paper, ink=ink, clean=lambda: cleaned, panels=tuple(panels)) if panels else paper
+        if alike < _FEWEST_LETTERS or not _LETTER[0] < usual / height / scale < _LETTER[1]:
+            continue
+        if not boxes:
+            ink, cleaned = ink.copy(), cleaned.copy()
+        boxes.append(side)
+        ink[box] = np.where(panel, turned.ink, ink[box] & ~edge)
+        cleaned[box] = np.where(panel, turned.cleaned, cleaned[box] | 255 * edge)
+    return (replace(paper, ink=ink, clean=lambda: cleaned) if boxes else paper), boxes
 
 
 def _panel(ink: NDArray[np.bool_], window: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the inside of the panel that fills a box, (h, w) bool, and its blurred edge.
+    """Return the inside of the panel that fills a box, (h, w), and its blurred edge.
 
     Holes larger than a window stay as they are. Both are empty if no panel fills the box.
     """

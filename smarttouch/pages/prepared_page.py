@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from smarttouch.base.errors import PageError
-from smarttouch.pages.initials import CAPITAL
 from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page
 from smarttouch.pages.straighten import straighten
 from smarttouch.pages.text_lines import TextLine, page_lines
 
 _AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
 SIDES = 0.25  # paper kept before and after a line, in heights of the line
-_BEFORE = 0.05  # white between an initial and the other letters, in its height
 _INK = 128  # level below which is ink, when the spots of neighboring lines are located
 _FADED = 2  # samples by which the grey edge of a spot reaches beyond its ink
 
@@ -51,25 +49,7 @@ def cut_strip(
     )
     own = _without_neighbors(np.asarray(wide, np.uint8), above, rows)
     size = (len(along_mm) // steps, height_px)
-    strip = np.asarray(cv2.resize(own, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return _with_initial(strip, cleaned, mm_per_pixel, line) if line.initial_mm else strip
-
-
-def _with_initial(
-    strip: NDArray[np.uint8], cleaned: NDArray[np.uint8], mm_per_pixel: float, line: TextLine
-) -> NDArray[np.uint8]:
-    """Return a strip with its line's initial before it, as high as a capital."""
-    left, top, right, bottom = (round(side / mm_per_pixel) for side in line.initial_mm)
-    box = cleaned[max(0, top) : bottom, max(0, left) : right]
-    per_mm = len(strip) / line.height_mm
-    high = max(1, round(CAPITAL * line.x_height_mm * per_mm))
-    wide = max(1, round(high * (right - left) / (bottom - top)))
-    letter = cv2.resize(box, (wide, high), interpolation=cv2.INTER_AREA)
-    sides = round(SIDES * line.height_mm * per_mm)
-    before = np.full((len(strip), sides + wide + max(1, round(_BEFORE * high))), 255, np.uint8)
-    foot = min(len(strip), max(high, round(line.ascent_mm * per_mm)))
-    before[foot - high : foot, sides : sides + wide] = letter
-    return np.hstack([before, strip[:, sides:]])
+    return np.asarray(cv2.resize(own, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _places(line: TextLine, pixel_mm: float, steps: int) -> NDArray[np.float64]:
@@ -135,18 +115,14 @@ def prepare_page(
     page: Page,
     light_on_dark: bool | None = None,
     straightened: bool = True,
-    quarter: bool = True,
     leftward: bool = False,
 ) -> PreparedPage:
     """Prepare a scan, photograph or picture of print for reading, detecting its polarity if not
-    given.
-
-    ``quarter`` allows a turn by 90° where the text runs up or down the page; columns of
-    ``leftward`` scripts are read from the right.
+    given; columns of ``leftward`` scripts are read from the right.
     """
     notes: list[str] = []
     if straightened:
-        page, notes = straighten(page, quarter)
+        page, notes = straighten(page)
     page, paper, found = page_lines(page, light_on_dark, leftward)
     left_out = [words for words in (found.left_out, FAINT if paper.faint else "") if words]
     if left_out:

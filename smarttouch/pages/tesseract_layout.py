@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+_LETTER_PX, _LARGEST = 20.0, 2.0  # height of letters for the analysis, and most enlargement
+_CLEARLY, _MOSTLY = 0.7, 0.9  # least part of a line in one block, and of such lines of a page
 _AUTO_ONLY, _BLOCK, _LINE = 2, 0, 2  # Tesseract's numbers of a mode and of levels
 _TEXT_TYPES = range(1, 8)  # Tesseract's types of blocks that contain text
 _TIMEOUT_S = 30.0
@@ -39,6 +41,41 @@ def analyze_layout(grey: "NDArray[np.uint8]") -> "NDArray[np.int_] | None":
     except (OSError, subprocess.SubprocessError):
         return None
     return np.array(table.split(), np.int_).reshape(-1, 5)
+
+
+def blocks_of_lines(
+    cleaned: "NDArray[np.uint8]",
+    scale: int,
+    height: float,
+    x: "NDArray[np.float64]",
+    y: "NDArray[np.float64]",
+) -> "NDArray[np.int_] | None":
+    """Return the number of the block of each line, (N,), 0 where it is not clear.
+
+    ``cleaned`` is the page, (H, W). ``height`` is that of letters, and ``x`` and ``y`` are places
+    in the middle of each line, (N, P), in pixels ``scale`` times larger. Returns None where
+    Tesseract is not installed, or the lines do not fit its blocks.
+    """
+    import cv2
+    import numpy as np
+
+    part = min(_LETTER_PX / height / scale, _LARGEST)
+    how = cv2.INTER_AREA if part < 1 else cv2.INTER_LINEAR
+    grey = cv2.resize(cleaned, None, fx=part, fy=part, interpolation=how)
+    blocks = analyze_layout(np.asarray(grey, np.uint8))
+    if blocks is None:
+        return None
+    numbers = np.zeros(grey.shape, np.int_)
+    for number, left, top, right, bottom in blocks:
+        numbers[top:bottom, left:right] = number
+    rows, columns = (
+        np.clip(np.round(part * scale * each).astype(int), 0, size - 1)
+        for each, size in ((y, len(numbers)), (x, len(numbers[0])))
+    )
+    there = numbers[rows, columns]
+    middle = np.median(there, axis=1).astype(int)
+    clear = ((there == middle[:, None]).mean(axis=1) >= _CLEARLY) & (middle > 0)
+    return np.where(clear, middle, 0) if clear.mean() >= _MOSTLY else None
 
 
 def _print_lines(width: int, height: int, pixels: bytes) -> None:

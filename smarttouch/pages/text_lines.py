@@ -1,6 +1,7 @@
 """Lines of text on a page: their size of print and reading order."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -9,112 +10,25 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from smarttouch.pages.baselines import Baseline, Floats, curve_at, follow_baseline, with_marks
-from smarttouch.pages.initials import part_initials
-from smarttouch.pages.ink import Paper, separate_ink
-from smarttouch.pages.letter_rows import find_rows
-from smarttouch.pages.page_image import Page
-from smarttouch.pages.panels import turn_boxes, turn_panels
-from smarttouch.pages.reading_order import find_captions, reading_order
-from smarttouch.pages.spots import (
-    Spots,
-    find_dividers,
+from smarttouch.pages.baselines import Baseline, Floats, curve_at, measure_row
+from smarttouch.pages.components import (
+    Components,
+    Ink,
+    are_pictures,
+    find_components,
     find_frames,
-    find_pictures,
     find_rules,
-    find_spots,
     like_letters,
     part_lines,
+    usual_height,
+    without_specks,
 )
-from smarttouch.pages.text_blocks import blocks_of_lines
-from smarttouch.pages.text_tests import credible_lines, is_text, is_too_small, outside_pictures
-
-ASCENT, DESCENT = 1.5, 0.45
-"""Usual heights of a b above and of a p below the baseline, in x-heights."""
-_SAME = 0.15  # difference of x-heights that may be a measurement error
-_NEAREST = 9  # number of neighboring lines with which a line shares its x-height
-_LOW_EDGE = 0.12  # ink at the end of the ascenders, relative to their middle
-_FEWEST = 0.03
-"""Least ink of ascenders or descenders, relative to the line, by which they are measured."""
-_FARTHER = 1.2
-"""Ratio by which tall letters reach beyond the usual ascenders, and are those of other scripts."""
-_CAPITALS = 0.08
-"""Ink above its letters below which a line has no ascenders: it is capitals or figures."""
-
-
-def reach_of_print(baselines: list[Baseline]) -> tuple[float, float]:
-    """Return the reach of ascenders and descenders from the baseline, in x-heights.
-
-    It is measured over all lines of a page: few single ones have enough of either.
-    """
-    length = np.array([(each.right - each.left) / each.x_height for each in baselines])
-    height = np.arange(-1.0, 2.2, 0.02)
-    profiles = [np.interp(height, each.heights[::-1], each.profile[::-1]) for each in baselines]
-    ink = np.average(profiles, axis=0, weights=length)
-    zone = ink[(height > 0.05) & (height < 0.95)].mean()
-    ascent = _end(height, ink, (1.2, 1.35), zone)
-    descent = _end(-height[::-1], ink[::-1], (0.15, 0.3), zone)
-    reach = np.array([each.reach for each in baselines]).T
-    tall, deep = (_weighted_median(each, length) for each in reach)
-    # Other scripts reach farther, with ink at any height.
-    ascent, descent = ascent or ASCENT, descent or DESCENT
-    return (
-        tall if tall > _FARTHER * ascent else ascent,
-        deep if deep > _FARTHER * descent + _SAME else descent,
-    )
-
-
-def _end(height: Floats, ink: Floats, middle: tuple[float, float], zone: float) -> float | None:
-    """Return where ink ends outward from some height."""
-    there = float(ink[(height >= middle[0]) & (height <= middle[1])].mean())
-    if there < _FEWEST * zone:
-        return None
-    outside = (height > middle[1]) & (ink < _LOW_EDGE * there)
-    return float(height[outside][0]) if outside.any() else None
-
-
-def shared_x_heights(baselines: list[Baseline], ascent: float) -> Floats:
-    """Return the x-height of each line, shared with neighbors of the same print, (N,) px.
-
-    Lines of capitals and figures measure taller: they get the x-height of their print.
-    """
-    size = np.array([baseline.x_height for baseline in baselines])
-    length = np.array([baseline.right - baseline.left for baseline in baselines])
-    y = np.array([baseline.middle_y for baseline in baselines])
-    above = np.array(
-        [
-            baseline.ink_between(1.1, 1.4) / baseline.ink_between(0.05, 0.95)
-            for baseline in baselines
-        ]
-    )
-    most = _weighted_median(size, length)
-    capitals = (above < _CAPITALS) & (np.abs(size / most / ascent - 1) < _SAME)
-    size = np.where(capitals, size / ascent, size)
-    shared = np.empty_like(size)
-    for k in range(len(size)):
-        near = np.flatnonzero(np.abs(size / size[k] - 1) < _SAME)
-        near = near[np.argsort(np.abs(y[near] - y[k]))][:_NEAREST]
-        shared[k] = _weighted_median(size[near], length[near])
-    return shared
-
-
-def _weighted_median(values: Floats, weight: Floats) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weight[order])
-    return float(values[order][np.searchsorted(total, total[-1] / 2)])
-
-
-_HOPELESS, _MISSES = 60, 3
-"""Failed rows, and additional ones per line of text, after which the rest is a picture's."""
-_SMALL_PX, _MOST_PIXELS = 9.0, 40_000_000
-"""Usual height of spots below which a page is enlarged, and the largest it may become."""
-_ENOUGH_PX, _WORTH_HALVING, _MOST_HALVED = 10.0, 1_000_000, 3
-"""Usual height of letters at which lines are found as well as at a larger one, least pixels of a
-page that is halved for that, and most of its sizes."""
-_PLACES = 20  # along a line, at which its block is looked up
-_PARTING = 12.0  # least length of a printed rule that parts a page, in letter heights
-_TERMS = 4  # coefficients of a baseline at most
-_LONG_ROW = 10.0  # least length of a row, in letter heights, that determines its slope
+from smarttouch.pages.ink import Paper, separate_ink
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.panels import turn_panels
+from smarttouch.pages.reading_order import reading_order
+from smarttouch.pages.rows import find_rows
+from smarttouch.pages.tesseract_layout import blocks_of_lines
 
 
 @dataclass(frozen=True)
@@ -128,8 +42,6 @@ class TextLine:
     ascent_mm: float  # of all lines of one print, whichever letters they have
     descent_mm: float
     cell: int = 0  # its place in a row of a table, from 1; 0 elsewhere
-    initial_mm: tuple[float, ...] = ()
-    """Left, top, right and bottom of a letter over several lines that begins its first word."""
 
     def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the baseline's y at x, mm; straight beyond the line's ends."""
@@ -162,11 +74,6 @@ class TextLine:
         return sum(c * length**k / (k + 1) for k, c in enumerate(self.baseline))
 
 
-def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
-    """Return the lines of text in reading order; find the polarity of the page if it is None."""
-    return page_lines(page, light_on_dark)[2].lines
-
-
 @dataclass(frozen=True)
 class PageLines:
     """Lines of a page in reading order, what was left out, in words, and whether the order is
@@ -175,6 +82,17 @@ class PageLines:
     lines: list[TextLine]
     left_out: str = ""
     doubtful: bool = False
+
+
+_SMALL_PX, _ENOUGH_PX = 9.0, 10.0
+"""Height of letters below which a page is enlarged, and at which lines are found well."""
+_LARGEST_PIXELS, _WORTH_HALVING, _MOST_HALVINGS = 40_000_000, 1_000_000, 2
+"""Largest enlarged page, and least pixels of a page that is halved, at most so often."""
+
+
+def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
+    """Return the lines of text in reading order; find the polarity of the page if it is None."""
+    return page_lines(page, light_on_dark)[2].lines
 
 
 def page_lines(
@@ -186,72 +104,98 @@ def page_lines(
     image of half or a quarter of its size.
     """
     paper = separate_ink(page.grey, light_on_dark)
-    coarser = [paper]
-    while len(coarser) < _MOST_HALVED and coarser[-1].ink.size > _WORTH_HALVING:
-        coarser.append(coarser[-1].halved())
-    while len(coarser) > 1 and (coarser[-1].letter_height or 0) < _ENOUGH_PX:
-        coarser.pop()
-    coarse, scale = coarser[-1], 1 << len(coarser) - 1
-    if scale > 1:
-        coarse = turn_panels(coarse)
-        boxes = [[scale * side for side in panel] for panel in coarse.panels]
-        paper = turn_boxes(paper, boxes, scale * (coarse.letter_height or 0))
-        found = _lines_in_ink(coarse, scale * page.mm_per_pixel, leftward, coarser[-2].cleaned)
-        return page, paper, found
-    height = paper.letter_height
-    factor = 1 if height is None else math.ceil(_SMALL_PX / height)
-    if 1 < factor**2 <= _MOST_PIXELS / page.grey.size:
+    ink, scale, components, height = _coarser(paper.ink)
+    if height is None:
+        return page, paper, PageLines([])
+    factor = math.ceil(_SMALL_PX / height)
+    if 1 < factor**2 <= _LARGEST_PIXELS / page.grey.size:
         grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
-        page = Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
-        paper = separate_ink(page.grey, paper.light_on_dark)
-    paper = turn_panels(paper)
-    return page, paper, _lines_in_ink(paper, page.mm_per_pixel, leftward, paper.cleaned)
+        larger = Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
+        return page_lines(larger, paper.light_on_dark, leftward)
+    frames = find_frames(ink, components, height)
+    paper, panels = turn_panels(page.grey, paper, components, height, scale)
+    if panels:
+        ink = paper.ink
+        for _ in range(scale.bit_length() - 1):
+            ink = _halved(ink)
+    boxes = np.concatenate([frames, np.array(panels, np.float64).reshape(-1, 4)])
+    blocks = partial(blocks_of_lines, paper.cleaned, scale, height)
+    found = _lines_in_ink(ink, height, boxes, scale * page.mm_per_pixel, leftward, blocks)
+    return page, paper, found
+
+
+def _coarser(ink: Ink) -> tuple[Ink, int, Components, float | None]:
+    """Return ink at the coarsest size at which lines are found well, how much coarser it is, its
+    components and the usual height of its letters."""
+    sizes = [ink]
+    while len(sizes) <= _MOST_HALVINGS and sizes[-1].size > _WORTH_HALVING:
+        sizes.append(_halved(sizes[-1]))
+    while True:
+        components = without_specks(find_components(sizes[-1])[0])
+        height = usual_height(components, sizes[-1].shape)
+        if len(sizes) == 1 or (height or 0) >= _ENOUGH_PX:
+            return sizes[-1], 1 << len(sizes) - 1, components, height
+        sizes.pop()
+
+
+def _halved(ink: Ink) -> Ink:
+    """Return ink at half the size; a line as thin as a pixel stays."""
+    height, width = (max(1, side // 2) for side in ink.shape)
+    even = ink[: 2 * height, : 2 * width].view(np.uint8) * np.uint8(255)
+    return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA) > 126)
+
+
+_FEW_WORDS, _TILT = 30.0, 0.012
+"""Length of a line, in x-heights, below which such a tilt against its neighbors is an error."""
+_HOPELESS, _MISSES = 60, 3
+"""Failed rows, and additional ones per line of text, after which the rest is a picture's."""
+_LONG_ROW = 10.0  # least length of a row, in letter heights, that determines its slope
+_EVEN, _FEW, _MANY, _SIMILAR, _MOST_OF_ALL = 0.85, 4, 8, 1.7, 0.8
+"""Part of the letters at their levels of a line that needs few to be sure, and letters of one that
+needs many; ratio of sizes at which others are lines, and their part of all ink without any sure."""
+_OWN, _AROUND, _FOREIGN, _NEAR_FOREIGN = (-1.8, 0.6), (-1.7, 0.5), 0.1, 0.5
+"""Extent of a line around its baseline, in x-heights, and of the ink around it, in letter heights;
+most foreign ink there, relative to its own and for each of its letters, also of an even line."""
+_PLACES = 20  # points along a line
+_PARTS = 10  # steps in which a bend is followed
 
 
 def _lines_in_ink(
-    paper: Paper, mm_per_pixel: float, leftward: bool, finer: NDArray[np.uint8]
+    ink: Ink,
+    height: float,
+    boxes: Floats,
+    mm_per_pixel: float,
+    leftward: bool,
+    blocks: Callable[[Floats, Floats], NDArray[np.int_] | None],
 ) -> PageLines:
-    spots, height = paper.spots, paper.letter_height
-    if height is None:
-        return PageLines([])
-    rules = find_rules(paper.ink, height)
-    dividers = find_dividers(paper.ink, height)
-    parted = part_lines(paper.ink & ~rules & ~dividers, spots, height)
-    frames = find_frames(paper.ink, spots, height)
-    spots, pictures, shown = find_pictures(parted, height)
-    density = np.where(rules | dividers, np.uint8(0), 255 - paper.cleaned)
-    found, small = _followed_rows(density, spots, height, dividers | pictures)
-    baselines, initials = part_initials(with_marks(found, spots), spots)
-    left_out = _left_out(small, len(shown.area))
+    rules, dividers = find_rules(ink, height)
+    ink = ink & ~rules & ~dividers
+    components, labels = find_components(ink)
+    parted = part_lines(ink, components, height)
+    if parted is not ink:
+        components, labels = find_components(parted)
+    pictures = are_pictures(components, height)
+    walls = dividers | np.append(False, pictures)[labels]
+    components = without_specks(components)
+    letters = components.of(like_letters(components, height))
+    rows = [letters.of(row) for row in find_rows(letters, components, walls)]
+    baselines, small = _measured(parted, rows)
+    left_out = _left_out(small, int(pictures.sum()))
     if not baselines:
         return PageLines([], left_out)
-    ascent, descent = reach_of_print(baselines)
-    x_height = shared_x_heights(baselines, ascent)
-    left, right, y = np.array([[each.left, each.right, each.middle_y] for each in baselines]).T
-    high = (ascent + descent) * x_height
-    boxes = np.concatenate(
-        [frames, np.array(paper.panels).reshape(-1, 4), find_captions(left, right, y, high, shown)]
-    )
-    long = find_spots(rules)
-    long = long.of((long.width > _PARTING * height) & (long.height < height))
-    parting = np.column_stack([long.left, long.right, long.bottom]).astype(np.float64)
-    for _, top, _, bottom in frames:
-        parting = parting[np.abs(parting[:, 2:] - (top, bottom)).min(axis=1) > height]
+    baselines = _with_marks(_joined(parted, baselines), components)
+    x_height, ascent, descent = _sizes(baselines)
+    left, right = np.array([[each.left, each.right] for each in baselines]).T
     x = np.linspace(left, right, _PLACES, axis=1)
-    middles = [each.at(x[k]) - each.x_height / 2 for k, each in enumerate(baselines)]
-    ratio = finer.shape[1] / paper.ink.shape[1]
-    blocks = partial(blocks_of_lines, finer, ratio * height, *ratio * np.stack([x, middles]))
-    order = reading_order(left, right, y, high, boxes, parting, leftward, blocks)
+    middles = np.array([each.at(x[k]) - each.x_height / 2 for k, each in enumerate(baselines)])
+    order = reading_order(
+        left, right, _levels(baselines), (ascent + descent) * x_height, boxes, leftward,
+        partial(blocks, x, middles),
+    )  # fmt: skip
     lines = [
         _line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel, int(order.cell[k]))
         for k in order.indices
     ]
-    for place, k in enumerate(order.indices):
-        if k in initials:
-            letter = spots.of(np.array([initials[k]]))
-            sides = (letter.left, letter.top, letter.right, letter.bottom)
-            box = tuple(float(side[0]) * mm_per_pixel for side in sides)
-            lines[place] = replace(lines[place], initial_mm=box)
     return PageLines(lines, left_out, order.doubtful)
 
 
@@ -261,62 +205,224 @@ def _left_out(small: int, pictures: int) -> str:
     return ", ".join(f"{n} {what}{'s' * (n > 1)} {why}".strip() for n, what, why in counts if n)
 
 
-def _followed_rows(
-    density: NDArray[np.uint8], spots: Spots, height: float, dividers: NDArray[np.bool_]
-) -> tuple[list[Baseline], int]:
+def _measured(ink: Ink, rows: list[Components]) -> tuple[list[Baseline], int]:
     """Return the baselines of rows that are text, and the number of those too small to be read."""
+    rows = sorted(rows, key=_length, reverse=True)
+    found: list[Baseline] = []
+    slope_at: Callable[[Floats, Floats], Floats] | None = None
     small = 0
-    table: Floats | None = None
-    letters = spots.of(like_letters(spots, height))
-    rows = [letters.of(row) for row in find_rows(letters, spots, dividers)]
-    rows.sort(key=_length, reverse=True)
-    lines: list[tuple[Baseline, Spots]] = []
-    guides: list[Baseline] = []
     for tried, row in enumerate(rows):
-        if tried > _HOPELESS + _MISSES * len(lines):
+        if tried > _HOPELESS + _MISSES * len(found):
             break
-        is_long = _length(row) > _LONG_ROW
-        if not is_long and table is None:
-            # Rows come by their length: all guides are known.
-            table = _guide_table(guides)
-        slope = None if is_long or table is None else _slope_around(row, table)
-        baseline = follow_baseline(density, row, slope)
-        small += is_too_small(baseline, row)
-        if is_text(baseline, row):
-            lines.append((baseline, row))
-            if is_long:
-                guides.append(baseline)
-    return credible_lines(outside_pictures(lines, spots), int(spots.area.sum())), small
+        slope = None
+        if _length(row) <= _LONG_ROW:
+            # Rows come by their length: all long ones are known.
+            slope_at = slope_at or _slopes(found)
+            slope = float(slope_at(np.array(np.median(row.left)), np.array(np.median(row.bottom))))
+        baseline = measure_row(ink, row, slope)
+        small += baseline.is_too_small
+        if baseline.is_text:
+            found.append(baseline)
+    slope_at = _slopes(found[: len(found) // 2])
+    for k, line in enumerate(found):
+        # Of a few words, descenders may tilt the line.
+        length = line.right - line.left
+        if length > _FEW_WORDS * line.x_height:
+            continue
+        slope = float(slope_at(np.array((line.left + line.right) / 2), np.array(line.middle_y)))
+        tilt = float(np.diff(line.at(np.array([line.left, line.right])))[0]) / length
+        if abs(tilt - slope) > _TILT:
+            level = measure_row(ink, line.letters, slope)
+            found[k] = max(level, line, key=lambda each: each.on_levels)
+    return _credible(ink, found), small
 
 
-def _length(row: Spots) -> float:
+def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
+    """Return lines that are no part of a picture. These are amid other ink, have few letters, or
+    letters of many heights."""
+    rest = ink.astype(np.uint8)
+    for line in lines:
+        x = np.linspace(line.left, line.right, _PLACES)
+        sides = [line.at(x) + reach * line.x_height for reach in _OWN]
+        corners = np.column_stack([np.append(x, x[::-1]), np.append(sides[0], sides[1][::-1])])
+        if len(line.rise) > 1:
+            cv2.fillPoly(rest, [np.rint(corners).astype(np.int32)], (0,))
+    total = cv2.integral(rest)
+    sure: list[Baseline] = []
+    others: list[Baseline] = []
+    for line in lines:
+        count, area = len(line.rise), int(line.letters.area.sum())
+        high = line.letters.usual_height
+        top, bottom = np.clip([line.middle_y + reach * high for reach in _AROUND], 0, len(ink))
+        left, right = np.clip([line.left - high, line.right + high], 0, ink.shape[1])
+        around = total[np.ix_([int(top), int(bottom)], [int(left), int(right)])]
+        foreign = float(around[1, 1] - around[0, 1] - around[1, 0] + around[0, 0])
+        foreign = (foreign - area * (count == 1)) / area / min(count, _MANY)
+        even = line.on_levels >= _EVEN
+        if foreign < (_NEAR_FOREIGN if even and count >= _FEW else _FOREIGN):
+            (sure if count >= (_FEW if even else _MANY) else others).append(line)
+    if not sure:
+        alone = sum(int(line.letters.area.sum()) for line in others)
+        return others if alone > _MOST_OF_ALL * np.count_nonzero(ink) else []
+    ratio = np.array([[line.x_height / other.x_height for other in sure] for line in others])
+    alike = np.exp(np.abs(np.log(ratio.reshape(-1, len(sure)))).min(axis=1)) < _SIMILAR
+    return sure + [line for line, is_alike in zip(others, alike, strict=True) if is_alike]
+
+
+def _length(row: Components) -> float:
     return float(row.right.max() - row.left.min()) / row.usual_height
 
 
-def _guide_table(guides: list[Baseline]) -> Floats:
-    """Return ends and coefficients of lines, (2 + _TERMS, N)."""
-    rows = [
-        [each.left, each.right, *each.baseline, *[0.0] * (_TERMS - len(each.baseline))]
-        for each in guides
-    ]
-    return np.array(rows).reshape(-1, 2 + _TERMS).T
+def _slopes(guides: list[Baseline]) -> Callable[[Floats, Floats], Floats]:
+    """Return the slope of lines at x and y, smooth over the page; level without guides."""
+    if not guides:
+        return lambda x, y: np.zeros_like(x)
+    x = np.array([np.linspace(each.left, each.right, 7) for each in guides])
+    y = np.array([each.at(along) for each, along in zip(guides, x, strict=True)])
+    slope = np.gradient(y, axis=1) / np.gradient(x, axis=1)
+    size = max(float(x.max()), float(y.max()))
+
+    def terms(x: Floats, y: Floats) -> Floats:
+        return np.stack([np.ones_like(x), x, y, x * x, x * y], axis=-1)
+
+    places = terms(x.ravel() / size, y.ravel() / size)
+    found = np.linalg.lstsq(places, slope.ravel(), rcond=0.05)[0]
+    return lambda x, y: np.asarray(terms(x / size, y / size) @ found)
 
 
-def _slope_around(row: Spots, guides: Floats) -> float:
-    """Return the slope of the line nearest to a short row; level if there is none."""
-    if not guides.size:
-        return 0.0
-    left, right, *terms = guides
-    x = float(row.left.min() + row.right.max()) / 2
-    y = float((row.top + row.bottom).mean()) / 2
-    inside = np.clip(x - left, 0, right - left)
-    beyond = np.maximum(np.maximum(left - x, x - right), 0.0)
-    base, slope = np.zeros_like(left), np.zeros_like(left)
-    for each in reversed(terms):
-        base, slope = base * inside + each, slope * inside + base
-    # Columns bend differently: lines above and below are more reliable.
-    away = np.abs(base + slope * (x - left - inside) - y) + 2 * beyond
-    return float(slope[away.argmin()])
+def _levels(lines: list[Baseline]) -> Floats:
+    """Return the y of lines, (N,), with the bend of the page taken out."""
+    slope_at = _slopes([line for line in lines if _length(line.letters) > _LONG_ROW])
+    x = np.array([(line.left + line.right) / 2 for line in lines])
+    y = np.array([line.middle_y for line in lines])
+    step = x / _PARTS
+    for _ in range(_PARTS):
+        y, x = y - slope_at(x, y) * step, x - step
+    return y
+
+
+_REACH, _FARTHEST, _ABOVE, _BELOW = 1.2, 3.5, 1.6, 0.5
+"""Largest distance of a mark from its line's end, of the last one, and of one above and below the
+baseline, in x-heights."""
+_THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
+"""Shorter and longer side of a dot, a dash or a single letter, in x-heights."""
+_FAR = 5.0  # distance of lines, in x-heights, that have nothing to do with each other
+_MEETING, _ONE_BASELINE, _ONE_SIZE = 1.2, 0.35, 1.5
+"""White, offset of baselines, in x-heights, and ratio of sizes up to which two lines are one."""
+_SMALLER, _HANGING, _OVER, _FEW_STROKES = 0.7, 1.2, 1.8, 0.75
+"""Size of a row of accents or dots, relative to that of its line, where it is around it, and the
+most strokes of one, per x-height."""
+
+
+def _with_marks(lines: list[Baseline], components: Components) -> list[Baseline]:
+    """Return lines without those made of accents, each with the marks at its ends."""
+    kept = [line for line in lines if not any(_belongs(line, other) for other in lines)]
+    x, y = ((components.left + components.right) / 2, (components.top + components.bottom) / 2)
+    thin, long = (side(components.width, components.height) for side in (np.minimum, np.maximum))
+    letters = np.concatenate([line.letters.left + 1j * line.letters.top for line in kept])
+    free = ~np.isin(components.left + 1j * components.top, letters)
+    found = []
+    for line in kept:
+        size = line.x_height
+        above = (line.at(x) - y) / size
+        mark = free & (above < _ABOVE) & (above > -_BELOW) & (thin > _THINNEST * size)
+        mark &= (long > _SHORTEST * size) & (long < _LONGEST * size)
+        marks = components.of(mark)
+        left, right, reach = line.left, line.right, _REACH * size
+        for k in np.argsort(marks.left):
+            if right - size < marks.left[k] < right + reach:
+                right = max(right, float(marks.right[k]))
+        for k in np.argsort(-marks.right):
+            if left + size > marks.right[k] > left - reach:
+                left = min(left, float(marks.left[k]))
+        # Longer rows of marks are leaders.
+        left = left if line.left - left < _FARTHEST * size else line.left
+        right = right if right - line.right < _FARTHEST * size else line.right
+        moved = np.linspace(left, right, 4 * len(line.curve))
+        degree = max(1, len(line.curve) - 1)
+        curve = np.asarray(polynomial.polyfit(moved - left, line.at(moved), degree), np.float64)
+        found.append(replace(line, left=left, right=right, curve=curve))
+    return found
+
+
+def _joined(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
+    """Return lines, those that meet as one."""
+    found: list[Baseline] = []
+    for line in sorted(lines, key=lambda line: line.left):
+        start = np.array(line.left)
+        for k, other in enumerate(found):
+            size = min(line.x_height, other.x_height)
+            if (
+                line.left - other.right < _MEETING * size
+                and abs(line.middle_y - other.middle_y) < _FAR * size
+                and max(line.x_height, other.x_height) < _ONE_SIZE * size
+                and np.abs(other.at(start) - line.at(start)) < _ONE_BASELINE * size
+            ):
+                found[k] = measure_row(ink, other.letters.joined(line.letters))
+                break
+        else:
+            found.append(line)
+    return found
+
+
+def _belongs(line: Baseline, other: Baseline) -> bool:
+    """Return whether a line consists of dots and accents of another one."""
+    few = len(line.letters.area) < min(_FEW, len(other.letters.area))
+    if line is other or (line.x_height > _SMALLER * other.x_height and not few):
+        return False
+    middle = (line.left + line.right) / 2
+    if not other.left < middle < other.right:
+        return False
+    if abs(other.middle_y - line.middle_y) > _FAR * other.x_height:
+        return False
+    above = float(other.at(np.array(middle)) - line.middle_y) / other.x_height
+    # Small print under a headline is text as well.
+    marks = line.strokes < _FEW_STROKES and -_HANGING < above < _OVER
+    return marks or (-_SMALLER if few else 0) < above < 1
+
+
+_SAME, _CAPITALS = 0.15, 0.08
+"""Difference of x-heights of one print, and part of tall letters below which all are capitals."""
+_CAPITAL, _MIXED = 1.42, 0.15
+"""Height of a capital, in x-heights, and part of lines that shows these where most show those."""
+_ASCENT, _DESCENT, _FEWEST = (1.25, 1.35), (0.35, 0.25), 0.03
+"""Usual and least ascent and descent, in x-heights, and part of letters that must show others."""
+
+
+def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
+    """Return the x-height of each line, (N,) px, and the reach of all above and below, in those.
+
+    Lines of one print share their size; those of capitals and figures measure taller.
+    """
+    size = np.array([line.x_height for line in lines])
+    above, below = (
+        np.concatenate([reach / x for reach, x in zip(reaches, size, strict=True)])
+        for reaches in ([line.rise for line in lines], [line.fall for line in lines])
+    )
+    ascent, descent = (
+        float(np.quantile(far, 0.8)) + 0.03 if len(far) > _FEWEST * len(reach) else usual
+        for usual, far, reach in (
+            (_ASCENT[0], above[above > _ASCENT[1]], above),
+            (_DESCENT[0], below[below > _DESCENT[1]], below),
+        )
+    )
+    length = np.array([line.right - line.left for line in lines])
+    most = _weighted_median(size, length)
+    lower = np.abs(size * _CAPITAL / most - 1) < _SAME / 2
+    if length[lower].sum() > _MIXED * length.sum():
+        # Most lines are measured by their figures.
+        most = _weighted_median(size[lower], length[lower])
+    tall = np.array([np.mean(line.rise > 1.25 * line.x_height) for line in lines])
+    capitals = (tall < _CAPITALS) & (np.abs(size / most / _CAPITAL - 1) < _SAME)
+    size = np.where(capitals, size / _CAPITAL, size)
+    near = np.abs(size[:, None] / size - 1) < _SAME
+    return np.array([_weighted_median(size[k], length[k]) for k in near]), ascent, descent
+
+
+def _weighted_median(values: Floats, weight: Floats) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
 def _line(
@@ -327,11 +433,11 @@ def _line(
     mm_per_pixel: float,
     cell: int,
 ) -> TextLine:
-    scales = mm_per_pixel ** (1.0 - np.arange(len(baseline.baseline)))
+    scales = mm_per_pixel ** (1.0 - np.arange(len(baseline.curve)))
     return TextLine(
         left_mm=baseline.left * mm_per_pixel,
         right_mm=baseline.right * mm_per_pixel,
-        baseline=tuple(map(float, baseline.baseline * scales)),
+        baseline=tuple(map(float, baseline.curve * scales)),
         x_height_mm=x_height * mm_per_pixel,
         ascent_mm=ascent * x_height * mm_per_pixel,
         descent_mm=descent * x_height * mm_per_pixel,

@@ -48,7 +48,6 @@ class PrintedLine:
     y_mm: float  # of its middle
     x_height_mm: float
     cell: int = 0
-    has_initial: bool = False
 
 
 def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) -> list[PrintedLine]:
@@ -56,7 +55,7 @@ def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) ->
     return [
         PrintedLine(
             text.strip(), page, line.left_mm, line.right_mm, (line.top_mm + line.bottom_mm) / 2,
-            line.x_height_mm, line.cell, bool(line.initial_mm),
+            line.x_height_mm, line.cell,
         )
         for line, text in zip(lines, texts, strict=True) if text.strip()
     ]  # fmt: skip
@@ -235,7 +234,7 @@ class _Layout:
         sizes = sorted((before.x_height_mm, line.x_height_mm))
         return (
             step_mm <= 0 or step_mm >= _GAP * self._step_mm[line.page]
-            or sizes[1] > _LARGER * sizes[0] or bool(line.cell or before.cell or line.has_initial)
+            or sizes[1] > _LARGER * sizes[0] or bool(line.cell or before.cell)
         )  # fmt: skip
 
     def _is_ragged(self, before: int, k: int) -> bool:
@@ -303,7 +302,7 @@ class _Layout:
     def _begins_column(self, before: int, k: int) -> bool:
         """Return whether the first line of a column or page begins a paragraph."""
         text, line = self._lines[before].text, self._lines[k]
-        if not self.is_alike(before, k) or line.has_initial or re.match(_BULLETS, line.text):
+        if not self.is_alike(before, k) or re.match(_BULLETS, line.text):
             return True
         following = self._lines[k + 1] if k + 1 < len(self._lines) else line
         indent_mm = line.left_mm - following.left_mm

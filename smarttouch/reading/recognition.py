@@ -24,7 +24,6 @@ from smarttouch.braille.dot_detection import shows_dots
 from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import PreparedPage, prepare_page
-from smarttouch.pages.straighten import QUARTER
 
 Note = Callable[[str], None]
 Read = tuple[str, float]
@@ -213,7 +212,7 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
             f"page {number} shows Braille dots, and pictures of Braille are not read: give a text "
             "or a .brf file, or leave the page out as in ?pages=1-3"
         )
-    prepared, turn_deg = _turned(page, 0, options, quarter=True), 0
+    prepared, turn_deg = _turned(page, 0, options), 0
     # Without Tesseract a page stays as it is.
     with contextlib.suppress(ReadingError):
         prepared, turn_deg = _most_legible(page, prepared, options)
@@ -238,8 +237,7 @@ def _most_legible(
     best = prepared, 0
     if letters >= _FEWEST_LETTERS and most >= _UPRIGHT * letters:
         return best
-    # A quarter turn by the run of the lines is a guess.
-    for turn_deg in (0, 90, 180, 270)[QUARTER not in prepared.notes :]:
+    for turn_deg in (90, 180, 270):
         candidate = _turned(page, turn_deg, options)
         _sample(candidate, options)
         legible, _ = _legible(candidate)
@@ -248,13 +246,10 @@ def _most_legible(
     return best
 
 
-def _turned(
-    page: Page, turn_deg: int, options: RecognitionOptions, quarter: bool = False
-) -> PreparedPage:
-    grey = np.ascontiguousarray(np.rot90(page.grey, -turn_deg // 90))
+def _turned(page: Page, turn_deg: int, options: RecognitionOptions) -> PreparedPage:
+    page = replace(page, grey=np.ascontiguousarray(np.rot90(page.grey, -turn_deg // 90)))
     leftward = options.languages.partition("+")[0] in _LEFTWARD
-    page = replace(page, grey=grey)
-    return prepare_page(page, options.light_on_dark, quarter=quarter, leftward=leftward)
+    return prepare_page(page, options.light_on_dark, leftward=leftward)
 
 
 def _sample(prepared: PreparedPage, options: RecognitionOptions) -> None:

@@ -10,7 +10,6 @@ from smarttouch.braille.grade1 import Grade1
 from smarttouch.pages.prepared_page import print_text
 
 from ..pages.printed import print_page, some_lines
-from ..pages.typeset import leftward, typeset
 from .drawn_dots import draw_dots
 
 LINES = [Grade1().encode(line) for line in some_lines(12, 24)]
@@ -54,11 +53,12 @@ def test_braille_is_recognized(picture):
     assert shows_dots(picture)
 
 
+HEBREW = "האדם מניח את ידו על הנייר ויודע אם הוא חלק או גס"
 CAMERA = cv2.resize(skimage.data.camera(), (800, 800))
 OTHERS = {
     "print": lambda: print_text("\n".join(some_lines(20))).grey,
     "small print": lambda: print_page(some_lines(40), size_pt=7, dpi=100).page.grey,
-    "Hebrew": lambda: typeset(leftward, 0).grey,
+    "Hebrew": lambda: print_page([HEBREW] * 20, size_pt=9, dpi=150, font="DejaVuSans").page.grey,
     "leaders": lambda: print_page([". " * 40] * 30, size_pt=10, dpi=150).page.grey,
     "halftone": lambda: halftone(CAMERA, 12, 45),
     "tint": lambda: halftone(np.full((700, 700), 180, np.uint8), 9, 15),

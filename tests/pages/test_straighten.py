@@ -48,15 +48,6 @@ def test_a_straight_page_is_left_alone(printed, skew_deg):
     assert notes == []
 
 
-@pytest.mark.parametrize("quarters", [1, 3])
-def test_text_that_runs_down_the_page_is_turned(printed, quarters):
-    turned = np.ascontiguousarray(np.rot90(degrade(printed, skew_deg=2).page.grey, quarters))
-    page, notes = straighten(Page(turned, printed.page.mm_per_pixel))
-    assert page.grey.shape[0] < page.grey.shape[1]
-    assert [numbers_in(note) for note in notes] == [[90], [pytest.approx(2, abs=0.15)]]
-    assert_level(page)
-
-
 @pytest.mark.parametrize("lines", [["one quick line of words"], ["illicit tilt", "still it"]])
 def test_little_text_is_not_turned_by_guess(lines):
     page = print_page(lines, size_pt=12, dpi=150).page

@@ -45,7 +45,8 @@ def test_a_word_too_short_for_a_line_is_read_where_it_is(profile, word):
     (line,) = path.lines
     assert line.left_mm <= columns.min() * page.mm_per_pixel
     assert line.right_mm >= columns.max() * page.mm_per_pixel
-    assert line.bottom_mm == pytest.approx(rows.max() * page.mm_per_pixel, abs=0.5)
+    # Below it is place for a descender.
+    assert -0.5 < line.bottom_mm - rows.max() * page.mm_per_pixel < 1.5
     assert path.duration_s < 2
 
 

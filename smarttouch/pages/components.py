@@ -1,0 +1,184 @@
+"""Connected components of ink: candidates for letters, rules, letters of two lines that touch."""
+
+from dataclasses import dataclass, fields
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Ink = NDArray[np.bool_]
+
+_FEWEST_PIXELS, _LEAST_SIDE = 3, 3  # least area of a component, and least height of a letter
+_LARGEST_PART = 0.25  # part of the page's shorter side above which a component is no letter
+_RULE = 12.0  # ratio of length to thickness above which a component is a rule
+_LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the usual one
+_COMMA = (0.8, 0.5)  # largest height and width of a comma or a quote, in usual heights
+_LONGEST = 40.0  # largest ratio of length to height of a word with touching letters
+_UNDERLINE, _THIN, _HANGING, _STANDING = 3.0, 0.3, 0.2, 0.5
+"""Least length and most thickness of an underline, in letter heights; most ink right below it, and
+least part of its length with letters above it."""
+_TWO_LINES, _LEAST_LINE, _BESIDE = 1.7, 0.6, 1.5
+"""Height of a component that may span two lines, of a line, and reach beside it, in heights."""
+_VALLEY = 0.4  # ink between two lines that touch, relative to that in either
+_FILLED, _HOLLOW = 0.15, 0.3  # least filled part of the box of a picture, most of a frame's
+_FRAME, _DRAWN = (6.0, 2.5), 0.85
+"""Least sides of a frame around text, in letter heights, and least part of a side that is drawn."""
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """Boxes of connected components, (N,) px; right and bottom are the first outside."""
+
+    left: NDArray[np.int_]
+    top: NDArray[np.int_]
+    right: NDArray[np.int_]
+    bottom: NDArray[np.int_]
+    area: NDArray[np.int_]
+
+    @property
+    def height(self) -> NDArray[np.int_]:
+        """Heights, (N,) px."""
+        return self.bottom - self.top
+
+    @property
+    def width(self) -> NDArray[np.int_]:
+        """Widths, (N,) px."""
+        return self.right - self.left
+
+    @property
+    def usual_height(self) -> float:
+        """Median height, px, weighted by size so that dots count little."""
+        order = np.argsort(self.height)
+        weight = np.cumsum(np.sqrt(self.area[order]))
+        return float(self.height[order][np.searchsorted(weight, weight[-1] / 2)])
+
+    def of(self, chosen: NDArray[np.bool_] | NDArray[np.int_]) -> "Components":
+        """Return some of the components."""
+        return Components(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    def joined(self, others: "Components") -> "Components":
+        """Return these components and others."""
+        sides = [(getattr(self, each.name), getattr(others, each.name)) for each in fields(self)]
+        return Components(*map(np.concatenate, sides))
+
+
+def find_components(ink: Ink) -> tuple[Components, NDArray[np.int32]]:
+    """Return all components of an image of ink, (H, W), and their labels, from 1, (H, W)."""
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(ink.view(np.uint8), connectivity=8)
+    left, top, width, height, area = boxes[1:].astype(np.int_).T
+    found = Components(left, top, left + width, top + height, area)
+    return found, np.asarray(labels, np.int32)
+
+
+def without_specks(components: Components) -> Components:
+    """Return the components that may be part of print."""
+    return components.of(components.area >= _FEWEST_PIXELS)
+
+
+def usual_height(components: Components, shape: tuple[int, int]) -> float | None:
+    """Return the usual height of letters, px; None if no component may be one."""
+    height, width = components.height, components.width
+    kept = (height >= _LEAST_SIDE) & (height < _LARGEST_PART * min(shape))
+    kept &= (width < _RULE * height) & (height < _RULE * width)
+    return components.of(kept).usual_height if kept.any() else None
+
+
+def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
+    """Return for each component, (N,), whether it may be a letter, or several that touch."""
+    tall, wide = components.height, components.width
+    right_size = (tall >= _LETTER[0] * height) & (tall <= _LETTER[1] * height)
+    right_size &= (tall > _COMMA[0] * height) | (wide > _COMMA[1] * height)
+    return np.asarray(right_size & (wide < _LONGEST * tall))
+
+
+def are_pictures(components: Components, height: float) -> NDArray[np.bool_]:
+    """Return for each component, (N,), whether it is large both ways, and filled."""
+    large = np.minimum(components.width, components.height) > _LETTER[1] * height
+    return np.asarray(
+        large & (components.area > _FILLED * components.width * components.height), np.bool_
+    )
+
+
+def find_frames(ink: Ink, components: Components, height: float) -> NDArray[np.float64]:
+    """Return the boxes drawn around text, (N, 4) px: left, top, right, bottom."""
+    wide, tall = components.width, components.height
+    large = (wide > _FRAME[0] * height) & (tall > _FRAME[1] * height)
+    large &= components.area < _HOLLOW * wide * tall
+    frames, edge = [], max(2, round(_THIN * height))
+    for k in np.flatnonzero(large):
+        left, top, right, bottom = (
+            int(side[k])
+            for side in (components.left, components.top, components.right, components.bottom)
+        )
+        box = ink[top:bottom, left:right]
+        sides = (box[:edge], box[-edge:], box[:, :edge].T, box[:, -edge:].T)
+        if min(side.any(axis=0).mean() for side in sides) > _DRAWN:
+            frames.append((left, top, right, bottom))
+    return np.array(frames, np.float64).reshape(-1, 4)
+
+
+def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
+    """Return the ink of horizontal rules and underlines, and of vertical rules, (H, W) each."""
+    page = ink.view(np.uint8)
+    thick, long = max(3, round(_THIN * height)), round(_RULE * height)
+    run = np.ones((1, round(_UNDERLINE * height)), np.uint8)
+    rules = cv2.morphologyEx(page, cv2.MORPH_OPEN, run).view(np.bool_)
+    runs, labels = find_components(rules)
+    is_rule = runs.width > long
+    for k in np.flatnonzero(~is_rule & (runs.height <= thick)):
+        across, top, bottom = slice(runs.left[k], runs.right[k]), runs.top[k], runs.bottom[k]
+        above = ink[max(0, top - round(height)) : max(0, top - 1), across].any(axis=0)
+        # Letters hang from the line above them in some scripts.
+        below = ink[bottom + 1 : bottom + 1 + thick, across]
+        is_rule[k] = below.size and below.mean() < _HANGING and above.mean() > _STANDING
+    rules = np.append(False, is_rule)[labels]
+    # A slightly tilted rule steps sideways by a pixel.
+    wide = cv2.dilate(page, np.ones((1, 3), np.uint8))
+    upright = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((long, 1), np.uint8))
+    upright = np.asarray(cv2.min(upright, page), np.uint8)
+    bars = cv2.morphologyEx(upright, cv2.MORPH_OPEN, np.ones((long, 2 * thick), np.uint8))
+    upright[cv2.dilate(bars, np.ones((3, 3), np.uint8)) > 0] = 0
+    thicker = cv2.dilate(rules.view(np.uint8), np.ones((3, 1), np.uint8))
+    return thicker.view(np.bool_), upright.view(np.bool_)
+
+
+def part_lines(ink: Ink, components: Components, height: float) -> Ink:
+    """Return the ink, (H, W), cut where letters of one line touch those of the next."""
+    tall = (components.height > _TWO_LINES * height) & (components.height < _LETTER[1] * height)
+    usual = components.of(like_letters(components, height) & ~tall)
+    middle = (usual.top + usual.bottom) / 2
+    parted = ink.copy() if tall.any() else ink
+    for k in np.flatnonzero(tall):
+        left, right = int(components.left[k]), int(components.right[k])
+        top, bottom = int(components.top[k]), int(components.bottom[k])
+        if right - left < bottom - top:
+            # A large letter has large letters beside it, or lines on one side only.
+            near = (usual.right > left - _BESIDE * height) & (usual.left < right + _BESIDE * height)
+            near &= (middle > top) & (middle < bottom)
+            upper = near & (middle < (top + bottom) / 2)
+            sides = (usual.right[near] <= left).any() and (usual.left[near] >= right).any()
+            if not sides or not upper.any() or (upper == near).all():
+                continue
+        least, parts = round(_LEAST_LINE * height), [(top, bottom)]
+        while parts:
+            first, last = parts.pop()
+            if last - first <= _TWO_LINES * height:
+                continue
+            profile = ink[first:last, left:right].sum(axis=1)
+            cut = least + int(profile[least:-least].argmin())
+            if profile[cut] < _VALLEY * min(profile[:cut].max(), profile[cut:].max()):
+                parted[first + cut, left:right] = False
+                parts += [(first, first + cut), (first + cut + 1, last)]
+    return parted
+
+
+def widest_white(
+    components: Components, left: float, right: float, top: float, bottom: float
+) -> tuple[float, float]:
+    """Return the ends of the widest part without ink, px, of a gap from ``left`` to ``right``."""
+    inside = (components.right > left) & (components.left < right)
+    inside &= (components.bottom > top) & (components.top < bottom)
+    starts = np.concatenate([[left], np.sort(components.right[inside])])
+    ends = np.concatenate([np.sort(components.left[inside]), [right]])
+    widest = int((ends - starts).argmax())
+    return float(starts[widest]), float(ends[widest])
