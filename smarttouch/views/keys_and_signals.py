@@ -105,14 +105,12 @@ def drives_a_board(command: Callable[_P, _T]) -> Callable[_P, _T]:
 
 def command_stop() -> StopRequest:
     """Return the stop request of the command that runs."""
-    command = current_command()
-    return StopRequest() if command is None else command.stop
+    return current_command().stop
 
 
 def by_signal() -> bool:
     """Return whether a signal ends the command that runs."""
-    command = current_command()
-    return command is not None and bool(command.number)
+    return bool(current_command().number)
 
 
 @contextmanager
@@ -120,9 +118,6 @@ def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
     """Let the block end by itself when a stop is requested, within ``patience_s`` of a signal;
     elsewhere a signal interrupts."""
     command = current_command()
-    if command is None:
-        yield
-        return
     command.patience_s = patience_s or command.patience_s
     before, command.orderly = command.orderly, True
     try:
