@@ -247,6 +247,8 @@ class Line:
                 note = f"another program reads from {self.name}: close it (ModemManager or a "
                 note += "serial monitor?)"
                 self._board.notes += [note] * (note not in self._board.notes)
+                # Whatever the port says: this thread may have priority over all others.
+                time.sleep(0.001)
             return data or b""
 
     def discard_input(self) -> None:
