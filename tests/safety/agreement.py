@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from .bounds import LATE_NS
 from .displays import display, display_names
-from .drafts import RECHARGES, later, opening, ordinary
+from .drafts import later, opening, ordinary
 from .edges import EDGES, attacks
 from .garbage import garbled
 from .gates import GateUnderTest, faults_of_copy
@@ -69,12 +69,8 @@ class RunStatistics:
         return sum(map(Counter.total, (self.unsafe, self.strict, self.crashes, self.copies)))
 
     def missing(self):
-        """Return the rules that were never the only one broken, of those that can be."""
-        reachable = set(NAMES) - (set() if RECHARGES else {"recharge"})
-        if display("short session").limits.__class__.model_fields.keys().isdisjoint(["session_mc"]):
-            # What one sequence may bring adds up to no more than the usual session allows.
-            reachable.discard("session charge")
-        return sorted(reachable - set(self.only))
+        """Return the rules that were never the only one broken."""
+        return sorted(set(NAMES) - set(self.only))
 
     def add(self, other):
         """Add up with that of another process."""

@@ -147,17 +147,14 @@ class Bounds:
     @classmethod
     def of_limits(cls, limits):
         """Return those of limits made by hand, which know what they are given and no more."""
-        thresholds = getattr(limits, "threshold_ma", None)
+        thresholds = limits.threshold_ma
         if thresholds is not None:
             thresholds = [exact(x) for x in np.broadcast_to(thresholds, (limits.electrodes,))]
-        area = getattr(limits, "area_mm2", None)
-        if area is not None:
-            area = Decimal(repr(float(np.min(area))))
+        area = Decimal(repr(float(np.min(limits.area_mm2))))
         return cls._made(
             limits, limits.electrodes, exact(limits.full_ma),
             None if limits.full_us is None else dec(limits.full_us), thresholds, area,
-            getattr(limits, "one_source", False), getattr(limits, "masked", ()),
-            getattr(limits, "width_us", None),
+            limits.one_source, limits.masked, limits.width_us,
         )  # fmt: skip
 
     @classmethod
@@ -192,15 +189,7 @@ class Bounds:
             )
             if known
             else None,
-            session_us=math.floor(10**6 * min(SESSION_S, _session(limits, "session_s", SESSION_S))),
-            session_pc=math.floor(
-                PC_IN_MC * min(SESSION_MC, _session(limits, "session_mc", SESSION_MC))
-            ),
+            session_us=math.floor(10**6 * min(SESSION_S, dec(limits.session_s))),
+            session_pc=math.floor(PC_IN_MC * min(SESSION_MC, dec(limits.session_mc))),
             source_pc=math.floor(dec(limits.charge_uc) * 10**6) if one_source else None,
         )
-
-
-def _session(limits, name, usual):
-    """Return a limit of the session; not every profile has one."""
-    value = getattr(limits, name, None)
-    return usual if value is None else dec(value)

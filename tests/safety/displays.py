@@ -42,15 +42,12 @@ def display(name):
     usual, keys = CHANGED[name]
     usual = load_profile(usual)
     table = usual.model_dump()
-    known = type(usual.limits).model_fields
     for key, value in keys.items():
         *tables, last = key.split(".")
         inner = table
         for each in tables:
             inner = inner[each]
-        # A limit that profiles do not have is not one that can be attacked.
-        if tables != ["limits"] or last in known:
-            inner[last] = value
+        inner[last] = value
     return type(usual).model_validate(table)
 
 

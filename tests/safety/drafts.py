@@ -1,7 +1,7 @@
 """Ordinary sequences, drawn quickly: what an attack starts from."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -9,9 +9,6 @@ import numpy as np
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from .bounds import LATE_NS, NS, TIMES_ITS_SHARE, WHOLE, exact
-
-RECHARGES = "recharge_ua" in {each.name for each in fields(ScanSequence)}
-"""Whether sequences have a recharge phase."""
 
 
 @dataclass
@@ -50,9 +47,8 @@ class Draft:
             "discharge_us": self.discharge_us.astype(np.uint16),
             "site": self.site.astype(np.uint16), "period_us": self.period_us,
             "intensity": self.intensity, "time_ns": self.time_ns, "vibration": self.vibration,
+            "recharge_ua": self.recharge_ua, "recharge_us": self.recharge_us,
         }  # fmt: skip
-        if RECHARGES:
-            values |= {"recharge_ua": self.recharge_ua, "recharge_us": self.recharge_us}
         return ScanSequence(**values | other)
 
     def resize(self, slots):

@@ -16,7 +16,7 @@ from .bounds import (
     TIMES_ITS_SHARE,
     WHOLE,
 )
-from .drafts import RECHARGES, intensity_of, level_at
+from .drafts import intensity_of, level_at
 
 MOST_SLOTS = 130
 """More are never needed at an edge, and take long to judge."""
@@ -185,8 +185,6 @@ def vibration(draft, oracle, rng, beyond):
 
 def recharge(draft, oracle, rng, beyond):
     bounds = oracle.bounds
-    if not RECHARGES:
-        return
     phase = np.zeros(bounds.electrodes, np.int16)
     able = [site for site in range(bounds.electrodes) if bounds.recharge_ua[site]]
     sites = rng.sample(able, 2)

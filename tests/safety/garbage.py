@@ -88,8 +88,6 @@ def garbled(draft, rng):
             ("period_us", "intensity", "time_ns", "current_ua", "width_us", "discharge_us", "site",
              "vibration", "recharge_us", "recharge_ua")
         )  # fmt: skip
-        if not hasattr(sequence, name):
-            continue
         if name in ("period_us", "intensity", "time_ns", "recharge_us"):
             changes[name] = rng.choice(NUMBERS)
             continue

@@ -40,8 +40,8 @@ def judge_alone_quickly(sequence, bounds):
     signed = sequence.current_ua.astype(np.int64)
     current, width = np.abs(signed), sequence.width_us.astype(np.int64)
     charge = current * width[:, None]
-    period_us, recharge_us = int(sequence.period_us), int(getattr(sequence, "recharge_us", 0))
-    recharge = getattr(sequence, "recharge_ua", None)
+    period_us, recharge_us = int(sequence.period_us), int(sequence.recharge_us)
+    recharge = sequence.recharge_ua
     intensity = exact(sequence.intensity)
     ppb = math.ceil(intensity * WHOLE)
     peak_ua, peak_pc = int(current.max(initial=0)), int(charge.max(initial=0))

@@ -51,7 +51,7 @@ class Plain:
 
 def wrong_types(sequence, bounds):
     """Return "types" or "range" if a sequence cannot be judged further, else nothing."""
-    whole = [sequence.period_us, sequence.time_ns, getattr(sequence, "recharge_us", 0)]
+    whole = [sequence.period_us, sequence.time_ns, sequence.recharge_us]
     if not all(map(_is_whole, whole)) or not _is_real(sequence.intensity):
         return ["types"]
     slots = np.size(sequence.width_us)
@@ -68,7 +68,7 @@ def wrong_types(sequence, bounds):
         1 <= int(sequence.period_us) <= LONGEST_PERIOD_US
         and 0 <= int(sequence.time_ns) < LATEST_NS
         and _is_share(sequence.intensity)
-        and 0 <= int(getattr(sequence, "recharge_us", 0)) <= RECHARGE_US
+        and 0 <= int(sequence.recharge_us) <= RECHARGE_US
         and all(site < bounds.electrodes for site in sequence.site.tolist())
     )
     return [] if in_range else ["range"]
@@ -77,13 +77,13 @@ def wrong_types(sequence, bounds):
 def plain(sequence):
     """Return a sequence of the right types as lists and whole numbers."""
     vibration = sequence.vibration
-    recharge = getattr(sequence, "recharge_ua", None)
+    recharge = sequence.recharge_ua
     intensity = exact(sequence.intensity)
     return Plain(
         sequence.current_ua.tolist(), sequence.width_us.tolist(), sequence.discharge_us.tolist(),
         int(sequence.period_us), intensity, math.ceil(intensity * WHOLE), int(sequence.time_ns),
         None if vibration is None else vibration.tolist(),
-        None if recharge is None else recharge.tolist(), int(getattr(sequence, "recharge_us", 0)),
+        None if recharge is None else recharge.tolist(), int(sequence.recharge_us),
     )  # fmt: skip
 
 

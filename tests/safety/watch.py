@@ -186,14 +186,11 @@ class Watch:
 
         @functools.wraps(init)
         def watched(gate, *given, **named):
-            if "clock" in signature.parameters:
-                bound = signature.bind(gate, *given, **named)
-                bound.apply_defaults()
-                if bound.arguments["clock"] is not None:
-                    self._clocks[gate] = HeardClock(bound.arguments["clock"])
-                    bound.arguments["clock"] = self._clocks[gate]
-                given, named = bound.args[1:], bound.kwargs
-            init(gate, *given, **named)
+            bound = signature.bind(gate, *given, **named)
+            if bound.arguments.get("clock") is not None:
+                self._clocks[gate] = HeardClock(bound.arguments["clock"])
+                bound.arguments["clock"] = self._clocks[gate]
+            init(*bound.args, **bound.kwargs)
 
         return watched
 
