@@ -49,7 +49,7 @@ __all__ = ["BOTH", "Board", "BoardReport", "Capabilities", "Polarity"]
 
 FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock
 MEASURED_WITHIN_NS = 10_000_000_000  # time in which measuring scans must be written
-PROBES = 3  # attempts at a measuring scan: a reading may be lost on the way
+PROBES = 10  # attempts at a measuring scan: on a busy computer its reading may be lost
 ENDS_WITHIN_S = 3.0  # of the sender thread
 RESTARTS = 3  # attempts to restart a board after its line was lost
 _MOST_VOLTS = 64
