@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from smarttouch.base.errors import BoardRestartedError
+from smarttouch.base.errors import BoardRestartedError, SafetyError, SequenceLateError
 from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.boards.kits import current_scale
 from smarttouch.boards.open import make_board
@@ -121,8 +121,9 @@ def drive(url, electrodes):
                 board.send(sequence, 50)
                 time.sleep(0.02)
                 now_ns = time.monotonic_ns()
-            except BoardRestartedError:
-                # On a busy computer a host may stand still by itself: it begins anew.
+            except (BoardRestartedError, SequenceLateError, SafetyError):
+                # On a busy computer a host may stand still by itself, or nothing of what opens the
+                # level is out yet: it begins anew.
                 start_ns = now_ns = time.monotonic_ns()
 
 

@@ -22,6 +22,7 @@ from kill_host import ELECTRODES, LEAVES_WITHIN_S, PlayedBoard, fork_host, reap,
 from smarttouch.base.errors import (
     BoardRestartedError,
     LineLostError,
+    SafetyError,
     SequenceLateError,
     SmartTouchError,
 )
@@ -64,8 +65,9 @@ def act(board, limits, action, stopped):
             else:
                 send(board, limits, REPEATED, 1000)
                 wait_for(stopped)
-        except (BoardRestartedError, SequenceLateError):
-            # On a busy computer a host may stand still by itself: it begins again at zero.
+        except (BoardRestartedError, SequenceLateError, SafetyError):
+            # On a busy computer a host may stand still by itself, or nothing of what opens the
+            # level is out yet: it begins again at zero.
             step = 0
 
 
