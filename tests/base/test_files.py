@@ -170,15 +170,6 @@ def test_what_is_written_is_for_its_owner_alone(tmp_path, umask, write, before):
     assert path.read_bytes().startswith(b"new")
 
 
-def test_whoever_has_the_old_file_open_does_not_read_the_new_one(tmp_path, umask):
-    path = tmp_path / "a"
-    path.write_bytes(b"old")
-    with path.open("rb") as other:
-        write_bytes(path, b"new")
-        assert other.read() == b"old"
-    assert path.read_bytes() == b"new"
-
-
 def test_folders_are_for_their_owner_alone(tmp_path, umask):
     tmp_path.chmod(0o755)
     for _ in range(2):

@@ -94,35 +94,17 @@ def test_no_other_package_takes_a_name_of_ours(installed, limits):
     assert BOARDS.names.count("memory") == 1
 
 
-def test_two_packages_with_one_name(installed, limits):
-    installed(BOARD)
-    installed(BOARD, package="another")
-    both = {"value": "mine", "allowed": ("another", "their-board")}
-    with raises(BoardError, names="board", **both):
-        make_board("mine:", limits)
-
-
-def without(line, text=BOARD):
-    assert line in text
-    return text.replace(line, "")
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("import nothing_of_that_name\n" + BOARD, "nothing_of_that_name"),
-        ("Theirs = 1\n", "Mine"),
-    ],
-)
-def test_a_board_that_cannot_be_loaded_is_refused_by_its_package(installed, limits, text, words):
+@pytest.mark.parametrize(("text", "value"), [
+    ("import nothing_of_that_name\n" + BOARD, ("their-board", "nothing_of_that_name")),
+    ("Theirs = 1\n", ("their-board", "Mine")),
+    ("class Mine:\n    def __init__(self, *given): ...\n", ("mine:", "Driver")),
+])  # fmt: skip
+def test_what_is_no_board_is_refused_by_its_package(installed, limits, text, value):
     installed(text)
-    with raises(BoardError, value=("their-board", words)):
+    with raises(BoardError, value=value):
         make_board("mine:", limits)
-
-
-def test_what_is_no_board_is_refused(installed, limits):
-    installed("class Mine:\n    def __init__(self, *given): ...\n")
-    with raises(BoardError, value=("mine:", "Driver")):
+    installed(BOARD, package="another")
+    with raises(BoardError, names="board", value="mine", allowed=("another", "their-board")):
         make_board("mine:", limits)
 
 

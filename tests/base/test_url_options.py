@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from smarttouch.base.errors import BoardError, PageError, SourceError
-from smarttouch.base.url_options import parse_size, read_options
+from smarttouch.base.url_options import read_options
 from smarttouch.boards.open import make_board
 from smarttouch.cli.source_options import DocumentOptions
 from smarttouch.instruments.hand_motion import open_motion
@@ -65,7 +65,7 @@ def test_an_opener_without_options_reads_its_own():
     ("a?seed=1.5", "?seed", "1.5"),
     ("a?fps=", "?fps", ""),
     ("a?unpaced=maybe", "?unpaced", "maybe"),
-    ("a?size=640", "?size", "640"),
+    *((f"a?size={text}", "?size", text) for text in ("640", "640x", "0x5", "6_4x4", "1x2x3")),
     ("a?seed=1&seed=2", "?seed", None),
 ])  # fmt: skip
 def test_options_that_are_none(url, about, value):
@@ -101,12 +101,6 @@ def test_boards_by_url(tmp_path):
     assert (tmp_path / "state.json").exists()
     with raises(BoardError, names="?firmware", allowed="books, events"):
         make_board("emulator:?firmware=1", limits)
-
-
-@pytest.mark.parametrize("text", ["", "640", "640x", "0x5", "6_4x4", "640x480x3", "123456x1"])
-def test_sizes_that_are_none(text):
-    with raises(SourceError, names="--size", value=repr(text)):
-        parse_size(text, SourceError, "--size")
 
 
 def test_a_motion_with_its_options():
