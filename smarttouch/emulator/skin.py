@@ -69,7 +69,7 @@ class _Modes(NamedTuple):
 
 
 class SkinCircuit:
-    """Charge on the E electrodes, updated pulse by pulse. Impedances differ between electrodes by
+    """Voltages of the E electrodes, updated pulse by pulse. Impedances differ between electrodes by
     the share ``spread`` at most, always in the same way."""
 
     def __init__(
@@ -80,9 +80,6 @@ class SkinCircuit:
         self.electrodes: int = electrodes
         self.compliance_v: float = compliance_v
         self._volts = np.zeros(electrodes)
-        self.charge_uc: NDArray[np.float64] = np.zeros(
-            electrodes
-        )  # net, that has passed and not come back
         self.scale(np.ones(electrodes), np.ones(electrodes))
 
     def scale(self, resistance: NDArray[np.float64], capacitance: NDArray[np.float64]) -> None:
@@ -168,7 +165,6 @@ class SkinCircuit:
         self._volts = volts
         amps = (nodes[:, None, :] @ weights)[:, 0] - linked * history
         charge_pc = (steps.length_s @ amps) * 1e12
-        self.charge_uc += charge_pc * 1e-6
         ends_v = volts + amps[-1] * self.series_ohm
         return Delivered(charge_pc / width_us, charge_pc, ends_v, source_v)
 
@@ -188,10 +184,7 @@ class SkinCircuit:
             self._modes = self._find_modes()
         rate, basis, root = self._modes
         amount = (root * self._volts) @ basis
-        lost = np.expm1(rate * (duration_us * 1e-6)) * amount
-        change, integral = (np.array([lost, lost / rate]) @ basis.T) / root
-        self.charge_uc += 1e6 * (self.capacitance_f * change + integral / self.parallel_ohm)
-        self._volts = self._volts + change
+        self._volts = (np.exp(rate * (duration_us * 1e-6)) * amount) @ basis.T / root
 
     def _short_in_steps(self, duration_us: float) -> None:
         """Short all electrodes, the node's voltage held in each step such that no charge is lost or
@@ -210,10 +203,9 @@ class SkinCircuit:
             # Charge that leaves by an electrode's own volt, and that comes by the node's.
             out = series * lost / rate
             back = series * length * (1 - level) + level * out
-            self._shorts[duration_us] = lost, out, back
-        for lost, out, back in zip(*self._shorts[duration_us], strict=True):
-            node_v = (out @ self._volts) / back.sum()
-            self.charge_uc += 1e6 * (node_v * back - out * self._volts)
+            self._shorts[duration_us] = lost, out / back.sum(axis=1, keepdims=True)
+        for lost, share in zip(*self._shorts[duration_us], strict=True):
+            node_v = share @ self._volts
             self._volts = self._volts + lost * (level * node_v - self._volts)
 
     def _find_modes(self) -> _Modes:
@@ -249,7 +241,6 @@ class SkinCircuit:
         width_us: float,
         asked_ua: NDArray[np.float64],
     ) -> Delivered:
-        self.charge_uc += charge_pc * 1e-6
         cathodes, anodes = volts[asked_ua > 0], volts[asked_ua < 0]
         source_v = float(cathodes.max() - anodes.min()) if len(cathodes) and len(anodes) else 0.0
         current = charge_pc / width_us if width_us else np.zeros(self.electrodes)

@@ -63,7 +63,7 @@ def test_letters(row, quick, profile, bank, mode, scan):
         board = played(profile, SimulatedDriver)
         with board, open_source("text:the" if quick else TEXT, profile) as sensor:
             tally = loop_through(sensor, pipeline, board, watch, regulator=regulator)
-            books, skin = board.driver._firmware.books, board.driver._firmware._skin
+            books = board.driver._firmware.books
             _, _, current_ua = board.driver.take_pulses()
         full = current_ua[np.abs(current_ua).max(axis=1) > 600].astype(np.float64)
         own, other = ((full @ each.T).max(axis=1) for each in (rows.target, rows.other))
@@ -84,7 +84,6 @@ def test_letters(row, quick, profile, bank, mode, scan):
                     f"{tally.frames / tally.seconds:.1f} ({tally.lowest_rate_hz:.1f})"
                 ),
                 "net charge at worst, µC": f"{np.abs(books.passed_uc).max():.4f}",
-                "with what flows back, µC": f"{np.abs(skin.charge_uc).max():.2f}",
                 "slots that drive the class most": f"{np.mean(own > other):.0%}",
                 "other at worst (median)": f"{np.max(ratio):.2f} ({np.median(ratio):.2f})",
                 "recharge phase, of what an afferent needs": f"{max(answers):.2f}",

@@ -101,25 +101,26 @@ def test_a_saturated_source_delivers_what_fits():
 def test_a_short_circuit_is_solved_exactly():
     skin = unequal(6, 5)
     skin.pulse(np.array([900.0, -100, -200, -300, -400, 100]), 150)
-    before, passed = skin.residual_uc, skin.charge_uc.copy()
+    before = skin.residual_uc
     admittance = 1 / skin.series_ohm
 
     def currents(volts):
         return ((volts * admittance).sum() / admittance.sum() - volts) * admittance
 
-    charge_pc, volts = solve(skin, currents, 12, before / skin.capacitance_f / 1e6)
+    _, volts = solve(skin, currents, 12, before / skin.capacitance_f / 1e6)
     skin.short(12)
     np.testing.assert_allclose(skin.residual_uc, skin.capacitance_f * volts * 1e6, rtol=1e-4)
-    np.testing.assert_allclose(skin.charge_uc - passed, charge_pc * 1e-6, rtol=1e-4, atol=1e-9)
 
 
 def test_without_a_leak_what_passed_is_what_is_left():
     skin = unequal(5, 1)
     skin.parallel_ohm = np.full(5, 1e13)
-    skin.switched_pulse(np.array([1, -1, -1, 0, 1], np.int8), 500, 100)
-    skin.pulse(np.array([50.0, -20, -20, -20, 10]), 80)
+    first = skin.switched_pulse(np.array([1, -1, -1, 0, 1], np.int8), 500, 100)
+    second = skin.pulse(np.array([50.0, -20, -20, -20, 10]), 80)
+    passed_uc = 1e-6 * (first.charge_pc + second.charge_pc)
+    np.testing.assert_allclose(skin.residual_uc, passed_uc, rtol=1e-5, atol=1e-9)
     skin.short(3)
-    np.testing.assert_allclose(skin.residual_uc, skin.charge_uc, rtol=1e-5, atol=1e-9)
+    assert skin.residual_uc.sum() == pytest.approx(0, abs=1e-6)
 
 
 def test_the_source_pays_for_what_is_stored_and_lost():
@@ -168,7 +169,6 @@ def test_currents_sum_to_zero_and_never_pass_the_compliance(pulses, seed, compli
             assert np.isfinite(delivered.volts).all()
         assert np.abs(delivered.volts).max() <= compliance_v * (1 + 1e-9) + 1e-9
         skin.short(short_us)
-        assert abs(skin.charge_uc.sum()) <= 1e-9 * (1 + np.abs(skin.charge_uc).sum())
 
 
 @given(state=arrays(np.int8, 8, elements=st.integers(-1, 1)), source_ua=st.floats(0, 4e4))
@@ -183,7 +183,7 @@ def test_one_source_gives_no_more_than_asked(state, source_ua):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_large_arrays_are_shorted_in_steps(seed, monkeypatch):
-    """The charge on electrodes is nearly that of the circuit's modes, and none is lost or made."""
+    """The charge on electrodes is nearly that of the circuit's modes."""
     exact, stepped = SkinCircuit(20), SkinCircuit(20)
     random = np.random.default_rng(seed)
     for duration_us in random.choice([0, 20, 100, 5000], 40).tolist():
@@ -193,6 +193,5 @@ def test_large_arrays_are_shorted_in_steps(seed, monkeypatch):
             skin.pulse(current_ua, 200)
             before_uc = skin.residual_uc
             skin.short(duration_us)
-        assert stepped.charge_uc.sum() == pytest.approx(0, abs=1e-9)
         left_uc = np.abs(stepped.residual_uc - exact.residual_uc).max()
         assert left_uc <= 0.02 * np.abs(before_uc).max()
