@@ -97,7 +97,6 @@ class CameraDevice(ImageDevice):
         self._size, self._exposure, self._fps = size, exposure, fps
         self._capture: cv2.VideoCapture | None = None
         self._failures = 0
-        self._stated = 0, 0
         self._converter = GreyConverter()
 
     def open(self) -> None:
@@ -133,7 +132,6 @@ class CameraDevice(ImageDevice):
         capture.set(cv2.CAP_PROP_BUFFERSIZE, BUFFERS)
         self._set_format(capture)
         width, height, given_hz = _format(capture)
-        self._stated = width, height
         if self._size is not None and (width, height) != tuple(self._size):
             self._note(f"gives {width} x {height}, not {self._size[0]} x {self._size[1]}")
         if self._fps is not None and given_hz > 0 and abs(given_hz - self._fps) > 0.05 * self._fps:
@@ -187,16 +185,7 @@ class CameraDevice(ImageDevice):
             time.sleep(min(timeout_s, _PAUSE_S))
             return None
         self._failures = 0
-        self._note_size(image.shape[1], image.shape[0])
         return Shot(self._grey(image), self._taken_ns(capture))
-
-    def _note_size(self, width: int, height: int) -> None:
-        """Say it where images are not of the size that the driver states, or change theirs."""
-        if (width, height) != self._stated:
-            self._note(
-                f"sends images of {width} x {height}, not of {self._stated[0]} x {self._stated[1]}"
-            )
-            self._stated = width, height
 
     def _grey(self, image: NDArray[Any]) -> NDArray[np.uint8]:
         """Return an image of OpenCV, whose colors are blue, green and red, in grey."""

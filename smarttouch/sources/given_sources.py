@@ -24,8 +24,6 @@ from smarttouch.sources.source_contract import (
     StimulusSource,
 )
 
-_GRAY = np.array([0.299, 0.587, 0.114])  # luma of red, green and blue, ITU-R BT.601
-
 
 def checked_input(given: Any, who: object, electrodes: int) -> Input:
     """Return a frame or stimulus that a source ``who`` returned, for (E,) electrodes.

@@ -238,21 +238,6 @@ def test_a_camera_without_permission_names_the_remedy(profile, device, monkeypat
         open_source(f"camera:{node}", profile)
 
 
-def test_images_of_another_size_than_stated_are_said_once_each(device, monkeypatch):
-    sizes = iter([(480, 640), (1472, 2560), (1472, 2560), (240, 320)])
-    monkeypatch.setattr(
-        FakeCapture, "read", lambda _: (True, np.zeros((*next(sizes), 3), np.uint8))
-    )
-    source = CameraDevice("0")
-    source.open()
-    shapes = [source.grab(0.0).image.shape for _ in range(4)]
-    assert shapes[-1] == (240, 320)
-    assert [numbers_in(note) for note in source.notes] == [
-        [0, 2560, 1472, 640, 480],
-        [0, 320, 240, 2560, 1472],
-    ]
-
-
 def test_nodes_for_metadata_are_not_listed(monkeypatch, tmp_path):
     for number, (index, name) in enumerate([(0, "Cam"), (1, "Cam"), (0, "IR"), (1, "IR")]):
         node = tmp_path / f"video{number}"
