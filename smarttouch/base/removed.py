@@ -43,6 +43,7 @@ URLS = {
     "lsl": "run examples/bridges/lsl_bridge.py, or send JSON lines to socket:PATH",
     "mcap": "run examples/bridges/mcap_bridge.py; a recording of a run is recording:FILE",
     "osc": "run examples/bridges/osc_bridge.py, or send JSON lines to socket:PATH",
+    "recorded": "replay a run by recording:FILE, or state a force by fixed:N",
     "vibrators": "give --vibrators FILE.wav or --vibrators sound:",
 }
 PROFILE_KEYS = {

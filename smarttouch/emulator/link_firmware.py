@@ -298,7 +298,8 @@ class LinkFirmware(Firmware):
             return
         if kind == MessageKind.BEGIN and session.would_begin(message):
             if session.state:
-                self._answers.append(session.refuse_begin(message))
+                refused = BrokenRule(Rule.NONE).nak(Refusal.EMERGENCY)
+                self._answers.append(session.refuse_begin(message, refused))
                 return
             self._begin_session(message, now_ns)
         elif refusal := session.take(message, self._packet_ns):

@@ -17,13 +17,10 @@ from smarttouch.boards.link.protocol import (
     HALF,
     LATE_MS,
     LONGEST_PACKET_MS,
-    NAK,
-    NOTHING,
     VERSION,
     Message,
     MessageKind,
     Refusal,
-    Rule,
     decode_head,
     draw_half,
     encode,
@@ -87,15 +84,12 @@ class BoardSession:
         fits = begin.session >> 32 == self._challenge and bool(begin.session & HALF)
         return not self.live and fits and begin.version == VERSION
 
-    def refuse_begin(self, begin: Message) -> bytes:
-        """Return the answer to a BEGIN while the emergency switch is open; nothing changes."""
-        payload = NAK.pack(Refusal.EMERGENCY, Rule.NONE, NOTHING, NOTHING, 0, 0)
+    def refuse_begin(self, begin: Message, payload: bytes) -> bytes:
+        """Return the NAK of a BEGIN that changes nothing."""
         return encode(MessageKind.NAK, begin.session, 0, 0, begin.number, payload, self.state)
 
-    def begin(self, begin: Message) -> bool:
-        """Return whether a BEGIN opens a session, and open it."""
-        if not self.would_begin(begin):
-            return False
+    def begin(self, begin: Message) -> None:
+        """Open the session of a BEGIN that may."""
         half = begin.session & HALF
         self._hellos.pop(half, None)
         self._count_strangers()
@@ -104,7 +98,6 @@ class BoardSession:
         self.number, self.live = begin.session, True
         self._taken, self._said = begin.number, 0
         self._alive.clear()
-        return True
 
     def _count_strangers(self) -> None:
         self.foreign += sum(count for _, count in self._hellos.values())

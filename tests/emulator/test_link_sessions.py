@@ -139,7 +139,9 @@ def test_hellos_that_lead_to_nothing_are_counted():
     assert hello(99, 1) is not None
     assert session.foreign == 2 * MOST_HOSTS
     (offer,) = Deframer().feed(hello(99, 2))
-    assert session.begin(Message(MessageKind.BEGIN, 3, decode(offer).session))
+    begin = Message(MessageKind.BEGIN, 3, decode(offer).session)
+    assert session.would_begin(begin)
+    session.begin(begin)
     assert session.foreign == 2 * MOST_HOSTS
     session.live = False
     assert hello(99, 2) is None
