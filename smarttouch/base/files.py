@@ -152,7 +152,8 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
     try:
         # /dev/stdout may lead to a file, which others write, too.
         if path.exists() and (not path.is_file() or path.parent == Path("/dev")):
-            with path.open("ab") as file:
+            # Not Path.open: no terminal may become this program's.
+            with open(path, "ab", opener=owner_only) as file:
                 file.write(data)
         else:
             _replace(Path(os.path.realpath(path)), data)

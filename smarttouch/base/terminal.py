@@ -47,6 +47,9 @@ class PlainStream:
         self._stream, self._name, self._plain = stream, name, plain
 
     def __getattr__(self, name: str) -> Any:
+        # Not all: bytes to its buffer, or lines, would have no stand-ins.
+        if name not in ("encoding", "errors", "closed", "fileno", "writable"):
+            raise AttributeError(name)
         return getattr(self._stream, name)
 
     @property

@@ -58,6 +58,9 @@ def test_plain_output():
     assert screen.getvalue() == printable(EVIL) + "\n"
     assert not output.isatty()
     assert output.encoding == screen.encoding
+    # By these, characters would pass as they are.
+    assert not hasattr(output, "buffer")
+    assert not hasattr(output, "writelines")
 
 
 def test_a_console_draws_and_shows_nothing_else(monkeypatch):
