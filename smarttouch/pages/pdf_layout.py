@@ -15,7 +15,8 @@ _WIDE, _FIGURES, _OPEN, _CERTAIN = 0.65, 0.4, 0.55, 1.2
 """Gaps that may part columns, and numbers; that still do after some rows; and that do in two."""
 _APART = 2.5  # gap within a row that parts its lines, and distance of a running head
 _WRAPPED = 1.35  # distance of the lines of one cell; these are in sizes of the letters
-_EVEN = 0.25  # difference of the gaps of justified prose, also in sizes
+_EVEN, _FLUSH = 0.25, 0.4
+"""Differences of the gaps of justified prose, and of its ends; also in sizes."""
 _FARTHER, _LARGER = 1.6, 1.15
 """Distance of blocks, in usual ones of rows, and ratio of sizes of a heading and its text."""
 _EDGE = 0.125  # part of the page's height at its ends that has running heads
@@ -40,6 +41,7 @@ class Word:
     before: str  # SPACE, MADE_SPACE or nothing
     turn_deg: int | None = 0  # by which the page must be turned for it; None if it is aslant
     grey: float = 0.0  # level of its color
+    is_joined: bool = False  # to the word before it, as a part of justified prose
 
     def gap(self, other: "Word") -> float:
         """Return the distance of the nearer ends of two words, below 0 where they overlap."""
@@ -153,6 +155,8 @@ def _words(rows: list[Row]) -> Row:
 
 def _ordered(rows: list[Row]) -> list[Line]:
     """Return the lines of rows, each band of them as columns, as a table, or as it is."""
+    _join_justified(rows)
+    _join_justified(rows[::-1])
     lines: list[Line] = []
     waiting: list[Row] = []
     for band, gaps in _bands(rows):
@@ -176,9 +180,25 @@ def _ordered(rows: list[Row]) -> list[Line]:
     return lines + [line for row in waiting for line in _plain(row)]
 
 
+def _join_justified(rows: list[Row]) -> None:
+    """Join the words of rows that are evenly apart and as wide as the prose at the row before."""
+    for other, row in itertools.pairwise(rows):
+        flush = _FLUSH * row[0].size
+        if (
+            len(row) > 1 and _are_even(row) and not _FIGURE.fullmatch(row[-1].text)
+            and (other[-1].is_joined or (len(other) > 2 and not _gaps(other)))
+            and abs(row[0].left - other[0].left) < flush
+            and abs(row[-1].right - other[-1].right) < flush
+        ):  # fmt: skip
+            for word in row[1:]:
+                word.is_joined = True
+
+
 def _plain(row: Row) -> list[Line]:
     """Return the lines of a row that is not of a table, parted at very wide gaps."""
-    pieces = split(row, lambda before, word: word.left - before.right > _APART * word.size)
+    pieces = split(row, lambda before, word: (
+        word.left - before.right > _APART * word.size and not word.is_joined
+    ))  # fmt: skip
     return [Line(piece, text_of(piece)) for piece in pieces]
 
 
@@ -236,7 +256,8 @@ def _is_wide(before: Word, word: Word, right: float) -> bool:
     is_space = word.before == SPACE and word.place == before.place + 1 and width < _APART
     are_figures = _FIGURE.fullmatch(before.text) and _FIGURE.fullmatch(word.text)
     is_leader = not before.text.strip(".")
-    return width > (_FIGURES if are_figures else _WIDE) and not (is_space or is_leader)
+    is_wide = width > (_FIGURES if are_figures else _WIDE)
+    return is_wide and not (is_space or is_leader or word.is_joined)
 
 
 def _part(band: list[Row], left: float, right: float) -> list[Row]:

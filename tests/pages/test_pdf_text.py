@@ -155,14 +155,18 @@ def test_no_word_is_lost_or_read_twice(placed):
     assert sorted(signs) == sorted("".join(word.text for word in words).replace(" ", ""))
 
 
-def test_justified_prose_is_no_table():
-    texts = ["stood bread window considerations", "window night the a house house",
-             "considerations stood notwithstanding", "extraordinarily night garden morning a",
-             "under extraordinarily extraordinarily"]  # fmt: skip
+@pytest.mark.parametrize(("width", "texts"), [
+    (190, ["stood bread window considerations", "window night the a house house",
+           "considerations stood notwithstanding", "extraordinarily night garden morning a",
+           "under extraordinarily extraordinarily"]),
+    (110, ["window night the a", "considerations of", "extraordinarily a", "considerations it",
+           "some neighbourhood"]),
+])  # fmt: skip
+def test_justified_prose_is_no_table(width, texts):
     words = []
     for k, text in enumerate(texts):
         parts, x = text.split(), 0.0
-        gap = (190 - 5 * len("".join(parts))) / (len(parts) - 1)
+        gap = (width - 5 * len("".join(parts))) / (len(parts) - 1)
         for part in parts:
             words.append(Word(part, x, x + 5 * len(part), 14 * k, 10, len(words), MADE_SPACE))
             x = words[-1].right + gap
