@@ -172,9 +172,8 @@ def test_without_tesseract_a_page_stays_as_it_is(monkeypatch, tmp_path):
     for call in (find_tesseract, lambda: recognize(np.eye(9, dtype=np.uint8))):
         with raises(ReadingError):
             call()
-    assert (
-        len(upright_page(1, print_text("Some words\non a page"), OPTIONS, pytest.fail).lines) == 2
-    )
+    page = Page(print_text("Some words\non a page").grey, 0.1)
+    assert len(upright_page(1, page, OPTIONS, pytest.fail).lines) == 2
 
 
 @pytest.mark.parametrize("codes", ["", "eng,deu", "eng+", "-l", "../eng"])
@@ -220,7 +219,7 @@ def test_a_page_is_turned_as_it_should_be(text, turns):
 @needs_tesseract
 def test_a_turn_after_which_less_is_recognized_is_not_kept():
     """Tesseract is sure that some tables of figures are upside down."""
-    page = print_text("\n".join(f"{k} 17 {k}{k} 20 {k}4" for k in range(1, 9)))
+    page = Page(print_text("\n".join(f"{k} 17 {k}{k} 20 {k}4" for k in range(1, 9))).grey, 0.1)
     prepared = upright_page(1, page, OPTIONS, pytest.fail)
     np.testing.assert_array_equal(prepared.page.grey, page.grey)
 
