@@ -73,7 +73,7 @@ class SocketSource(Program):
             try:
                 if _is_ours(writer.get_extra_info("socket")):
                     await self._attend(reader, writer)
-            except (OSError, asyncio.CancelledError):
+            except (OSError, SmartTouchError, asyncio.CancelledError):
                 pass  # the client has left, or the run is over
             finally:
                 writer.close()
