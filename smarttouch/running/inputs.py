@@ -8,6 +8,7 @@ from typing import Any
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import SmartTouchError, require_within
 from smarttouch.base.events import (
+    Advice,
     Emit,
     FingerLifted,
     InputLost,
@@ -22,7 +23,7 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.given_sources import checked_input
-from smarttouch.sources.source_contract import Input, Source
+from smarttouch.sources.source_contract import Frame, Input, Source
 
 STEP = 0.05  # change of level by one press of a key
 
@@ -109,6 +110,7 @@ class Controls:
             self._state = replace(self._state, **changes)
 
 
+NO_INK_NS = 5_000_000_000  # time without ink under a pressing finger after which that is said
 LIFT_NS = 300_000_000  # time without current after a lifted finger; it then rises from zero again
 
 
@@ -131,6 +133,8 @@ class Inputs:
     _last_seen: int | None = None
     _blind: bool = False
     _lifted_until_ns: int = 0
+    _inkless_since_ns: int | None = None
+    _said_inkless: bool = False
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
         """Return the input with the force that counts (zero if unknown), and the level that flows.
@@ -157,6 +161,8 @@ class Inputs:
             self.emit(lost if blind else InputRestored(time_ns))
             self._blind = blind
         counts_n = 0.0 if blind else force_n
+        if not self.statistics.active and counts_n > 0 and isinstance(given, Frame):
+            self._look_for_ink(time_ns)
         if counts_n != given.force_n:
             given = replace(given, force_n=counts_n)
         level = state.current_level
@@ -165,6 +171,22 @@ class Inputs:
         if self.board.lifted or now_ns < self._lifted_until_ns:
             self._handle_lift(time_ns, now_ns)
         return given, level
+
+    def _look_for_ink(self, time_ns: int) -> None:
+        """Say once that a pressing finger sees no ink, so that silence has a reason."""
+        if self._inkless_since_ns is None:
+            self._inkless_since_ns = time_ns
+        elif time_ns - self._inkless_since_ns >= NO_INK_NS and not self._said_inkless:
+            self._said_inkless = True
+            words = f"no ink was seen in the first {NO_INK_NS / 1e9:g} s: nothing can be felt"
+            self.emit(Advice(time_ns, words))
+
+    def notes(self) -> list[str]:
+        """Return notes for the user after the run."""
+        inkless = self._inkless_since_ns is not None and not self.statistics.active
+        if not inkless or self._said_inkless:
+            return []
+        return ["no ink was seen: nothing could be felt"]
 
     def begins_at_zero(self, time_ns: int, now_ns: int) -> bool:
         """Return whether intensity will begin at zero with the input that is read next."""

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 from smarttouch.base.errors import SmartTouchError, kind_in_words
 from smarttouch.base.events import Event
 from smarttouch.running.step import StepResult
-from smarttouch.sources.source_contract import Frame
 
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board
@@ -17,10 +16,6 @@ if TYPE_CHECKING:
     from smarttouch.running.inputs import Controls
     from smarttouch.running.run_statistics import RunStatistics
     from smarttouch.sources.source_contract import Source
-
-
-NO_INK = "no ink was seen"
-NO_INK_NS = 5_000_000_000
 
 
 @dataclass
@@ -89,31 +84,6 @@ class Listener:
 
     def close(self) -> None:
         """Release everything, whatever has happened; a second call does nothing."""
-
-
-class InkWatch(Listener):
-    """Says once that images show no ink under a pressing finger, so that silence has a reason."""
-
-    def __init__(self, advise: Callable[[str], None]) -> None:
-        super().__init__()
-        self._advise = advise
-        self._is_done = False
-        self._since_ns: int | None = None
-
-    def step(self, result: StepResult) -> None:
-        image = result.input
-        if self._is_done or not isinstance(image, Frame) or image.stale or not image.force_n > 0:
-            return
-        self._is_done = bool(result.tactile.activation.any())
-        if self._since_ns is None:
-            self._since_ns = image.time_ns
-        if not self._is_done and image.time_ns - self._since_ns >= NO_INK_NS:
-            self._is_done = True
-            self._advise(f"{NO_INK} in the first {NO_INK_NS / 1e9:g} s: nothing can be felt")
-
-    def finish(self, run: RunContext) -> None:
-        if not self._is_done and self._since_ns is not None:
-            self.notes.append(f"{NO_INK}: nothing could be felt")
 
 
 class OnStep(Listener):

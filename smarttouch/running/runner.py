@@ -24,7 +24,7 @@ from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import InkWatch, Listener, RunContext, as_listeners
+from smarttouch.running.listener import Listener, RunContext, as_listeners
 from smarttouch.running.loop import Loop, emit_to, steady_environment
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.program import Program
@@ -70,7 +70,7 @@ class Runner:
         self._force = None if isinstance(force, str) else force
         self._force_url = force if isinstance(force, str) else None
         self.statistics: RunStatistics = RunStatistics()
-        self._listeners = [*as_listeners(listeners), InkWatch(self._advise)]
+        self._listeners = as_listeners(listeners)
         self._vibrated = any(each.vibrates_pc for each in self._listeners)
         self._load_kernels = load_kernels
         self._make_controls = controls
@@ -119,6 +119,7 @@ class Runner:
                     report = context.board.report()
                 ended = self._stop.reason or self.source.ended
                 self._account(report)
+                self.statistics.notes += loop.inputs.notes()
             except BoardStoppedError:
                 ended = self._stop.reason or ended
                 raise
