@@ -142,6 +142,36 @@ def test_a_host_that_stood_still_writes_nothing_any_more(board, port, monkeypatc
     assert board.read() == b""
 
 
+def test_zero_follows_what_was_written_after_the_watchdog_s_zero(board, port, monkeypatch):
+    """The program is stopped between its look and the bytes, and goes on later."""
+    write = port._port.write
+
+    def late(data):
+        if data == b"pattern":
+            until(lambda: port.at_zero)
+        return write(data)
+
+    port.arm()
+    monkeypatch.setattr(port, "_send_beat", lambda: None)
+    monkeypatch.setattr(port._port, "write", late)
+    with pytest.raises(serial.SerialException):
+        port.write(b"pattern")
+    port.close()
+    heard = board.read()
+    assert heard == TWICE + b"pattern" + TWICE
+
+
+def test_a_program_that_was_suspended_writes_nothing_any_more(board, port, monkeypatch):
+    port.arm()
+    port.write(b"pattern")
+    now_s = watched_port._now_s
+    monkeypatch.setattr(watched_port, "_now_s", lambda: now_s() + 5.0)
+    with pytest.raises(serial.SerialException):
+        port.write(b"another")
+    port.close()
+    assert board.read() == b"pattern" + TWICE
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, signal.SIGTERM])
 def test_signals_do_not_end_it(board, port, number):
     port.arm()

@@ -82,18 +82,32 @@ class WatchedPort:
             self._beating.start()
 
     def write(self, data: bytes) -> int:
-        """Write bytes; raise SerialException if the watchdog has ended or may write zero now."""
-        if self._beaten_s is not None:
-            silence_s = time.monotonic() - self._beaten_s
-            if silence_s > STALE * watchdog.SILENCE_S or self._process.poll() is not None:
-                self._end()
-                raise serial.SerialException(
-                    "this program stood still, so its watchdog put the board at zero"
-                    if self.at_zero
-                    else "its watchdog has ended"
-                )
+        """Write bytes; raise SerialException if the watchdog has ended or may write zero now.
+
+        Where this program stood still just before the bytes went out, they may have followed the
+        zero of the watchdog: then zero follows them at once.
+        """
+        self._require_beat()
         self._port.write(data)
+        try:
+            self._require_beat()
+        except serial.SerialException:
+            # Twice, as the first may end a command that was cut.
+            self._port.write(2 * self._zero)
+            raise
         return len(data)
+
+    def _require_beat(self) -> None:
+        if self._beaten_s is None:
+            return
+        silence_s = _now_s() - self._beaten_s
+        if silence_s > STALE * watchdog.SILENCE_S or self._process.poll() is not None:
+            self._end()
+            raise serial.SerialException(
+                "this program stood still, so its watchdog put the board at zero"
+                if self.at_zero
+                else "its watchdog has ended"
+            )
 
     def read(self, count: int = 1) -> bytes:
         """Return as many bytes as come within ``timeout``, at most ``count``."""
@@ -131,7 +145,7 @@ class WatchedPort:
     def _beat(self) -> None:
         while not self._closing.wait(BEAT_S):
             before_s = self._beaten_s or 0.0
-            if time.monotonic() - before_s > STALE * watchdog.SILENCE_S:
+            if _now_s() - before_s > STALE * watchdog.SILENCE_S:
                 # The watchdog may be writing zero already.
                 return
             try:
@@ -142,9 +156,15 @@ class WatchedPort:
                 return
 
     def _send_beat(self) -> None:
-        now_s = time.monotonic()
+        now_s = _now_s()
         self._control.sendall(b".")
         self._beaten_s = now_s
+
+
+def _now_s() -> float:
+    """Return a time that also counts while the computer is suspended, where the system has one."""
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic() if clock is None else time.clock_gettime(clock)
 
 
 def _descriptor(port: Port) -> int:
