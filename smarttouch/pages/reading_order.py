@@ -20,7 +20,7 @@ _LARGEST_INSIDE = 0.6  # part of all lines in a box above which it is the frame 
 _UNDER, _OVER_BESIDE = 0.2, 0.5
 """Least overlap of a line with a box for it to be of the same column, as a part of the shorter of
 them, and relative to the greatest overlap."""
-_APART, _LINES, _MOSTLY_LEVEL = 2.5, 3, 0.95
+_APART, _LINES, _MOSTLY_LEVEL = 2.0, 3, 0.95
 """Least white between slips of paper on one sheet, in usual heights of lines; fewest lines on most;
 and most part of lines level with others."""
 _FAR = 1.5  # white, in line heights, beyond a title above all columns, or a number below

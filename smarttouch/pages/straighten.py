@@ -15,7 +15,7 @@ Corners = NDArray[np.float64]
 
 _SIDE_PX = 480  # longer side of the image in which a sheet is detected
 _LEAST_PART = 0.2  # least part of the photograph covered by a sheet
-_MOST_PART = 0.97  # part above which the image is the sheet itself, scanned
+_LARGEST_PART = 0.97  # part above which the image is the sheet itself, scanned
 _THRESHOLDS = (1.2, 1.0, 0.85, 0.7, 0.6, 0.5, 0.4)
 """Multiples of Otsu's threshold: a shadow on the sheet may be as dark as its background."""
 _LOG_STEPS = (0.15, 0.25, 0.4)
@@ -30,7 +30,7 @@ _LEAST_SIDES = 3  # fewest visible edges; the fourth may be the edge of the phot
 _ROUGH = 0.02  # tolerance of an outline with four corners, as a part of its length
 _LOOSE_PX = 5.0  # largest distance of a side's points from it, in that image
 _INSET = 0.006  # part of the sheet left out at its blurred edges
-_MOST_ANGLE = 35.0  # largest deviation of a corner from a right angle, in degrees
+_LARGEST_ANGLE = 35.0  # largest deviation of a corner from a right angle, in degrees
 
 
 def find_sheet(grey: Grey) -> Corners | None:
@@ -49,7 +49,7 @@ def find_sheet(grey: Grey) -> Corners | None:
             continue
         outline = np.asarray(max(outlines, key=cv2.contourArea), np.int32)
         covered = cv2.contourArea(outline)
-        if not max(_LEAST_PART * small.size, largest) < covered < _MOST_PART * small.size:
+        if not max(_LEAST_PART * small.size, largest) < covered < _LARGEST_PART * small.size:
             continue
         corners = _quadrilateral(outline)
         # A sheet that is lit in part only is the largest that is found.
@@ -89,64 +89,53 @@ def flattened(grey: Grey, corners: Corners) -> Grey:
 
 
 def _quadrilateral(outline: NDArray[np.int32]) -> Corners | None:
-    """Return the corners of an outline that has four, each where two straight sides meet."""
+    """Return the corners of an outline that has four, clockwise from the top left, each where two
+    straight sides meet."""
     hull = cv2.convexHull(outline)
-    length = cv2.arcLength(hull, True)
-    rough = cv2.approxPolyDP(hull, _ROUGH * length, True).reshape(-1, 2).astype(np.float64)
+    rough = cv2.approxPolyDP(hull, _ROUGH * cv2.arcLength(hull, True), True).reshape(-1, 2)
     if len(rough) != 4:
         return None
-    rough = rough[np.argsort(np.arctan2(*(rough - rough.mean(axis=0)).T[::-1]))]
-    # Clockwise as seen, from the one nearest to the top left.
-    rough = np.roll(rough, -int(rough.sum(axis=1).argmin()), axis=0)
-    points = outline.reshape(-1, 2).astype(np.float64)
-    lines = [_side(points, rough[k], rough[(k + 1) % 4]) for k in range(4)]
-    return np.array([_meeting(lines[k - 1], lines[k]) for k in range(4)])
-
-
-def _side(points: Corners, start: Corners, end: Corners) -> NDArray[np.float64]:
-    """Return the line through the points of an outline along a side, as a x + b y + c = 0."""
-    along = (end - start) / np.hypot(*(end - start))
-    normal = np.array([-along[1], along[0]])
-    passed = (points - start) @ along / np.hypot(*(end - start))
-    near = (np.abs((points - start) @ normal) < _LOOSE_PX) & (passed > 0.05) & (passed < 0.95)
-    if near.sum() < 2:
-        return np.array([*normal, -normal @ start])
-    x, y, x0, y0 = cv2.fitLine(points[near].astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01)[:, 0]
-    return np.array([-y, x, y * x0 - x * y0])
-
-
-def _meeting(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    x, y, w = np.cross(first, second)
-    return np.array([x / w, y / w]) if abs(w) > 1e-9 else np.full(2, np.nan)
+    around = rough - rough.mean(axis=0)
+    rough = rough[np.argsort(np.arctan2(around[:, 1], around[:, 0]))]
+    rough = np.roll(rough, -int(rough.sum(axis=1).argmin()), axis=0).astype(np.float64)
+    points, lines = outline.reshape(-1, 2), []
+    for start, side in zip(rough, np.roll(rough, -1, axis=0) - rough, strict=True):
+        length = np.hypot(*side)
+        passed = (points - start) @ side / length**2
+        away = np.abs((points - start) @ (-side[1], side[0])) / length
+        near = points[(away < _LOOSE_PX) & (passed > 0.05) & (passed < 0.95)]
+        if len(near) < 2:
+            return None
+        # A line as a x + b y + c = 0; two of them meet at their cross product.
+        x, y, x0, y0 = cv2.fitLine(near.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01)[:, 0]
+        lines.append((-y, x, y * x0 - x * y0))
+    meeting = np.cross(np.roll(lines, 1, axis=0), lines)
+    return np.asarray(meeting[:, :2] / meeting[:, 2:], np.float64)
 
 
 def _is_sheet(corners: Corners, outline: NDArray[np.int32], paper: Grey) -> bool:
     """Return whether four corners are those of a sheet with a darker background."""
-    if not np.isfinite(corners).all():
-        return False
     area = cv2.contourArea(corners.astype(np.float32))
-    if not _LEAST_FILLED < cv2.contourArea(outline) / max(area, 1.0) < 2 - _LEAST_FILLED:
-        return False
     sides = np.roll(corners, -1, axis=0) - corners
     angle = np.degrees(np.arctan2(sides[:, 1], sides[:, 0]))
     turn = (np.roll(angle, -1) - angle) % 360
-    if np.abs(turn - 90).max() > _MOST_ANGLE:
+    filled = cv2.contourArea(outline) / max(area, 1.0)
+    if np.abs(turn - 90).max() > _LARGEST_ANGLE or abs(filled - 1) > 1 - _LEAST_FILLED:
         return False
-    height, width = paper.shape
     seen = 0
     for corner, side in zip(corners, sides, strict=True):
         along = corner + np.linspace(0.1, 0.9, 40)[:, None] * side
         outwards = np.array([side[1], -side[0]]) / np.hypot(*side)
-        ends = [along + outwards * away for away in (_EDGE_PX, -_EDGE_PX, _SHARP_PX, -_SHARP_PX)]
-        at = np.rint(np.array(ends)).astype(int)
-        within = ((at >= 0) & (at < (width, height))).all(axis=(0, 2))
+        away = np.array([_EDGE_PX, -_EDGE_PX, _SHARP_PX, -_SHARP_PX])
+        at = np.rint(along + away[:, None, None] * outwards).astype(int)
+        within = ((at >= 0) & (at < paper.shape[::-1])).all(axis=(0, 2))
         if within.mean() < 0.5:
             continue
-        outside, inside, near, nearer = (paper[*each[within].T[::-1]].astype(float) for each in at)
-        steps, sharp = inside - outside, nearer - near
-        if np.percentile(steps, 20) < _LEAST_STEP:
-            return False
-        if np.median(sharp) < _LEAST_SHARP * np.median(steps):
+        column, row = at[:, within].transpose(2, 0, 1)
+        outside, inside, near, nearer = paper[row, column].astype(np.float64)
+        steps = inside - outside
+        blurred = np.median(nearer - near) < _LEAST_SHARP * np.median(steps)
+        if blurred or np.percentile(steps, 20) < _LEAST_STEP:
             return False
         seen += 1
     return seen >= _LEAST_SIDES

@@ -309,9 +309,7 @@ _THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
 _FAR = 5.0  # distance of lines, in x-heights, that have nothing to do with each other
 _MEETING, _ONE_BASELINE, _ONE_SIZE = 1.2, 0.35, 1.5
 """White, offset of baselines, in x-heights, and ratio of sizes up to which two lines are one."""
-_SMALLER, _HANGING, _OVER, _FEW_STROKES = 0.7, 1.2, 1.8, 0.75
-"""Size of a row of accents or dots, relative to that of its line, where it is around it, and the
-most strokes of one, per x-height."""
+_SMALLER = 0.7  # size of a row of accents or dots, relative to that of its line
 
 
 def _with_marks(lines: list[Baseline], components: Components) -> list[Baseline]:
@@ -366,19 +364,13 @@ def _joined(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
 
 
 def _belongs(line: Baseline, other: Baseline) -> bool:
-    """Return whether a line consists of dots and accents of another one."""
+    """Return whether a line consists of dots and accents of another one, or stands in it."""
     few = len(line.letters.area) < min(_FEW, len(other.letters.area))
-    if line is other or (line.x_height > _SMALLER * other.x_height and not few):
-        return False
     middle = (line.left + line.right) / 2
-    if not other.left < middle < other.right:
-        return False
-    if abs(other.middle_y - line.middle_y) > _FAR * other.x_height:
+    if (line.x_height > _SMALLER * other.x_height and not few) or line is other:
         return False
     above = float(other.at(np.array(middle)) - line.middle_y) / other.x_height
-    # Small print under a headline is text as well.
-    marks = line.strokes < _FEW_STROKES and -_HANGING < above < _OVER
-    return marks or (-_SMALLER if few else 0) < above < 1
+    return other.left < middle < other.right and (-_SMALLER if few else 0) < above < 1
 
 
 _SAME, _CAPITALS = 0.15, 0.08
