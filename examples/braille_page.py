@@ -40,7 +40,7 @@ lines = braille.lines(text, profile)
 with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
     source = ReadingSource(text.title, profile, lines, braille.motion(profile, 20.0))
-    source.wait_for(0)
+    source.line(0, wait=True)
     display = st.open_display("simulated:", profile)
     statistics = st.run(
         source, display, mode="RA", tone=braille.tone, listeners=[st.DeliveredPicture(felt)]

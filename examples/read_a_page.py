@@ -38,7 +38,7 @@ lines = shapes.lines(text, profile)
 with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
     source = ReadingSource(text.title, profile, lines, shapes.motion(profile))
-    source.wait_for(0)
+    source.line(0, wait=True)
     with st.open_display("simulated:", profile) as display:
         statistics = st.run(
             source, display, tone=shapes.tone, seconds=5, listeners=[st.DeliveredPicture(felt)]

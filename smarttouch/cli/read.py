@@ -61,7 +61,7 @@ def read(
     lines = presentation.lines(text, chosen)
     with ReadingSource(text.title, chosen, lines, motion, pause_s) as reading:
         reading.url, reading.notes = source, notes
-        first_line_awaited(lambda: reading.wait_for(0), run.quiet)
+        first_line_awaited(lambda: reading.line(0, wait=True), run.quiet)
         run.start(
             reading, chosen, _at_level(config, presentation, run.on_a_finger), keys=reading.keys,
             keys_help=reading.keys_help,

@@ -73,15 +73,13 @@ def simulate_page(
         found = legibility_of_shapes(text, reading, true_text, advance)
     if json_file is not None:
         about = {"source": source, "profile": chosen.name, "rows": rows_of(chosen), "notes": notes}
-        write_json(json_file, about | found.figures)
-    rate = found.page_error_rate
-    rows = [
-        ("characters", str(len(found.truth))),
-        ("lines", str(found.lines)),
-        ("error rate, page", "-" if rate is None else f"{rate:.3f}"),
+        figures = {name: value for name, value in vars(found).items() if name != "delivered"}
+        write_json(json_file, about | figures)
+    print_table([
+        ("characters", str(len(found.truth))), ("lines", str(found.lines)),
+        ("error rate, page", "-" if true_text is None else f"{found.page_error_rate:.3f}"),
         ("error rate, delivered", f"{found.character_error_rate:.3f}"),
-    ]
-    print_table(rows, left=2)
+    ], left=2)  # fmt: skip
     typer.echo(f"\nWhat was read from the delivered pulses:\n{found.text}")
     for note in notes:
         typer.echo(note, err=True)

@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -30,7 +31,6 @@ from smarttouch.reading.recognition import Note, recognized_lines
 
 DOT_MM, CELL_MM = 2.34, 6.2
 """Distances from dot to dot and cell to cell (NLS Specification 800)."""
-TONE = Tone(0.5, 0.5, prepared=True)  # tone curve of dots: one electrode each, on or off
 
 
 @dataclass(frozen=True)
@@ -140,11 +140,8 @@ class Braille:
     """Braille presentation: cells under the finger, by a table of `open_table`."""
 
     table: str = DEFAULT_TABLE
-
-    @property
-    def tone(self) -> Tone:
-        """Tone curve from dots to activation."""
-        return TONE
+    tone: ClassVar[Tone] = Tone(0.5, 0.5, prepared=True)
+    """Tone curve from dots to activation: one electrode each, on or off."""
 
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None

@@ -15,6 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -52,11 +53,6 @@ class DisplayContent:
         """Index of the cursor, the only cell with dots 7 and 8; None without one."""
         under = [index for index, cell in enumerate(self.cells) if ord(cell) & _CURSOR == _CURSOR]
         return under[0] if len(under) == 1 else None
-
-    @property
-    def length(self) -> int:
-        """Number of cells up to the last that is not blank."""
-        return len(self.cells.rstrip(BLANK))
 
     def first_new(self, before: "DisplayContent") -> int | None:
         """Return the first cell to be presented again; None if nothing but a cursor has changed.
@@ -212,15 +208,11 @@ class BrailleDisplaySource(StimulusSource):
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
         """Commands to BRLTTY and to the finger, callable from any thread."""
-        send = self.send
+        commands = {"right": "fwinrt", "left": "fwinlt", "n": "lndn", "p": "lnup", "h": "home"}
         return {
-            "right": lambda: send("fwinrt"),
-            "left": lambda: send("fwinlt"),
-            "n": lambda: send("lndn"),
-            "p": lambda: send("lnup"),
-            "h": lambda: send("home"),
-            "\n": lambda: send(f"route {self.cell}"),
-            "\r": lambda: send(f"route {self.cell}"),
+            **{key: partial(self.send, command) for key, command in commands.items()},
+            "\n": lambda: self.send(f"route {self.cell}"),
+            "\r": lambda: self.send(f"route {self.cell}"),
             "r": lambda: self._asked.append(lambda: self._go_to(0)),
             "]": lambda: self._asked.append(lambda: self._go_to(self.cell + 1)),
             "[": lambda: self._asked.append(lambda: self._go_to(max(0, self.cell - 1))),
@@ -279,7 +271,8 @@ class BrailleDisplaySource(StimulusSource):
         self.frames += missed
         self.dropped_frames += missed
         rows, columns = self.layout.dots_of(shown.cells)
-        self._dots = np.zeros((self.layout.rows, max(shown.length * self.layout.cell, 1)), np.bool_)
+        width = len(shown.cells.rstrip(BLANK)) * self.layout.cell
+        self._dots = np.zeros((self.layout.rows, width), np.bool_)
         self._dots[rows, columns] = True
         new, cursor = shown.first_new(before), shown.cursor
         if new is None and cursor is not None and cursor != self._cursor:
@@ -292,4 +285,4 @@ class BrailleDisplaySource(StimulusSource):
         """Return the column of the text in the middle of the array; at last, that behind it."""
         moved_s = max(0.0, self._since_s - REST_S)
         step = self._first * self.layout.cell + int(moved_s * self._columns_a_s + 1e-6)
-        return min(step, self._taken.length * self.layout.cell + self.layout.margin)
+        return min(step, self._dots.shape[1] + self.layout.margin)

@@ -3,7 +3,7 @@
 import math
 import unicodedata
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from statistics import fmean
 from typing import Any
 
@@ -122,7 +122,7 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
     profile = reading.profile
     source = ReadingSource("a line", profile, iter([line]), reading.motion)
     # Wait for the end of the text, too, so that the frames do not depend on the computer's speed.
-    source.wait_for(1)
+    source.line(1, wait=True)
     answers = DeliveredResponses(profile, reading.bank, reading.mode.afferents)
     meant: dict[int, NDArray[np.bool_]] = {}
 
@@ -236,12 +236,6 @@ class Legibility:
     truth: str
     lines: int
     delivered: Sequence[tuple[Sequence[DeliveredLine], str]] = ()
-
-    @property
-    def figures(self) -> dict[str, Any]:
-        """All but the delivered lines, ready for JSON."""
-        names = (each.name for each in fields(self) if each.name != "delivered")
-        return {name: getattr(self, name) for name in names}
 
 
 def legibility_of_shapes(

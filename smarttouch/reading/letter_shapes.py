@@ -1,7 +1,7 @@
 """Letter shapes: single letters on an array, and lines of print."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -66,8 +66,7 @@ class Shapes:
         for prepared in source.prepared():
             words = _words_of(prepared, source)
             for index in range(len(prepared.lines)):
-                line = shape_line(prepared, index, profile)
-                yield replace(line, text=next(words, ""))
+                yield shape_line(prepared, index, profile, next(words, ""))
 
 
 def _words_of(prepared: PreparedPage, source: ReadingMaterial) -> Iterator[str]:
@@ -99,12 +98,12 @@ def _require_fewest_rows(profile: Profile, error: type[SmartTouchError]) -> int:
     return rows
 
 
-def shape_line(prepared: PreparedPage, index: int, profile: Profile) -> TouchLine:
+def shape_line(prepared: PreparedPage, index: int, profile: Profile, text: str = "") -> TouchLine:
     """Return a line of print, magnified so that ascender to descender fills the array."""
     strip = prepared.strip(index, profile.optics.sensor_rows)
     pixel_mm = pixel_pitch_mm(profile)
     half_mm = profile.optics.field_width_mm / 2
-    return TouchLine(strip, -half_mm, strip.shape[1] * pixel_mm + half_mm)
+    return TouchLine(strip, -half_mm, strip.shape[1] * pixel_mm + half_mm, text)
 
 
 def thin(strip: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -8,6 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -123,14 +124,9 @@ class ReadingSource(OpticalSource):
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
         """Forward and back by a line, the line again, and a pause."""
-        return {
-            "right": lambda: self._asked.append(1),
-            "n": lambda: self._asked.append(1),
-            "left": lambda: self._asked.append(-1),
-            "p": lambda: self._asked.append(-1),
-            "r": lambda: self._asked.append(0),
-            " ": self._toggle_pause,
-        }
+        steps = {"right": 1, "n": 1, "left": -1, "p": -1, "r": 0}
+        keys = {key: partial(self._asked.append, step) for key, step in steps.items()}
+        return {**keys, " ": self._toggle_pause}
 
     @property
     def account(self) -> str:
@@ -158,10 +154,6 @@ class ReadingSource(OpticalSource):
         """Distance of lines on the sheet, from middle to middle."""
         return self._shape[0] * self._pixel_mm + LINE_GAP_MM
 
-    def wait_for(self, index: int) -> TouchLine | None:
-        """Return a line as soon as it is ready; None if there is none, or it was long ago."""
-        return self._line(index, wait=True)
-
     def read(self, time_ns: int) -> Frame | None:
         """Return the image under the array at a time; None after the last line."""
         elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
@@ -169,7 +161,7 @@ class ReadingSource(OpticalSource):
         while self._asked:
             earliest = self._count - len(self._lines)
             self._go_to(max(earliest, self.index + self._asked.popleft()))
-        line = self._line(self.index)
+        line = self.line(self.index)
         self.tell_notes(time_ns)
         if line is None and self._is_over:
             return None
@@ -223,8 +215,9 @@ class ReadingSource(OpticalSource):
                 self._queue.put(item, timeout=_AGAIN_S)
                 return
 
-    def _line(self, index: int, wait: bool = False) -> TouchLine | None:
-        """Return a line; None if it is not ready, dropped, or there is none."""
+    def line(self, index: int, wait: bool = False) -> TouchLine | None:
+        """Return a line, for the thread that reads; None if there is none, it was long ago, or is
+        not ready without ``wait``."""
         while index >= self._count and not self._is_over:
             try:
                 item = self._queue.get(wait)
@@ -250,7 +243,7 @@ class ReadingSource(OpticalSource):
     def _go_on(self, beyond_mm: float) -> None:
         """Go to the next line after the pause; the last line has no pause that waits for a key."""
         pause_s = self._pause_s
-        if pause_s == math.inf and self._line(self.index + 1) is None and self._is_over:
+        if pause_s == math.inf and self.line(self.index + 1) is None and self._is_over:
             pause_s = 0.0
         if beyond_mm > pause_s * self._motion.speed_mm_s:
             self._go_to(self.index + 1)

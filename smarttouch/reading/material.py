@@ -134,9 +134,3 @@ def _report_empty_pages(has_text: dict[int, bool], note: Note) -> None:
         )
     if empty := [str(number) for number, has in has_text.items() if not has]:
         note(f"no line of text on page {', '.join(empty)}")
-
-
-def recognized_text(prepared: PreparedPage, options: RecognitionOptions, note: Note) -> str:
-    """Return the text of a page, a line for each paragraph, see `paragraphs`."""
-    texts = [text for _, text in recognized_lines(prepared, options, note)]
-    return "\n".join(paragraphs(printed_lines(1, prepared.lines, texts)))

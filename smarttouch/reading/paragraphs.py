@@ -49,6 +49,11 @@ class PrintedLine:
     x_height_mm: float
     cell: int = 0
 
+    def is_like(self, other: "PrintedLine") -> bool:
+        """Return whether two lines have print of one size."""
+        sizes = sorted((self.x_height_mm, other.x_height_mm))
+        return sizes[1] <= _LARGER * sizes[0]
+
 
 def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) -> list[PrintedLine]:
     """Return the lines of a page with their texts, without empty ones."""
@@ -136,7 +141,7 @@ def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
             continue
         if k and line.page != lines[k - 1].page:
             # Footnotes may stand below the paragraph that continues.
-            alike = (each for each in reversed(found) if layout.is_alike(each.last, k))
+            alike = (each for each in reversed(found) if lines[each.last].is_like(line))
             current = next(alike, None)
         text = _LEADERS.sub(" ", line.text)
         if current is None or layout.begins(current, k):
@@ -201,9 +206,10 @@ class _Layout:
                 other.left_mm for other in page
                 if other.left_mm > lines[k].right_mm and abs(other.y_mm - lines[k].y_mm) < near_mm
             ]  # fmt: skip
+            limit_mm = min(beside, default=np.inf)
             self._edge_mm[k] = max(
                 lines[other].right_mm for other in column
-                if lines[other].right_mm < min(beside, default=np.inf) and self.is_alike(other, k)
+                if lines[other].right_mm < limit_mm and lines[other].is_like(lines[k])
             )  # fmt: skip
 
     def _judge(self, block: Sequence[int]) -> None:
@@ -217,25 +223,18 @@ class _Layout:
         keeps = 0 < _OPEN * len(pairs) <= sum(is_open) or (
             capitals and 3 * even.sum() < 2 * len(pairs)
         )
+        divides = any(_divides(one.text, two.text) for one, two in itertools.pairwise(lines))
         left_mm = np.array([line.left_mm for line in lines])
         hanging = left_mm - left_mm.min() > _INDENT * lines[0].x_height_mm
         for k in block:
             self._alone[k] = not pairs
-            self._keeps[k] = keeps and not any(itertools.starmap(self._divides, pairs))
+            self._keeps[k] = keeps and not divides
             self._hangs[k] = bool(2 * hanging.sum() > len(block))
-
-    def is_alike(self, one: int, other: int) -> bool:
-        """Return whether two lines have print of one size."""
-        sizes = sorted(self._lines[k].x_height_mm for k in (one, other))
-        return sizes[1] <= _LARGER * sizes[0]
 
     def _is_apart(self, before: PrintedLine, line: PrintedLine) -> bool:
         step_mm = line.y_mm - before.y_mm
-        sizes = sorted((before.x_height_mm, line.x_height_mm))
-        return (
-            step_mm <= 0 or step_mm >= _GAP * self._step_mm[line.page]
-            or sizes[1] > _LARGER * sizes[0] or bool(line.cell or before.cell)
-        )  # fmt: skip
+        is_near = 0 < step_mm < _GAP * self._step_mm[line.page]
+        return not (is_near and before.is_like(line)) or bool(line.cell or before.cell)
 
     def _is_ragged(self, before: int, k: int) -> bool:
         """Return whether the first word of a line would have fitted at the end of that before."""
@@ -252,18 +251,10 @@ class _Layout:
         goes_on = self._lines[k].text[0].islower() and not is_short
         return self._is_ragged(before, k) and not goes_on and not _is_sentence(line.text)
 
-    def _divides(self, before: int, k: int) -> bool:
-        """Return whether a hyphen divides a word of two lines."""
-        text, after = self._lines[before].text, self._lines[k].text
-        return (
-            self.is_alike(before, k) and text[-1] in _HYPHENS and text[-2:-1].isalnum()
-            and after[0].isalnum()
-        )  # fmt: skip
-
     def begins(self, paragraph: _Paragraph, k: int) -> bool:
         """Return whether a line begins another paragraph."""
         first, before, line = (self._lines[j] for j in (paragraph.first, paragraph.last, k))
-        if self._divides(paragraph.last, k):
+        if _divides(before.text, line.text):
             return False
         if line.page != before.page or line.y_mm <= before.y_mm:
             return self._begins_column(paragraph.last, k)
@@ -288,7 +279,6 @@ class _Layout:
             re.match(_BULLETS, text) is not None
             or _is_sentence(before)
             or self._is_ragged(paragraph.last, k)
-            or _kind(text) == _kind(paragraph.text)
         )
 
     def _ends(self, before: int, k: int) -> bool:
@@ -302,7 +292,7 @@ class _Layout:
     def _begins_column(self, before: int, k: int) -> bool:
         """Return whether the first line of a column or page begins a paragraph."""
         text, line = self._lines[before].text, self._lines[k]
-        if not self.is_alike(before, k) or re.match(_BULLETS, line.text):
+        if not self._lines[before].is_like(line) or re.match(_BULLETS, line.text):
             return True
         following = self._lines[k + 1] if k + 1 < len(self._lines) else line
         indent_mm = line.left_mm - following.left_mm
@@ -316,15 +306,14 @@ class _Layout:
         return self._ends(before, k)
 
 
+def _divides(text: str, after: str) -> bool:
+    """Return whether a hyphen divides a word of two lines."""
+    return text[-1] in _HYPHENS and text[-2:-1].isalnum() and after[0].isalnum()
+
+
 def _is_sentence(text: str) -> bool:
     """Return whether a line ends as a sentence does."""
     return text.rstrip("\"'”’»)")[-1:] in tuple(".!?:")
-
-
-def _kind(text: str) -> str:
-    """Return what marks of items in one list have in common, or ""."""
-    mark = _MARK.match(text)
-    return re.sub(r"\w+", "1", mark[0]) if mark else ""
 
 
 def _table_rows(cells: Sequence[PrintedLine]) -> list[str]:

@@ -12,7 +12,6 @@ import subprocess
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -32,12 +31,9 @@ Read = tuple[str, float]
 PAGE, BLOCK, _LINE = 3, 6, 7  # page segmentation modes of Tesseract
 LARGEST_SIDE = 32_000  # largest side in pixels; Tesseract refuses images with a side above 32,767
 _TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # of a call, and for each further image
-_WORD = "5"
-"""Level of a word's row in Tesseract's table; others are pages, blocks, paragraphs and lines."""
-_COLUMNS = 12
-"""Columns of Tesseract's table: level, page, block, paragraph, line, word, left, top, width,
-height, confidence, text.
-"""
+_WORD, _COLUMNS = "5", 12
+"""Level of a word's row in Tesseract's table, and its columns: level, page, block, paragraph,
+line, word, left, top, width, height, confidence, text."""
 STRIP_MARGIN = 0.25
 """White margin around a strip, relative to its height. Over noisy and blurred strips, 1.6 % of the
 characters were wrong with it, 3.1 % with 0.15 and 2.3 % with 0.45."""
@@ -62,16 +58,6 @@ class RecognitionOptions:
     light_on_dark: bool | None = None
     languages: str = "eng"
     keep_headers: bool = False  # running heads and page numbers stay in a text
-
-
-def find_tesseract() -> Path:
-    """Return the path of the program."""
-    found = shutil.which("tesseract")
-    if found is None:
-        raise ReadingError(
-            "Tesseract is not installed: apt install tesseract-ocr (or brew install tesseract)"
-        )
-    return Path(found)
 
 
 def recognize(
@@ -142,7 +128,11 @@ def _fitting(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _run_tesseract(options: Sequence[str], image: bytes, timeout_s: float) -> str:
     """Return what Tesseract writes about an image file."""
-    program = find_tesseract()
+    program = shutil.which("tesseract")
+    if program is None:
+        raise ReadingError(
+            "Tesseract is not installed: apt install tesseract-ocr (or brew install tesseract)"
+        )
     try:
         running = subprocess.Popen(
             [program, "stdin", "stdout", *options],

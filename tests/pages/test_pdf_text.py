@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from smarttouch.pages.document import open_document
 from smarttouch.pages.pdf_layout import MADE_SPACE, SPACE, Word, reading_order
-from smarttouch.reading.material import ReadingMaterial, recognized_text
+from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions, upright_page
 
 from .printed import print_page
@@ -200,7 +200,7 @@ def test_the_text_is_that_of_the_layer(tmp_path):
     path = pdf(tmp_path / "a.pdf", *columns(PROSE))
     source = ReadingMaterial(str(path), RecognitionOptions(keep_headers=True))
     (prepared,) = source.prepared()
-    assert recognized_text(prepared, source.options, source.note) == " ".join(PROSE)
+    assert source.paragraphs(str) == [" ".join(PROSE)]
     assert prepared.cleaned.min() < 60
 
 

@@ -62,7 +62,7 @@ def frames_of(source, step_ms=20, most=2000):
 def test_a_line_is_swept_from_before_its_start_to_after_its_end(reading, source_of, make_line):
     line, pixel_mm = make_line(30.0), pixel_pitch_mm(reading)
     source = source_of(line)
-    source.wait_for(1)
+    source.line(1, wait=True)
     frames = [(time_s, frame) for time_s, _, frame in frames_of(source)]
     passed = [each for each in frames if each[0] <= SETTLE_S + 46 / 25]
     assert passed[0][1].pose.x_mm == line.start_mm
@@ -82,7 +82,7 @@ def test_a_line_is_swept_from_before_its_start_to_after_its_end(reading, source_
 
 def test_between_lines_it_is_lifted_for_as_long_as_asked(source_of, make_line):
     source = source_of(make_line(10.0), make_line(10.0), motion=LineMotion(50.0), pause_s=0.5)
-    source.wait_for(2)
+    source.line(2, wait=True)
     frames = frames_of(source)
     lifted = [each for each in frames if each[0] > 1 and each[2].force_n == 0 and each[1] == 0]
     assert lifted[-1][0] - lifted[0][0] == pytest.approx(0.5, abs=0.05)
@@ -95,14 +95,14 @@ def test_between_lines_it_is_lifted_for_as_long_as_asked(source_of, make_line):
 
 def test_text_that_moves_in_steps_stands_still_between_them(source_of, make_line):
     source = source_of(make_line(), motion=LineMotion(25.0, 2.0))
-    source.wait_for(1)
+    source.line(1, wait=True)
     places = [frame.pose.x_mm for *_, frame in frames_of(source) if frame.force_n]
     assert {round(b - a, 9) for a, b in itertools.pairwise(places)} == {0.0, 2.0}
 
 
 def test_keys_go_forward_back_and_again(source_of, make_line):
     source = source_of(*[make_line(text=each) for each in "abcd"])
-    source.wait_for(4)
+    source.line(4, wait=True)
     said, seen = [], []
     source.emit = lambda note: said.append((note.time_ns, note.text))
     for step, key in enumerate(["", "right", "n", "left", "p", "left", "r", "right"]):
@@ -121,7 +121,7 @@ def test_keys_go_forward_back_and_again(source_of, make_line):
 
 def test_a_pause_stands_still_and_a_line_again_begins_at_its_start(source_of, make_line):
     source = source_of(make_line())
-    source.wait_for(1)
+    source.line(1, wait=True)
     source.read(0)
     before = source.read(1500 * MS).pose.x_mm
     assert before > -8
@@ -135,7 +135,7 @@ def test_a_pause_stands_still_and_a_line_again_begins_at_its_start(source_of, ma
 
 def test_a_key_can_be_waited_for(source_of, make_line):
     source = source_of(make_line(10.0), make_line(10.0), motion=LineMotion(50.0), pause_s=math.inf)
-    source.wait_for(2)
+    source.line(2, wait=True)
     for step in range(100):
         source.read(step * 100 * MS)
     assert source.index == 0
@@ -156,13 +156,13 @@ def test_a_line_that_is_late_is_waited_for_in_silence_and_named(source_of, make_
         yield make_line(text="two")
 
     source = source_of(lines())
-    assert source.wait_for(0).text == "one"
+    assert source.line(0, wait=True).text == "one"
     source.read(0)
     source.keys["right"]()
     frame = source.read(20 * MS)
     assert (frame.force_n, source.total, source.account) == (0.0, None, "1 line read: one")
     recognized.set()
-    source.wait_for(2)
+    source.line(2, wait=True)
     source.read(40 * MS)
     assert (source.account, source.total) == ("2 lines read: one / two", 2)
 
@@ -175,12 +175,12 @@ def test_an_error_comes_after_the_lines_before_it(source_of, make_line):
         raise torn
 
     source = source_of(broken())
-    assert source.wait_for(0) is not None
+    assert source.line(0, wait=True) is not None
     assert source.read(0) is not None
     source.keys["right"]()
     for _ in range(2):
         with pytest.raises(ReadingError) as caught:
-            source.wait_for(1)
+            source.line(1, wait=True)
         assert caught.value is torn
 
 
@@ -195,7 +195,7 @@ def test_of_a_book_only_what_lies_near_is_prepared_and_kept(source_of, make_line
     source = source_of(book())
     for step in range(200):
         source.keys["right"]()
-        source.wait_for(step + 1)
+        source.line(step + 1, wait=True)
         source.read(step)
         assert len(made) <= step + AHEAD + 4
     assert source.index == 200
@@ -217,7 +217,7 @@ def test_closed_it_prepares_no_more_and_lets_go_of_where_lines_come_from(source_
             let_go.set()
 
     source = source_of(endless())
-    source.wait_for(0)
+    source.line(0, wait=True)
     source.close()
     go_on.set()
     assert let_go.wait(10)
@@ -238,7 +238,7 @@ def test_whatever_is_pressed_it_stays_on_the_text(speed, keys):
     lines = [TouchLine(np.full((8, 40), 255, np.uint8), -4.0, 24.0) for _ in range(3)]
     profile = profile_for_reading(load_profile("electric-mouse"))
     with ReadingSource("x", profile, iter(lines), LineMotion(speed)) as source:
-        source.wait_for(3)
+        source.line(3, wait=True)
         for step, key in enumerate(keys):
             source.keys.get(key, lambda: None)()
             frame = source.read(step * 50 * MS)
