@@ -67,13 +67,12 @@ class _Pass(NamedTuple):
 
 
 class _Sent(NamedTuple):
-    """Sequence that was let through, with the number of its passes in the window."""
+    """Sequence that was let through; its first pass is in the window."""
 
     first: _Pass
     period_ns: int
     times: int
     flows: bool
-    entered: int = 1
 
     def begun_by(self, now_ns: int) -> int:
         """Return the number of passes begun by a time: one at least, which waits for its turn."""
@@ -82,7 +81,7 @@ class _Sent(NamedTuple):
     def repetitions(self, begun: int) -> list[_Pass]:
         """Return the passes that have begun since, but for those of long ago."""
         found = []
-        for index in range(max(self.entered, begun - WINDOW_NS // self.period_ns - 2), begun):
+        for index in range(max(1, begun - WINDOW_NS // self.period_ns - 2), begun):
             by_ns, first = index * self.period_ns, self.first
             found.append(
                 first._replace(start_ns=first.start_ns + by_ns, end_ns=first.end_ns + by_ns)
@@ -180,9 +179,10 @@ class Exposure:
         session, session_ns = self._session + times * sums, self._session_ns
         session_ns += period_ns * times * flows
         if last is not None:
-            begun = last.begun_by(now_ns)
+            begun = 1 if last.times == 1 else last.begun_by(now_ns)
             start_ns = max(now_ns, last.first.start_ns + begun * last.period_ns)
-            entered = last.repetitions(begun)
+            if begun > 1:
+                entered = last.repetitions(begun)
             if left := last.times - begun:
                 # Cut short by this sequence: they were counted, and are not delivered.
                 session_ns -= left * last.period_ns * last.flows
@@ -203,11 +203,10 @@ class Exposure:
             raise refusal("session_mc", charge_mc, self._limits.session_mc, electrode=at)
         # From here on nothing is refused.
         self._net_at_most = net_at_most
-        self._add(entered)
+        self._add([*entered, first])
         while window and window[0].end_ns <= now_ns - WINDOW_NS:
             self._second_at_most -= window.popleft().most
         self._last = _Sent(first, period_ns, times, flows)
-        self._add([first])
         self._session, self._session_ns = session, session_ns
 
     def _add(self, passes: list[_Pass]) -> None:

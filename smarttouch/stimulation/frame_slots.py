@@ -126,8 +126,12 @@ class FrameSlots:
         first = np.zeros(count + 1, np.intp)
         points.cumsum(out=first[1:])
         kernel = np.concatenate([kernel, len(self._sites) + alone])
-        sums = self._sums(first, kernel, intensity * scale)
-        if sums is not None:
+        sums = None
+        if self._table is not None:
+            amplitude = np.rint(1000 * PER_UA * intensity * self._peaks_ma.take(kernel) * scale)
+            sums = KernelLists(
+                self._table, first, self._rows.take(kernel), amplitude.astype(np.uint16)
+            )
             current_ua = sums.current_ua
         elif count:
             scaled_ua = self._kernels_ma.take(kernel, axis=0) * (1000 * intensity * scale)[:, None]
@@ -143,15 +147,6 @@ class FrameSlots:
         proof = SelectivityReport(points.astype(np.uint16), *do)
         return Slots(site, current_ua, self._widths_us[:count], proof, sums)
 
-    def _sums(
-        self, first: NDArray[np.intp], kernel: NDArray[np.intp], scale: Array
-    ) -> KernelLists | None:
-        """Return slots as sums of the table's kernels; None without one."""
-        if self._table is None:
-            return None
-        amplitude = np.rint(1000 * PER_UA * self._peaks_ma.take(kernel) * scale)
-        return KernelLists(self._table, first, self._rows.take(kernel), amplitude.astype(np.uint16))
-
     def _parts(self, level: Array) -> list[list[int]]:
         """Return the shared kernels of each slot of several points, set after set, each slot filled
         in the order of strength as far as total current allows."""
@@ -163,9 +158,9 @@ class FrameSlots:
         parts: list[list[int]] = []
         sums_ma: list[float] = []
         first, before = 0, -1
-        rows = (active, totals_ma, owners)
+        indexes, totals = active.take(order).tolist(), totals_ma.take(order).tolist()
         for index, total_ma, owner in zip(
-            *(each.take(order).tolist() for each in rows), strict=True
+            indexes, totals, owners.take(order).tolist(), strict=True
         ):
             if owner != before:
                 first, before = len(parts), owner

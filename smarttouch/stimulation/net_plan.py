@@ -73,7 +73,10 @@ class NetPlan:
         """Enter a sequence with net charge (E,) pC and slots of `busy_us`; return its shortest
         period, not below `period_us`."""
         most_pc = float(np.abs(net_pc).max())
-        self._enter(time_us + busy_us, most_pc, net_pc)
+        self._passes.append(_Pass(time_us + busy_us, most_pc, net_pc))
+        self._at_most_pc += most_pc
+        self._newest_at_most_pc += most_pc
+        self._sum_pc += net_pc
         count, needed_us = len(self._passes), float(period_us)
         carried_pc = float(np.abs(self._sum_pc).max()) + self._unknown_pc
         span_us = min(time_us + period_us - self._passes[0].end_us, WINDOW_US)
@@ -95,12 +98,6 @@ class NetPlan:
                 end_us = self._passes[count - room - 1].end_us
                 needed_us = max(needed_us, end_us + WINDOW_US - time_us)
         return needed_us
-
-    def _enter(self, end_us: float, most_pc: float, net_pc: Array) -> None:
-        self._passes.append(_Pass(end_us, most_pc, net_pc))
-        self._at_most_pc += most_pc
-        self._newest_at_most_pc += most_pc
-        self._sum_pc += net_pc
 
     def _forget(self, time_us: float) -> None:
         """Remove passes that are no longer in a window that begins before a time."""

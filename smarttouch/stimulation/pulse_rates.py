@@ -27,9 +27,15 @@ class ScanTiming:
         self, slots: int, electrodes: int, width_us: float, discharge_us: float
     ) -> int:
         """Return the shortest period of a scan of active points, µs; times of slots are means."""
+        return self.possible_period_us(self.scan_time_us(slots, electrodes, width_us, discharge_us))
+
+    def scan_time_us(
+        self, slots: int, electrodes: int, width_us: float, discharge_us: float
+    ) -> float:
+        """Return the time that a scan takes of its period, µs."""
         taken = electrodes if self.every_electrode else slots
         busy_us = taken * (width_us + discharge_us + self.slot_extra_us) + self.scan_us
-        return self.possible_period_us(busy_us / self.load)
+        return busy_us / self.load
 
     def possible_period_us(self, period_us: float) -> int:
         """Return the shortest period possible on the board that is not below this one, µs.

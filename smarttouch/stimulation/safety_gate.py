@@ -173,7 +173,7 @@ class SafetyGate:
             Naming the limit, the slot and electrode, and by how much.
         """
         with self._lock:
-            times = _whole(times, "times")
+            times = times if type(times) is int else _whole(times, "times")
             if times < 1:
                 raise SafetyError(f"{times} repetitions: there must be one at least", limit="times")
             copy = frozen(sequence)
@@ -272,8 +272,6 @@ class SafetyGate:
 
 def _whole(value: Any, name: str) -> int:
     """Return a whole number as a plain one, or raise."""
-    if type(value) is int:
-        return value
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise SafetyError(f"{name} is {value!r}, must be a whole number", limit=name)
     return int(value)
@@ -309,7 +307,8 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
             )
         fields[name] = unwritable(plain)
     for name in ("period_us", "time_ns", "recharge_us"):
-        fields[name] = _whole(getattr(sequence, name), name)
+        value = getattr(sequence, name)
+        fields[name] = value if type(value) is int else _whole(value, name)
     value = sequence.intensity
     if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)):
         raise SafetyError(f"intensity is {value!r}, must be a number", limit="intensity")

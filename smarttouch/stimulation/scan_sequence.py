@@ -40,10 +40,7 @@ def unsupported_reason(profile: Profile) -> str | None:
 
 PER_UA = 4  # amplitudes are in quarters of a µA
 SHIFT = 17  # a weight of 2^15 times an amplitude of 4 is one µA: 2^17
-MOST_KERNELS = 0xFFFF
 _BLOCK = 1 << 15
-_MOST_SUMMED_BYTES = 1 << 24
-"""Bytes of weights up to which their running sums are kept, which take four times as much."""
 _ABOVE = 1 << 30  # above what any slot's electrodes carry together, µA; a multiple of 2^16
 
 Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
@@ -82,15 +79,13 @@ class KernelTable:
         return cls(np.concatenate(parts), site, points, sharing)
 
     @cached_property
-    def _all_so_far_ua(self) -> NDArray[np.float64]:
-        return _so_far_ua(self.weights)
+    def so_far_ua(self) -> NDArray[np.float64]:
+        """Current of each kernel summed from electrode 0 to each other, (K, E) µA, at amplitude 1.
 
-    def so_far_ua(self, kernel: NDArray[np.uint16]) -> NDArray[np.float64]:
-        """Return the current of kernels (N,) summed from electrode 0 to each, (N, E) µA, at
-        amplitude 1."""
-        if self.weights.nbytes <= _MOST_SUMMED_BYTES:
-            return self._all_so_far_ua.take(kernel, axis=0)
-        return _so_far_ua(self.weights.take(kernel, axis=0))
+        It takes four times the memory of the weights.
+        """
+        # By a power of two: exact.
+        return np.cumsum(self.weights, axis=1, dtype=np.float64) * 2.0**-SHIFT
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +123,7 @@ class KernelLists:
             rows = slice(start, min(start + step, slots))
             pairs = slice(first[start], first[rows.stop])
             # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
-            scaled = self.table.so_far_ua(self.kernel[pairs])
+            scaled = self.table.so_far_ua.take(self.kernel[pairs], axis=0)
             scaled *= scale[pairs]
             if len(scaled) > rows.stop - start:
                 scaled = np.add.reduceat(scaled, first[rows] - first[start], axis=0)
@@ -152,13 +147,6 @@ class KernelLists:
 def unwritable(values: NDArray[Any]) -> NDArray[Any]:
     """Return a copy that nothing can write to: it is backed by bytes."""
     return np.frombuffer(values.tobytes(), values.dtype).reshape(values.shape)
-
-
-def _so_far_ua(weights: NDArray[np.int16]) -> NDArray[np.float64]:
-    summed = np.cumsum(weights, axis=1, dtype=np.float64)
-    # By a power of two: exact.
-    summed *= 2.0**-SHIFT
-    return summed
 
 
 def largest_amplitude(
@@ -269,15 +257,6 @@ class ScanSequence:
         return len(self.width_us)
 
     @property
-    def drives(self) -> bool:
-        """Whether any slot has current."""
-        current_ua = self.current_ua
-        if not current_ua.size:
-            return False
-        # The first slot's own electrode nearly always has.
-        return bool(current_ua[0, self.site[0] % self.electrodes] or current_ua.any())
-
-    @property
     def peak_pc(self) -> int:
         """Largest charge of one pulse of one electrode, pC."""
         return peak_pc(self.current_ua, self.width_us)
@@ -312,8 +291,5 @@ def peak_pc(current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
     """Return the largest charge of one electrode in slots of (S, E) µA and (S,) µs, pC."""
     if not current_ua.size:
         return 0
-    longest_us = int(width_us.max())
-    if longest_us == width_us.min():
-        return max(int(current_ua.max()), -int(current_ua.min())) * longest_us
     high_ua, low_ua = current_ua.max(axis=1), current_ua.min(axis=1).astype(np.int64)
     return int((np.maximum(high_ua, -low_ua) * width_us).max())

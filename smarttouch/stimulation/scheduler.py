@@ -102,7 +102,9 @@ class ScanScheduler:
         steps_ns = 0, 2 * FIRST_NS, MOST_STEP_NS
         self._steps = [each / self._limits.ramp_ns for each in steps_ns]
         # Before anything is sent: the longest scan must be possible too.
-        self._shortest_us(self._electrodes, self._electrodes * pulse.width_us)
+        timing.possible_period_us(
+            self._shortest_us(self._electrodes, self._electrodes * pulse.width_us)
+        )
         self.asked_us: int = 0
         self.net_slowed: int = 0
         self.net_emptied: int = 0
@@ -137,8 +139,9 @@ class ScanScheduler:
         made, intensity = self._within_ramp(due, image, intensity, allowed, adaptation)
         current_ua, width_us, slots = made.current_ua, made.width_us, len(made.site)
         pulses_us = int(np.add.reduce(width_us, dtype=np.int64))
-        asked_us = timing.possible_period_us(self.asked_us)
-        period_us = max(asked_us, self._shortest_us(slots, pulses_us))
+        period_us = timing.possible_period_us(
+            max(self.asked_us, self._shortest_us(slots, pulses_us))
+        )
         # No electrode gets more pulses than there are slots.
         felt_us = min(self._felt_us, _PULSE_US * slots)
         if slots and max(self._charge_us, felt_us) > min(period_us, BURST_US):
@@ -169,10 +172,10 @@ class ScanScheduler:
                 "mode color is for stimuli with periods of their own, and this source gives none: "
                 "choose RA"
             )
-        share = rate_share(pressure, self._softness)
+        share = {Afferent.SAI: rate_share(pressure, self._softness)}
         if len(self._rate_hz) > 1:
-            return self._rates.due(image.time_ns, {Afferent.RA: 1.0, Afferent.SAI: share})
-        slowed_hz = self._rate_hz[self._first] * (share if self._first is Afferent.SAI else 1.0)
+            return self._rates.due(image.time_ns, {Afferent.RA: 1.0} | share)
+        slowed_hz = self._rate_hz[self._first] * share.get(self._first, 1.0)
         return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
 
     def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Afferent, ...]:
@@ -276,9 +279,10 @@ class ScanScheduler:
             )
         return needed_us
 
-    def _shortest_us(self, slots: int, pulses_us: int) -> int:
-        """Return the shortest period of slots whose pulses take so long together, µs."""
-        timing, rest_us = self._timing, float(self._discharges_us[0])
+    def _shortest_us(self, slots: int, pulses_us: int) -> float:
+        """Return the shortest time of slots whose pulses take so long together, µs."""
         mean_us = pulses_us / slots if slots else 0.0
-        shortest = timing.shortest_period_us(slots, self._electrodes, mean_us, rest_us)
-        return max(shortest, timing.possible_period_us(pulses_us / self._duty))
+        scan_us = self._timing.scan_time_us(
+            slots, self._electrodes, mean_us, float(self._discharges_us[0])
+        )
+        return max(scan_us, pulses_us / self._duty)
