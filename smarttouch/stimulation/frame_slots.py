@@ -1,5 +1,6 @@
 """Slots with several points each, of one afferent class: the same frame in fewer slots."""
 
+from functools import lru_cache
 from itertools import chain
 
 import numpy as np
@@ -65,6 +66,7 @@ class FrameSlots:
             FrameBounds(frames.other, frames.spill, frames.uneven)
         )
         """Intensity from which no sum breaks a bound, whatever rounding to whole numbers does."""
+        self._figures = lru_cache(maxsize=1)(self._certain.figures)
         self._most_ma = profile.total_ma - self._certain.total_ua / 1000
         self._shared_ma = np.concatenate([np.empty((0, count)), *(each.kernels for each in sets)])
         self._sites = np.concatenate([np.empty(0, np.intp), *(each.sites for each in sets)])
@@ -140,7 +142,7 @@ class FrameSlots:
             current_ua = np.empty((0, len(level)), np.int16)
         do = np.empty((2, count), np.float32)
         owner = self._owner.take(kernel.take(first[:shared]))
-        do[:, :shared] = self._certain.figures(intensity).take(owner, axis=1)
+        do[:, :shared] = self._figures(intensity).take(owner, axis=1)
         # A faint point does so much less: figures are scaled to level 1.
         np.multiply(self._points_do[:, alone], alone_level, out=do[:, shared:])
         site = self._kernel_sites.take(kernel.take(first[:-1])).astype(np.uint16)

@@ -291,5 +291,8 @@ def peak_pc(current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
     """Return the largest charge of one electrode in slots of (S, E) µA and (S,) µs, pC."""
     if not current_ua.size:
         return 0
+    longest_us = int(width_us.max())
+    if longest_us == width_us.min():
+        return max(int(current_ua.max()), -int(current_ua.min())) * longest_us
     high_ua, low_ua = current_ua.max(axis=1), current_ua.min(axis=1).astype(np.int64)
     return int((np.maximum(high_ua, -low_ua) * width_us).max())

@@ -138,7 +138,7 @@ class ScanScheduler:
         due, self.asked_us = self._due(image, pressure)
         made, intensity = self._within_ramp(due, image, intensity, allowed, adaptation)
         current_ua, width_us, slots = made.current_ua, made.width_us, len(made.site)
-        pulses_us = int(np.add.reduce(width_us, dtype=np.int64))
+        pulses_us = sum(width_us.tolist())
         period_us = timing.possible_period_us(
             max(self.asked_us, self._shortest_us(slots, pulses_us))
         )

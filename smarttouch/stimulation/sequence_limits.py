@@ -198,28 +198,25 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
 
     Raise if a time breaks its limits.
     """
-    period_us, width_us, rest_us = sequence.period_us, sequence.width_us, sequence.discharge_us
+    period_us, recharge_us = sequence.period_us, sequence.recharge_us
     if not limits.period_us <= period_us <= LONGEST_PERIOD_US:
         raise refusal("rate_hz", period_us, limits.period_us)
-    if not len(width_us):
+    widths_us, rests_us = sequence.width_us.tolist(), sequence.discharge_us.tolist()
+    if not widths_us:
         return 0, 0, 0
-    longest_us = int(np.maximum.reduce(width_us))
-    pulses_us = int(np.add.reduce(width_us, dtype=np.int64))
-    busy_us = pulses_us + int(np.add.reduce(rest_us, dtype=np.int64)) + sequence.recharge_us
-    needed_us = busy_us + LEAST_DISCHARGE_US * (sequence.recharge_us > 0)
+    longest_us, pulses_us = max(widths_us), sum(widths_us)
+    busy_us = pulses_us + sum(rests_us) + recharge_us
+    needed_us = busy_us + LEAST_DISCHARGE_US * (recharge_us > 0)
     if needed_us > period_us:
         raise refusal("period_us", needed_us, period_us)
     part, whole = limits.duty_ratio
-    flowing_us = pulses_us + sequence.recharge_us
+    flowing_us = pulses_us + recharge_us
     if flowing_us * whole > part * period_us:
         raise refusal("duty", flowing_us / period_us, limits.duty)
-    shortest_us = int(np.minimum.reduce(width_us))
-    if longest_us > limits.pulse_whole_us or shortest_us == 0:
-        wrong_us = longest_us if shortest_us else 0
-        raise refusal("pulse_us", wrong_us, limits.pulse_us)
-    if np.minimum.reduce(rest_us) < LEAST_DISCHARGE_US:
-        slot = int(rest_us.argmin())
-        raise refusal("discharge_us", int(rest_us[slot]), LEAST_DISCHARGE_US, slot)
+    if longest_us > limits.pulse_whole_us or 0 in widths_us:
+        raise refusal("pulse_us", 0 if 0 in widths_us else longest_us, limits.pulse_us)
+    if (least_us := min(rests_us)) < LEAST_DISCHARGE_US:
+        raise refusal("discharge_us", least_us, LEAST_DISCHARGE_US, rests_us.index(least_us))
     return longest_us, pulses_us, busy_us
 
 
