@@ -50,6 +50,7 @@ from smarttouch.kernels.bank import KernelBank as KernelBank
 from smarttouch.kernels.design_problem import Kernel as Kernel
 from smarttouch.kernels.design_problem import KernelKind as KernelKind
 from smarttouch.pages.page_image import Page as Page
+from smarttouch.pages.page_image import TextLine as TextLine
 from smarttouch.physiology.anatomy import Anatomy as Anatomy
 from smarttouch.physiology.anatomy import Bystander as Bystander
 from smarttouch.physiology.anatomy import BystanderAnatomy as BystanderAnatomy

@@ -8,6 +8,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from smarttouch.pages.components import Components, Ink
+from smarttouch.pages.page_image import curve_at
 
 Floats = NDArray[np.float64]
 
@@ -82,16 +83,6 @@ class Baseline:
         deep = (self.fall > _DEEP[0] * self.x_height) & (self.fall < _DEEP[1] * self.x_height)
         low = (np.abs(self.fall) < near) | deep
         return float(min(_on_levels(self.rise, self.x_height).sum(axis=0).mean(), low.mean()))
-
-
-def curve_at(coefficients: Floats, distance: Floats, length: float) -> Floats:
-    """Return a curve at distances from its start; straight beyond its ends."""
-    inside = np.clip(distance, 0, length)
-    y, slope = np.zeros_like(inside), np.zeros_like(inside)
-    for coefficient in coefficients[::-1].tolist():
-        # Horner's method; numpy's polynomials take several times as long.
-        y, slope = y * inside + coefficient, slope * inside + y
-    return np.asarray(y + slope * (distance - inside), np.float64)
 
 
 def measure_row(ink: Ink, letters: Components, slope: float | None = None) -> Baseline:

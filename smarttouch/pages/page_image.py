@@ -6,19 +6,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from smarttouch.base.errors import PageError
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
 from smarttouch.pages.grey_image import ORIENTATION, read_pixels, to_grey
-
-if TYPE_CHECKING:
-    from smarttouch.pages.text_lines import TextLine
 
 MOST_PIXELS = 100_000_000
 FEWEST_PIXELS = 8  # least side of a page
@@ -36,6 +34,61 @@ _SUBFILE, _NO_PAGE = 254, 1 | 4  # tag of a TIFF; bits of reduced images and mas
 _OLD_SUBFILE, _REDUCED = 255, 2
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions that Pillow raises on damaged files."""
+
+
+def curve_at(
+    coefficients: NDArray[np.float64], distance: NDArray[np.float64], length: float
+) -> NDArray[np.float64]:
+    """Return a curve at distances from its start; straight beyond its ends."""
+    inside = np.clip(distance, 0, length)
+    y, slope = np.zeros_like(inside), np.zeros_like(inside)
+    for coefficient in coefficients[::-1].tolist():
+        # Horner's method; numpy's polynomials take several times as long.
+        y, slope = y * inside + coefficient, slope * inside + y
+    return np.asarray(y + slope * (distance - inside), np.float64)
+
+
+@dataclass(frozen=True)
+class TextLine:
+    """Line of text, mm from the page's top left corner."""
+
+    left_mm: float
+    right_mm: float
+    baseline: tuple[float, ...]  # coefficients of y, lowest first, over the distance from left_mm
+    x_height_mm: float
+    ascent_mm: float  # of all lines of one print, whichever letters they have
+    descent_mm: float
+    cell: int = 0  # its place in a row of a table, from 1; 0 elsewhere
+
+    def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the baseline's y at x, mm; straight beyond the line's ends."""
+        length = self.right_mm - self.left_mm
+        return curve_at(np.array(self.baseline), x_mm - self.left_mm, length)
+
+    def slope(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the slope of the baseline at x, positive if it falls."""
+        inside = np.clip(x_mm - self.left_mm, 0, self.right_mm - self.left_mm)
+        return np.asarray(polynomial.polyval(inside, polynomial.polyder(self.baseline)))
+
+    @property
+    def height_mm(self) -> float:
+        """Height from the lowest to the highest print."""
+        return self.ascent_mm + self.descent_mm
+
+    @property
+    def top_mm(self) -> float:
+        """Top of its print, on average over the line."""
+        return self._mean_mm - self.ascent_mm
+
+    @property
+    def bottom_mm(self) -> float:
+        """Bottom of its print, on average over the line."""
+        return self._mean_mm + self.descent_mm
+
+    @property
+    def _mean_mm(self) -> float:
+        length = self.right_mm - self.left_mm
+        return sum(c * length**k / (k + 1) for k, c in enumerate(self.baseline))
 
 
 @dataclass(frozen=True, eq=False)

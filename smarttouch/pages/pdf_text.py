@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.pages.grey_image import LUMA
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_image import Page, TextLine
 from smarttouch.pages.pdf_layout import MADE_SPACE, SPACE, Line, Word, reading_order, split
-from smarttouch.pages.text_lines import TextLine, find_lines
+from smarttouch.pages.text_lines import find_lines
 
 if TYPE_CHECKING:
     import pypdfium2

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from smarttouch.base.errors import PageError
-from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page
+from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page, TextLine
 from smarttouch.pages.straighten import straighten
-from smarttouch.pages.text_lines import TextLine, page_lines
+from smarttouch.pages.text_lines import page_lines
 
 _AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
 SIDES = 0.25  # paper kept before and after a line, in heights of the line

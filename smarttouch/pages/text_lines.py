@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from smarttouch.pages.baselines import Baseline, Floats, curve_at, measure_row
+from smarttouch.pages.baselines import Baseline, Floats, measure_row
 from smarttouch.pages.components import (
     Components,
     Ink,
@@ -24,54 +24,11 @@ from smarttouch.pages.components import (
     without_specks,
 )
 from smarttouch.pages.ink import Paper, separate_ink
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_image import Page, TextLine
 from smarttouch.pages.panels import turn_panels
 from smarttouch.pages.reading_order import reading_order
 from smarttouch.pages.rows import find_rows
 from smarttouch.pages.tesseract_layout import blocks_of_lines
-
-
-@dataclass(frozen=True)
-class TextLine:
-    """Line of text, mm from the page's top left corner."""
-
-    left_mm: float
-    right_mm: float
-    baseline: tuple[float, ...]  # coefficients of y, lowest first, over the distance from left_mm
-    x_height_mm: float
-    ascent_mm: float  # of all lines of one print, whichever letters they have
-    descent_mm: float
-    cell: int = 0  # its place in a row of a table, from 1; 0 elsewhere
-
-    def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the baseline's y at x, mm; straight beyond the line's ends."""
-        length = self.right_mm - self.left_mm
-        return curve_at(np.array(self.baseline), x_mm - self.left_mm, length)
-
-    def slope(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the slope of the baseline at x, positive if it falls."""
-        inside = np.clip(x_mm - self.left_mm, 0, self.right_mm - self.left_mm)
-        return np.asarray(polynomial.polyval(inside, polynomial.polyder(self.baseline)))
-
-    @property
-    def height_mm(self) -> float:
-        """Height from the lowest to the highest print."""
-        return self.ascent_mm + self.descent_mm
-
-    @property
-    def top_mm(self) -> float:
-        """Top of its print, on average over the line."""
-        return self._mean_mm - self.ascent_mm
-
-    @property
-    def bottom_mm(self) -> float:
-        """Bottom of its print, on average over the line."""
-        return self._mean_mm + self.descent_mm
-
-    @property
-    def _mean_mm(self) -> float:
-        length = self.right_mm - self.left_mm
-        return sum(c * length**k / (k + 1) for k, c in enumerate(self.baseline))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.pages.text_lines import TextLine
+from smarttouch.pages.page_image import TextLine
 from smarttouch.reading.recognition import Note
 
 _GAP = 1.35  # ratio of a distance of lines to the usual one from which a paragraph begins

@@ -16,11 +16,11 @@ from smarttouch.base.tables import read_csv
 from smarttouch.pages.document import open_document, password_of
 from smarttouch.pages.file_kinds import FileKind, file_kind
 from smarttouch.pages.ink import is_light_on_dark, reduced, separate_ink
-from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page
+from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page, TextLine
 from smarttouch.pages.pandoc_text import read_pandoc_text
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
-from smarttouch.pages.text_lines import TextLine, find_lines
+from smarttouch.pages.text_lines import find_lines
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 

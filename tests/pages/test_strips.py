@@ -4,9 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.page_image import Page, TextLine
 from smarttouch.pages.prepared_page import SIDES, cut_strip, prepare_page
-from smarttouch.pages.text_lines import TextLine
 
 from ..said import numbers_in
 from .printed import degrade, print_page, some_lines

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skimage import data
 
-from smarttouch.pages.page_image import Page
-from smarttouch.pages.text_lines import TextLine, find_lines
+from smarttouch.pages.page_image import Page, TextLine
+from smarttouch.pages.text_lines import find_lines
 
 from .printed import Printed, degrade, print_page, some_lines
 
