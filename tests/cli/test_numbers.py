@@ -90,7 +90,7 @@ def chosen_runs():
 
 def test_every_command_with_numbers_is_tried():
     assert {name for name, _ in OPTIONS} == set(BASES)
-    assert len(OPTIONS) > 30
+    assert len(OPTIONS) > 25
 
 
 def one_run(folder, arguments, patience_s=PATIENCE_S):
