@@ -15,7 +15,7 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.base import clock
+from smarttouch.base import posix
 from smarttouch.base.clock import MonotonicClock
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
@@ -108,7 +108,7 @@ def test_period_errors(load, row, quick, hog, kajimoto, monkeypatch):
             for name, (prioritized, spin_ns) in WAITS.items():
                 with monkeypatch.context() as patch, hog(LOADS[load]):
                     if not prioritized:
-                        patch.setattr(clock, "_FIFO", None)
+                        patch.setattr(posix, "_FIFO", None)
                     off_us = errors_us(kajimoto, rate_hz, seconds, spin_ns, patch)
                 found[name].append([len(off_us), *np.percentile(off_us, (50, 99, 100))])
         for name, runs in found.items():
