@@ -7,12 +7,12 @@ from typing import Any, ClassVar, Self, TypedDict
 from pydantic import (
     ConfigDict,
     Field,
-    ModelWrapValidatorHandler,
     ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
 )
+from pydantic.functional_validators import ModelWrapValidatorHandler
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError, TableError, choice_of, require_within
