@@ -72,15 +72,8 @@ class CsvTable:
 
 def read_csv(path: Path, error: type[SmartTouchError]) -> CsvTable:
     """Read a table of cells between commas; raises the given type of error."""
-    return parse_csv(read_text(path, error), path, error)
-
-
-def parse_csv(
-    text: str, path: Path, error: type[SmartTouchError], delimiter: str = ",", strict: bool = False
-) -> CsvTable:
-    """Return the table in a text; if strict, open quotes are an error, too."""
     try:
-        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=strict)
+        reader = csv.reader(io.StringIO(read_text(path, error), newline=""))
         found = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
     except csv.Error as failure:
         message = f"{path} is no CSV file ({failure}): save it as one in UTF-8"

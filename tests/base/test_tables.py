@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from smarttouch.base.errors import SmartTouchError, SourceError
-from smarttouch.base.tables import finite, parse_csv, read_csv
+from smarttouch.base.errors import SourceError
+from smarttouch.base.tables import finite, read_csv
 
 from ..raising import raises
 
@@ -46,13 +46,6 @@ def test_errors_are_reported_with_their_line(table, text, about, value):
 
 def test_columns_need_not_rise(table):
     assert table("a,b\n2,0\n1,0\n").numbers(("a", "b"), rising=False)[:, 0].tolist() == [2, 1]
-
-
-def test_a_quote_that_is_left_open_is_refused_where_asked(tmp_path):
-    text = 'a\n"1'
-    assert parse_csv(text, tmp_path, SmartTouchError).rows == [["1"]]
-    with raises(SmartTouchError, names="file", value=tmp_path):
-        parse_csv(text, tmp_path, SmartTouchError, strict=True)
 
 
 @pytest.mark.parametrize("text", ["", "x", "nan", "-inf", "1,5"])
