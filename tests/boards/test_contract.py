@@ -129,8 +129,10 @@ class Contract(DriverContract):
                 report = board.report()
                 assert (board.acknowledged, board.refused, board.replaced) == (5, 0, 0)
             assert (report.sequences, report.pulses) == (5, report.slots * self.electrodes)
-            # On a busy computer a board of its own clock may scan one more often.
-            assert report.slots == 16 or (not self.counts_passes and 16 < report.slots <= 40)
+            # On a busy computer a board of its own clock may scan one more often, and how often
+            # it has is known within bounds, of which slots and pulses are the lower.
+            assert report.slots == 16 or (not self.counts_passes and report.slots <= 40)
+            assert (report.most_pulses or report.pulses) >= 16 * self.electrodes
             assert report.violations == 0
             assert report.max_current_ma == pytest.approx(1e-3 * self.level_ua, rel=0.05)
             self.check_delivered(kind)
