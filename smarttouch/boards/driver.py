@@ -129,7 +129,8 @@ class Driver(ABC):
 
     def measure(self, proved: list[ProvedSequence]) -> Impedance:
         """Run the `measuring_scans`, which were proved, and return the impedances."""
-        raise NotImplementedError
+        # Called where `measuring_scans` returns any: whoever writes one writes the other.
+        raise NotImplementedError(f"{type(self).__name__} has measuring_scans, and no measure")
 
     def status(self) -> BoardReport | None:
         """Return the device's own report of what it delivered; None to use the host's."""
