@@ -167,6 +167,22 @@ def test_whatever_weak_current_claims_it_opens_a_multiple_of_itself(asked):
         flowed_pc = max(flowed_pc, peak_pc)
 
 
+def test_parts_and_repetitions_of_a_sequence_open_the_level_once():
+    """Written three times, 20 ms apart: its one pass counts from the first."""
+    clock, opened = ManualClock(), []
+    for noted in (1, 3):
+        gate, clock.time_ns = SafetyGate(LIMITS, clock), SECOND
+        gate.check(sequence([], intensity=0.0, time_ns=0))
+        weak = sequence([[-40, 20, 10, 10]], intensity=0.02, period_us=50_000, time_ns=1)
+        proved = gate.prove(weak)
+        for _ in range(noted):
+            gate.note(proved)
+            clock.time_ns += 20_000_000
+        clock.time_ns = 2 * SECOND
+        opened.append(gate.allowed_level(2))
+    assert opened[0] == opened[1]
+
+
 def test_an_array_that_answers_for_another_is_read_as_what_it_is():
     class Liar(np.ndarray):
         def tobytes(self, order="C"):
