@@ -77,7 +77,6 @@ from smarttouch.profile.layouts import GridLayout as GridLayout
 from smarttouch.profile.layouts import HexagonLayout as HexagonLayout
 from smarttouch.profile.layouts import LineLayout as LineLayout
 from smarttouch.profile.toml_tables import Table as Table
-from smarttouch.running.config import RunOptions as RunOptions
 from smarttouch.running.functions import Listeners as Listeners
 from smarttouch.running.inputs import Controls as Controls
 from smarttouch.running.inputs import ControlState as ControlState

@@ -19,10 +19,7 @@ def misspell(path: Path) -> None:
     print(whole.limits.curent_ma)  # wrong
     good = st.open_display("simulated:")
     print(good.on_finger)  # wrong
-    st.run("text:a", good, intensty=0.5)  # wrong
-    st.run("text:a", good, second=1)  # wrong
-    st.run("text:a", good, mode="RA", lisners=[])  # wrong
-    good.session(mode="RA", rate=30)  # wrong
+    st.run("text:a", good, st.RunConfig(second=1))  # wrong
     with good.session(mode="RA", intensity=0.5) as touch:
         touch.raise_level(0.5)  # wrong
         shown = touch.show(np.zeros(64, np.float32), second=0.5)  # wrong
@@ -34,6 +31,7 @@ def misspell(path: Path) -> None:
     print(run.array.time_ns)  # wrong
     print(st.Afferent.RAI)  # wrong
     try:
-        st.replay(path, good, listener=[])  # wrong
+        st.replay(path, good)
+        print(st.RunConfig(mode="RA").mod)  # wrong
     except st.SafetyEror:  # wrong
         raise

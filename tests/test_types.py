@@ -38,7 +38,7 @@ def test_misspellings_are_all_that_is_found(checker):
         capture_output=True, text=True, timeout=500, check=False, cwd=PROGRAM.parents[1],
         env=os.environ | {"PYRIGHT_PYTHON_GLOBAL_NODE": "1"},
     )  # fmt: skip
-    assert len(WRONG) >= 20
+    assert len(WRONG) >= 17
     found = re.findall(r"(\w+)\.py:(\d+):.*error", done.stdout)
     assert {(name, int(line)) for name, line in found} == {("misspelled", each) for each in WRONG}
     # Which it says of how many it has read.

@@ -127,9 +127,10 @@ class SocketSource(Program):
             elif asked.request == "stop":
                 self.end()
             else:
+                state = self.controls.state(0)
                 answer = {
-                    "electrodes": self._nothing.shape[1], "mode": self.mode, "level": self.level,
-                    "most_level": self.controls.most, "paused": self.controls.state(0).paused,
+                    "electrodes": self._nothing.shape[1], "mode": self.mode, "level": state.level,
+                    "most_level": self.controls.most, "paused": state.paused,
                     "gate": self.gate, "patterns": self.frames, "dropped": self.dropped_frames,
                 }  # fmt: skip
             _reply(writer, request=asked.request, **answer)

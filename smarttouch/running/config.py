@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from typing import Any, ClassVar, Self, TypedDict
+from typing import Any, ClassVar, Self
 
 from pydantic import (
     ConfigDict,
@@ -23,25 +23,6 @@ from smarttouch.stimulation.adaptation import Hold
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy, unsupported_reason
 
 _CHOICES = {"mode": [*Mode], "scan": ["auto", "points"], "hold": ["charge", "energy"]}
-
-
-class RunOptions(TypedDict, total=False):
-    """Settings of `RunConfig` by keyword, for type checkers."""
-
-    mode: Mode | str
-    scan: str | SlotPolicy
-    rate_hz: float | None
-    seconds: float | None
-    intensity: float | None
-    softness: float | None
-    light_on_dark: bool
-    tone: Tone | None
-    hold: Hold | None
-    balance: bool
-    paced: bool
-    seed: int
-    subject: str
-    note: str
 
 
 class RunConfig(Table):
@@ -165,6 +146,6 @@ class RunConfig(Table):
         return sharing
 
 
-def configured(config: RunConfig | None, settings: RunOptions) -> RunConfig:
+def configured(config: RunConfig | None, settings: dict[str, Any]) -> RunConfig:
     """Return a configuration with other settings."""
-    return (config or RunConfig()).model_copy(update=dict(settings))
+    return (config or RunConfig()).model_copy(update=settings)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 from smarttouch.base.stopping import Closing, StopRequest
 from smarttouch.boards.board import Board
@@ -13,7 +13,7 @@ from smarttouch.profile import Profile, load_profile
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 if TYPE_CHECKING:
-    from smarttouch.running.config import RunConfig, RunOptions
+    from smarttouch.running.config import RunConfig
     from smarttouch.running.listener import Listener
     from smarttouch.running.session import Session
     from smarttouch.running.step import StepResult
@@ -105,7 +105,7 @@ class Display(Closing):
         *,
         listeners: "Iterable[Listener | Callable[[StepResult], object]]" = (),
         force: "ForceSource | str | None" = None,
-        **settings: "Unpack[RunOptions]",
+        **settings: Any,
     ) -> "Session":
         """Return a session, in whose ``with`` block patterns are shown as a program asks.
 

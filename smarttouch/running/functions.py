@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Unpack
+from typing import Any
 
 from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile, load_profile
-from smarttouch.running.config import RunConfig, RunOptions, configured
+from smarttouch.running.config import RunConfig, configured
 from smarttouch.running.display import Display, open_display
 from smarttouch.running.listener import Listener, as_listeners
 from smarttouch.running.pipeline import Pipeline
@@ -35,7 +35,7 @@ def run(
     force: ForceSource | str | None = None,
     imaging: Imaging | None = None,
     stop: StopRequest | None = None,
-    **settings: Unpack[RunOptions],
+    **settings: Any,
 ) -> RunStatistics:
     """Run a source on a display until the source ends, or `Display.stop` ends the run.
 
@@ -100,7 +100,7 @@ def steps(
     config: RunConfig | None = None,
     *,
     kernels: KernelBank | None = None,
-    **settings: Unpack[RunOptions],
+    **settings: Any,
 ) -> Iterator[Step]:
     """Yield each frame of a source with its tactile image and sequence: no board, no clock.
 
@@ -149,7 +149,7 @@ def replay(
     listeners: Listeners = (),
     force: ForceSource | str | None = None,
     stop: StopRequest | None = None,
-    **settings: Unpack[RunOptions],
+    **settings: Any,
 ) -> RunStatistics:
     """Run what a recording holds on a display once more, with its modes and levels.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from smarttouch.base.afferent import Mode
-from smarttouch.base.errors import SmartTouchError, require_within
+from smarttouch.base.errors import SmartTouchError, choice_of, require_within
 from smarttouch.base.events import (
     Advice,
     Emit,
@@ -57,7 +57,7 @@ class Controls:
     most: float = 1.0
 
     def __init__(self, state: ControlState, modes: tuple[Mode, ...] = ()) -> None:
-        self.modes: tuple[Mode, ...] | tuple[Mode] = modes or (state.mode,)
+        self.modes: tuple[Mode, ...] = modes or (state.mode,)
         self._state = state
         # A change that another thread makes in between must not be lost, least of all a pause.
         self._lock = threading.RLock()
@@ -100,10 +100,9 @@ class Controls:
             at = self.modes.index(self._state.mode)
             self._change(mode=self.modes[(at + 1) % len(self.modes)])
 
-    def choose_mode(self, mode: Mode) -> None:
-        """Go to one of the modes that are offered; to no other."""
-        if mode in self.modes:
-            self._change(mode=mode)
+    def choose_mode(self, mode: Mode | str) -> None:
+        """Go to one of the modes that are offered; raises for any other."""
+        self._change(mode=choice_of("mode", mode, self.modes))
 
     def _change(self, **changes: Any) -> None:
         with self._lock:

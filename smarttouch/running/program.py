@@ -5,9 +5,11 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,7 +25,6 @@ from smarttouch.base.errors import (
 from smarttouch.base.events import Note
 from smarttouch.base.stopping import uninterrupted
 from smarttouch.base.tactile_image import TactileImage
-from smarttouch.boards.board import Board
 from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.profile import Profile
 from smarttouch.running.inputs import Controls, ControlState
@@ -33,7 +34,6 @@ from smarttouch.running.step import StepResult
 from smarttouch.sources.given_sources import checked_activation, gray_image
 from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
 from smarttouch.stimulation.pulse_rates import force_gate
-from smarttouch.stimulation.scan_sequence import ScanSequence
 
 STEADY = 0.98  # part of a level that counts as reached
 SILENT_US = 20_000  # period of a silence that is asked for, and of pulses that open a level
@@ -45,8 +45,9 @@ Pattern = NDArray[Any] | Frame | TactileImage
 Level = float | Callable[[float], float | None]
 """Part of an intensity, in [0, 1]; or a function of the seconds since a pattern began, which ends
 it by None."""
+CANCELED: ContextVar[threading.Event | None] = ContextVar("canceled", default=None)
+"""Event that ends what the current thread or task shows."""
 _T = TypeVar("_T")
-_Inputs = Generator[Input, None, _T]
 
 
 @dataclass(frozen=True)
@@ -105,9 +106,9 @@ class Program(Source, Listener):
         self._least_us = math.ceil(1e6 / profile.limits.rate_hz)
         self._silent_us = max(SILENT_US, self._least_us)
         self._nothing = np.zeros((len(Afferent), len(profile.electrodes)), np.float32)
-        self._mapper = TactileMapper(profile)
         self._loop: Loop | None = None  # of the run, while it goes on
         self._context: RunContext
+        self._mapper: TactileMapper
         self._outside = "it is not in its with block"
         self._failed: BaseException | None = None
         self._input: Input | None = None
@@ -122,10 +123,9 @@ class Program(Source, Listener):
         self._put: tuple[NDArray[np.float32] | Frame, int, int] = (self._nothing, 0, 0)
         """What was put, when it came and when it is stale, by `time.monotonic_ns`."""
         self._is_new = False  # whether it is to be sent for the first time
+        self._put_count = 0  # its number
         self._missed = 0  # patterns that it replaced before they were sent
         self._putter: threading.Thread | None = None
-
-    # -- the run --------------------------------------------------------------
 
     def program(self) -> None:
         """Show what there is to show; the run ends with it, and raises what it raises."""
@@ -169,13 +169,8 @@ class Program(Source, Listener):
         """Return what is shown now."""
         return self._input
 
-    # -- what is shown --------------------------------------------------------
-
     def rise(
-        self,
-        level: float = 1.0,
-        pattern: Pattern | None = None,
-        exact: bool = False,
+        self, level: float = 1.0, pattern: Pattern | None = None, exact: bool = False
     ) -> float:
         """Open a level by its ramp, with pulses of threshold; return how long it took, s.
 
@@ -193,7 +188,9 @@ class Program(Source, Listener):
         LevelNotReachedError
             If it cannot be opened, as where no finger presses.
         """
-        return self._carry_out(self._rising(level, pattern, exact))
+        checked = self.checked(pattern)
+        with self._turn():
+            return self._rise(level, checked, exact)
 
     def show(
         self,
@@ -236,8 +233,52 @@ class Program(Source, Listener):
         SmartTouchError
             If the pattern is not valid, or the session has ended.
         """
-        inputs = self._showing(pattern, seconds, level, rate_hz, None, opens, least, exact)
-        return self._carry_out(inputs)
+        require_within(SmartTouchError, "seconds", seconds, 0, math.inf, above=True)
+        if rate_hz is not None:
+            most_hz = self._profile.limits.rate_hz
+            require_within(SmartTouchError, "rate_hz", rate_hz, 0, most_hz, above=True)
+        elif self.mode is Mode.COLOR:
+            rate_hz = self._profile.pulse.rate_hz
+        period_us = None if rate_hz is None else round(1e6 / rate_hz)
+        checked = self.checked(pattern)
+        if opens is None:
+            opens = (level(0.0) or 0.0) if callable(level) else level
+            require_within(SmartTouchError, "level", opens, 0, 1, above=True)
+        with self._turn():
+            ramped_s = self._rise(opens, checked, exact) if opens else 0.0
+            if ramped_s:
+                self.emit(Note(self.now_ns, f"a pattern waited {ramped_s:.2f} s for its level"))
+            self._count += 1
+            begun_ns, clock_ns, first = self.now_ns, time.monotonic_ns(), None
+            sequences, pulses, intensity, current_ma = 0, 0, 1.0, 0.0
+            while (since_s := (self.now_ns - begun_ns) / 1e9) < seconds:
+                part = level(since_s) if callable(level) else level
+                if part is None:
+                    break
+                require_within(SmartTouchError, "level", part, 0, 1)
+                result = self._send(self._stimulus(checked, period_us, part))
+                first = result.number if first is None else first
+                sequence = result.sequence
+                sequences, pulses = sequences + 1, pulses + sequence.slots
+                intensity = min(intensity, sequence.intensity)
+                if sequence.slots:
+                    current_ma = float(np.abs(sequence.current_ua).max()) / 1000
+                asked = self._requested(exact)
+                lost = result.number is None or result.step.restarted or (asked == 0 and not exact)
+                if lost or sequence.intensity < least * asked:
+                    raise LevelNotReachedError(
+                        f"its level was lost after {sequences} sequences: the finger was lifted, "
+                        "the session paused, or the board lost"
+                    )
+        board, board_us = self._context.board, None
+        if first is not None and (start := board.start_of(first)) is not None:
+            board_us = start.board_us
+            if not board.simulated_time:
+                # The board's clock may run while the machine sleeps, the program's does not.
+                clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start.time_ns)
+        return Shown(
+            begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, ramped_s
+        )
 
     def wait(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
         """Let no current flow for some time, simulated where the board's is; what is put waits.
@@ -249,21 +290,30 @@ class Program(Source, Listener):
             Ends the wait once it returns true; called for each sequence, 50 times a second.
         """
         require_within(SmartTouchError, "seconds", seconds, 0, math.inf, above=True)
-        self._carry_out(self._silence(seconds, until))
+        with self._turn():
+            end_ns = self.now_ns + (math.inf if seconds == math.inf else round(1e9 * seconds))
+            # It ends to the microsecond, and no part is shorter than a sequence may be.
+            while (left_us := (end_ns - self.now_ns) / 1000) >= self._least_us:
+                if until is not None and until():
+                    return
+                last = left_us <= self._silent_us + self._least_us
+                self._send(self._silent(int(left_us) if last else self._silent_us))
 
     async def show_async(
         self, pattern: Pattern, seconds: float, level: Level = 1.0, rate_hz: float | None = None
     ) -> Shown:
         """Show a pattern as `show` does, while other tasks go on; ends with its task."""
-        return await self._awaited(self._showing(pattern, seconds, level, rate_hz))
+        return await self._awaited(partial(self.show, pattern, seconds, level, rate_hz=rate_hz))
 
     async def rise_async(self, level: float = 1.0, pattern: Pattern | None = None) -> float:
         """Open a level as `rise` does, while other tasks go on; ends with its task."""
-        return await self._awaited(self._rising(level, pattern))
+        return await self._awaited(partial(self.rise, level, pattern))
 
-    async def _awaited(self, inputs: _Inputs[_T]) -> _T:
+    async def _awaited(self, call: Callable[[], _T]) -> _T:
         canceled = threading.Event()
-        running = asyncio.ensure_future(asyncio.to_thread(self._carry_out, inputs, canceled.is_set))
+        token = CANCELED.set(canceled)
+        running = asyncio.ensure_future(asyncio.to_thread(call))
+        CANCELED.reset(token)
         try:
             return await asyncio.shield(running)
         except asyncio.CancelledError:
@@ -287,9 +337,9 @@ class Program(Source, Listener):
         stale_s : float, s
         """
         loop = self._require_life()
-        given, now_ns = self.checked(pattern), time.monotonic_ns()
+        checked, now_ns = self.checked(pattern), time.monotonic_ns()
         with self._changed:
-            self._put = given, now_ns, now_ns + round(1e9 * stale_s)
+            self._put = checked, now_ns, now_ns + round(1e9 * stale_s)
             self._missed += self._is_new
             self._is_new = True
             if self._putter is None and not loop.is_simulated:
@@ -297,83 +347,108 @@ class Program(Source, Listener):
                 self._putter.start()
         self._news.set()
         if loop.is_simulated:
-            self._carry_out(self._following(once=True))
+            with self._turn():
+                self._send(self._newest())
 
-    # -- the loop's turns ------------------------------------------------------
+    def _follow(self) -> None:
+        """Send what was put last, again and again, while no other thread shows something."""
+        try:
+            while True:
+                with self._turn(last=True) as loop:
+                    while not self._waiting:
+                        self._news.clear()
+                        begun_ns, given = self.now_ns, self._newest()
+                        self._send(given)
+                        silent = given.stale or not given.activation.any()
+                        # In natural mode classes pulse at their own rates.
+                        again_s = (
+                            0 if self.mode is Mode.NATURAL else 1 / self._profile.pulse.rate_hz
+                        )
+                        left_s = (_IDLE_S if silent else again_s) - (self.now_ns - begun_ns) / 1e9
+                        if left_s > 0:
+                            self._news.wait(left_s)
+                            loop.resume()
+                            self.now_ns = loop.elapsed_ns
+        except Exception as error:
+            # The next call raises it, or the end; what a run that is over raises is no error.
+            if self._loop is not None and not self._loop.stop.event.is_set():
+                self._failed = self._failed or error
+                with contextlib.suppress(SmartTouchError):
+                    self._context.board.stop()
 
-    def _carry_out(
-        self,
-        inputs: _Inputs[_T],
-        is_canceled: Callable[[], bool] = lambda: False,
-        *,
-        last: bool = False,
-    ) -> _T:
-        """Deliver inputs in turn, ``last`` after all other threads; return what they return."""
-        loop = self._require_life()
-        with self._turn(is_canceled, last), contextlib.closing(inputs), loop.steady():
-            while not is_canceled():
-                self._require_life()
-                self.now_ns = loop.elapsed_ns
-                try:
-                    self._input = next(inputs)
-                except StopIteration as end:
-                    value: _T = end.value
-                    return value
-                self._step(loop)
-        raise SmartTouchError("it was canceled")
+    def _newest(self) -> Stimulus:
+        """Return what was put last; it has a new number after what was shown meanwhile."""
+        with self._changed:
+            pattern, came_ns, stale_ns = self._put
+            if self._is_new or self._count != self._put_count:
+                self._count += 1 + self._missed
+                self.frames += self._missed
+                self.dropped_frames += self._missed
+                self._is_new, self._missed, self._put_count = False, 0, self._count
+        now_ns = time.monotonic_ns()
+        if now_ns >= stale_ns:
+            return replace(self._silent(self._least_us), stale=True)
+        period_us = None if self.mode is Mode.NATURAL else self._least_us
+        return replace(self._stimulus(pattern, period_us), age_ns=now_ns - came_ns)
 
     @contextmanager
-    def _turn(self, is_canceled: Callable[[], bool], last: bool) -> Iterator[None]:
-        """Wait until no other thread shows something."""
+    def _turn(self, last: bool = False) -> Iterator[Loop]:
+        """Wait until no other thread shows something, ``last`` until none waits; go on from now."""
 
-        def is_free() -> bool:
-            return not self._is_taken and not (last and self._waiting)
+        def may_go_on() -> bool:
+            over = self._loop is None or _is_canceled()
+            return over or not (self._is_taken or (last and self._waiting))
 
         with self._changed:
             self._waiting += not last
             self._news.set()
             try:
-                self._changed.wait_for(lambda: is_free() or is_canceled() or self._loop is None)
+                self._changed.wait_for(may_go_on)
             finally:
                 self._waiting -= not last
-            self._require_life()
-            if is_canceled():
-                raise SmartTouchError("it was canceled")
+                self._changed.notify_all()
+            loop = self._require_life()
             self._is_taken = True
         try:
-            yield
+            with loop.steady():
+                self.now_ns = loop.elapsed_ns
+                yield loop
         finally:
             with self._changed:
                 self._is_taken = False
                 self._changed.notify_all()
 
-    def _step(self, loop: Loop) -> None:
+    def _send(self, given: Stimulus) -> StepResult:
+        """Deliver an input, wait until it is over, and return how it was sent."""
+        loop = self._require_life()
+        self._input = given
         try:
             # Ctrl-C ends what is shown between two sequences.
             with uninterrupted():
-                goes_on = loop.deliver() and loop.wait()
+                loop.deliver() and loop.wait()
         except Exception as error:
             self._failed = error
             raise
-        if not goes_on:
-            self._require_life()
+        self._require_life()
+        self.now_ns = loop.elapsed_ns
+        return self._result
 
     def _require_life(self) -> Loop:
-        """Return the loop; raise what has ended the run."""
+        """Return the loop; raise what has ended the run, or what this thread shows."""
         if self._failed is not None:
             raise self._failed
         loop = self._loop
         if loop is None or loop.stop.event.is_set():
             why = self._outside if loop is None else loop.stop.reason
             raise SmartTouchError(f"the session has ended: {why}")
+        if _is_canceled():
+            raise SmartTouchError("it was canceled")
         return loop
 
-    # -- inputs ----------------------------------------------------------------
-
-    def _rising(self, level: float, pattern: Pattern | None, exact: bool = False) -> _Inputs[float]:
-        """Yield weak pulses until a level is open; return how long that took, s."""
+    def _rise(self, level: float, pattern: NDArray[np.float32] | Frame, exact: bool) -> float:
+        """Send weak pulses until a level is open; return how long that took, s."""
         require_within(SmartTouchError, "level", level, 0, 1, above=True)
-        begun_ns, faint, active = self.now_ns, _FAINT, self._places(self.checked(pattern))
+        begun_ns, faint, active = self.now_ns, _FAINT, self._places(pattern)
         while not self._is_open(level, exact):
             if self.now_ns - begun_ns > 1e9 * self.patience_s:
                 why = "the board or the user allows less" if self.gate else "no finger presses"
@@ -382,9 +457,8 @@ class Program(Source, Listener):
                 )
             self.note_opening()
             weak = np.asarray(np.float32(faint) * active, np.float32)
-            yield self._stimulus(weak, self._silent_us, level)
-            sequence, asked = self._result.sequence, self._requested(exact)
-            if 0 < STEADY * asked <= sequence.intensity:
+            sequence = self._send(self._stimulus(weak, self._silent_us, level)).sequence
+            if 0 < STEADY * self._requested(exact) <= sequence.intensity:
                 # Claimed in full, and not open: pulses this weak do not open that much, and where
                 # the strongest are none, there is nothing to open.
                 if faint == 1 and not sequence.slots:
@@ -405,119 +479,6 @@ class Program(Source, Listener):
         step = self._result.step
         share = force_gate(step.input.force_n, self._profile.force) * step.level
         return step.tactile.level * (1.0 if exact else share)
-
-    def _showing(
-        self,
-        pattern: Pattern,
-        seconds: float,
-        level: Level = 1.0,
-        rate_hz: float | None = None,
-        at_ns: int | None = None,
-        opens: float | None = None,
-        least: float = STEADY,
-        exact: bool = False,
-    ) -> _Inputs[Shown]:
-        require_within(SmartTouchError, "seconds", seconds, 0, math.inf, above=True)
-        if rate_hz is not None:
-            most_hz = self._profile.limits.rate_hz
-            require_within(SmartTouchError, "rate_hz", rate_hz, 0, most_hz, above=True)
-        elif self.mode is Mode.COLOR:
-            rate_hz = self._profile.pulse.rate_hz
-        period_us = None if rate_hz is None else round(1e6 / rate_hz)
-        given, ramped_s = self.checked(pattern), 0.0
-        if opens is None:
-            opens = (level(0.0) or 0.0) if callable(level) else level
-            require_within(SmartTouchError, "level", opens, 0, 1, above=True)
-        if opens:
-            ramped_s = yield from self._rising(opens, given, exact)
-        if at_ns is not None:
-            yield from self._until(at_ns)
-        if ramped_s:
-            self.emit(Note(self.now_ns, f"a pattern waited {ramped_s:.2f} s for its level"))
-        self._count += 1
-        begun_ns, first = self.now_ns, None
-        shown = Shown(
-            begun_ns, max(time.monotonic_ns(), at_ns or 0), None, 0, 0, 1.0, 0.0, ramped_s
-        )
-        while (since_s := (self.now_ns - begun_ns) / 1e9) < seconds:
-            part = level(since_s) if callable(level) else level
-            if part is None:
-                break
-            require_within(SmartTouchError, "level", part, 0, 1)
-            yield self._stimulus(given, period_us, part)
-            number = self._result.number
-            first = number if first is None else first
-            shown = _continued(shown, self._result.sequence)
-            asked = self._requested(exact)
-            lost = number is None or self._result.step.restarted or (asked == 0 and not exact)
-            if lost or self._result.sequence.intensity < least * asked:
-                raise LevelNotReachedError(
-                    f"its level was lost after {shown.sequences} sequences: the finger was "
-                    "lifted, the session paused, or the board lost"
-                )
-        return _begun(shown, self._context.board, first)
-
-    def _until(self, at_ns: int) -> _Inputs[None]:
-        """Yield silence until a time of `time.monotonic_ns`."""
-        loop = self._require_life()
-        if not loop.is_simulated:
-            yield from self._silence((at_ns - time.monotonic_ns()) / 1e9)
-            time.sleep(max(0, at_ns - time.monotonic_ns()) / 1e9)
-            loop.resume()
-            self.now_ns = loop.elapsed_ns
-
-    def _silence(self, seconds: float, until: Callable[[], bool] | None = None) -> _Inputs[None]:
-        """Yield silence that ends to the microsecond; no part is shorter than a sequence may be."""
-        end_ns = self.now_ns + (math.inf if seconds == math.inf else round(1e9 * seconds))
-        while (left_us := (end_ns - self.now_ns) / 1000) >= self._least_us:
-            if until is not None and until():
-                return
-            last = left_us <= self._silent_us + self._least_us
-            yield self._silent(int(left_us) if last else self._silent_us)
-
-    def _follow(self) -> None:
-        """Deliver what is put, while no other thread shows something."""
-        try:
-            while True:
-                self._carry_out(self._following(), last=True)
-        except Exception as error:
-            # The next call raises it, or the end; what a run that is over raises is no error.
-            if self._loop is not None and not self._loop.stop.event.is_set():
-                self._failed = self._failed or error
-                with contextlib.suppress(SmartTouchError):
-                    self._context.board.stop()
-
-    def _following(self, once: bool = False) -> _Inputs[None]:
-        """Yield what was put last, again and again, until another thread waits."""
-        loop, self._is_new = self._require_life(), True
-        while once or not self._waiting:
-            self._news.clear()
-            begun_ns, given = self.now_ns, self._newest()
-            yield given
-            if once:
-                return
-            silent = given.stale or not given.activation.any()
-            # In natural mode classes pulse at their own rates.
-            again_s = 0.0 if self.mode is Mode.NATURAL else 1 / self._profile.pulse.rate_hz
-            left_s = (_IDLE_S if silent else again_s) - (loop.elapsed_ns - begun_ns) / 1e9
-            if left_s > 0:
-                self._news.wait(left_s)
-                loop.resume()
-                self.now_ns = loop.elapsed_ns
-
-    def _newest(self) -> Stimulus:
-        with self._changed:
-            pattern, came_ns, stale_ns = self._put
-            if self._is_new:
-                self._count += 1 + self._missed
-                self.frames += self._missed
-                self.dropped_frames += self._missed
-                self._is_new, self._missed = False, 0
-        now_ns = time.monotonic_ns()
-        if now_ns >= stale_ns:
-            return replace(self._silent(self._least_us), stale=True)
-        period_us = None if self.mode is Mode.NATURAL else self._least_us
-        return replace(self._stimulus(pattern, period_us), age_ns=now_ns - came_ns)
 
     def _stimulus(
         self, pattern: NDArray[np.float32] | Frame, period_us: int | None, level: float = 1.0
@@ -584,8 +545,6 @@ class Program(Source, Listener):
         away_mm = np.hypot(*(place_mm[driven] - place_mm.mean(axis=0)).T)
         return int(driven[away_mm.argmin()])
 
-    # -- the user's controls ---------------------------------------------------
-
     def time_ns(self) -> int:
         """Return the time since the start of the run; in simulated time that of the newest
         sequence."""
@@ -605,55 +564,11 @@ class Program(Source, Listener):
         return self.controls.state(self.now_ns).current_level
 
     @property
-    def level(self) -> float:
-        """Part of the strongest comfortable current that flows at level 1; changed at any time."""
-        return self.controls.state(self.now_ns).level
-
-    @level.setter
-    def level(self, level: float) -> None:
-        self.controls.change_level(level - self.level)
-
-    @property
     def mode(self) -> Mode:
         """Afferents that are driven."""
         return self.controls.state(self.now_ns).mode
 
-    @mode.setter
-    def mode(self, mode: Mode | str) -> None:
-        offered = self.controls.modes
-        chosen = next((each for each in offered if each == mode), None)
-        if chosen is None:
-            names = ", ".join(str(each) for each in offered)
-            raise SmartTouchError(f"mode {mode} is not offered here: choose {names}")
-        self.controls.choose_mode(chosen)
 
-    def pause(self) -> None:
-        """Let no current flow until `resume`."""
-        self.controls.pause()
-
-    def resume(self) -> None:
-        """Go on; intensity begins at zero."""
-        self.controls.resume()
-
-
-def _continued(shown: Shown, sequence: ScanSequence) -> Shown:
-    """Return the account of a pattern with one more sequence."""
-    strongest_ma = float(np.abs(sequence.current_ua).max(initial=0)) / 1000
-    return replace(
-        shown,
-        sequences=shown.sequences + 1,
-        pulses=shown.pulses + sequence.slots,
-        intensity=min(shown.intensity, sequence.intensity),
-        current_ma=strongest_ma if sequence.slots else shown.current_ma,
-    )
-
-
-def _begun(shown: Shown, board: Board, first: int | None) -> Shown:
-    """Return an account with the time of its first pulse, if the board reports that."""
-    start = None if first is None else board.start_of(first)
-    if start is None:
-        return shown
-    # The board's clock may run while the machine sleeps, the program's does not.
-    clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start.time_ns)
-    clock_ns = shown.clock_ns if board.simulated_time else clock_ns
-    return replace(shown, clock_ns=clock_ns, board_us=start.board_us)
+def _is_canceled() -> bool:
+    canceled = CANCELED.get()
+    return canceled is not None and canceled.is_set()

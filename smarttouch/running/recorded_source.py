@@ -140,5 +140,5 @@ class RecordedControls(Controls):
     def next_mode(self) -> None:
         """Do nothing: the modes are the recording's."""
 
-    def choose_mode(self, mode: Mode) -> None:
+    def choose_mode(self, mode: Mode | str) -> None:
         """Do nothing: the modes are the recording's."""

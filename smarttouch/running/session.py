@@ -1,7 +1,6 @@
 """A session: a board that is open, on which a program shows patterns."""
 
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
@@ -13,13 +12,11 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener
 from smarttouch.running.loop import Loop
-from smarttouch.running.program import Pattern, Program, Shown
+from smarttouch.running.program import CANCELED, Pattern, Program, Shown
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
 from smarttouch.sources.force import ForceSource
-
-_TOGETHER_NS = 60_000_000  # from the call to the start of patterns that begin together
 
 
 class Session(Program):
@@ -121,24 +118,12 @@ def show_together(
     [10, 10]
     """
     canceled = threading.Event()
-    with ThreadPoolExecutor(max(1, len(patterns))) as pool:
+    with ThreadPoolExecutor(max(1, len(patterns)), "show", CANCELED.set, (canceled,)) as pool:
         try:
-            rising = [
-                pool.submit(session._carry_out, session._rising(level, pattern), canceled.is_set)
-                for session, pattern in patterns.items()
-            ]
-            for each in rising:
-                each.result()
-            at_ns = time.monotonic_ns() + _TOGETHER_NS
-            showing = {
-                session: pool.submit(
-                    session._carry_out,
-                    session._showing(pattern, seconds, level, at_ns=at_ns),
-                    canceled.is_set,
-                )
-                for session, pattern in patterns.items()
-            }
-            return {session: each.result() for session, each in showing.items()}
+            for rising in [pool.submit(each.rise, level, patterns[each]) for each in patterns]:
+                rising.result()
+            showing = [pool.submit(each.show, patterns[each], seconds, level) for each in patterns]
+            return {each: shown.result() for each, shown in zip(patterns, showing, strict=True)}
         except BaseException:
             canceled.set()
             raise

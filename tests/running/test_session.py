@@ -113,7 +113,7 @@ def test_what_is_no_pattern_is_refused_and_the_session_goes_on(pattern):
     ("seconds", lambda touch: touch.show(RING, 0)),
     ("level", lambda touch: touch.show(RING, 0.1, level=1.1)),
     ("level", lambda touch: touch.rise(0)),
-    ("mode", lambda touch: setattr(touch, "mode", "XYZ")),
+    ("mode", lambda touch: touch.controls.choose_mode("XYZ")),
 ])  # fmt: skip
 def test_numbers_that_are_none_are_refused(about, call):
     touch, _ = session()
@@ -133,14 +133,14 @@ def test_a_pause_within_a_pattern_is_an_error_and_not_a_weak_pattern():
     touch, _ = session()
     with touch:
         touch.rise()
-        threading.Timer(0.2, touch.pause).start()
+        threading.Timer(0.2, touch.controls.pause).start()
         with raises(st.LevelNotReachedError):
             touch.show(RING, 5.0)
-        touch.resume()
+        touch.controls.resume()
         assert touch.show(RING, 0.1).intensity == 0.6
-        touch.level = 0.3
-        touch.mode = "SAI"
-        assert (touch.level, touch.mode) == (0.3, "SAI")
+        touch.controls.set_level(0.3)
+        touch.controls.choose_mode("SAI")
+        assert (touch.controls.state(0).level, touch.mode) == (0.3, "SAI")
         assert touch.show(RING, 0.1).intensity == 0.3
 
 
@@ -191,7 +191,7 @@ def test_the_displays_of_a_hand_begin_together(url):
         shown = st.show_together(patterns, 0.2)
         hand[1].patience_s = 0.3
         with raises(st.LevelNotReachedError, names="level"):
-            hand[1].pause()
+            hand[1].controls.pause()
             st.show_together(patterns, 0.2)
     assert {each.sequences for each in shown.values()} == {10}
     assert {each.ramped_s for each in shown.values()} == {0}

@@ -1,7 +1,5 @@
 """What programs give as a source, and what sources return: taken, converted or refused."""
 
-from typing import get_type_hints
-
 import cv2
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from hypothesis.extra import numpy as arrays
 import smarttouch
 from smarttouch.base.errors import SourceError
 from smarttouch.running.check_recording import assert_replays
-from smarttouch.running.config import RunConfig, RunOptions
 from smarttouch.sources.given_sources import (
     checked_activation,
     checked_input,
@@ -147,12 +144,6 @@ def test_a_run_takes_what_is_at_hand(tmp_path):
 def test_what_is_no_source_is_one_sentence(given, profile):
     with raises(SourceError):
         source_of(given, profile)
-
-
-def test_settings_by_keyword_are_those_of_a_run():
-    assert set(get_type_hints(RunOptions)) == set(RunConfig.model_fields)
-    hints = get_type_hints(RunConfig)
-    assert all(hints[name] == kind for name, kind in get_type_hints(RunOptions).items())
 
 
 class Halves:
