@@ -98,7 +98,7 @@ else:
     raise AssertionError("a socket")
 sys.argv = ["smarttouch", "design", "27", "--mode", "RA", "--json", "kernels.json"]
 main()
-sys.argv = ["smarttouch", "recordings", "info", "run.mcap"]
+sys.argv = ["smarttouch", "replay", "run.mcap", "--info"]
 main()
 """
 

@@ -33,7 +33,7 @@ from smarttouch.physiology.driving_function import (
 )
 from smarttouch.physiology.membrane import Fiber, threshold_ma, thresholds_ma
 from smarttouch.profile import Profile, load_profile
-from smarttouch.views.progress import lines_progress
+from smarttouch.views.progress import progress
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -250,8 +250,8 @@ def main() -> None:
     require_folder(asked.json)
     profile = load_profile(asked.profile)
     keep = platformdirs.user_cache_path("smarttouch") / "fibers"
-    with lines_progress(False, "Fitting") as progress:
-        fits = fit_fiber(profile, load_bank(profile), asked.fiber, progress=progress, keep=keep)
+    with progress("Fitting") as advance:
+        fits = fit_fiber(profile, load_bank(profile), asked.fiber, progress=advance, keep=keep)
     heading, *rows = error_rows(fits)
     print_table(
         rows,

@@ -6,9 +6,7 @@ The same tables are on the page "Install", section "From 1.0rc1".
 COMMANDS = {
     "calibrate level": "set the level with the keys + and - during a run",
     "profiles copy": "run smarttouch profiles new FILE.toml --like NAME",
-    "recordings export": "st.load_recording(FILE).arrays has the arrays; numpy.savez writes them",
-    "recordings repair": "every command reads a damaged recording up to its last whole chunk",
-    "recordings view": "open the recording in Foxglove",
+    "recordings": "replay FILE --info shows what it holds, st.load_recording(FILE) has its arrays",
     "report": "send smarttouch --version, pip list and the command that went wrong",
     "simulate letters": "run smarttouch simulate study with a plan of letters",
 }
@@ -17,6 +15,7 @@ OPTIONS = {
     "--bank": "leave it out; kernels are kept where runs find them",
     "--compare": "design one kind after the other; the profile's output.kind decides",
     "--dot-pitch-mm": "give --size-mm, the side of the target",
+    "--finger": "give --set finger=[ANATOMY:]SEED",
     "--frames": "leave it out; 16 frames are averaged",
     "--help-all": "--help prints all options",
     "--lapse": "leave it out; a tenth of the answers may be lapses",
@@ -27,6 +26,7 @@ OPTIONS = {
     "--note": "give --set note=WORDS; experiment run has --session",
     "--overwrite": "remove the file, or give another name",
     "--password": "give --password-file FILE, or answer at the terminal",
+    "--quiet": "send the output elsewhere, as by > /dev/null",
     "--rate": "give --set rate_hz=HZ",
     "--robust": "leave it out; kernels are designed for the nominal finger",
     "--save": "record with smarttouch live SOURCE --record FILE.mcap",
@@ -36,6 +36,7 @@ OPTIONS = {
     "--stream": "run examples/bridges/lsl_bridge.py",
     "--subject": "give --set subject=NAME; experiment run has --subject",
     "--three-state": "leave it out; the profile's output.kind decides",
+    "--vibrators": "give --set vibrators=FILE.wav or --set vibrators=sound:",
     "--yes": "press Enter when everything is in place",
 }
 URLS = {
@@ -44,13 +45,13 @@ URLS = {
     "mcap": "run examples/bridges/mcap_bridge.py; a recording of a run is recording:FILE",
     "osc": "run examples/bridges/osc_bridge.py, or send JSON lines to socket:PATH",
     "recorded": "replay a run by recording:FILE, or state a force by fixed:N",
-    "vibrators": "give --vibrators FILE.wav or --vibrators sound:",
+    "vibrators": "give --set vibrators=FILE.wav or --set vibrators=sound:",
 }
 PROFILE_KEYS = {
     "kernels.anatomy": "remove it; kernels are designed for nodes",
     "kernels.fingers": "remove it; kernels are designed for nodes",
     "kernels.objective": "remove it; kernels are designed for nodes",
-    "perception.anatomy": "remove it, and choose the simulated finger with --finger",
+    "perception.anatomy": "remove it, and choose the simulated finger with --set finger=SEED",
     "perception.level": "remove it, and set the level with the keys during a run",
     "skin.layers": "remove it; set medium = 'half-space' and conductivity_s_per_m",
     "skin.spread": "remove it; kernels are designed for the nominal finger",

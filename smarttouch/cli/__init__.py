@@ -8,9 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from smarttouch.base.command_options import option
 from smarttouch.base.errors import SmartTouchError, TableError
-from smarttouch.base.posix import resource
 from smarttouch.base.stopping import RunStopped
 from smarttouch.base.terminal import guarded_output
 from smarttouch.base.version import __version__
@@ -18,18 +16,15 @@ from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.design import design, profiles
 from smarttouch.cli.devices import devices
 from smarttouch.cli.experiment import experiment
-from smarttouch.cli.live import live, stop
-from smarttouch.cli.options import Commands
+from smarttouch.cli.live import live, replay, stop
+from smarttouch.cli.options import Commands, option
 from smarttouch.cli.read import braille, braille_display, read
-from smarttouch.cli.recordings import recordings, replay
 from smarttouch.cli.simulate import simulate
-
-_FEWEST_FILES = 64
 
 _COMMANDS: dict[str, Callable[..., object] | typer.Typer] = {
     "live": live, "stop": stop, "read": read, "braille": braille,
     "braille-display": braille_display, "calibrate": calibrate, "experiment": experiment,
-    "devices": devices, "replay": replay, "recordings": recordings, "profiles": profiles,
+    "devices": devices, "replay": replay, "profiles": profiles,
     "design": design, "simulate": simulate,
 }  # fmt: skip
 
@@ -81,7 +76,6 @@ def _built() -> Callable[..., Any]:
 
 def _run() -> int:
     try:
-        _require_files()
         _built()(prog_name="smarttouch")
     except SystemExit as ended:
         return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
@@ -117,18 +111,6 @@ def _outcome(error: BaseException) -> int:
         )
         return 1
     return 2
-
-
-def _require_files() -> None:
-    """Raise if this process may open fewer files than the libraries alone need."""
-    if resource is None:
-        return
-    most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    if most < _FEWEST_FILES:
-        raise SmartTouchError(
-            f"this program may open {most} files at once and needs {_FEWEST_FILES}: allow them "
-            f"with ulimit -n {_FEWEST_FILES}"
-        )
 
 
 def _drop_output() -> None:

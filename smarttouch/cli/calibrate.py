@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import BoardStoppedError, CalibrationError, require_within
 from smarttouch.cli.options import (
     Commands,
     ForceOption,
     OptionGroup,
     ProfileOption,
+    argument,
+    option,
+    require_answers,
     takes_options,
 )
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
@@ -32,28 +34,14 @@ class CalibrationOptions(OptionGroup):
         bool, option("Measure again what the profile already has.", None, "--overwrite")
     ] = False
 
-    def start(self, board_url: str) -> str:
-        """Return the profile to start from; a board's usual one if none was given."""
-        from smarttouch.boards.open import default_profile
-
-        return self.profile or default_profile(board_url)
-
-    def begun(self) -> str:
-        """Return the profile to start from: that given, or the output if it exists."""
-        from smarttouch.profile import DEFAULT_PROFILE
-
-        there = self.output is not None and self.output.exists()
-        return self.profile or (str(self.output) if there else DEFAULT_PROFILE)
-
-    def file(self, part: str, simulated: bool, board_url: str | None = None) -> "ProfileFile":
+    def file(self, part: str, simulated: bool, board_url: str = "simulated:") -> "ProfileFile":
         """Return the profile file that a calibration reads and writes."""
         from smarttouch.boards.open import default_profile
         from smarttouch.experiments.calibration.profile_file import file_to_calibrate
-        from smarttouch.profile import DEFAULT_PROFILE
 
         if self.output is None:
             raise CalibrationError("give a file FILE.toml for what is measured")
-        usual = DEFAULT_PROFILE if board_url is None else default_profile(board_url)
+        usual = default_profile(board_url)
         return file_to_calibrate(
             part, self.profile, usual, self.output, self.overwrite, simulated=simulated
         )
@@ -169,17 +157,19 @@ def registration(
         target_for,
     )
     from smarttouch.experiments.calibration.sensor_optics import images_of
-    from smarttouch.profile import load_profile
+    from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources.preprocess import mean_image
 
-    made = target_for(load_profile(calibration.begun()), size_mm)
+    output = calibration.output
+    begun = str(output) if output is not None and output.exists() else DEFAULT_PROFILE
+    made = target_for(load_profile(calibration.profile or begun), size_mm)
     if target is not None:
         if target.exists() and not calibration.overwrite:
             message = f"{target} exists already: give another file, or add --overwrite"
             raise CalibrationError(message)
         made.draw(target)
         typer.echo(f"{target}: {made.side_mm:g} mm across; print it at 100 %, black on white.")
-    if calibration.output is None and target is not None and source is None and not simulate:
+    if output is None and target is not None and source is None and not simulate:
         return
     file = calibration.file("registration", simulate)
     if simulate:
@@ -251,7 +241,7 @@ def thresholds(
     simulate: _Simulate = False,
 ) -> None:
     """Measure at each electrode the weakest current felt and the strongest comfortable one."""
-    from smarttouch.cli.options import require_answers
+    from smarttouch.boards.open import default_profile
     from smarttouch.experiments.calibration.thresholds import ThresholdProcedure
     from smarttouch.profile.profile import require_driven
     from smarttouch.views.keys_and_signals import keyboard_listener
@@ -263,8 +253,8 @@ def thresholds(
         sites = require_driven(file.profile, electrodes, CalibrationError, "electrodes")
     require_answers(simulate, board, _SIMULATED, CalibrationError)
     procedure = ThresholdProcedure(
-        start=calibration.start(board), file=file, board_url=board, sites=sites.tolist(),
-        repeats=repeats, seed=seed, simulate=simulate,
+        start=calibration.profile or default_profile(board), file=file, board_url=board,
+        sites=sites.tolist(), repeats=repeats, seed=seed, simulate=simulate,
     )  # fmt: skip
     with procedure.progress() as progress:
         try:
@@ -331,9 +321,6 @@ def scale(
 
     before_ua = open_display(url, profile).board.driver.ua_per_count
     ratio, scale_ua = measured_scale(url.partition(":")[0], before_ua, volts, ohm, current_ma)
-    typer.echo(
-        f"{volts:g} V across {ohm:g} ohm are {1000 * volts / ohm:.3f} mA: {ratio:.3f} of nominal."
-    )
+    typer.echo(f"{1000 * volts / ohm:.3f} mA flowed, {ratio:.3f} of nominal.")
     if scale_ua is not None:
-        typer.echo("In the profile of this board:\n")
-        typer.echo(f"[output]\nua_per_count = {scale_ua:.4g}")
+        typer.echo(f"In the profile of this board:\n\n[output]\nua_per_count = {scale_ua:.4g}")

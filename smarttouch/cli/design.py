@@ -6,9 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smarttouch.base.command_options import argument, option
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import ArrayOption, Commands, JsonOption
+from smarttouch.cli.options import (
+    ArrayOption,
+    Commands,
+    JsonOption,
+    argument,
+    option,
+    parse_afferent,
+    require_site,
+)
 
 if TYPE_CHECKING:
     from smarttouch.base.afferent import Afferent
@@ -39,7 +46,6 @@ def design(
     """
     from smarttouch.base.errors import DesignError
     from smarttouch.base.files import require_folder, write_json
-    from smarttouch.cli.options import parse_afferent, require_site
     from smarttouch.kernels import kernel_tables
     from smarttouch.kernels.switched_design import possible_modes
     from smarttouch.profile import load_profile
@@ -60,7 +66,7 @@ def design(
                 f"{', '.join(offered) or 'none'}"
             )
         modes = [afferent]
-    with bank_progress(quiet=False) as progress:
+    with bank_progress() as progress:
         shown = _kernels(chosen, modes, site, any_node, progress)
     if site is None:
         _print(kernel_tables.site_table(chosen, shown))

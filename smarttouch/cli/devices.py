@@ -5,10 +5,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import Commands, ForceOption, JsonOption, ProfileOption
+from smarttouch.cli.options import (
+    Commands,
+    ForceOption,
+    JsonOption,
+    ProfileOption,
+    argument,
+    option,
+    require_site,
+)
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
 
 if TYPE_CHECKING:
@@ -112,8 +119,7 @@ def _describe_board(url: str, profile: str | None) -> None:
     if force is not None:
         rows.append(("force", f"{force:.2f} N"))
     rows.append(("profile", f"{display.profile.name}: {display.profile.title}"))
-    for name, value in rows:
-        typer.echo(f"{name:>14}  {value}")
+    print_table(rows, left=2)
 
 
 @devices.command()
@@ -164,7 +170,6 @@ def try_out(
     import sys
 
     from smarttouch.boards.open import may_touch_a_finger
-    from smarttouch.cli.options import require_site
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnEvent
     from smarttouch.running.walk import ElectrodeReached, Walk, run_walk

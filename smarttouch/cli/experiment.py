@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,24 +10,26 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.base import terminal
-from smarttouch.base.command_options import argument, option
-from smarttouch.base.errors import ExperimentError
+from smarttouch.base.errors import ExperimentError, choice_of, require_within
 from smarttouch.cli.options import (
     ClassOption,
     Commands,
     JsonOption,
     OptionGroup,
+    RunOptions,
+    argument,
+    option,
+    parse_afferent,
+    read_form,
+    require_answers,
     takes_options,
 )
-from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
 
 if TYPE_CHECKING:
     from smarttouch.experiments.fitting.answers import AnswerTable
     from smarttouch.experiments.fitting.findings import Finding
     from smarttouch.experiments.fitting.psychometric import Guess
-    from smarttouch.experiments.psychophysics.experiment_session import ExperimentSession
-    from smarttouch.running.config import RunConfig
 
 _ANATOMY = "paper"
 _PATIENCE_S = 10.0  # for the current of a trial, where nobody is there who could press harder
@@ -53,21 +55,10 @@ class _Parts:
     gap_s: float = 0.5
     answer_s: float = 10.0
 
-    @classmethod
-    def read(cls, text: str) -> "tuple[str, _Parts]":
-        """Return the name of an experiment, and the options that follow it."""
-        from smarttouch.base.errors import require_within
-        from smarttouch.base.url_options import options_of, read_options
-
-        name, given = read_options(cls, text, ExperimentError)
-        if "?" in name:
-            known = ", ".join(sorted(options_of(cls)))
-            message = f"{name!r} has an option that there is not: choose {known}"
-            raise ExperimentError(message)
-        for each in ("repetitions", "trials"):
-            if each in given:
-                require_within(ExperimentError, each, given[each], 1, math.inf)
-        return name, cls(**given)
+    def __post_init__(self) -> None:
+        for name in ("repetitions", "trials"):
+            if (count := getattr(self, name)) is not None:
+                require_within(ExperimentError, name, count, 1, math.inf)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +68,7 @@ class _Participant(OptionGroup):
     subject: Annotated[str, option("Name the participant.", "NAME")] = ""
     session: Annotated[str, option("Name the session.", "NAME")] = ""
     output: Annotated[
-        Path | None,
-        option("Write the answers to this file, not one named after the participant.", "CSV"),
+        Path | None, option("Write the answers to this file; it is named after both otherwise.")
     ] = None
     simulate: Annotated[
         str | None,
@@ -88,16 +78,15 @@ class _Participant(OptionGroup):
     @property
     def name(self) -> str:
         """Name in the file, where a simulated participant does not go on for a person."""
-        return "-".join(
-            filter(None, (self.subject, self.simulate and f"simulated-{self.simulate}"))
-        )
+        who = self.simulate and f"simulated-{self.simulate}"
+        return "-".join(filter(None, (self.subject, who)))
 
 
 @experiment.command("run")
 @drives_a_board
 @takes_options
 def run_listed(
-    run: RunOptionGroup,
+    run: RunOptions,
     who: _Participant,
     text: Annotated[
         str | None,
@@ -110,8 +99,7 @@ def run_listed(
     ] = None,
     mode: ClassOption = "RA",
     rate_hz: Annotated[
-        float | None,
-        option("Set the rate of pulses where the experiment does not.", "HZ", "--rate"),
+        float | None, option("Set the rate of pulses, where it is not compared.", "HZ", "--rate")
     ] = None,
 ) -> None:
     """Run an experiment; the same command continues it later.
@@ -123,7 +111,7 @@ def run_listed(
     if text is None:
         _list_all()
         return
-    name, parts = _Parts.read(text)
+    name, parts = read_form(_Parts, text, ExperimentError)
     if name == "free":
         _run_free(run, who, mode, parts, rate_hz)
     else:
@@ -140,7 +128,7 @@ def _list_all() -> None:
 
 
 def _run_trials(
-    run: RunOptionGroup,
+    run: RunOptions,
     who: _Participant,
     name: str,
     parts: _Parts,
@@ -149,79 +137,61 @@ def _run_trials(
 ) -> None:
     """Run an experiment of trials from the first without an answer."""
     from smarttouch.base.afferent import Afferent
-    from smarttouch.base.errors import choice_of
-    from smarttouch.cli.options import parse_afferent, require_answers
+    from smarttouch.experiments.psychophysics import experiment_session as sessions
     from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
-    from smarttouch.experiments.psychophysics.experiment_session import (
-        numbered,
-        open_experiment,
-        parse_standards,
-        session_name,
-    )
     from smarttouch.experiments.psychophysics.trial_rows import About
     from smarttouch.experiments.psychophysics.trials import TrialTiming
+    from smarttouch.views.screen import BlindScreen
 
-    simulated = who.simulate is not None
-    if who.simulate is not None:
-        choice_of("simulate", who.simulate, ("model", "random", "first", "silent"))
-    require_answers(simulated, run.board_url, ("simulated:",), ExperimentError)
+    simulate = who.simulate
+    if simulate is not None:
+        choice_of("simulate", simulate, ("model", "random", "first", "silent"))
+    require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
     afferent = parse_afferent(mode)
     if name == "frequency" and afferent is Afferent.RA and run.takes_usual_profile:
         # The electrode of the paper's own experiment (III-C).
         run = replace(run, profile="concentric")
     chosen = run.load_profile()
     named = f"{Path(name).stem}-{afferent.name}"
-    stem, order = session_name(named, who.subject, who.session)
+    stem, order = sessions.session_name(named, who.subject, who.session)
     options = ExperimentOptions(
-        afferent, parts.procedure, parse_standards(parts.standards), parts.repetitions,
+        afferent, parts.procedure, sessions.parse_standards(parts.standards), parts.repetitions,
         parts.trials, parts.site, parts.train_s, rate_hz, parts.two_intervals, order,
     )  # fmt: skip
     made = new_experiment(name, chosen, options)
-    patience_s = _PATIENCE_S if simulated else None
+    patience_s = None if simulate is None else _PATIENCE_S
     timing = TrialTiming(parts.gap_s, parts.answer_s or None, made.again, patience_s)
     about = About(named, made.method, who.name, who.session, order)
     path = who.output or Path(f"{stem}.csv")
     config = run.config(
         afferent.name, scan="points", seed=order, subject=who.subject, note=who.session,
-        paced=not simulated,
+        paced=simulate is None,
     )  # fmt: skip
-    with open_experiment(made, chosen, timing, about, path) as sitting:
+    with sessions.open_experiment(made, chosen, timing, about, path) as sitting:
         if run.record is not None and sitting.session.resumed:
-            run = replace(run, record=numbered(run.record))
-        _present(sitting, run, config, who.simulate)
-
-
-def _present(
-    sitting: "ExperimentSession", run: RunOptionGroup, config: "RunConfig", simulate: str | None
-) -> None:
-    """Run an experiment to its end or until a user ends it; print its progress."""
-    from smarttouch.views.screen import BlindScreen
-
-    def say(lines: Iterable[str]) -> None:
-        for line in () if run.quiet else lines:
+            run = replace(run, record=sessions.numbered(run.record))
+        for line in sitting.before(simulate == "model"):
             typer.echo(line)
-
-    say(sitting.before(simulate == "model"))
-    try:
-        if not sitting.session.over:
-            source, listeners = sitting.source(), []
-            if simulate is not None:
-                anatomy, finger = run.one_finger(_ANATOMY)
-                listeners = [sitting.subject(source, simulate, config.seed, finger, anatomy)]
-            run.start(
-                source, sitting.profile, config, screen=BlindScreen, keys=source.keys,
-                listeners=listeners,
-            )  # fmt: skip
-    finally:
-        say(sitting.after())
+        try:
+            if not sitting.session.over:
+                source, listeners = sitting.source(), []
+                if simulate is not None:
+                    anatomy, finger = run.finger(_ANATOMY)
+                    listeners = [sitting.subject(source, simulate, config.seed, finger, anatomy)]
+                run.start(
+                    source, chosen, config, screen=BlindScreen, keys=source.keys,
+                    listeners=listeners,
+                )  # fmt: skip
+        finally:
+            for line in sitting.after():
+                typer.echo(line)
 
 
 def _run_free(
-    run: RunOptionGroup, who: _Participant, mode: str, parts: _Parts, rate_hz: float | None
+    run: RunOptions, who: _Participant, mode: str, parts: _Parts, rate_hz: float | None
 ) -> None:
     """Let a user turn the current by hand, up to the device's own limit (paper, III-A)."""
     from smarttouch.base.afferent import Mode
-    from smarttouch.base.errors import choice_of
     from smarttouch.experiments.psychophysics.experiment_session import numbered
     from smarttouch.experiments.psychophysics.free_stimulation import (
         FreeSource,
@@ -232,11 +202,11 @@ def _run_free(
     from smarttouch.kernels.bank import load_bank
     from smarttouch.views.progress import bank_progress
 
-    if who.simulate is not None:
-        raise ExperimentError("nobody is simulated in free stimulation: leave this out")
-    if who.output is not None:
-        message = "free stimulation has no answers: leave out --output, and use --record"
-        raise ExperimentError(message)
+    if who.simulate is not None or who.output is not None:
+        raise ExperimentError(
+            "free stimulation has no answers, and nobody is simulated: leave out --simulate and "
+            "--output, and use --record"
+        )
     if not sys.stdin.isatty() and run.seconds is None:
         message = "there is no keyboard, by which this would end: use a terminal, or give --seconds"
         raise ExperimentError(message)
@@ -246,7 +216,7 @@ def _run_free(
         # Adjusted by hand, from zero here too.
         run = replace(run, intensity=0.0)
     profile = raise_to_device_limits(run.load_profile())
-    with bank_progress(run.quiet) as progress:
+    with bank_progress() as progress:
         offered = sorted(load_bank(profile, progress).weights)
     first = choice_of("mode", mode, [each.name for each in offered])
     classes = sorted(offered, key=lambda each: each.name != first)
@@ -256,8 +226,7 @@ def _run_free(
     source.url = "experiment:free"
     config = run.config(Mode.COLOR, scan="points")
     run.start(source, profile, config, keys=source.keys, keys_help=source.keys_help)
-    if not run.quiet:
-        typer.echo(f"every change is an event of {run.record}")
+    typer.echo(f"every change is an event of {run.record}")
 
 
 @experiment.command()
@@ -265,9 +234,7 @@ def fit(
     files: Annotated[
         list[Path], argument("CSV files of answers, one of each condition.", "FILE...")
     ],
-    x: Annotated[
-        str, option("Name the column of the stimulus that was compared.", "COLUMN")
-    ] = "comparison",
+    x: Annotated[str, option("Name the column of what was compared.", "COLUMN")] = "comparison",
     y: Annotated[str, option("Name the column of answers: 1, 0 or empty.", "COLUMN")] = "success",
     function: Annotated[
         str, option("Choose the curve: normal, logistic or weibull.", "NAME")
@@ -288,7 +255,6 @@ def fit(
     Several files, for example of RA and PC mode, share one table and one picture, where each has
     its name.
     """
-    from smarttouch.base.errors import choice_of
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.experiments.fitting.answer_figures import discrimination_figure
     from smarttouch.experiments.fitting.answers import read_table, usual_model
@@ -300,7 +266,8 @@ def fit(
     require_folder(plot)
     if plot is not None:
         figure_style.require_drawable(plot)
-    shape, guessed = choice_of("function", function, Shape), _parse_guess(guess)
+    shape = choice_of("function", function, Shape)
+    guessed = None if guess is None else _parse_guess(guess)
     found: list[tuple[AnswerTable, list[Finding]]] = []
     for path in files:
         table = read_table(path, x, y)
@@ -315,13 +282,10 @@ def fit(
         figure_style.save(discrimination_figure(found), plot)
 
 
-def _parse_guess(text: str | None) -> "Guess | None":
-    if text is None:
-        return None
-    if text == "equal":
-        return "equal"
-    if text == "free":
-        return "free"
+def _parse_guess(text: str) -> "Guess":
+    match text:
+        case "equal" | "free":
+            return text
     try:
         return float(text)
     except ValueError:
@@ -330,7 +294,6 @@ def _parse_guess(text: str | None) -> "Guess | None":
 
 
 def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
-    from smarttouch.base.terminal import print_table
     from smarttouch.experiments.fitting.findings import threshold_rows
 
     console = terminal.console(highlight=False)
@@ -339,7 +302,7 @@ def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
         compares = any(each.answers.standard for each in findings)
         heading, *rows = threshold_rows([each for each in findings if not each.verdict], compares)
         if rows:
-            print_table(rows, heading, left=0)
+            terminal.print_table(rows, heading, left=0)
         if table.cut:
             console.print("the last line of the file is not whole, and is left out", style="dim")
         for each in findings:

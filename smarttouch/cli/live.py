@@ -1,19 +1,26 @@
-"""``smarttouch live`` and ``stop``: current in the skin, and its end."""
+"""``smarttouch live``, ``replay`` and ``stop``: current in the skin, again, and its end."""
 
+from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from smarttouch.base.command_options import argument, option
-from smarttouch.cli.options import takes_options
-from smarttouch.cli.run_options import RunOptionGroup
-from smarttouch.cli.source_options import or_standard_input
+from smarttouch.base.terminal import print_table
+from smarttouch.cli.options import (
+    RunOptions,
+    argument,
+    option,
+    or_standard_input,
+    parse_mode,
+    takes_options,
+)
 from smarttouch.views.keys_and_signals import drives_a_board, opened
 
 
 @takes_options
 def live(
-    run: RunOptionGroup,
+    run: RunOptions,
     source: Annotated[
         str | None,
         argument(
@@ -42,11 +49,10 @@ def live(
 
 
 @drives_a_board
-def _show(run: RunOptionGroup, url: str, mode: str | None) -> None:
+def _show(run: RunOptions, url: str, mode: str | None) -> None:
     chosen = run.load_profile()
     ready = run.display(chosen)
     from smarttouch.base.errors import SourceError
-    from smarttouch.cli.options import parse_mode
     from smarttouch.sources import open_source, options_taken
     from smarttouch.sources.virtual_finger import READER_MM_S
 
@@ -72,6 +78,59 @@ def _show(run: RunOptionGroup, url: str, mode: str | None) -> None:
             opened, chosen, config, ready, keys=opened.keys,
             keys_help=opened.keys_help,
         )  # fmt: skip
+
+
+@drives_a_board
+@takes_options
+def replay(
+    run: RunOptions,
+    file: Annotated[Path, argument("A recording, whole or cut off.", "FILE")],
+    check: Annotated[
+        bool, option("Compare today's sequences with the recorded ones, exactly.", None, "--check")
+    ] = False,
+    info: Annotated[
+        bool, option("Show what was delivered to whom and when, and events.", None, "--info")
+    ] = False,
+) -> None:
+    """Play a recording, check that it gives the same, or show what it holds.
+
+    Without --profile it is played with the recorded one, which never raises the limits of a real
+    board. The recorded force counts on simulated boards only; --intensity scales what was recorded.
+    """
+    from smarttouch.running.recorded_source import RecordedControls, RecordingSource
+    from smarttouch.running.recording import Recording, describe
+
+    if info:
+        print_table(describe(file), left=2)
+        return
+    if check:
+        _check(file, run.profile)
+        return
+    recording = Recording(file)
+    recorded = run.profile is None and not run.on_a_finger
+    chosen = recording.profile if recorded else run.load_profile()
+    asked = {"hold": None, "balance": False, "paced": run.is_watched} | run.settings()
+    config = recording.run.model_copy(update=asked)
+    with RecordingSource(recording) as source:
+        source.url = f"recording:{file}"
+        run.start(source, chosen, config, controls=partial(RecordedControls, recording))
+
+
+def _check(file: Path, profile: str | None) -> None:
+    """Print the outcome; exit 1 where sequences differ."""
+    from smarttouch.kernels.bank import load_bank
+    from smarttouch.profile import load_profile
+    from smarttouch.running.check_recording import check_recording
+    from smarttouch.running.recording import Recording
+    from smarttouch.views.progress import bank_progress
+
+    chosen = Recording(file).profile if profile is None else load_profile(profile)
+    with bank_progress() as progress:
+        bank = load_bank(chosen, progress)
+    report = check_recording(file, bank=bank, profile=chosen)
+    print(report.describe())
+    if not report.exact:
+        raise typer.Exit(1)
 
 
 def stop(

@@ -1,24 +1,43 @@
-"""What all commands share: options and their groups, choices, and help in plain lines."""
+"""Options that several commands share, the parts of a run made by them, and help in plain lines."""
 
 import inspect
 import sys
-from collections.abc import Callable
-from dataclasses import fields
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.command_options import option
 from smarttouch.base.errors import SmartTouchError, choice_of, require_within
+from smarttouch.base.files import require_folder
 from smarttouch.base.removed import COMMANDS, OPTIONS, instead_of
+from smarttouch.base.terminal import draws
 
 if TYPE_CHECKING:
     from smarttouch.profile import Profile
+    from smarttouch.running.config import RunConfig
+    from smarttouch.running.display import Display
+    from smarttouch.running.listener import Listener
+    from smarttouch.sources.source_contract import Source
 
 _T = TypeVar("_T")
+_MOST_BYTES = 256_000_000  # of standard input
+
+
+def option(says: str, metavar: str | None = None, *names: str, **more: Any) -> Any:
+    """Return an option of a command; in the list of a parameter's ``Annotated``."""
+    return typer.Option(*names, help=says, metavar=metavar, **more)
+
+
+def argument(says: str, metavar: str | None = None, **more: Any) -> Any:
+    """Return an argument of a command, as `option` does."""
+    return typer.Argument(help=says, metavar=metavar, **more)
 
 
 class OptionGroup:
@@ -26,32 +45,22 @@ class OptionGroup:
 
 
 def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
-    """Let a command take the options of the groups among its parameters' types, each group as one
-    object."""
-    hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {
-        name: kind
-        for name, kind in hints.items()
-        if inspect.isclass(kind) and issubclass(kind, OptionGroup)
-    }
+    """Let a command take the options of the groups among its parameters, each as one object."""
+    taken: list[inspect.Parameter] = []
+    groups: dict[str, tuple[Any, list[str]]] = {}
+    for each in inspect.signature(command).parameters.values():
+        if inspect.isclass(each.annotation) and issubclass(each.annotation, OptionGroup):
+            fields = [*inspect.signature(each.annotation).parameters.values()]
+            groups[each.name] = each.annotation, [field.name for field in fields]
+            taken += fields
+        else:
+            taken.append(each.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
     def expanded(**given: Any) -> _T:
-        for name, group in groups.items():
-            given[name] = group(**{each.name: given.pop(each.name) for each in fields(group)})
+        for name, (group, names) in groups.items():
+            given[name] = group(**{field: given.pop(field) for field in names})
         return command(**given)
 
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    taken = [
-        each.replace(annotation=hints[each.name], kind=keyword)
-        for each in inspect.signature(command).parameters.values()
-        if each.name not in groups
-    ]
-    for group in groups.values():
-        kinds = get_type_hints(group, include_extras=True)
-        taken += [
-            inspect.Parameter(each.name, keyword, default=each.default, annotation=kinds[each.name])
-            for each in fields(group)
-        ]
     expanded.__name__, expanded.__doc__ = command.__name__, command.__doc__
     expanded.__annotations__ = {each.name: each.annotation for each in taken}
     # Typer reads it; the type of a function has no such attribute.
@@ -59,15 +68,20 @@ def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
     return expanded
 
 
+def read_form(form: Callable[..., _T], text: str, error: type[SmartTouchError]) -> tuple[str, _T]:
+    """Return a name, and what a function makes of the options that follow it after ``?``."""
+    from smarttouch.base.url_options import options_of, read_options
+
+    name, given = read_options(form, text, error)
+    if "?" in name:
+        known = ", ".join(sorted(options_of(form)))
+        raise error(f"{name!r} has an option that there is not: choose {known}")
+    return name, form(**given)
+
+
 def parse_mode(mode: str) -> Mode:
     """Return a mode by its name; only modes that images can drive."""
     return choice_of("mode", mode, [each for each in Mode if each is not Mode.COLOR])
-
-
-def parse_finger(text: str, usual: str) -> tuple[str, int]:
-    """Return anatomy and seed of ``[ANATOMY:]SEED``, with the usual anatomy where none is given."""
-    anatomy, _, seed = text.rpartition(":")
-    return (anatomy or usual, int(seed)) if seed.isdecimal() else (text, 1)
 
 
 def parse_afferent(mode: str) -> Afferent:
@@ -112,7 +126,205 @@ ForceOption = Annotated[
     str | None,
     option("Measure finger force by hx711:PORT or loadcell:PORT, or state it by fixed:N.", "URL"),
 ]
-QuietOption = Annotated[bool, option("Print errors only.", None, "--quiet")]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(OptionGroup):
+    """Options of every command that runs, as typed."""
+
+    board: Annotated[
+        str | None,
+        option(
+            "Drive this board: simulated: (usual), emulator:, kajimoto61:PORT, "
+            "etactilekit:PORT, link:PORT.",
+            "URL",
+        ),
+    ] = None
+    profile: ProfileOption = None
+    force: ForceOption = None
+    intensity: Annotated[
+        float | None, option("Set the maximum intensity, 0 to 1. Real boards start at 0.", "0..1")
+    ] = None
+    seconds: Annotated[float | None, option("End the run after this time.", "S")] = None
+    felt: Annotated[
+        Path | None,
+        option(
+            "Draw what the sensor saw, what was delivered and how a simulated finger responds.",
+            "PNG",
+        ),
+    ] = None
+    record: Annotated[Path | None, option("Record the whole run.", "MCAP")] = None
+    json_file: JsonOption = None
+    window: Annotated[
+        bool, option("Open a page in the browser that shows and steers the run.", None, "--window")
+    ] = False
+    plain: Annotated[
+        bool | None,
+        option(
+            "Print one line for each event and draw nothing, for screen readers.", None, "--plain"
+        ),
+    ] = None
+    set_: Annotated[
+        list[str] | None,
+        option(
+            "Change a setting: rate_hz=HZ, scan=points, hold=charge|energy, softness=0..1, "
+            "balance, light_on_dark, seed=N, note=WORDS, finger=[ANATOMY:]SEED, vibrators=WAV, "
+            "paced=no (as fast as it can).",
+            "NAME=VALUE",
+            "--set",
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        for output in self.files:
+            require_folder(output)
+
+    @property
+    def files(self) -> list[Path]:
+        """Files that a run writes."""
+        return [each for each in (self.felt, self.record, self.json_file) if each is not None]
+
+    @property
+    def board_url(self) -> str:
+        """URL of the board: that given, that of the profile given, or the simulated one."""
+        return self.board or (self._chosen and self._chosen.defaults.board) or "simulated:"
+
+    @property
+    def takes_usual_profile(self) -> bool:
+        """True if no profile is given, and the board asks for none of its own."""
+        from smarttouch.boards.open import default_profile
+        from smarttouch.profile import DEFAULT_PROFILE
+
+        return self.profile is None and default_profile(self.board_url) == DEFAULT_PROFILE
+
+    @property
+    def on_a_finger(self) -> bool:
+        """True if there may be a finger on the board."""
+        from smarttouch.boards.open import may_touch_a_finger
+
+        return may_touch_a_finger(self.board_url)
+
+    @property
+    def is_watched(self) -> bool:
+        """True if the run is only watched, on a screen or in a window, and kept in no file."""
+        return (self.window or (draws() and not self.plain)) and not self.files
+
+    @cached_property
+    def _chosen(self) -> "Profile | None":
+        from smarttouch.profile import load_profile
+
+        return None if self.profile is None else load_profile(self.profile)
+
+    def load_profile(self) -> "Profile":
+        """Return the profile that was asked for, or the board's usual one."""
+        from smarttouch.boards.open import default_profile
+        from smarttouch.profile import load_profile
+
+        return self._chosen or load_profile(default_profile(self.board_url))
+
+    def display(self, profile: "Profile") -> "Display":
+        """Return the display, not opened yet."""
+        from smarttouch.running.display import Display
+
+        return Display(self.board_url, profile)
+
+    def config(self, mode: str, **more: Any) -> "RunConfig":
+        """Return the configuration of a run that somebody watches; --set replaces what a command
+        has as usual."""
+        from smarttouch.running.config import RunConfig
+
+        return RunConfig(**({"mode": mode, "paced": True} | more | self.settings()))
+
+    def settings(self) -> dict[str, Any]:
+        """Return the settings of `RunConfig` that were given."""
+        from smarttouch.running.config import RunConfig
+
+        texts = [each for each in self.set_ or () if each.partition("=")[0] not in _NOT_OF_CONFIG]
+        own = {"seconds": self.seconds, "intensity": self.intensity}
+        given = {name: value for name, value in own.items() if value is not None}
+        return given | RunConfig.read(texts)
+
+    def _set(self, name: str) -> str | None:
+        parts = (each.partition("=") for each in self.set_ or ())
+        return next((value for key, _, value in parts if key == name), None)
+
+    @property
+    def vibrators(self) -> str | None:
+        """WAV file or sound card of a vibrator that drives PC."""
+        return self._set("vibrators")
+
+    def finger(self, usual: str = "branched") -> tuple[str, int]:
+        """Return anatomy and seed of the simulated finger."""
+        text = self._set("finger") or usual
+        anatomy, _, seed = text.rpartition(":")
+        return (anatomy or usual, int(seed)) if seed.isdecimal() else (text, 1)
+
+    def _outputs(self) -> "Iterator[Listener]":
+        """Yield a listener for each output that is wanted."""
+        if self.felt is not None:
+            from smarttouch.views.outputs import DeliveredPicture
+
+            anatomy, seed = self.finger()
+            yield DeliveredPicture(self.felt, seed, anatomy)
+        if self.record is not None:
+            from smarttouch.running.recorder import Recorder
+
+            yield Recorder(self.record)
+        if self.vibrators is not None:
+            from smarttouch.views.vibrator import Vibrator
+
+            yield Vibrator(self.vibrators)
+
+    def start(
+        self,
+        source: "Source",
+        profile: "Profile",
+        config: "RunConfig",
+        ready: "Display | None" = None,
+        listeners: "Iterable[Listener]" = (),
+        **more: Any,
+    ) -> None:
+        """Run a source in the terminal until its end, as `run_in_terminal` does with `more`."""
+        from smarttouch.views.terminal_session import run_in_terminal
+
+        if self.on_a_finger:
+            display = self.display(source.narrowed(profile))
+        else:
+            display = ready or self.display(profile)
+        run_in_terminal(
+            source, display, config, [*self._outputs(), *listeners], force=self.force,
+            json_file=self.json_file, files=self.files, window=self.window,
+            plain=profile.defaults.plain if self.plain is None else self.plain, **more,
+        )  # fmt: skip
+
+
+_NOT_OF_CONFIG = ("finger", "vibrators")  # of --set, and no settings of `RunConfig`
+
+
+def or_standard_input(ctx: typer.Context, given: str | None) -> str | None:
+    """Return the value of an argument; for ``-``, a file with the content of standard input.
+
+    It is removed when the command ends.
+    """
+    return str(ctx.with_resource(_file_of_standard_input())) if given == "-" else given
+
+
+@contextmanager
+def _file_of_standard_input() -> Iterator[Path]:
+    stream = getattr(sys.stdin, "buffer", None)
+    data = sys.stdin.read().encode() if stream is None else stream.read(_MOST_BYTES + 1)
+    if not data:
+        raise SmartTouchError(
+            "standard input holds nothing: give a file, or pipe a text or a page into the command"
+        )
+    if len(data) > _MOST_BYTES:
+        raise SmartTouchError(
+            f"standard input holds more than {_MOST_BYTES / 1e6:,.0f} MB: give a file"
+        )
+    with tempfile.TemporaryDirectory(prefix="smarttouch-") as folder:
+        path = Path(folder) / "standard input"
+        path.write_bytes(data)
+        yield path
 
 
 class PlainCommand(TyperCommand):

@@ -1,24 +1,134 @@
 """``smarttouch read``, ``braille`` and ``braille-display``: text under a finger."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smarttouch.base.command_options import argument, option
-from smarttouch.cli.options import ModeOption, takes_options
-from smarttouch.cli.run_options import RunOptionGroup
-from smarttouch.cli.source_options import (
-    DocumentOptions,
-    FormOptions,
-    TableOption,
+from smarttouch.base.errors import BrailleError, PageError, ReadingError, choice_of
+from smarttouch.base.files import named_file, require_folder, write_bytes
+from smarttouch.cli.options import (
+    ModeOption,
+    OptionGroup,
+    RunOptions,
+    argument,
+    option,
     or_standard_input,
-    table_of,
+    parse_mode,
+    read_form,
+    takes_options,
 )
 from smarttouch.views.keys_and_signals import drives_a_board
 
 if TYPE_CHECKING:
+    from smarttouch.reading.braille_lines import Braille
+    from smarttouch.reading.letter_shapes import Shapes
+    from smarttouch.reading.recognition import RecognitionOptions
     from smarttouch.running.config import RunConfig
+
+_TESSERACT = {
+    "ar": "ara", "cs": "ces", "da": "dan", "de": "deu", "el": "ell", "en": "eng", "es": "spa",
+    "fi": "fin", "fr": "fra", "he": "heb", "hi": "hin", "hu": "hun", "it": "ita", "ja": "jpn",
+    "ko": "kor", "nl": "nld", "pl": "pol", "pt": "por", "ru": "rus", "sv": "swe", "tr": "tur",
+    "uk": "ukr",
+}  # fmt: skip
+"""Languages as Tesseract names them, by their tags."""
+_TAGS = {code: tag for tag, code in _TESSERACT.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class DocumentOptions(OptionGroup):
+    """Options of a document."""
+
+    password_file: Annotated[
+        str | None,
+        option(
+            "Read the password of a locked PDF from this file, or from standard input (-). It is "
+            "asked for at a terminal otherwise.",
+            "FILE|-",
+        ),
+    ] = None
+    languages: Annotated[
+        str | None,
+        option("Name the language of the text, such as en or fr.", "TAG", "--language"),
+    ] = None
+
+    def recognition(self, source: str) -> "tuple[str, RecognitionOptions]":
+        """Return the document, and its options: these, and those that follow its name."""
+        from smarttouch.base.url_options import joined_options, read_options
+        from smarttouch.pages.document import password_of
+        from smarttouch.pages.file_kinds import FileKind, file_kind
+        from smarttouch.reading.recognition import RecognitionOptions
+
+        source = source.removeprefix("page:")
+        place, in_name = source, dict[str, Any]()
+        if Path(source.rpartition("?")[0]).is_file():
+            place, in_name = read_options(RecognitionOptions, source, PageError, but=("password",))
+        if not place.startswith("text:") and named_file(place, BrailleError) is None:
+            place = f"text:{place}"
+        given = dict[str, Any]()
+        if self.languages is not None:
+            given["languages"] = "+".join(
+                _TESSERACT.get(each.partition("-")[0], each) for each in self.languages.split("+")
+            )
+        if not place.startswith("text:") and file_kind(Path(place)) is FileKind.PAGES:
+            given["password"] = password_of(Path(place), self.password_file)
+        given = joined_options(source, given, in_name, PageError)
+        return place, RecognitionOptions(**given)
+
+
+TableOption = Annotated[
+    str | None,
+    option(
+        "Choose the Braille table; --tables lists them. The language chooses one otherwise.",
+        "NAME",
+    ),
+]
+
+
+def table_of(table: str | None, language: str | None) -> str:
+    """Return the name of the Braille table: that given, or that of the first language."""
+    first = (language or "en").partition("+")[0]
+    return table or _TAGS.get(first, first)
+
+
+@dataclass(frozen=True)
+class _Form:
+    """Options that follow the name of a form in ``--as``."""
+
+    table: str | None = None
+    speed_mm_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FormOptions(OptionGroup):
+    """Options of letter shapes and Braille."""
+
+    kind: Annotated[
+        str | None,
+        option(
+            "Read shapes or braille. Options follow: 'shapes?speed_mm_s=20', "
+            "'braille?table=en-2&speed_mm_s=40'.",
+            "FORM",
+            "--as",
+        ),
+    ] = None
+
+    def presentation(
+        self, usual: str, language: str | None = None
+    ) -> "tuple[Shapes | Braille, float | None]":
+        """Return letter shapes or Braille, and the speed asked for, mm/s.
+
+        Without a table, it is that of the language.
+        """
+        from smarttouch.reading.braille_lines import Braille
+        from smarttouch.reading.letter_shapes import Shapes
+
+        text, form = read_form(_Form, self.kind or usual, ReadingError)
+        if choice_of("kind", text, ("shapes", "braille")) == "shapes":
+            return Shapes(), form.speed_mm_s
+        return Braille(table_of(form.table, language)), form.speed_mm_s
 
 
 @drives_a_board
@@ -26,7 +136,7 @@ if TYPE_CHECKING:
 def read(
     feel: FormOptions,
     document: DocumentOptions,
-    run: RunOptionGroup,
+    run: RunOptions,
     source: Annotated[
         str,
         argument(
@@ -45,7 +155,6 @@ def read(
 
     Keys: arrows choose a line, r repeats it, and those of live.
     """
-    from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading
     from smarttouch.reading.line_source import ReadingSource
     from smarttouch.reading.material import ReadingMaterial
@@ -61,7 +170,7 @@ def read(
     lines = presentation.lines(text, chosen)
     with ReadingSource(text.title, chosen, lines, motion, pause_s) as reading:
         reading.url, reading.notes = source, notes
-        first_line_awaited(lambda: reading.line(0, wait=True), run.quiet)
+        first_line_awaited(lambda: reading.line(0, wait=True))
         run.start(
             reading, chosen, _at_level(config, presentation, run.on_a_finger), keys=reading.keys,
             keys_help=reading.keys_help,
@@ -107,8 +216,6 @@ def braille(
     """Translate text into Braille, or Braille into text."""
     from functools import partial
 
-    from smarttouch.base.errors import BrailleError
-    from smarttouch.base.files import write_bytes
     from smarttouch.braille.brf import format_brf
     from smarttouch.braille.code_tables import open_table
     from smarttouch.reading.braille_lines import document_cells
@@ -142,8 +249,6 @@ def braille(
 
 
 def _require_new_brf(output: Path, back: bool) -> None:
-    from smarttouch.base.errors import BrailleError
-    from smarttouch.base.files import require_folder
 
     require_folder(output)
     if back or output.suffix.lower() != ".brf":
@@ -188,7 +293,7 @@ def _print_tables() -> None:
 @drives_a_board
 @takes_options
 def braille_display(
-    run: RunOptionGroup,
+    run: RunOptions,
     address: Annotated[
         str,
         argument(
@@ -209,7 +314,6 @@ def braille_display(
 
     The finger then reads the console and, through BrlAPI, what Orca reads on a desktop.
     """
-    from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading
     from smarttouch.sources import open_source
 

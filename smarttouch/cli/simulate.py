@@ -5,15 +5,18 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.base.command_options import argument, option
 from smarttouch.cli.options import (
     ArrayOption,
     Commands,
     JsonOption,
     ModeOption,
+    argument,
+    option,
+    or_standard_input,
+    parse_mode,
     takes_options,
 )
-from smarttouch.cli.source_options import DocumentOptions, or_standard_input
+from smarttouch.cli.read import DocumentOptions
 
 simulate: Commands = Commands(
     help="Put pages or a study on simulated fingers.",
@@ -46,7 +49,6 @@ def simulate_page(
     """Run a page on a simulated board and read the result with Tesseract."""
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.base.terminal import print_table
-    from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading, rows_of
     from smarttouch.kernels.bank import load_bank
     from smarttouch.pages.file_kinds import read_plain_text
@@ -55,21 +57,21 @@ def simulate_page(
     from smarttouch.reading.letter_shapes import Shapes
     from smarttouch.reading.material import ReadingMaterial
     from smarttouch.running.config import RunConfig
-    from smarttouch.views.progress import bank_progress, lines_progress
+    from smarttouch.views.progress import bank_progress, progress
 
     require_folder(json_file)
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
     text = ReadingMaterial(*document.recognition(source), notes.append)
     shapes = Shapes()
-    with bank_progress(quiet=False) as progress:
-        bank = load_bank(chosen, progress)
+    with bank_progress() as advance:
+        bank = load_bank(chosen, advance)
     reading = LineDelivery(
         chosen, bank, shapes.tone, shapes.motion(chosen), parse_mode(mode),
         RunConfig().sharing(chosen),
     )  # fmt: skip
     true_text = text.words if truth is None else read_plain_text(truth)
-    with lines_progress(quiet=False) as advance:
+    with progress() as advance:
         found = legibility_of_shapes(text, reading, true_text, advance)
     if json_file is not None:
         about = {"source": source, "profile": chosen.name, "rows": rows_of(chosen), "notes": notes}
@@ -113,15 +115,15 @@ def study(
         study_table,
     )
     from smarttouch.views import figure_style
-    from smarttouch.views.progress import bank_progress, lines_progress
+    from smarttouch.views.progress import bank_progress, progress
 
     asked = load_study(plan)
     with (
         on_cluster(cluster),
-        bank_progress(quiet=False) as designing,
-        lines_progress(quiet=False, title="Fingers") as progress,
+        bank_progress() as designing,
+        progress("Fingers") as advance,
     ):
-        rows = run_study(asked, plan.parent, output, designing, progress)
+        rows = run_study(asked, plan.parent, output, designing, advance)
     sums, made = study_sums(rows), [output / ROWS_FILE]
     if find_spec("matplotlib"):
         made.append(output / "study.png")

@@ -12,23 +12,14 @@ _LINE_S = 10.0
 Advance = Callable[[int, int], None]  # function called with how many are done, of how many
 
 
-def bank_progress(quiet: bool) -> AbstractContextManager[Advance | None]:
-    """Yield a function that shows how many sites of a kernel bank are designed; None if quiet."""
-    return _bar("Designing kernels", quiet)
+def bank_progress() -> AbstractContextManager[Advance]:
+    """Yield a function that shows how many sites of a kernel bank are designed."""
+    return progress("Designing kernels")
 
 
 @contextmanager
-def lines_progress(quiet: bool, title: str = "Reading lines") -> Iterator[Advance]:
+def progress(title: str = "Reading lines") -> Iterator[Advance]:
     """Yield a function that shows how many lines have been read, or how much else is done."""
-    with _bar(title, quiet) as advance:
-        yield advance or (lambda _done, _total: None)
-
-
-@contextmanager
-def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
-    if quiet:
-        yield None
-        return
     bar = Progress(console=terminal.console(stderr=True), transient=True)
     task = bar.add_task(title)
     begun_s = printed_s = time.monotonic()
@@ -52,10 +43,7 @@ def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
             bar.stop()
 
 
-def first_line_awaited(wait: Callable[[], object], quiet: bool) -> None:
+def first_line_awaited(wait: Callable[[], object]) -> None:
     """Show that a text is being prepared until its first line is ready."""
-    if quiet:
-        wait()
-        return
     with terminal.console(stderr=True).status("Preparing the text"):
         wait()

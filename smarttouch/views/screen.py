@@ -4,7 +4,7 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from itertools import zip_longest
 from pathlib import Path
@@ -43,13 +43,13 @@ _Row = list[tuple[str, str]]  # pieces of a row of the terminal, and their style
 class Screen(Listener):
     """Shows a run from a thread of its own, so that no pulse waits for the terminal; and summarizes
     it. Where nothing can be drawn, or if plain, it prints a line for each event and each new title
-    of the source; if quiet, nothing."""
+    of the source."""
 
-    def __init__(self, url: str, quiet: bool, keys_help: str = "", plain: bool = False) -> None:
+    def __init__(self, url: str, keys_help: str = "", plain: bool = False) -> None:
         super().__init__()
-        self._url, self._quiet = url, quiet
+        self._url = url
         self._console = terminal.console()
-        self._plain = not quiet and (plain or not terminal.draws())
+        self._plain = plain or not terminal.draws()
         self._title = ""
         self._early: list[str] | None = []  # lines on what happened before the board was open
         self._latest: StepResult | None = None
@@ -65,7 +65,7 @@ class Screen(Listener):
         self._source, self._profile, self._controls = run.source, run.profile, run.controls
         self._board, self._statistics = run.board, run.statistics
         self._full_ma = float(run.profile.full_ma.max())
-        if self._quiet or self._plain:
+        if self._plain:
             return
         # Drawing must not hold the loop up for a whole default interval of 5 ms.
         self._interval = sys.getswitchinterval()
@@ -102,7 +102,7 @@ class Screen(Listener):
     def event(self, event: Event) -> None:
         """Show the newest event; advice stays."""
         self._event = f"{event.time_ns / 1e9:.1f} s: {event}"
-        if isinstance(event, Advice) and not self._quiet:
+        if isinstance(event, Advice):
             console = terminal.console(stderr=True) if self._live is None else self._console
             self._later(
                 partial(console.print, str(event), soft_wrap=True, highlight=False, markup=False)
@@ -260,7 +260,7 @@ class Screen(Listener):
             ("own work", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
         )
 
-    def summarize(self, figures: dict[str, Any], notes: list[str], files: list[Path]) -> None:
+    def summarize(self, figures: dict[str, Any], notes: list[str], files: Sequence[Path]) -> None:
         """Print how the run went."""
         lines = summary_lines(figures, acknowledges=self._board.capabilities.acknowledges)
         wrote = [f"wrote {path}" for path in files]

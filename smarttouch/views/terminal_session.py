@@ -3,9 +3,8 @@
 import contextlib
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,104 +43,67 @@ DRAWN_WITHIN_S = 30.0  # to the end after a signal where pictures are drawn, unl
 Keys = Mapping[str, Callable[[], None]]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Outputs:
-    """Files of a run, and how it is shown."""
-
-    felt: Path | None = None
-    finger: int = 1
-    anatomy: str = "branched"
-    record: Path | None = None
-    vibrators: str | None = None
-    json_file: Path | None = None
-    window: bool = False
-    quiet: bool = False
-    plain: bool = False
-
-    @property
-    def files(self) -> list[Path]:
-        """Files that are written at the end."""
-        return [each for each in (self.felt, self.record, self.json_file) if each is not None]
-
-    @property
-    def patience_s(self) -> float | None:
-        """Time that the end of a stopped run may take, if longer than usual: drawing takes long."""
-        return None if self.felt is None else DRAWN_WITHIN_S
-
-    def listeners(self) -> Iterator[Listener]:
-        """Yield a listener for each output that is wanted."""
-        if self.felt is not None:
-            yield DeliveredPicture(self.felt, self.finger, self.anatomy)
-        if self.record is not None:
-            from smarttouch.running.recorder import Recorder
-
-            yield Recorder(self.record)
-        if self.vibrators is not None:
-            from smarttouch.views.vibrator import Vibrator
-
-            yield Vibrator(self.vibrators)
-
-
 def run_in_terminal(
     source: Source,
     display: Display,
     config: RunConfig,
-    outputs: Outputs,
+    listeners: Sequence[Listener] = (),
     *,
-    force: ForceSource | None = None,
+    force: ForceSource | str | None = None,
     screen: type[Screen] = Screen,
     keys: Keys | None = None,
     keys_help: str = "",
     controls: MakeControls = Controls,
-    listeners: Iterable[Listener] = (),
+    json_file: Path | None = None,
+    files: Sequence[Path] = (),
+    window: bool = False,
+    plain: bool = False,
 ) -> None:
     """Run a source on a display until it ends or the user ends it, and print a summary. Arguments
     are those of `Runner`; ``keys`` are functions of further keys, and ``keys_help`` describes them
-    on the screen. A window shows the end until its pages are closed."""
+    on the screen. A window shows the end until its pages are closed. ``json_file`` gets the figures
+    of the run; ``files`` are all that it writes."""
     stop = command_stop()
-    shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
+    shown = screen(display.url, keys_help, plain)
     typed = sys.stdin.isatty()
-    # Before the window, which takes a port, as an output may be impossible.
-    followers = list(outputs.listeners())
+    drawn = any(isinstance(each, DeliveredPicture) for each in listeners)
     with contextlib.ExitStack() as closing:
-        window = None
-        if outputs.window:
-            window = _window(
+        page = None
+        if window:
+            page = _window(
                 stop, config.seconds, blind=issubclass(screen, BlindScreen), keys=keys,
                 keys_help=keys_help, alone=not typed,
             )  # fmt: skip
-            closing.callback(window.shut)
-        config, controls = _operated(display, config, controls, typed or window is not None)
+            closing.callback(page.shut)
+        config, controls = _operated(display, config, controls, typed or window)
         runner = Runner(
             source,
             display,
             config,
             force=force,
             listeners=[
-                *([] if window is None else [window]),  # before the screen: it prints its address
+                *([] if page is None else [page]),  # before the screen: it prints its address
                 shown,
                 _Within(partial(_keyboard, stop, keys or {})),
-                *followers,
                 *listeners,
                 # Until here, with no board open, a signal ends the program anywhere.
-                _Within(lambda _run: ending_in_order(outputs.patience_s)),
+                _Within(lambda _run: ending_in_order(DRAWN_WITHIN_S if drawn else None)),
             ],
             stop=stop,
-            load_kernels=partial(_load_kernels, quiet=outputs.quiet),
+            load_kernels=_load_kernels,
             controls=controls,
             opened=partial(opened, display.board),
         )
         try:
             runner.run()
         finally:
-            if outputs.json_file is not None and runner.statistics.figures:
-                write_json(outputs.json_file, runner.statistics.figures)
-        if not outputs.quiet:
-            shown.summarize(runner.statistics.figures, runner.statistics.notes, outputs.files)
-        if window is not None and not by_signal():
-            if window.pages and not outputs.quiet:
+            if json_file is not None and runner.statistics.figures:
+                write_json(json_file, runner.statistics.figures)
+        shown.summarize(runner.statistics.figures, runner.statistics.notes, files)
+        if page is not None and not by_signal():
+            if page.pages:
                 print("The window shows the result until it is closed or you press Ctrl-C.")
-            window.stay()
+            page.stay()
 
 
 def _operated(
@@ -174,8 +136,8 @@ def _window(stop: StopRequest, seconds: float | None, **given: Any) -> "Window":
     )
 
 
-def _load_kernels(profile: Profile, quiet: bool) -> KernelBank:
-    with bank_progress(quiet) as progress:
+def _load_kernels(profile: Profile) -> KernelBank:
+    with bank_progress() as progress:
         return load_bank(profile, progress)
 
 

@@ -28,7 +28,7 @@ def refusal(*words):
     ("words", "instead"),
     [
         (("report",), COMMANDS["report"]),
-        (("recordings", "view", "run.mcap"), COMMANDS["recordings view"]),
+        (("recordings", "view", "run.mcap"), COMMANDS["recordings"]),
         (("live", "--stream", "lsl:"), OPTIONS["--stream"]),
         (("live", "--stream=lsl:"), OPTIONS["--stream"]),
     ],

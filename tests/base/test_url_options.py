@@ -10,7 +10,7 @@ from PIL import Image
 from smarttouch.base.errors import BoardError, PageError, SourceError
 from smarttouch.base.url_options import read_options
 from smarttouch.boards.open import make_board
-from smarttouch.cli.source_options import DocumentOptions
+from smarttouch.cli.read import DocumentOptions
 from smarttouch.instruments.hand_motion import open_motion
 from smarttouch.instruments.relief import open_texture
 from smarttouch.profile import load_profile

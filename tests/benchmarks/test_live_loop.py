@@ -65,7 +65,7 @@ def resident_mib(process):
 def figures(sensor, folder, seconds):
     """Run the program; return its figures, and its memory early and at the end."""
     out = folder / "run.json"
-    command = [PROGRAM, "live", sensor, "--board", "emulator:", "--force", "fixed:0.9", "--quiet"]
+    command = [PROGRAM, "live", sensor, "--board", "emulator:", "--force", "fixed:0.9"]
     command += ["--seconds", f"{seconds:g}", "--json", str(out)]
     memory = []
     with subprocess.Popen(command) as process:

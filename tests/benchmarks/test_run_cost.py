@@ -29,10 +29,10 @@ import smarttouch as st
 PROGRAM = str(Path(sys.executable).with_name("smarttouch"))
 TEXT = "text:" + "The quick brown fox jumps over the lazy dog. " * 20
 WAYS = {
-    "quiet": ["--quiet"],
+    "quiet": ["--plain"],
     "screen": [],
-    "window": ["--quiet", "--window"],
-    "recording": ["--quiet", "--record"],
+    "window": ["--window"],
+    "recording": ["--record"],
 }
 TICKS = os.sysconf("SC_CLK_TCK")
 

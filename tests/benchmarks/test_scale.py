@@ -148,7 +148,7 @@ def in_threads(count, seconds):
 
 def in_processes(count, seconds, folder):
     command = [PROGRAM, "live", "text:Hello world", "--board", "memory:", "--set", "rate_hz=50"]
-    command += ["--quiet", "--seconds", f"{seconds:g}", "--json"]
+    command += ["--seconds", f"{seconds:g}", "--json"]
     files = [folder / f"{index}.json" for index in range(count)]
     running = [subprocess.Popen([*command, str(each)]) for each in files]
     assert [each.wait() for each in running] == [0] * count

@@ -21,7 +21,7 @@ def live(program_here):
 
 @pytest.mark.parametrize("mode", ["RA", "natural"])
 def test_by_the_hosts_books_charge_is_back(live, mode):
-    options = f"--board memory: --mode {mode} --quiet"
+    options = f"--board memory: --mode {mode}"
     plain = live(options).figures
     balanced = live(f"{options} --set balance").flawless().figures
     assert plain["max_net_charge_uc"] > 10 * balanced["max_net_charge_uc"] > 0

@@ -175,7 +175,7 @@ def test_a_participant_s_screen_does_not_show_the_answer(profile, make_frame):
         profile=profile, controls=Controls(ControlState(Mode.RA, 0.5)), board=None,
         statistics=RunStatistics(),
     )  # fmt: skip
-    screen = BlindScreen("emulator:", quiet=True)
+    screen = BlindScreen("emulator:", plain=True)
     screen.prepare(run)
     frame = make_frame([[0]], force_n=0.45)
     sequence = SimpleNamespace(rate_hz=45.0, current_ua=None)

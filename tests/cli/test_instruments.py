@@ -15,12 +15,12 @@ from smarttouch.running.recording import Recording
 from ..instruments.touched import object_file
 from .conftest import refused, says
 
-FAST = "live texture:grating:4mm?motion=sweep:?speed_mm_s=120 --set paced=no --quiet"
+FAST = "live texture:grating:4mm?motion=sweep:?speed_mm_s=120 --set paced=no"
 
 
 @pytest.fixture
 def played(program_here):
-    """Return a runner of a source that gives its figures, and all that was ``printed``."""
+    """Return a runner of a source that gives its figures, and what was ``noted``."""
 
     def run(spec, more=""):
         done = program_here(f"live '{spec}' --set paced=no --json f.json {more}").fine()
@@ -47,9 +47,8 @@ def test_a_file_keeps_its_own_time_and_can_be_cut(played, tmp_path):
     lines = [f"{time:.3f},{um:.3f}" for time, um in zip(time_s, moved, strict=True)]
     (tmp_path / "t.csv").write_text("\n".join(["time_s,displacement_um", *lines]))
     for more, lasts in (("", 1.0), ("--seconds 0.4", 0.4)):
-        figures = played("vibration:t.csv", f"--quiet {more}")
+        figures = played("vibration:t.csv", more)
         assert figures["seconds"] == pytest.approx(lasts, abs=0.03)
-        assert figures["printed"] == ""
 
 
 def test_what_is_left_out_is_reported(played):
@@ -61,7 +60,7 @@ def test_what_is_left_out_is_reported(played):
 
 
 def test_without_options_a_virtual_hand_strokes_a_grating(played, tmp_path):
-    figures = played("texture:", "--intensity 0.5 --felt felt.png --finger paper")
+    figures = played("texture:", "--intensity 0.5 --felt felt.png --set finger=paper")
     # 60 mm there and back over 4 mm: 15 ridges each, at all of 64 electrodes.
     assert figures["slots"] == pytest.approx(2 * 15 * 64, abs=64)
     assert figures["emulator_violations"] == 0
@@ -76,16 +75,16 @@ def test_an_image_under_a_recorded_hand(played, tmp_path):
         "time_s,x_mm,y_mm,force_n\n0,20,20,1\n1,20,20,1\n2,60,20,1\n2.1,60,20,1\n"
     )
     hand = "motion=path:way.csv"
-    all_over = played(f"texture:o.png?{hand}", "--quiet")["slots"]
+    all_over = played(f"texture:o.png?{hand}")["slots"]
     assert 100 < all_over < 250
-    twice = played(f"texture:o.png?grain_mm=1&{hand}", "--quiet --mode SAI")["slots"]
+    twice = played(f"texture:o.png?grain_mm=1&{hand}", "--mode SAI")["slots"]
     assert twice == pytest.approx(2 * all_over, rel=0.2)
-    assert played(f"texture:o.png?{hand}", "--quiet --force fixed:0.1")["slots"] == 0
+    assert played(f"texture:o.png?{hand}", "--force fixed:0.1")["slots"] == 0
 
 
 def test_a_vibrator_plays_what_was_recorded(program_here, tmp_path, changed):
-    mixed = "live vibration:tone:30Hz,8um+tone:250Hz,2um?seconds=1 --set paced=no --quiet"
-    program_here(f"{mixed} --vibrators v.wav --record a.mcap").flawless()
+    mixed = "live vibration:tone:30Hz,8um+tone:250Hz,2um?seconds=1 --set paced=no"
+    program_here(f"{mixed} --set vibrators=v.wav --record a.mcap").flawless()
     rate_hz, wave = wavfile.read(tmp_path / "v.wav")
     spectrum = np.abs(np.fft.rfft(wave.astype(np.float64)))
     assert np.fft.rfftfreq(len(wave), 1 / rate_hz)[spectrum.argmax()] == pytest.approx(250, abs=2)
@@ -100,7 +99,7 @@ def test_a_vibrator_plays_what_was_recorded(program_here, tmp_path, changed):
 
 def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_path):
     # Twenty frames a second: ten pulses open the level, and the others are in full.
-    felt = "--felt felt.png --finger paper"
+    felt = "--felt felt.png --set finger=paper"
     program_here(f"{FAST.replace('grating:4mm', 'text:I')} --set rate_hz=20 {felt}").fine()
     picture = np.asarray(Image.open(tmp_path / "felt.png").convert("L"))
     touched = picture[picture.shape[0] // 2 + 40 :]

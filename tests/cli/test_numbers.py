@@ -32,7 +32,7 @@ def free_port():
 
 
 SMALL = "--profile smarttouch-4x4"
-PAGE = "--seconds 0.2 --board memory: --quiet"
+PAGE = "--seconds 0.2 --board memory:"
 BASES = {
     "live": f"live text:i {SMALL} {PAGE}",
     "read": f"read text:i {SMALL} {PAGE}",

@@ -92,7 +92,7 @@ def test_another_account_gets_in_by_no_door(start_program, other_account, open_f
     try:
         run = start_program(
             "live", f"socket:{door}", "--board", "simulated:", "--window",
-            "--record", path, "--quiet", real=True,
+            "--record", path, real=True,
         )  # fmt: skip
     finally:
         os.umask(before)

@@ -5,13 +5,13 @@ import stat
 
 import pytest
 
-LIVE = ("live", "text:oo", "--board", "simulated:", "--seconds", "0.3", "--quiet")
+LIVE = ("live", "text:oo", "--board", "simulated:", "--seconds", "0.3")
 COMMANDS = {
     "run": (
         (*LIVE, "--record", "run.mcap", "--json", "run.json"),
     ),
     "felt": ((*LIVE, "--felt", "felt.png"),),
-    "vibrations": ((*LIVE, "--vibrators", "out.wav"),),
+    "vibrations": ((*LIVE, "--set", "vibrators=out.wav"),),
     "experiment": (
         ("experiment", "run", "frequency?standards=30&train_s=0.15&repetitions=1&gap_s=0.1",
          "--simulate", "model", "--output", "a.csv"),

@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from smarttouch.cli.run_options import RunOptionGroup
+from smarttouch.cli.options import RunOptions
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.profile.toml_files import profile_path
 
@@ -82,10 +82,10 @@ def test_what_is_drawn(profile, kept, given, drawn, monkeypatch):
     shown = []
     monkeypatch.setattr(
         "smarttouch.views.terminal_session.run_in_terminal",
-        lambda source, display, config, outputs, **more: shown.append(not outputs.plain),
+        lambda *_, plain, **more: shown.append(not plain),
     )
     own = profile.model_copy(update={"defaults": {"plain": kept}})
-    run = RunOptionGroup(board="memory:", plain=given)
+    run = RunOptions(board="memory:", plain=given)
     run.start(None, own, run.config("RA"))
     assert shown == [drawn]
 

@@ -59,7 +59,7 @@ def test_letters_begin_at_the_level_of_a_finger_of_unknown_level(program_here, m
 
 def test_an_image_without_a_board(program_here, tmp_path):
     Image.fromarray(print_text("a\nbeam").grey).save(tmp_path / "small.png")
-    kept = "--felt felt.png --finger paper --json f.json"
+    kept = "--felt felt.png --set finger=paper --json f.json"
     done = program_here(f"read small.png --set paced=no {kept}").fine()
     assert done.stderr.strip() == ""
     assert done.figures["ended"] == "end of the text"

@@ -10,7 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from smarttouch.base.errors import BoardError, RecordingError, SourceError
-from smarttouch.cli.recordings import replay
+from smarttouch.cli.live import replay
 
 from ..boards.fresh import fresh_state
 from ..running.forged_recordings import put_together, take_apart

@@ -6,7 +6,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from smarttouch.cli.recordings import recordings, replay
+from smarttouch.cli.live import replay
 
 
 @pytest.fixture
@@ -23,7 +23,6 @@ def recording(tmp_path):
 @pytest.fixture
 def call():
     app = typer.Typer()
-    app.add_typer(recordings, name="recordings")
     app.command()(replay)
 
     def run(*arguments):
@@ -33,7 +32,7 @@ def call():
 
 
 def test_info_has_what_an_ethics_board_asks(call, recording):
-    done = call("recordings", "info", recording)
+    done = call(recording, "--info")
     assert done.exit_code == 0
     for told in (
         "2023-11-14 22:13:20 UTC", "1.5 s", "nobody", "electric-mouse", "SAI 38", "mA",
@@ -48,14 +47,14 @@ def test_damage_is_reported(call, recording):
     flipped[len(content) // 2] ^= 1
     for broken, state in ((content, "whole"), (content[:-200], "cut:"), (flipped, "damaged:")):
         recording.write_bytes(broken)
-        done = call("recordings", "info", recording)
+        done = call(recording, "--info")
         assert done.exit_code == 0
         assert done.stdout.split()[:2] == ["state", state]
         assert "electric-mouse" in done.stdout
 
 
 def test_a_check_that_holds_and_one_that_does_not(call, recording, tmp_path):
-    done = call("replay", recording, "--check")
+    done = call(recording, "--check")
     assert done.exit_code == 0
     assert re.fullmatch(r"38 .*\d+ .*\n", done.stdout)
     from smarttouch.base.files import data_folder
@@ -64,7 +63,7 @@ def test_a_check_that_holds_and_one_that_does_not(call, recording, tmp_path):
     assert "ramp_s = 0.5" in text
     other = tmp_path / "other.toml"
     other.write_text(text.replace("ramp_s = 0.5", "ramp_s = 0.6"))
-    done = call("replay", recording, "--check", "--profile", other)
+    done = call(recording, "--check", "--profile", other)
     assert done.exit_code == 1
     head, *differences = done.stdout.splitlines()
     assert head.startswith("38 ")

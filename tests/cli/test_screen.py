@@ -4,7 +4,6 @@ import io
 import itertools
 import os
 import re
-import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -52,7 +51,7 @@ def shown(profile, monkeypatch):
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
 
     def lines(size, *told, color=True, keys_help=""):
-        screen = Screen("emulator:", quiet=True, keys_help=keys_help)
+        screen = Screen("emulator:", keys_help, plain=True)
         screen._console = Console(
             width=size[0], height=size[1], file=io.StringIO(), no_color=not color,
             force_terminal=True, color_system="truecolor",
@@ -209,7 +208,7 @@ def test_where_nothing_is_drawn(monkeypatch, terminal, dumb, asked, plain):
     console = Console(file=io.StringIO(), force_terminal=terminal)
     monkeypatch.setattr("smarttouch.views.screen.terminal.console", lambda **_: console)
     run = SimpleNamespace(source=SimpleNamespace(title="a\nb"), profile=SimpleNamespace(title="p"))
-    screen = Screen("emulator:", quiet=False, plain=asked)
+    screen = Screen("emulator:", plain=asked)
     screen.event(Paused(1_500_000_000))
     # What happens before the board is open is told when it is.
     assert console.file.getvalue() == ""
@@ -218,11 +217,6 @@ def test_where_nothing_is_drawn(monkeypatch, terminal, dumb, asked, plain):
     screen.close()
     told = [each for each in console.file.getvalue().splitlines() if not each.startswith("keys")]
     assert told == ["a b, p, emulator:", "1.5 s: paused", "2.5 s: goes on"] * plain
-    quiet = Screen("emulator:", quiet=True, plain=asked)
-    quiet.start(run)
-    quiet.event(Paused(0))
-    quiet.close()
-    assert console.file.getvalue().count("\n") == len(told) + plain * sys.stdin.isatty()
 
 
 @pytest.mark.parametrize("terminal", [True, False])
@@ -231,7 +225,7 @@ def test_lines_break_at_words_on_a_terminal_and_nowhere_else(monkeypatch, termin
     monkeypatch.setattr("smarttouch.views.screen.terminal.console", lambda **_: console)
     title = " ".join(["letters"] * 20)
     run = SimpleNamespace(source=SimpleNamespace(title=title), profile=SimpleNamespace(title="p"))
-    screen = Screen("emulator:", quiet=False, plain=True)
+    screen = Screen("emulator:", plain=True)
     screen.start(run)
     screen.close()
     lines = [each for each in console.file.getvalue().splitlines() if not each.startswith("keys")]

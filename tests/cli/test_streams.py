@@ -103,19 +103,6 @@ def test_whoever_reads_has_gone(shell):
     assert done.stderr == b""
 
 
-@pytest.mark.parametrize("most", sample([8, 32]))
-def test_too_few_open_files(shell, most):
-    done = shell(f"ulimit -n {most}; smarttouch {SHORT}")
-    said = refused(done.returncode, done.stderr)
-    assert f" {most} files" in said
-    assert "ulimit -n 64" in said
-
-
-def test_the_fewest_open_files_that_are_asked_for_suffice(shell):
-    done = shell(f"ulimit -n 64; smarttouch {SHORT} --record r.mcap --json f.json --felt f.png")
-    assert (done.returncode, done.stderr) == (0, b"")
-
-
 def test_a_run_that_fills_the_disk_keeps_what_it_took(shell, tmp_path):
     long = f"text:{'touch ' * 40}"
     run = f"smarttouch live '{long}' --board simulated: --record r.mcap --json f.json"
@@ -148,10 +135,10 @@ def shown(done):
 def test_no_name_or_title_is_obeyed(program_here, tmp_path):
     evil_profile(tmp_path, EVIL + ".toml")
     names = ("--profile", f"{EVIL}.toml")
-    files = ("--record", f"{EVIL}.mcap", "--felt", f"{EVIL}.png", "--finger", "paper")
+    files = ("--record", f"{EVIL}.mcap", "--felt", f"{EVIL}.png", "--set", "finger=paper")
     assert f" {SHOWN}.mcap" in shown(program_here(*SHORT.split(), *names, *files, "--json=f.json"))
     assert json.loads((tmp_path / "f.json").read_text())["ended"]
-    told = shown(program_here("recordings info", f"{EVIL}.mcap"))
+    told = shown(program_here("replay --info", f"{EVIL}.mcap"))
     assert told.count("␛]0;owned") >= 2
     assert "[bold]:smile:[/" in told
 

@@ -41,9 +41,7 @@ def receive(page, kind):
 
 @pytest.mark.realtime
 def test_a_window_waits_for_its_page_and_shows_the_end_until_that_is_closed(start_program):
-    run = start_program(
-        "live", "text:a?passes=1", "--window", "--quiet", "--profile", "smarttouch-4x4"
-    )
+    run = start_program("live", "text:a?passes=1", "--window", "--profile", "smarttouch-4x4")
     address = FIRST.match(run.stderr.readline())[1]
     # Nothing is shown to nobody, although a page of one letter would be over by now.
     time.sleep(0.6)
@@ -68,9 +66,7 @@ def test_a_window_nobody_opens_is_given_up(start_program):
 
 
 def test_with_a_limit_of_time_a_page_is_not_waited_for_longer(start_program):
-    run = start_program(
-        "live", "--window", "--seconds", "0.2", "--quiet", "--profile", "smarttouch-4x4"
-    )
+    run = start_program("live", "--window", "--seconds", "0.2", "--profile", "smarttouch-4x4")
     assert run.wait(60) == 0
 
 
@@ -95,7 +91,7 @@ def state(page):
 def test_on_a_finger_a_page_turns_it_up_from_nothing(start_program, start_emulator, tmp_path):
     _, port, _ = start_emulator()
     run = start_program(
-        "live", "--board", f"link:{port}", "--force", "fixed:1", "--window", "--quiet",
+        "live", "--board", f"link:{port}", "--force", "fixed:1", "--window",
         "text:touch touch?speed_mm_s=2", "--record", "run.mcap",
     )  # fmt: skip
     address = FIRST.match(run.stderr.readline())[1]

@@ -43,7 +43,6 @@ def test_a_run_with_both(program, tmp_path):
     done = program(
         "-c", "from smarttouch.cli import main; main()", "live", "--board", "journal:run.txt",
         "bar:1.5?speed_mm_s=50", "--seconds", "0.5", "--force", "fixed:1", "--intensity", "1",
-        "--quiet",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     lines = (tmp_path / "run.txt").read_text("utf-8").splitlines()
