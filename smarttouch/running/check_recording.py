@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import RecordingError
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
-from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.pipeline import Pipeline, Regulator
 from smarttouch.running.recording import Recording
-from smarttouch.running.regulation import Regulator
 from smarttouch.running.step_messages import RecordedStep
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
@@ -70,9 +69,7 @@ def check_recording(
     """
     recording = Recording(path)
     profile = recording.profile if profile is None else profile
-    pipeline, regulator = rebuild_pipeline(
-        recording, profile, load_bank(profile) if bank is None else bank
-    )
+    pipeline = rebuild_pipeline(recording, profile, load_bank(profile) if bank is None else bank)
     report, image = CheckReport(), None
     for recorded in recording.steps():
         if recorded.index != report.sequences:
@@ -83,7 +80,7 @@ def check_recording(
             recorded = replace(
                 recorded, sent=replace(recorded.sent, step=replace(recorded.step, allowed=None))
             )
-        was, now = recorded.step.sequence, _again(recorded, pipeline, regulator)
+        was, now = recorded.step.sequence, _again(recorded, pipeline)
         before, image = image, recorded.step.input.image
         report.frames += image is not None and image is not before
         report.sequences += 1
@@ -107,10 +104,8 @@ def assert_replays(path: Path | str, **same: Any) -> None:
         raise AssertionError(f"{path}: {report.describe()}")
 
 
-def rebuild_pipeline(
-    recording: Recording, profile: Profile, bank: KernelBank
-) -> tuple[Pipeline, Regulator]:
-    """Return a pipeline and a regulator in their state at the start of a recording."""
+def rebuild_pipeline(recording: Recording, profile: Profile, bank: KernelBank) -> Pipeline:
+    """Return a pipeline in its state at the start of a recording."""
     run = recording.run
     pipeline = Pipeline(profile, bank, run, run.timing, vibrated=run.vibrated, in_sums=run.in_sums)
     adaptation = ledger = recharge = None
@@ -133,22 +128,20 @@ def rebuild_pipeline(
             ledger.charge_pc[:] = run.carried_pc
         if run.recharge:
             recharge = RechargeRules.of(profile, run.timing)
-    pipeline.adaptation = adaptation
-    return pipeline, Regulator(adaptation, ledger, recharge)
+    pipeline.regulator = Regulator(adaptation, ledger, recharge)
+    return pipeline
 
 
-def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> ScanSequence:
+def _again(recorded: RecordedStep, pipeline: Pipeline) -> ScanSequence:
     """Return the sequence that the present pipeline makes of a recorded step's inputs."""
     step = recorded.step
     if step.mode is not pipeline.mode:
         pipeline.change_mode(step.mode)
     if step.restarted:
         pipeline.restart_softly()
-    observed = regulator.observe(step.observed)
-    again = pipeline.process(step.input, step.level, step.allowed)
-    made = regulator.regulate(again, observed).sequence
+    made = pipeline.process(step.input, step.level, step.allowed, step.observed).sequence
     if recorded.sent.number is None:
-        regulator.lost(made)
+        pipeline.regulator.take_back(made)
     return made
 
 

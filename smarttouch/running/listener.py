@@ -91,10 +91,10 @@ class OnStep(Listener):
 
     def __init__(self, function: Callable[[StepResult], object]) -> None:
         super().__init__()
-        self._function = function
+        self.function: Callable[[StepResult], object] = function
 
     def step(self, result: StepResult) -> None:
-        self._function(result)
+        self.function(result)
 
 
 class OnEvent(Listener):

@@ -2,27 +2,89 @@
 
 import contextlib
 import copy
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.errors import BoardError, SmartTouchError
+from smarttouch.boards.board import Board
 from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_NET_MA
 from smarttouch.running.config import RunConfig
-from smarttouch.running.step import Step
+from smarttouch.running.step import Measured, Step
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
-from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.adaptation import RESERVED, Adaptation
 from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.stimulation.net_plan import NetPlan
 from smarttouch.stimulation.pulse_rates import ScanTiming, force_gate
 from smarttouch.stimulation.ramp import Ramp
+from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_recharge
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
-from smarttouch.stimulation.scan_sequence import KernelTable
+from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
 from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
+
+_WAITING_UC = 0.02  # charge that whole µA of the longest recharge phase may leave
+
+
+@dataclass
+class Regulator:
+    """Closes the loop from what the board measured to what it is sent next.
+
+    The adaptation holds charge or energy against drifting impedance; the ledger has the net charge
+    of every electrode, which a recharge phase within its rules, or else the polarity of whole
+    scans, brings to zero.
+    """
+
+    adaptation: Adaptation | None = None
+    ledger: ChargeBalance | None = None
+    recharge: RechargeRules | None = None
+    _scans: int = 0
+    _reversed: int = 0
+    _waited: int = 0
+
+    def balanced(self, sequence: ScanSequence, ledger: ChargeBalance) -> ScanSequence:
+        """Enter a sequence into the ledger, and return it as it is to be sent."""
+        if self.recharge is None:
+            balanced = ledger.balancing(sequence)
+            self._reversed += balanced is not sequence
+        else:
+            balanced = add_recharge(sequence, ledger.charge_pc, self.recharge)
+        ledger.add(balanced)
+        if balanced.slots:
+            self._scans += 1
+            self._waited += ledger.worst_uc > _WAITING_UC
+        return balanced
+
+    def take_back(self, sequence: ScanSequence) -> None:
+        """Take back a sequence that did not reach the board."""
+        if self.ledger is not None:
+            self.ledger.add(sequence, -1)
+
+    def notes(self) -> list[str]:
+        """Return notes for the user after the run."""
+        notes = []
+        limited = () if self.adaptation is None else self.adaptation.limited
+        if limited and self.adaptation is not None:
+            what, end = ("energy", "strongest") if self.adaptation.holds == "energy" else (
+                "charge", "longest")  # fmt: skip
+            notes.append(
+                f"{what} could not be held at {len(limited)} sites: pulses are at their {end}"
+            )
+        if self._reversed:
+            notes.append(
+                f"{self._reversed} of {self._scans} scans were reversed for the balance of charge: "
+                "they drove the other class, SAI where RA was meant and RA where SAI was"
+            )
+        if self.recharge is not None and self.ledger is not None and self._waited:
+            notes.append(
+                f"after {self._waited} of {self._scans} scans charge was left that no recharge "
+                f"phase may take back at once; {self.ledger.worst_uc:.2f} µC are left at the end"
+            )
+        return notes
 
 
 class Pipeline:
@@ -50,7 +112,7 @@ class Pipeline:
         self._limits = SafetyLimits.of(profile)
         self.ramp: Ramp = Ramp(self._limits.ramp_ns)
         """Of pipelines without a board, whose sequences count as written at their times."""
-        self.adaptation: Adaptation | None = None
+        self.regulator: Regulator = Regulator()
         self._vibration, self._time_ns = 0.0, 0
         self._restarted = True
         self._common = SchedulerContext(config.sharing(profile))
@@ -130,13 +192,24 @@ class Pipeline:
             )
         return self._scans[mode]
 
-    def process(self, given: Input, level: float = 1.0, allowed: float | None = None) -> Step:
+    def process(
+        self,
+        given: Input,
+        level: float = 1.0,
+        allowed: float | None = None,
+        observed: Sequence[Measured] = (),
+    ) -> Step:
         """Return the tactile image and the scan sequence of a frame or stimulus.
 
         Its force gates intensity, and NaN is no contact; ``level`` is what the user asked for, a
         part of the strongest current in [0, 1]. ``allowed`` is the strength that the board allows
-        (`Board.allowed_level`); without a board the pipeline has a ramp of its own.
+        (`Board.allowed_level`); without a board the pipeline has a ramp of its own. ``observed`` is
+        what the board has measured since the input before: it changes the sequence.
         """
+        regulator = self.regulator
+        if regulator.adaptation is not None:
+            for measured in observed:
+                regulator.adaptation.observe(*measured)
         tactile = given if isinstance(given, Stimulus) else self._mapper.map(given, self.mode)
         pressure, time_ns = force_gate(given.force_n, self._profile.force), given.time_ns
         wanted, activation = pressure * (level * tactile.level), tactile.activation
@@ -149,16 +222,19 @@ class Pipeline:
             if not np.delete(activation, Afferent.PC, axis=0).any():
                 # Nothing flows that a ramp could count.
                 wanted, strength = self._vibration, 1.0
-        sequence = scan.schedule(tactile, wanted, pressure, strength, self.adaptation)
+        sequence = scan.schedule(tactile, wanted, pressure, strength, regulator.adaptation)
         if allowed is None:
             strength_ppb = self._limits.strength_of(sequence)
             ppb, lasting_ns = parts_per_billion(sequence.intensity), 1000 * sequence.period_us
             self.ramp.claim(ppb, strength_ppb)
             self.ramp.note(ppb, strength_ppb, time_ns, lasting_ns)
+        if regulator.ledger is not None:
+            sequence = regulator.balanced(sequence, regulator.ledger)
         restarted, self._restarted = self._restarted, False
         return Step(
-            given, tactile, sequence, self.mode, level, restarted, scan.asked_us, allowed=allowed
-        )
+            given, tactile, sequence, self.mode, level, restarted, scan.asked_us, tuple(observed),
+            allowed,
+        )  # fmt: skip
 
     def restart_softly(self) -> None:
         """Let intensity rise from zero again, after a time without current."""
@@ -172,12 +248,14 @@ class Pipeline:
         """Return notes for the user after the run."""
         slowed = sum(scan.net_slowed for scan in self._scans.values())
         emptied = sum(scan.net_emptied for scan in self._scans.values())
+        notes = self.regulator.notes()
         if not slowed and not emptied:
-            return []
+            return notes
         return [
+            *notes,
             f"{slowed} sequences were slowed and {emptied} left without pulses to keep the net "
             f"current of each electrode below {1000 * CEILING_NET_MA:g} µA: choose balance, fewer "
-            "points or a lower intensity for the rate that was asked for"
+            "points or a lower intensity for the rate that was asked for",
         ]
 
     def warm_up(self) -> None:
@@ -190,6 +268,7 @@ class Pipeline:
         twin.ramp = Ramp(self._limits.ramp_ns)
         # Makers of shared slots have no state but their plans.
         twin._scans, twin._common = {}, replace(self._common, net=None)
+        twin.regulator = Regulator()
         twin.change_mode(self.mode)
         profile, force_n = self._profile, self._profile.force.full_n
         image = np.full((profile.optics.sensor_rows, profile.optics.sensor_columns), 230, np.uint8)
@@ -202,3 +281,51 @@ class Pipeline:
                 if self.mode is Mode.COLOR
                 else Frame(image, time_ns, Pose(0, 0), force_n)
             )
+
+
+def make_regulator(
+    board: Board, profile: Profile, config: RunConfig, note: Callable[[str], None]
+) -> Regulator:
+    """Return the regulator that ``hold`` and ``balance`` ask for on an open board.
+
+    Each sentence that the user should know before the run goes to ``note``. Raises BoardError if
+    the board cannot do it.
+    """
+    can = board.capabilities
+    if can.time_to_zero_ms is None:
+        note(
+            "This board goes on with its last pattern if its line breaks: keep its switch within "
+            "reach."
+        )
+    adaptation = ledger = recharge = None
+    if config.hold is not None:
+        if not can.measures or can.compliance_v is None:
+            raise BoardError(
+                "hold needs a board that measures the voltage of each slot, and this one does not"
+            )
+        if not board.driver.timing.own_widths and config.hold == "charge":
+            raise BoardError(
+                "hold charge needs a pulse width of its own for each slot, and this board has "
+                "one for all: choose energy"
+            )
+        if config.hold == "energy":
+            note(
+                f"Energy is held from {RESERVED:.0%} of the current on, so that it can rise where "
+                "skin becomes wet: raise the intensity until it is as strong as you want."
+            )
+        adaptation = Adaptation(profile, config.hold, can.compliance_v, board.driver.timing)
+    if config.balance:
+        if can.recharges:
+            recharge = RechargeRules.of(profile, board.driver.timing)
+        elif len(can.polarities) < 2:
+            raise BoardError(
+                f"balance needs both polarities, and this board is {can.polarities[0]} only"
+            )
+        else:
+            note(
+                "This board makes no recharge phase: to balance, whole scans are reversed, and "
+                "those drive the other class, SAI where RA is meant and RA where SAI is."
+            )
+        ledger = ChargeBalance(can.electrodes)
+        ledger.charge_pc[:] = board.net_charge_pc
+    return Regulator(adaptation, ledger, recharge)

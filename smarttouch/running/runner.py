@@ -26,10 +26,9 @@ from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import Listener, RunContext, as_listeners
 from smarttouch.running.loop import Loop, emit_to, steady_environment
-from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.pipeline import Pipeline, make_regulator
 from smarttouch.running.program import Program
 from smarttouch.running.recording_format import recorded_settings
-from smarttouch.running.regulation import Regulator, make_regulator
 from smarttouch.running.run_statistics import RunStatistics, figures_of
 from smarttouch.running.step import StepResult
 from smarttouch.sources.force import ForceSource, open_force
@@ -177,8 +176,8 @@ class Runner:
             self._warn_of_simulation(profile)
             if pipeline.mode is Mode.PC and self.display.on_a_finger:
                 self._advise(_weak_selectivity(context.bank))
-            regulator = make_regulator(board, profile, self.config, self._advise)
-            context.settings |= self._board_settings(regulator)
+            pipeline.regulator = make_regulator(board, profile, self.config, self._advise)
+            context.settings |= self._board_settings(pipeline)
             for listener in (*([source] if isinstance(source, Listener) else ()), *self._listeners):
                 listener.start(context)
             source.tell_notes(0)
@@ -192,10 +191,9 @@ class Runner:
                 listeners=self._listeners,
                 controls=context.controls,
                 force=self._force,
-                regulator=regulator,
                 clock=clock,
             )
-        board.notes += [*regulator.notes(), *pipeline.notes()]
+        board.notes += [*pipeline.notes()]
         if self.display.on_a_finger:
             board.notes += _density(profile)
             if not self.statistics.real_time:
@@ -215,9 +213,9 @@ class Runner:
             "force": None if self._force is None else self._force.url or self._force.title,
         }
 
-    def _board_settings(self, regulator: Regulator) -> dict[str, Any]:
+    def _board_settings(self, pipeline: Pipeline) -> dict[str, Any]:
         """Return settings that an open board reports, and the charge that an earlier run left."""
-        can, ledger = self.display.board.capabilities, regulator.ledger
+        can, ledger = self.display.board.capabilities, pipeline.regulator.ledger
         carried_pc = [] if ledger is None else ledger.charge_pc.tolist()
         return {
             "carried_pc": carried_pc if any(carried_pc) else [],

@@ -10,8 +10,7 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.kernels.design_problem import Problem
 from smarttouch.running.config import RunConfig
-from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.regulation import Regulator
+from smarttouch.running.pipeline import Pipeline, Regulator
 from smarttouch.sources import open_source
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
@@ -51,7 +50,7 @@ def answer_of_phase(sequence, profile, bank):
 def test_letters(row, quick, profile, bank, mode, scan):
     rows = Problem(profile, mode.afferents[0])
     for way in WAYS:
-        regulator, answers = regulator_of(way, profile), [0.0]
+        answers = [0.0]
 
         def watch(sent, answers=answers):
             if sent.step.sequence.recharge_us:
@@ -60,9 +59,10 @@ def test_letters(row, quick, profile, bank, mode, scan):
         pipeline = Pipeline(
             profile, bank, RunConfig(mode=mode, scan=SHARED if scan == "shared" else NO_SHARING)
         )
+        pipeline.regulator = regulator_of(way, profile)
         board = played(profile, SimulatedDriver)
         with board, open_source("text:the" if quick else TEXT, profile) as sensor:
-            tally = loop_through(sensor, pipeline, board, watch, regulator=regulator)
+            tally = loop_through(sensor, pipeline, board, watch)
             books = board.driver._firmware.books
             _, _, current_ua = board.driver.take_pulses()
         full = current_ua[np.abs(current_ua).max(axis=1) > 600].astype(np.float64)

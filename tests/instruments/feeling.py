@@ -9,8 +9,7 @@ from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.instruments.electric_mouse import MouseSource, TexturePicture
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.regulation import Regulator
+from smarttouch.running.pipeline import Pipeline, Regulator
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus
@@ -91,13 +90,14 @@ def feel(sensor: MouseSource, profile, bank, seconds: float | None = None) -> Si
 
     with sensor, played(profile, SimulatedDriver) as board:
         config = RunConfig(mode=sensor.mode, scan="points", balance=True)
+        pipeline = Pipeline(profile, bank, config)
+        pipeline.regulator = Regulator(
+            ledger=ChargeBalance(len(profile.electrodes)),
+            recharge=RechargeRules.of(profile, board.driver.timing),
+        )
         tally = loop_through(
-            sensor, Pipeline(profile, bank, config), board, watch, seconds=seconds,
+            sensor, pipeline, board, watch, seconds=seconds,
             controls=Controls(ControlState(sensor.mode)),
-            regulator=Regulator(
-                ledger=ChargeBalance(len(profile.electrodes)),
-                recharge=RechargeRules.of(profile, board.driver.timing),
-            ),
         )  # fmt: skip
         drawing.deliver(*board.driver.take_pulses())
     return SimulationResult(drawing, pulses_of(drawing), times_ns, poses_mm, tally)

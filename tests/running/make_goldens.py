@@ -28,10 +28,9 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import OnEvent, OnStep
 from smarttouch.running.loop import Loop
-from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.pipeline import Pipeline, Regulator
 from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording_format import about_run, digest_of
-from smarttouch.running.regulation import Regulator
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.sources import open_source
 from smarttouch.sources.source_contract import Frame, Source, Stimulus
@@ -196,7 +195,7 @@ def make(golden, path):
         ),
         golden.timing,
     )
-    regulator = Regulator(
+    pipeline.regulator = Regulator(
         Adaptation(profile, golden.hold, 100.0, golden.timing) if golden.hold else None,
         ChargeBalance(len(profile.electrodes)) if golden.balance else None,
     )
@@ -206,7 +205,7 @@ def make(golden, path):
     with open_source(f"text:{golden.text}", profile) as page, board:
         Loop(
             Held(page, golden), pipeline, board, stop=StopRequest(), statistics=RunStatistics(),
-            seconds=golden.seconds, controls=Script(golden), regulator=regulator,
+            seconds=golden.seconds, controls=Script(golden),
             clock=SimulatedClock(),
             listeners=[
                 OnStep(lambda sent: recorder.step(replace(sent, work_us=0.0))),

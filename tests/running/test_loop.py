@@ -467,8 +467,8 @@ def test_what_was_computed_before_a_pause_is_not_sent(
     board = played(profile, Watched, clock=clock, claimed_time=False)
     process = pipeline.process
 
-    def stand_still(frame, level, allowed):
-        step = process(frame, level, allowed)
+    def stand_still(*given):
+        step = process(*given)
         if (
             board.dropped_late < len(stalls)
             and len(board.driver.sequences) == stalls[board.dropped_late]
@@ -506,12 +506,12 @@ def test_a_stop_halts_the_board_in_the_middle_of_a_step(monkeypatch, pipeline, b
     stop, tally = StopRequest(), RunStatistics()
     process = pipeline.process
 
-    def stopped_meanwhile(frame, level, allowed):
+    def stopped_meanwhile(*given):
         if len(board.driver.sequences) == 10:
             thread = threading.Thread(target=stop.ask, args=("key q",))
             thread.start()
             thread.join()
-        return process(frame, level, allowed)
+        return process(*given)
 
     monkeypatch.setattr(pipeline, "process", stopped_meanwhile)
     with board, stop.on_stop(board.halt):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smarttouch.boards.reports import SequenceStart
-from smarttouch.running.phase_lock import GUARD_NS, PhaseLock, Sent
+from smarttouch.running.loop import GUARD_NS, PhaseLock, Sent
 from smarttouch.running.run_statistics import RunStatistics
 
 MS = 1_000_000
@@ -51,11 +51,11 @@ def play(delays_ns, line_ns=MS // 5, kind=Board, period_ns=20 * MS, ahead_ns=7 *
     for number, delay_ns in enumerate(delays_ns):
         deadline_ns = number * 20 * MS + shift_ns
         sent_ns = deadline_ns + int(delay_ns)
-        before = deadline_ns, shift_ns
-        phase.note(Sent(number, deadline_ns - 3 * MS, *before, 0, sent_ns, period_ns, ahead_ns))
+        times_ns = deadline_ns - 3 * MS, deadline_ns, number * 20 * MS, 0, sent_ns
+        sent = Sent(number, *times_ns, period_ns, ahead_ns)
         waits_ns.append(board.send(number, sent_ns) - sent_ns)
         board.now_ns = sent_ns
-        shift_ns += phase.follow(shift_ns)
+        shift_ns += phase.follow(shift_ns, sent)
     return np.array(waits_ns), board, statistics
 
 

@@ -9,10 +9,9 @@ import pytest
 from smarttouch.base.errors import RecordingError
 from smarttouch.running.check_recording import check_recording
 from smarttouch.running.config import RunConfig
-from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.pipeline import Pipeline, Regulator
 from smarttouch.running.recorded_run import load_recording
 from smarttouch.running.recording import Recording
-from smarttouch.running.regulation import Regulator
 from smarttouch.running.step import StepResult
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
@@ -26,12 +25,14 @@ def balance(profile, bank, make_steps):
 
     def make(carried_pc=0):
         pipeline = Pipeline(profile, bank, RunConfig(scan="points", balance=True))
-        regulator = Regulator(None, ChargeBalance(64), RechargeRules.of(profile, ScanTiming()))
+        regulator = pipeline.regulator = Regulator(
+            None, ChargeBalance(64), RechargeRules.of(profile, ScanTiming())
+        )
         regulator.ledger.charge_pc[:] = carried_pc
         made = []
         for sent in make_steps(40):
             step = pipeline.process(sent.step.input)
-            made.append(StepResult(regulator.regulate(step, ()), sent.number, 99.5, 12.25))
+            made.append(StepResult(step, sent.number, 99.5, 12.25))
         return made
 
     return make
