@@ -37,15 +37,13 @@ if TYPE_CHECKING:
     from smarttouch.physiology.finger import Finger
     from smarttouch.profile import Profile, list_profiles, load_profile
     from smarttouch.running.config import RunConfig
-    from smarttouch.running.display import Display, open_display
-    from smarttouch.running.functions import replay, run, steps
-    from smarttouch.running.listener import Listener
+    from smarttouch.running.display import Display, Session, open_display, show_together
     from smarttouch.running.program import Shown
     from smarttouch.running.recorded_run import RecordedRun, load_recording
     from smarttouch.running.recorder import Recorder
     from smarttouch.running.run_statistics import RunStatistics
-    from smarttouch.running.session import Session, show_together
-    from smarttouch.running.step import StepResult
+    from smarttouch.running.runner import replay, run, steps
+    from smarttouch.running.step import Listener, StepResult
     from smarttouch.sources import open_source
     from smarttouch.sources.source_contract import Frame, OpticalSource, Stimulus, StimulusSource
     from smarttouch.stimulation.safety_gate import SafetyLimits
@@ -76,15 +74,13 @@ if not TYPE_CHECKING:  # else any name would be one to a type checker
         "physiology.finger": "Finger",
         "profile": "Profile list_profiles load_profile",
         "running.config": "RunConfig",
-        "running.display": "Display open_display",
-        "running.functions": "replay run steps",
-        "running.listener": "Listener",
+        "running.display": "Display Session open_display show_together",
+        "running.runner": "replay run steps",
         "running.program": "Shown",
         "running.recorded_run": "RecordedRun load_recording",
         "running.recorder": "Recorder",
-        "running.session": "Session show_together",
         "running.run_statistics": "RunStatistics",
-        "running.step": "StepResult",
+        "running.step": "Listener StepResult",
         "sources": "open_source",
         "sources.source_contract": "Frame OpticalSource Stimulus StimulusSource",
         "stimulation.safety_gate": "SafetyLimits",

@@ -77,15 +77,15 @@ from smarttouch.profile.layouts import GridLayout as GridLayout
 from smarttouch.profile.layouts import HexagonLayout as HexagonLayout
 from smarttouch.profile.layouts import LineLayout as LineLayout
 from smarttouch.profile.toml_tables import Table as Table
-from smarttouch.running.functions import Listeners as Listeners
 from smarttouch.running.inputs import Controls as Controls
 from smarttouch.running.inputs import ControlState as ControlState
-from smarttouch.running.listener import RunContext as RunContext
 from smarttouch.running.program import Pattern as Pattern
 from smarttouch.running.recorded_run import RunArrays as RunArrays
 from smarttouch.running.run_statistics import LatencyHistogram as LatencyHistogram
+from smarttouch.running.runner import Listeners as Listeners
 from smarttouch.running.step import FirstPulse as FirstPulse
 from smarttouch.running.step import Measured as Measured
+from smarttouch.running.step import RunContext as RunContext
 from smarttouch.running.step import Step as Step
 from smarttouch.sources.force import ForceSource as ForceSource
 from smarttouch.sources.given_sources import Given as Given

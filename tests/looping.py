@@ -2,9 +2,9 @@
 
 from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.stopping import StopRequest
-from smarttouch.running.listener import as_listeners
 from smarttouch.running.loop import Loop
 from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.step import as_listeners
 
 
 def loop_through(source, pipeline, board, *listeners, **options):

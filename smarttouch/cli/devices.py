@@ -171,7 +171,7 @@ def try_out(
 
     from smarttouch.boards.open import may_touch_a_finger
     from smarttouch.running.display import open_display
-    from smarttouch.running.listener import OnEvent
+    from smarttouch.running.step import OnEvent
     from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
     from smarttouch.views.keys_and_signals import keyboard_listener
 

@@ -24,10 +24,9 @@ from smarttouch.base.posix import prioritized, priority_advice
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.running.inputs import Controls, ControlState, Inputs
-from smarttouch.running.listener import Listener, OnStep
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
-from smarttouch.running.step import FirstPulse, Step, StepResult
+from smarttouch.running.step import FirstPulse, Listener, OnStep, Step, StepResult
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source
 

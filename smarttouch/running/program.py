@@ -28,9 +28,8 @@ from smarttouch.base.tactile_image import TactileImage
 from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.profile import Profile
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.loop import Loop
-from smarttouch.running.step import StepResult
+from smarttouch.running.step import Listener, RunContext, StepResult
 from smarttouch.sources.given_sources import checked_activation, gray_image
 from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
 from smarttouch.stimulation.pulse_rates import force_gate

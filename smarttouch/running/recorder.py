@@ -15,9 +15,8 @@ from smarttouch.base.errors import RecordingError
 from smarttouch.base.events import Event
 from smarttouch.base.files import owner_only, unwritable
 from smarttouch.base.version import __version__
-from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.recording_format import METADATA, SCHEMAS, about_run
-from smarttouch.running.step import StepResult
+from smarttouch.running.step import Listener, RunContext, StepResult
 from smarttouch.running.step_messages import Message, event_message, image_message, step_message
 
 CHUNK_S = 1.0  # longest time before a chunk is on the disk: the loss if the program is killed

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Mode
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.running.step import FirstPulse, StepResult
+from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Source
 
 _PER_E = 100  # bins for each factor of e: a figure is true to half a percent
@@ -44,10 +44,6 @@ class LatencyHistogram:
     def figures(self) -> dict[str, float]:
         """Return p50, p99 and the maximum, µs."""
         return {"p50": self.quantile(0.5), "p99": self.quantile(0.99), "max": self.largest_us}
-
-    def known_figures(self) -> dict[str, float] | None:
-        """Return `figures`; None if there was no duration."""
-        return self.figures() if self.count else None
 
 
 @dataclass
@@ -143,119 +139,115 @@ class RunStatistics:
         if error_us is not None:
             self.period_error.add(error_us)
 
-    def enter_first_pulse(self, pulse: FirstPulse) -> None:
-        """Enter the start of a sequence that was sent before."""
-        self.first_pulse.add(pulse.latency_us)
-        self.waited.add(pulse.waited_us)
-
-    @property
-    def selectivity(self) -> tuple[float, float] | None:
-        """Most that other classes got, and the own class elsewhere, over the target's; None where
-        nothing is known: bounds of shared slots, and figures of all kernels of the modes."""
-        bank, shared = self.kernels, (self.off_target, self.spill)
-        if bank is None or bank.discs:
-            return shared if any(shared) else None
-        classes = {each for mode in self.modes for each in mode.afferents} & bank.weights.keys()
-        if not classes:
-            return None
-        other, spill = (
-            max(float(column[each].max()) for each in classes)
-            for column in (bank.off_target, bank.spill)
-        )
-        return max(shared[0], other), max(shared[1], spill)
-
     @property
     def work_share(self) -> float:
         """The loop's own work, of the time that the board scans."""
         return self.work.total_us / self.scan_us if self.scan_us else 0.0
 
+    @property
+    def selectivity(self) -> tuple[float, float] | None:
+        """Most that other classes got, and the own class elsewhere, over the target's; None where
+        nothing is known: bounds of shared slots, and figures of all kernels of the modes."""
+        bank, other, spill = self.kernels, self.off_target, self.spill
+        if bank is None or bank.discs:
+            return (other, spill) if other or spill else None
+        classes = {each for mode in self.modes for each in mode.afferents} & bank.weights.keys()
+        for afferent in classes:
+            other = max(other, float(bank.off_target[afferent].max()))
+            spill = max(spill, float(bank.spill[afferent].max()))
+        return (other, spill) if classes else None
 
-def figures_of(
-    statistics: RunStatistics, source: Source, board: Board, report: BoardReport | None, ended: str
-) -> dict[str, Any]:
-    """Return the figures of a run, ready for JSON; the board's own are None after a fault."""
-    other, spill = statistics.selectivity or (None, None)
-    return {
-        "ended": ended,
-        "seconds": statistics.seconds,
-        "frames": statistics.frames,
-        "frames_in": source.frames,
-        "frames_delivered": statistics.delivered,
-        "dropped_frames": source.dropped_frames + statistics.seen - statistics.delivered,
-        "sequences": statistics.frames,
-        "slots": statistics.slots,
-        "worst_other": other,
-        "worst_spill": spill,
-        "pulses": report and report.pulses,
-        "pulses_at_most": report and (report.most_pulses or report.pulses),
-        "acknowledged": board.acknowledged,
-        "refused": board.refused,
-        "late_frames": statistics.late,
-        "without_force_or_image": statistics.blind,
-        "replaced": board.replaced,
-        "packets_refused_by_host": board.driver.refused_packets,
-        "packets_refused_by_board": report and report.refused_packets,
-        "dropped_late": board.dropped_late,
-        "restarts": statistics.restarts,
-        "lifts": statistics.lifts,
-        "reported_by": report and report.by,
-        "rate_asked_hz": 1e6 * statistics.frames / statistics.asked_us
-        if statistics.asked_us
-        else None,
-        "rate_hz": statistics.frames / statistics.seconds if statistics.seconds else 0.0,
-        "lowest_rate_hz": statistics.lowest_rate_hz if statistics.frames else None,
-        "slowed_sequences": statistics.slowed,
-        "latency_us": statistics.latency.figures(),
-        "motion_to_bytes_us": statistics.motion_to_bytes.figures(),
-        "motion_to_pulse_us": statistics.first_pulse.known_figures(),
-        "bytes_to_pulse_us": statistics.waited.known_figures(),
-        "real_time": statistics.real_time,
-        "period_error_us": statistics.period_error.figures(),
-        "work_us": statistics.work.figures(),
-        "work_share": statistics.work_share,
-        "max_current_ma": report and report.max_current_ma,
-        "max_charge_uc": report and report.max_charge_uc,
-        "max_net_charge_uc": report and report.max_net_charge_uc,
-        "dose_s": board.dose.seconds,
-        "dose_mc": board.dose.most_mc,
-        "dose_net_uc": board.dose.most_net_uc,
-        "emulator_violations": report.violations if report and report.by == "board" else None,
-        "active_fraction": statistics.active / statistics.frames if statistics.frames else 0.0,
-    }
+    def complete(
+        self, source: Source, board: Board, report: BoardReport | None, ended: str
+    ) -> None:
+        """Set all figures of a run, ready for JSON; the board's own are None after a fault."""
+        other, spill = self.selectivity or (None, None)
+        first_pulse, waited = (
+            spread.figures() if spread.count else None for spread in (self.first_pulse, self.waited)
+        )
+        self.ended = ended
+        self.figures = {
+            "ended": ended,
+            "seconds": self.seconds,
+            "frames": self.frames,
+            "frames_in": source.frames,
+            "frames_delivered": self.delivered,
+            "dropped_frames": source.dropped_frames + self.seen - self.delivered,
+            "sequences": self.frames,
+            "slots": self.slots,
+            "worst_other": other,
+            "worst_spill": spill,
+            "pulses": report and report.pulses,
+            "pulses_at_most": report and (report.most_pulses or report.pulses),
+            "acknowledged": board.acknowledged,
+            "refused": board.refused,
+            "late_frames": self.late,
+            "without_force_or_image": self.blind,
+            "replaced": board.replaced,
+            "packets_refused_by_host": board.driver.refused_packets,
+            "packets_refused_by_board": report and report.refused_packets,
+            "dropped_late": board.dropped_late,
+            "restarts": self.restarts,
+            "lifts": self.lifts,
+            "reported_by": report and report.by,
+            "rate_asked_hz": 1e6 * self.frames / self.asked_us if self.asked_us else None,
+            "rate_hz": self.frames / self.seconds if self.seconds else 0.0,
+            "lowest_rate_hz": self.lowest_rate_hz if self.frames else None,
+            "slowed_sequences": self.slowed,
+            "latency_us": self.latency.figures(),
+            "motion_to_bytes_us": self.motion_to_bytes.figures(),
+            "motion_to_pulse_us": first_pulse,
+            "bytes_to_pulse_us": waited,
+            "real_time": self.real_time,
+            "period_error_us": self.period_error.figures(),
+            "work_us": self.work.figures(),
+            "work_share": self.work_share,
+            "max_current_ma": report and report.max_current_ma,
+            "max_charge_uc": report and report.max_charge_uc,
+            "max_net_charge_uc": report and report.max_net_charge_uc,
+            "dose_s": board.dose.seconds,
+            "dose_mc": board.dose.most_mc,
+            "dose_net_uc": board.dose.most_net_uc,
+            "emulator_violations": report.violations if report and report.by == "board" else None,
+            "active_fraction": self.active / self.frames if self.frames else 0.0,
+        }
 
 
 def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
-    """Return how a run went in lines of text, from the figures of `figures_of`."""
-    pulse = figures["motion_to_pulse_us"]
+    """Return how a run went in lines of text, from `RunStatistics.figures`."""
+    pulse, by_host = figures["motion_to_pulse_us"], figures["reported_by"] == "host"
     latency = pulse or figures["motion_to_bytes_us"]
-    until = "first pulse" if pulse else "last byte"
+    rate = f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"
+    if figures["slowed_sequences"]:
+        rate += (
+            f" ({figures['slowed_sequences']} sequences did not fit and were slowed, "
+            f"at most to {figures['lowest_rate_hz']:.1f} Hz)"
+        )
     # In simulated time nothing takes time.
-    took = (
-        f"; image to {until} {latency['p50'] / 1000:.1f} ms median, "
-        f"{latency['p99'] / 1000:.1f} ms p99"
-    )
+    if latency["max"] > 0:
+        rate += (
+            f"; image to {'first pulse' if pulse else 'last byte'} {latency['p50'] / 1000:.1f} ms "
+            f"median, {latency['p99'] / 1000:.1f} ms p99"
+        )
     net_uc = figures["max_net_charge_uc"] or 0
-    net = (
-        f"all pulses add up to {net_uc:.2g} µC on one electrode"
-        if figures["reported_by"] == "host"
-        else f"charge left after a discharge {1e6 * net_uc:.3g} pC at worst"
-    )
+    net = f"charge left after a discharge {1e6 * net_uc:.3g} pC at worst"
+    counted = f"{figures['emulator_violations']} violations counted by the board"
+    if by_host:
+        least, most = figures["pulses"], figures["pulses_at_most"]
+        pulses = str(least) if least == most else f"{least} to {most}"
+        net = f"all pulses add up to {net_uc:.2g} µC on one electrode"
+        counted = f"{pulses} pulses, counted by this program: the board reports none"
     lines = [
         f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
         f"{figures['frames_in']} frames in, {figures['frames_delivered']} delivered, "
         f"{figures['dropped_frames']} dropped; {figures['slots']} slots in "
         f"{figures['acknowledged']} sequences {'acknowledged' if acknowledges else 'sent'}",
-        f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"
-        + _slowed(figures)
-        + took * (latency["max"] > 0)
-        + f"; own work {figures['work_share']:.1%} of it",
+        f"{rate}; own work {figures['work_share']:.1%} of it",
         f"strongest pulse {figures['max_current_ma']:.2f} mA, "
         f"{figures['max_charge_uc']:.3f} µC; {net}",
         f"session: {figures['dose_s']:.1f} s of current, at most {figures['dose_mc']:.2f} mC "
         f"through one electrode, the sum of its pulses {figures['dose_net_uc']:.3g} µC at most",
-        f"{_pulses(figures)} pulses, counted by this program: the board reports none"
-        if figures["reported_by"] == "host"
-        else f"{figures['emulator_violations']} violations counted by the board",
+        counted,
     ]
     if figures["worst_other"] is not None:
         lines.append(
@@ -264,22 +256,6 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
         )
     if figures["lifts"]:
         lines.append(f"the finger was lifted {figures['lifts']} times")
-    blind = figures["without_force_or_image"]
-    if blind:
+    if blind := figures["without_force_or_image"]:
         lines.append(f"{blind} sequences without current: force or image were unknown")
     return lines
-
-
-def _slowed(figures: dict[str, Any]) -> str:
-    if not figures["slowed_sequences"]:
-        return ""
-    return (
-        f" ({figures['slowed_sequences']} sequences did not fit and were slowed, "
-        f"at most to {figures['lowest_rate_hz']:.1f} Hz)"
-    )
-
-
-def _pulses(figures: dict[str, Any]) -> str:
-    """Return a number of pulses, or the two between which it is."""
-    least, most = figures["pulses"], figures["pulses_at_most"]
-    return str(least) if least == most else f"{least} to {most}"

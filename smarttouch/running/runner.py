@@ -1,40 +1,43 @@
-"""The runner: puts one run together, and ends it with the display at zero whatever happens."""
+"""Runs: one put together and ended at zero whatever happens, by name in a program, or replayed."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.clock import SimulatedClock
-from smarttouch.base.errors import (
-    BoardStoppedError,
-    SmartTouchError,
-    SourceError,
-)
+from smarttouch.base.errors import BoardStoppedError, SmartTouchError, SourceError
 from smarttouch.base.events import Advice, Note, RunFailed
 from smarttouch.base.posix import priority_advice
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.boards.shutdown import stoppable_run
 from smarttouch.kernels.bank import KernelBank, load_bank
-from smarttouch.profile import Profile
+from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
-from smarttouch.running.config import RunConfig
-from smarttouch.running.display import Display
+from smarttouch.running.config import RunConfig, configured
+from smarttouch.running.display import Display, open_display
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import Listener, RunContext, as_listeners
 from smarttouch.running.loop import Loop, emit_to, steady_environment
 from smarttouch.running.pipeline import Pipeline, make_regulator
 from smarttouch.running.program import Program
+from smarttouch.running.recorded_source import RecordedControls, RecordingSource
+from smarttouch.running.recording import Recording
 from smarttouch.running.recording_format import recorded_settings
-from smarttouch.running.run_statistics import RunStatistics, figures_of
-from smarttouch.running.step import StepResult
+from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.step import Listener, RunContext, Step, StepResult, as_listeners
+from smarttouch.sources import open_source, options_taken
 from smarttouch.sources.force import ForceSource, open_force
+from smarttouch.sources.given_sources import Given, Imaging, OwnImaging, checked_input, source_of
 from smarttouch.sources.source_contract import Source
+from smarttouch.stimulation.exposure import Dose
 from smarttouch.stimulation.safety_limits import rms_ma_cm2
 
+Listeners = Iterable[Listener | Callable[[StepResult], object]]
 MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]
 
 
@@ -55,7 +58,7 @@ class Runner:
         config: RunConfig,
         *,
         force: ForceSource | str | None = None,
-        listeners: Iterable[Listener | Callable[[StepResult], object]] = (),
+        listeners: Listeners = (),
         stop: StopRequest | None = None,
         load_kernels: Callable[[Profile], KernelBank] = load_bank,
         controls: MakeControls = Controls,
@@ -70,9 +73,7 @@ class Runner:
         self._force_url = force if isinstance(force, str) else None
         self.statistics: RunStatistics = RunStatistics()
         self._listeners = as_listeners(listeners)
-        self._vibrated = any(each.vibrates_pc for each in self._listeners)
-        self._load_kernels = load_kernels
-        self._make_controls = controls
+        self._load_kernels, self._make_controls = load_kernels, controls
         self._stop = stop or StopRequest()
         self._opened = opened or display.opened
         self._emit = emit_to(self._listeners)
@@ -96,69 +97,80 @@ class Runner:
         The display is at zero after the block, whatever has ended it. If ``orderly``, a signal
         only requests a stop, and the block ends by itself.
         """
+        source, display, statistics = self.source, self.display, self.statistics
+        board, stop, ended = display.board, self._stop, "fault"
+        report: BoardReport | None = None
         with contextlib.ExitStack() as stack:
-            ending = self.display.stopping
             # First of all, so that it ends last: whoever stops the run waits for its recording.
-            to_its_end = stack.enter_context(stoppable_run(self._stop, self.display.board))
-            stack.enter_context(ending.on_stop(lambda: self._stop.ask(ending.reason)))
+            to_its_end = stack.enter_context(stoppable_run(stop, board))
+            stack.enter_context(display.stopping.on_stop(lambda: stop.ask(display.stopping.reason)))
             for listener in reversed(self._listeners):
                 stack.callback(listener.close)
-            stack.callback(self.source.close)
+            stack.callback(source.close)
             if self._force_url is not None:
-                self._force = stack.enter_context(open_force(self._force_url, self.display.profile))
+                self._force = stack.enter_context(open_force(self._force_url, display.profile))
             context, pipeline = self._prepared()
             if orderly:
                 to_its_end()
-            report: BoardReport | None = None
-            ended = "fault"
             try:
                 with self._open_loop(context, pipeline) as loop:
                     yield loop
-                    context.board.stop()
-                    report = context.board.report()
-                ended = self._stop.reason or self.source.ended
-                self._account(report)
-                self.statistics.notes += loop.inputs.notes()
+                    board.stop()
+                    report = board.report()
+                ended = stop.reason or source.ended
+                told = source.notes[: source.notes_told]
+                notes = [words for words in self._notes() if words not in told]
+                for words in [*_account(report, board.dose), *notes]:
+                    self._emit(Note(self._now_ns, words))
+                statistics.notes += loop.inputs.notes()
             except BoardStoppedError:
-                ended = self._stop.reason or ended
+                ended = stop.reason or ended
                 raise
             except SmartTouchError as error:
                 self._emit(RunFailed(self._now_ns, str(error)))
                 raise
             finally:
-                self.source.close()
-                board = self.display.board
-                self.statistics.ended = ended
-                self.statistics.figures = figures_of(
-                    self.statistics, self.source, board, report, ended
-                )
-                self.statistics.notes += self._notes()
-                self.display.notes_reported = len(board.notes)
+                source.close()
+                statistics.complete(source, board, report, ended)
+                statistics.notes += self._notes()
+                display.notes_reported = len(board.notes)
             for listener in self._listeners:
                 listener.finish(context)
         for listener in self._listeners:
-            self.statistics.notes += listener.notes
+            statistics.notes += listener.notes
 
     def _prepared(self) -> tuple[RunContext, Pipeline]:
         """Do all that takes long: the board is not open."""
-        config, source, board = self.config, self.source, self.display.board
-        self._require_a_level()
-        profile = self.display.profile
-        if self.display.on_a_finger:
+        config, source, display = self.config, self.source, self.display
+        driver, profile = display.board.driver, display.profile
+        if display.on_a_finger:
+            if config.intensity is None:
+                raise SmartTouchError(
+                    "a finger may be on the board, and no intensity is set: give one, for example "
+                    "--intensity 0.3"
+                )
             profile = source.narrowed(profile)
         bank = self.statistics.kernels = self._load_kernels(profile)
+        vibrated = any(listener.vibrates_pc for listener in self._listeners)
         pipeline = Pipeline(
-            profile, bank, config, board.driver.timing, vibrated=self._vibrated,
-            in_sums=board.driver.keeps_kernels,
-        )  # fmt: skip
+            profile, bank, config, driver.timing, vibrated=vibrated, in_sums=driver.keeps_kernels
+        )
         first = 1.0 if config.intensity is None else config.intensity
         state = ControlState(pipeline.mode, first)
         offered = (state.mode,) if source.fixed_mode else pipeline.offered()
         controls = self._make_controls(state, offered)
+        settings = {
+            **recorded_settings(config, profile),
+            "vibrated": vibrated,
+            "in_sums": driver.keeps_kernels,
+            "sensor": source.url or source.title,
+            "sensor_title": source.title,
+            "board": display.url,
+            "force": None if self._force is None else self._force.url or self._force.title,
+        }
         context = RunContext(
-            source, board, profile, bank, config, controls, self.statistics,
-            self._settings(profile),
-        )  # fmt: skip
+            source, display.board, profile, bank, config, controls, self.statistics, settings
+        )
         source.emit = self._emit
         for listener in self._listeners:
             listener.prepare(context)
@@ -168,148 +180,263 @@ class Runner:
     def _open_loop(self, context: RunContext, pipeline: Pipeline) -> Iterator[Loop]:
         """Open the board for a block and yield its loop; the board is closed, at zero, after it."""
         board, profile, source = context.board, context.profile, self.source
+        on_a_finger = self.display.on_a_finger
         clock = SimulatedClock() if board.simulated_time and not self.config.paced else None
         with steady_environment(pipeline, clock is not None), self._opened(self._stop):
             if pipeline.table is not None:
                 board.keep_kernels(pipeline.table)
             self._require_force()
-            self._warn_of_simulation(profile)
-            if pipeline.mode is Mode.PC and self.display.on_a_finger:
-                self._advise(_weak_selectivity(context.bank))
+            if on_a_finger:
+                for words in _warnings(profile, context.bank, pipeline.mode):
+                    self._advise(words)
             pipeline.regulator = make_regulator(board, profile, self.config, self._advise)
-            context.settings |= self._board_settings(pipeline)
+            can, ledger = board.capabilities, pipeline.regulator.ledger
+            context.settings |= {
+                "carried_pc": ledger.charge_pc.tolist()
+                if ledger and ledger.charge_pc.any()
+                else [],
+                "recharge": self.config.balance and can.recharges,
+                "timing": asdict(board.driver.timing),
+                "compliance_v": can.compliance_v,
+                "firmware": can.firmware,
+            }
             for listener in (*([source] if isinstance(source, Listener) else ()), *self._listeners):
                 listener.start(context)
             source.tell_notes(0)
             yield Loop(
-                source,
-                pipeline,
-                board,
-                stop=self._stop,
-                statistics=self.statistics,
-                seconds=self.config.seconds,
-                listeners=self._listeners,
-                controls=context.controls,
-                force=self._force,
-                clock=clock,
+                source, pipeline, board, stop=self._stop, statistics=self.statistics,
+                seconds=self.config.seconds, listeners=self._listeners,
+                controls=context.controls, force=self._force, clock=clock,
+            )  # fmt: skip
+        board.notes += pipeline.notes()
+        rms = rms_ma_cm2(profile)
+        if on_a_finger and rms > ADVISORY_RMS_MA_CM2:
+            board.notes.append(
+                f"at full intensity an electrode's own pulses are {rms:.0f} mA/cm² r.m.s.: above "
+                f"{ADVISORY_RMS_MA_CM2:g}, IEC 60601-2-10 wants the operator's attention"
             )
-        board.notes += [*pipeline.notes()]
-        if self.display.on_a_finger:
-            board.notes += _density(profile)
-            if not self.statistics.real_time:
-                board.notes.append(priority_advice())
-
-    def _settings(self, profile: Profile) -> dict[str, Any]:
-        """Return all settings that sequences depend on, and others worth recording."""
-        source, display = self.source, self.display
-        return {
-            **recorded_settings(self.config, profile),
-            "vibrated": self._vibrated,
-            "in_sums": display.board.driver.keeps_kernels,
-            "timing": asdict(display.board.driver.timing),
-            "sensor": source.url or source.title,
-            "sensor_title": source.title,
-            "board": display.url,
-            "force": None if self._force is None else self._force.url or self._force.title,
-        }
-
-    def _board_settings(self, pipeline: Pipeline) -> dict[str, Any]:
-        """Return settings that an open board reports, and the charge that an earlier run left."""
-        can, ledger = self.display.board.capabilities, pipeline.regulator.ledger
-        carried_pc = [] if ledger is None else ledger.charge_pc.tolist()
-        return {
-            "carried_pc": carried_pc if any(carried_pc) else [],
-            "recharge": self.config.balance and can.recharges,
-            "timing": asdict(self.display.board.driver.timing),
-            "compliance_v": can.compliance_v,
-            "firmware": can.firmware,
-        }
-
-    def _account(self, report: BoardReport) -> None:
-        dose = self.display.board.dose
-        self._note_late(
-            f"counted by the {report.by}: {report.slots} slots, strongest "
-            f"{report.max_current_ma:.3f} mA, {report.max_charge_uc:.3f} µC, {report.violations} "
-            "violations"
-        )
-        self._note_late(
-            f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode, "
-            f"net charge {dose.most_net_uc:.3f} µC"
-        )
-        told = self.source.notes[: self.source.notes_told]
-        for words in self._notes():
-            if words not in told:
-                self._note_late(words)
+        if on_a_finger and not self.statistics.real_time:
+            board.notes.append(priority_advice())
 
     def _notes(self) -> list[str]:
-        force = self._force
-        return [
-            *self.display.board.notes[self.display.notes_reported :],
-            *self.source.notes,
-            *(force.notes if force is not None else ()),
-        ]
+        """Return what this run's board, source and force have noted so far."""
+        noted = self.display.board.notes[self.display.notes_reported :]
+        return [*noted, *self.source.notes, *(() if self._force is None else self._force.notes)]
 
     def _advise(self, words: str) -> None:
         self._emit(Advice(0, words))
-
-    def _note_late(self, words: str) -> None:
-        self._emit(Note(self._now_ns, words))
 
     @property
     def _now_ns(self) -> int:
         return int(self.statistics.seconds * 1e9)
 
-    def _require_a_level(self) -> None:
-        if self.config.intensity is None and self.display.on_a_finger:
-            raise SmartTouchError(
-                "a finger may be on the board, and no intensity is set: give one, for example "
-                "--intensity 0.3"
-            )
-
     def _require_force(self) -> None:
         """Raise if no source of force could let current flow."""
         source, force, board = self.source, self._force, self.display.board
         finger = self.display.on_a_finger
-        title = source.title if force is None else force.title
-        if force is not None and (force.is_live or not finger):
-            return
-        if force is None and (
-            board.capabilities.force or source.measures_force or (source.knows_force and not finger)
-        ):
-            return
-        raise SourceError(
-            f"the finger's force is not measured: neither {title} nor the board does, so there "
-            "would be no current: give a source of force, for example --force hx711:PORT, or, "
-            "where nothing measures it and a person presses, "
-            f"--force fixed:{self.display.profile.force.full_n:g} (N)"
-        )
-
-    def _warn_of_simulation(self, profile: Profile) -> None:
-        """Warn where a real finger gets values that were calibrated in simulation."""
-        simulated = [
-            name for name, note in profile.calibrated.items() if note.found.startswith("simulated")
-        ]
-        if simulated and self.display.on_a_finger:
-            self._advise(
-                f"Of the profile {', '.join(simulated)} were calibrated in simulation, on no "
-                "finger: calibrate again, and turn the current up slowly."
+        if force is not None:
+            title, flows = force.title, force.is_live or not finger
+        else:
+            title, known = source.title, source.knows_force and not finger
+            flows = board.capabilities.force or source.measures_force or known
+        if not flows:
+            raise SourceError(
+                f"the finger's force is not measured: neither {title} nor the board does, so "
+                "there would be no current: give a source of force, for example --force "
+                "hx711:PORT, or, where nothing measures it and a person presses, "
+                f"--force fixed:{self.display.profile.force.full_n:g} (N)"
             )
 
 
-def _density(profile: Profile) -> list[str]:
-    rms = rms_ma_cm2(profile)
-    if rms <= ADVISORY_RMS_MA_CM2:
-        return []
+def _warnings(profile: Profile, bank: KernelBank, mode: Mode) -> Iterator[str]:
+    """Yield what the user of a real finger should know before the current flows."""
+    simulated = [
+        name for name, note in profile.calibrated.items() if note.found.startswith("simulated")
+    ]
+    if simulated:
+        yield (
+            f"Of the profile {', '.join(simulated)} were calibrated in simulation, on no "
+            "finger: calibrate again, and turn the current up slowly."
+        )
+    if mode is Mode.PC:
+        most = float(bank.off_target[Afferent.PC].max())
+        yield (
+            f"PC mode is not selective: classes nearer to the surface get up to {most:.1f} times "
+            f"what PC does, and answer at {1 / most:.0%} of its current. Raise the intensity "
+            "slowly."
+        )
+
+
+def _account(report: BoardReport, dose: Dose) -> list[str]:
+    """Return in sentences what a board delivered."""
     return [
-        f"at full intensity an electrode's own pulses are {rms:.0f} mA/cm² r.m.s.: above "
-        f"{ADVISORY_RMS_MA_CM2:g}, IEC 60601-2-10 wants the operator's attention"
+        f"counted by the {report.by}: {report.slots} slots, strongest "
+        f"{report.max_current_ma:.3f} mA, {report.max_charge_uc:.3f} µC, {report.violations} "
+        "violations",
+        f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode, "
+        f"net charge {dose.most_net_uc:.3f} µC",
     ]
 
 
-def _weak_selectivity(bank: KernelBank) -> str:
-    """Return what PC mode does to the classes above."""
-    most = float(bank.off_target[Afferent.PC].max())
-    return (
-        f"PC mode is not selective: classes nearer to the surface get up to {most:.1f} times what "
-        f"PC does, and answer at {1 / most:.0%} of its current. Raise the intensity slowly."
-    )
+def run(
+    source: Given,
+    display: Display | str,
+    config: RunConfig | None = None,
+    *,
+    listeners: Listeners = (),
+    force: ForceSource | str | None = None,
+    imaging: Imaging | None = None,
+    stop: StopRequest | None = None,
+    **settings: Any,
+) -> RunStatistics:
+    """Run a source on a display until the source ends, or `Display.stop` ends the run.
+
+    Parameters
+    ----------
+    source : Source, str, Path, ndarray or iterable
+        A source, closed at the end; or its URL; the path of an image, document, video or recording;
+        images (N, H, W) uint8; or an iterable of images, one for each sequence.
+    display : Display or str
+        A display, or the URL of its board.
+    config : RunConfig, optional
+        Settings of the run.
+    listeners : iterable of Listener or callable
+        Follow the run; a plain function is given each `StepResult`.
+    force : ForceSource or str, optional
+        Finger force, or its URL. On boards that a finger may be on, it must be measured by the
+        source, the board or this, or be stated (``"fixed:0.9"``, also as the profile's
+        ``force.source``); elsewhere that of the source or board if not given.
+    imaging : callable, optional
+        Function of a `Frame` and the electrodes that returns the activation of RA, SAI and PC at
+        each, (3, E) in [0, 1], in place of binarization.
+    stop : StopRequest, optional
+        Ends the run from elsewhere; so does `Display.stop`.
+    **settings
+        Settings of `RunConfig` in place of those: ``mode``, ``seconds``, ``intensity`` …
+
+    Returns
+    -------
+    RunStatistics
+
+    Raises
+    ------
+    SmartTouchError
+        Whatever keeps the run from beginning or going on; the display is at zero.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> st.run("text:a", "simulated:", seconds=0.5).frames
+    25
+    """
+    config = configured(config, settings)
+    display = open_display(display) if isinstance(display, str) else display
+    listeners = as_listeners(listeners)
+    vibrated = any(listener.vibrates_pc for listener in listeners)
+    if vibrated and isinstance(source, str) and "vibrated" in options_taken(source):
+        opened = open_source(source, display.profile, vibrated=True)
+    else:
+        opened = source_of(source, display.profile, light_on_dark=config.light_on_dark)
+    if imaging is not None:
+        opened = OwnImaging(opened, imaging, display.profile)
+    return Runner(opened, display, config, force=force, listeners=listeners, stop=stop).run()
+
+
+def steps(
+    source: Given,
+    profile: Profile | str,
+    config: RunConfig | None = None,
+    *,
+    kernels: KernelBank | None = None,
+    **settings: Any,
+) -> Iterator[Step]:
+    """Yield each frame of a source with its tactile image and sequence: no board, no clock.
+
+    Sequences are those for a board that keeps kernels, as ``emulator:`` and ``simulated:`` do.
+
+    Parameters
+    ----------
+    source : Source, str, Path, ndarray or iterable
+        See `run`.
+    profile : Profile or str
+        Device and finger, or the name or file of the profile.
+    config : RunConfig, optional
+        Settings of the run.
+    kernels : KernelBank, optional
+        Those of the profile if not given.
+    **settings
+        Settings of `RunConfig` in place of those; ``intensity`` is 1 if not given.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> profile = st.load_profile("electric-mouse")
+    >>> first = next(st.steps(st.open_source("text:a", profile), profile))
+    >>> first.tactile.activation.shape
+    (3, 64)
+    """
+    profile, config = load_profile(profile), configured(config, settings)
+    level = 1.0 if config.intensity is None else config.intensity
+    pipeline = Pipeline(profile, kernels or load_bank(profile), config, in_sums=True)
+    most_ns = float("inf") if config.seconds is None else config.seconds * 1e9
+    elapsed_ns = 0
+    with source_of(source, profile, light_on_dark=config.light_on_dark) as opened:
+        while elapsed_ns < most_ns and (given := opened.read(elapsed_ns)) is not None:
+            frame = checked_input(given, opened, pipeline.electrodes)
+            if frame.stale:
+                frame = replace(frame, force_n=0.0)
+            step = pipeline.process(frame, level)
+            yield step
+            elapsed_ns += 1000 * step.sequence.period_us
+
+
+def replay(
+    path: Path | str,
+    display: Display,
+    *,
+    listeners: Listeners = (),
+    force: ForceSource | str | None = None,
+    stop: StopRequest | None = None,
+    **settings: Any,
+) -> RunStatistics:
+    """Run what a recording holds on a display once more, with its modes and levels.
+
+    Parameters
+    ----------
+    path : Path or str
+        The recording.
+    display : Display
+        Its profile may be another than the recorded one. Where a finger may be on the board, the
+        recording lowers its limits, never raises them, and the recorded force opens no current.
+    listeners, force, stop
+        See `run`.
+    **settings
+        Settings of `RunConfig` in place of the recorded ones; ``intensity`` is a part of the
+        recorded.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such recording, or the board does not offer its modes.
+    SmartTouchError
+        See `run`.
+
+    Examples
+    --------
+    >>> import smarttouch as st, tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.mcap"
+    >>> display = st.open_display("simulated:")
+    >>> source = st.open_source("text:a", display.profile)
+    >>> first = st.run(source, display, seconds=0.5, listeners=[st.Recorder(path)])
+    >>> st.replay(path, display).slots == first.slots
+    True
+    """
+    recording = Recording(path)
+    source = RecordingSource(recording)
+    source.url = f"recording:{path}"
+    config = recording.run.model_copy(update={"hold": None, "balance": False} | dict(settings))
+    controls = partial(RecordedControls, recording)
+    return Runner(
+        source, display, config, force=force, listeners=listeners, stop=stop,
+        controls=controls,
+    ).run()  # fmt: skip

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 from smarttouch.base.errors import DesignError, SmartTouchError
 from smarttouch.emulator.emulated_boards import SimulatedDriver
-from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.step import StepResult
+from smarttouch.running.step import Listener, RunContext, StepResult
 
 if TYPE_CHECKING:
     from smarttouch.physiology.finger import Finger

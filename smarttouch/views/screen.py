@@ -23,9 +23,8 @@ from rich.text import Text
 from smarttouch.base import terminal
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.events import Advice, Event
-from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.run_statistics import summary_lines
-from smarttouch.running.step import FirstPulse, StepResult
+from smarttouch.running.step import FirstPulse, Listener, RunContext, StepResult
 from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, image_text
 
 _REFRESH_S = 0.2

@@ -17,8 +17,8 @@ from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.inputs import STEP, Controls, ControlState
-from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.runner import MakeControls, Runner
+from smarttouch.running.step import Listener, RunContext
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source
 from smarttouch.views.keys_and_signals import (

@@ -12,8 +12,7 @@ from typing import Any
 
 from smarttouch.base.events import Event, RunEnded, RunFailed
 from smarttouch.base.stopping import RunStopped, StopRequest
-from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.step import StepResult
+from smarttouch.running.step import Listener, RunContext, StepResult
 from smarttouch.sources.source_contract import Source
 from smarttouch.views.window_messages import (
     array_message,

@@ -14,10 +14,10 @@ from smarttouch.instruments.color_source import ColorSource
 from smarttouch.instruments.skin_trace import open_trace
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import Listener, as_listeners
 from smarttouch.running.loop import Loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.step import Listener, as_listeners
 
 from ..played import played
 from ..reference.recover import recover

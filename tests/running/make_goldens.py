@@ -26,12 +26,12 @@ from smarttouch.profile import load_profile
 from smarttouch.running import recorder as writer_module
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import OnEvent, OnStep
 from smarttouch.running.loop import Loop
 from smarttouch.running.pipeline import Pipeline, Regulator
 from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording_format import about_run, digest_of
 from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.step import OnEvent, OnStep
 from smarttouch.sources import open_source
 from smarttouch.sources.source_contract import Frame, Source, Stimulus
 from smarttouch.stimulation.adaptation import Adaptation

@@ -21,10 +21,10 @@ from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.open import MemoryDriver, make_board
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import OnEvent, OnStep, as_listeners
 from smarttouch.running.loop import Loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.step import OnEvent, OnStep, as_listeners
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 from smarttouch.stimulation.safety_gate import SafetyLimits

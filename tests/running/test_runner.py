@@ -19,8 +19,8 @@ from smarttouch.base.events import Advice, IntensityChanged, ModeChanged, RunEnd
 from smarttouch.kernels.bank import load_bank
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
-from smarttouch.running.listener import Listener
 from smarttouch.running.runner import Runner
+from smarttouch.running.step import Listener
 from smarttouch.sources import open_source
 from smarttouch.sources.force import open_force
 from smarttouch.sources.source_contract import Stimulus, StimulusSource

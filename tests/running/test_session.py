@@ -15,8 +15,8 @@ import pytest
 import smarttouch as st
 from smarttouch.base.errors import BoardError, SmartTouchError
 from smarttouch.running.check_recording import assert_replays
-from smarttouch.running.listener import OnEvent, OnStep
 from smarttouch.running.recording import Recording
+from smarttouch.running.step import OnEvent, OnStep
 
 from ..raising import raises
 from ..whole import WHOLE, sample

@@ -14,8 +14,8 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
-from smarttouch.running.functions import run
 from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.runner import run
 from smarttouch.sources.source_contract import Frame, Pose, Stimulus, StimulusSource
 from smarttouch.stimulation.point_slots import perceived_at
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits

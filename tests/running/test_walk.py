@@ -9,7 +9,7 @@ from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.open import MemoryDriver
 from smarttouch.profile import load_profile
 from smarttouch.running.display import Display
-from smarttouch.running.listener import OnEvent, OnStep
+from smarttouch.running.step import OnEvent, OnStep
 from smarttouch.running.walk import PATIENCE, ElectrodeReached, Walk, run_walk
 
 from ..played import played

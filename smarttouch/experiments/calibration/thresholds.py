@@ -30,9 +30,8 @@ from smarttouch.kernels.disc_banks import single_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
-from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.runner import Runner
-from smarttouch.running.step import StepResult
+from smarttouch.running.step import Listener, RunContext, StepResult
 
 Found = Mapping[int, Thresholds]
 Keys = Callable[[Callable[[str], None]], AbstractContextManager[None]]

@@ -11,8 +11,7 @@ from smarttouch.base.errors import ExperimentError, require_within
 from smarttouch.base.events import Marked, Note
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import require_driven
-from smarttouch.running.listener import Listener
-from smarttouch.running.step import StepResult
+from smarttouch.running.step import Listener, StepResult
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
 SLOWEST_HZ, STEP_HZ = 10.0, 5.0  # lowest pulse rate (paper, III-B.1), and its step

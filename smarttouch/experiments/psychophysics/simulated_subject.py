@@ -20,8 +20,7 @@ from smarttouch.experiments.psychophysics.trials import Trial
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile
-from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.step import StepResult
+from smarttouch.running.step import Listener, RunContext, StepResult
 
 _LOOK_S = 0.25  # interval of an observer's decisions while a current rises (our own choice)
 

@@ -33,8 +33,8 @@ from smarttouch.kernels.disc_banks import single_bank
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
-from smarttouch.running.listener import Listener, OnStep
 from smarttouch.running.runner import Runner
+from smarttouch.running.step import Listener, OnStep
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ...played import played

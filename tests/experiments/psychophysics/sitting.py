@@ -14,8 +14,8 @@ from smarttouch.experiments.psychophysics.trials import TrialTiming
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import OnEvent, OnStep
 from smarttouch.running.runner import Runner
+from smarttouch.running.step import OnEvent, OnStep
 
 DATE = "2026-01-01T00:00:00+00:00"
 

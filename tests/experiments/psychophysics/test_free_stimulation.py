@@ -15,8 +15,8 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import Listener
 from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.step import Listener
 
 from ...looping import loop_through
 from ...played import played
