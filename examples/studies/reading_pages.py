@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Mode
 from smarttouch.imaging.array_window import profile_for_reading
+from smarttouch.imaging.line_picture import LinePicture
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile, load_profile
@@ -39,7 +40,6 @@ from smarttouch.reading.line_source import LineMotion, TouchLine
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import recognized_lines
 from smarttouch.running.config import RunConfig
-from smarttouch.running.delivered import LinePicture
 
 ANATOMIES = ("paper", "branched")
 TUNED, HELD_OUT = (1, 2), 101

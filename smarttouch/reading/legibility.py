@@ -17,6 +17,7 @@ from smarttouch.base.errors import ReadingError
 from smarttouch.base.lazy_names import import_extra
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.imaging.array_window import pixel_pitch_mm
+from smarttouch.imaging.line_picture import LinePicture
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.anatomy import Anatomy
@@ -34,7 +35,7 @@ from smarttouch.reading.line_source import LineMotion, ReadingSource, TouchLine
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import BLOCK, recognize, recognized_lines
 from smarttouch.running.config import RunConfig
-from smarttouch.running.delivered import FIELD_MM, DeliveredResponses, LinePicture, delivered_spikes
+from smarttouch.running.delivered import FIELD_MM, DeliveredResponses, delivered_spikes
 from smarttouch.running.display import Display
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.runner import Runner

@@ -1,12 +1,8 @@
-"""Responses to delivered pulses: of receptors under the electrodes, spikes of one finger, and lines
-put back together into an image.
-"""
+"""Responses to delivered pulses: of receptors under the electrodes, and spikes of one finger."""
 
-import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,91 +13,10 @@ from smarttouch.physiology.response import fire_all
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile
 from smarttouch.profile.device import Pulse
-from smarttouch.profile.electrodes import ElectrodeArray
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Pose
 
 Floats = NDArray[np.float32]
-
-
-class Raster:
-    """Sum of the values at each pixel, or the strongest; values outside are dropped."""
-
-    def __init__(self, shape: tuple[int, int], strongest: bool = False) -> None:
-        self.value: Floats = np.zeros(shape, np.float32)
-        self.count: Floats = np.zeros(shape, np.float32)
-        self._put = np.maximum.at if strongest else np.add.at
-
-    def add(self, row: NDArray[np.intp], column: NDArray[np.intp], values: Floats) -> None:
-        """Add values at pixels, each (N,)."""
-        rows, columns = self.value.shape
-        on = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        self._put(self.value, (row[on], column[on]), values[on])
-        np.add.at(self.count, (row[on], column[on]), 1)
-
-    def mean(self, spread: Callable[[Floats], Floats]) -> Floats:
-        """Return the mean at every pixel after spreading; 0 where there is none."""
-        total, count = spread(self.value), spread(self.count)
-        return np.divide(total, count, out=np.zeros_like(total), where=count > 1e-6)
-
-
-def as_ink(values: Floats) -> NDArray[np.uint8]:
-    """Return values in [0, 1] as grey levels; 255 is nothing, 0 the strongest."""
-    return np.asarray(np.rint(255 * (1 - np.clip(values, 0, 1))), np.uint8)
-
-
-PIXELS_PER_PITCH = 4
-_BLUR_X, _BLUR_Y = 0.4, 0.55
-"""Standard deviations by which values are spread, in cells: just enough to fill the gap between
-two rows. Found on printed lines."""
-
-
-class LinePicture:
-    """Averages the values of electrodes at the places they passed along a line."""
-
-    def __init__(self, electrodes: ElectrodeArray, length_mm: float) -> None:
-        self._pixel_mm = min(electrodes.cell_mm) / PIXELS_PER_PITCH
-        height_mm = electrodes.extent_mm[1]
-        wide, high = (side / self._pixel_mm for side in electrodes.cell_mm)
-        self._sigma = (_BLUR_X * wide, _BLUR_Y * high)
-        self._column = electrodes.position_mm[:, 0] / self._pixel_mm - 0.5
-        self._row = np.rint(
-            (electrodes.position_mm[:, 1] + height_mm / 2) / self._pixel_mm - 0.5
-        ).astype(np.intp)
-        height, width = (math.ceil(side / self._pixel_mm) for side in (height_mm, length_mm))
-        self._raster = Raster((height, max(1, width)))
-
-    def add(self, x_mm: float, values: NDArray[np.float32]) -> None:
-        """Add the activation of electrodes with the array's middle at ``x_mm``, (E,) in [0, 1]."""
-        column = np.rint(self._column + x_mm / self._pixel_mm).astype(np.intp)
-        self._raster.add(self._row, column, values)
-
-    def values(self) -> NDArray[np.float32]:
-        """Return the mean at every place, (H, W) in [0, 1], interpolated between values."""
-        x, y = self._sigma
-        edge = cv2.BORDER_CONSTANT
-        return self._raster.mean(
-            lambda each: np.asarray(cv2.GaussianBlur(each, (0, 0), x, sigmaY=y, borderType=edge))
-        )
-
-    def at(self, x_mm: NDArray[np.floating], y_mm: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the mean at places from the line's left end and the top, (N,)."""
-        # Rounding may be off by a pixel.
-        total, count = (
-            cv2.boxFilter(each, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-            for each in (self._raster.value, self._raster.count)
-        )
-        last = np.array(total.shape) - 1
-        row = np.minimum(np.floor(y_mm / self._pixel_mm).astype(np.intp), last[0])
-        column = np.minimum(np.floor(x_mm / self._pixel_mm).astype(np.intp), last[1])
-        return np.asarray(total[row, column] / np.maximum(count[row, column], 1), np.float32)
-
-    def picture(self, height: int) -> NDArray[np.uint8]:
-        """Return it as grey levels, (height, W) uint8."""
-        grey = as_ink(self.values())
-        size = (max(1, round(grey.shape[1] * height / grey.shape[0])), height)
-        method = cv2.INTER_CUBIC if height > grey.shape[0] else cv2.INTER_AREA
-        return np.asarray(cv2.resize(grey, size, interpolation=method), np.uint8)
 
 
 class DeliveredResponses:

@@ -289,7 +289,7 @@ def run(
     stop: StopRequest | None = None,
     **settings: Any,
 ) -> RunStatistics:
-    """Run a source on a display until the source ends, or `Display.stop` ends the run.
+    """Run a source on a display to its end, or until `Display.stop`; return the statistics.
 
     Parameters
     ----------
@@ -303,20 +303,16 @@ def run(
     listeners : iterable of Listener or callable
         Follow the run; a plain function is given each `StepResult`.
     force : ForceSource or str, optional
-        Finger force, or its URL. On boards that a finger may be on, it must be measured by the
-        source, the board or this, or be stated (``"fixed:0.9"``, also as the profile's
-        ``force.source``); elsewhere that of the source or board if not given.
+        Finger force, or its URL; that of the source or board if not given. Where a finger may be on
+        the board, it must be measured, or stated as ``"fixed:0.9"`` or the profile's
+        ``force.source``.
     imaging : callable, optional
-        Function of a `Frame` and the electrodes that returns the activation of RA, SAI and PC at
-        each, (3, E) in [0, 1], in place of binarization.
+        Returns the activation, (3, E) in [0, 1], of a `Frame` for electrodes, in place of
+        binarization.
     stop : StopRequest, optional
         Ends the run from elsewhere; so does `Display.stop`.
     **settings
         Settings of `RunConfig` in place of those: ``mode``, ``seconds``, ``intensity`` …
-
-    Returns
-    -------
-    RunStatistics
 
     Raises
     ------
@@ -331,14 +327,14 @@ def run(
     """
     config = configured(config, settings)
     display = open_display(display) if isinstance(display, str) else display
-    listeners = as_listeners(listeners)
+    profile, listeners = display.profile, as_listeners(listeners)
     vibrated = any(listener.vibrates_pc for listener in listeners)
     if vibrated and isinstance(source, str) and "vibrated" in options_taken(source):
-        opened = open_source(source, display.profile, vibrated=True)
+        opened = open_source(source, profile, vibrated=True)
     else:
-        opened = source_of(source, display.profile, light_on_dark=config.light_on_dark)
+        opened = source_of(source, profile, light_on_dark=config.light_on_dark)
     if imaging is not None:
-        opened = OwnImaging(opened, imaging, display.profile)
+        opened = OwnImaging(opened, imaging, profile)
     return Runner(opened, display, config, force=force, listeners=listeners, stop=stop).run()
 
 

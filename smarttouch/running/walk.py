@@ -22,12 +22,11 @@ from smarttouch.running.step import Listener, RunContext
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
+PATIENCE = 4  # longest wait at an electrode for its first pulse, in units of the time for each
+
 
 class ElectrodeReached(Note):
     """The walk reached an electrode."""
-
-
-PATIENCE = 4  # longest wait at an electrode for its first pulse, in units of the time for each
 
 
 class Walk(StimulusSource, Listener):
@@ -60,11 +59,10 @@ class Walk(StimulusSource, Listener):
         self.pulsed: list[int] = []
         self.missed: list[int] = []
         self._board: Board | None = None
-        self._delivered = 0
+        self._delivered = self._now_ns = 0
         self._profile, self._current_ma, self._seconds = profile, current_ma, seconds
         self._sites = range(len(profile.electrodes)) if sites is None else sites
         self._leaves = False
-        self._now_ns = 0
         self._stimuli = self._walk()
 
     def start(self, run: RunContext) -> None:
@@ -82,12 +80,13 @@ class Walk(StimulusSource, Listener):
     def _walk(self) -> Generator[Stimulus, None, None]:
         how = "any key: next, q: end" if self._seconds is None else f"{self._seconds:g} s"
         for site in self._sites:
-            if site in self._profile.output.masked:
-                self._say(f"electrode {site}: masked")
-                continue
             # Not above what is comfortable there.
             most_ma = min(self._current_ma, float(self._profile.full_ma[site]))
-            self._say(f"electrode {site}: up to {most_ma:.4g} mA ({how})")
+            masked = site in self._profile.output.masked
+            words = "masked" if masked else f"up to {most_ma:.4g} mA ({how})"
+            self.emit(ElectrodeReached(self._now_ns, f"electrode {site}: {words}"))
+            if masked:
+                continue
             self.missed.append(site)
             self._leaves, began_ns = False, self._now_ns
             # From zero: intensity rises no faster than the ramp.
@@ -100,17 +99,11 @@ class Walk(StimulusSource, Listener):
                     self.pulsed.append(site)
                 # A board that was switched off meanwhile counts from zero again.
                 slots = min(slots, self._delivered)
-                if self._leaves or self._is_over(site, began_ns):
+                # By the time of what was sent: a computer that stood still has tried nothing.
+                most_s = (self._seconds or math.inf) * (PATIENCE if site in self.missed else 1)
+                if self._leaves or self._now_ns - began_ns >= most_s * 1e9:
                     break
                 yield self._pulse(site, most_ma)
-
-    def _is_over(self, site: int, began_ns: int) -> bool:
-        """Return whether an electrode's time is over, which is longer until it got a pulse."""
-        if self._seconds is None:
-            return False
-        # By the time of what was sent: a computer that stood still has tried nothing.
-        most_s = self._seconds * (PATIENCE if site in self.missed else 1)
-        return self._now_ns - began_ns >= most_s * 1e9
 
     def _slots(self) -> int:
         """Return how many slots the board has delivered, as far as it has said so."""
@@ -121,17 +114,14 @@ class Walk(StimulusSource, Listener):
         return self._delivered
 
     def _pulse(self, site: int, current_ma: float) -> Stimulus:
-        profile, number = self._profile, self.frames
+        profile = self._profile
         self.frames += 1
         activation = np.zeros((len(Afferent), len(profile.electrodes)), np.float32)
         activation[Afferent.RA, site] = 1
         return Stimulus(
             activation, self._now_ns, profile.force.full_n, round(1e6 / profile.pulse.rate_hz),
-            current_ma / float(profile.full_ma[site]), number=number,
+            current_ma / float(profile.full_ma[site]), number=self.frames - 1,
         )  # fmt: skip
-
-    def _say(self, words: str) -> None:
-        self.emit(ElectrodeReached(self._now_ns, words))
 
 
 def run_walk(
@@ -142,15 +132,8 @@ def run_walk(
     opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
     force: ForceSource | str | None = None,
 ) -> None:
-    """Run a walk on a display; the arguments are those of `Runner`."""
+    """Run a walk, whose strength is an argument of its own; the arguments are those of `Runner`."""
     Runner(
-        walk,
-        display,
-        # The strength is an argument of the walk.
-        RunConfig(scan="points", intensity=1.0),
-        force=force,
-        listeners=listeners,
-        stop=stop,
-        load_kernels=single_bank,
-        opened=opened,
-    ).run()
+        walk, display, RunConfig(scan="points", intensity=1.0), force=force, listeners=listeners,
+        stop=stop, load_kernels=single_bank, opened=opened,
+    ).run()  # fmt: skip

@@ -327,19 +327,16 @@ class PageSource(OpticalSource):
         lasts_s = self.path.duration_s
         self.duration_s = (passes - 1) * (lasts_s + AGAIN_S) + lasts_s if passes else None
 
-    def _finger_at(self, time_s: float) -> tuple[Pose, float]:
-        """Return pose and force in newtons; between two passes the finger is lifted."""
-        lasts_s = self.path.duration_s
-        again_s = time_s % (lasts_s + AGAIN_S) if time_s > lasts_s else time_s
-        if again_s <= lasts_s:
-            return self.path.at(again_s)
-        return self.path.at(lasts_s)[0], 0.0
-
     def read(self, time_ns: int) -> Frame | None:
         """Return the frame at a time since the start; None when the path is over."""
         if self.duration_s is not None and time_ns / 1e9 > self.duration_s:
             return None
-        pose, force_n = self._finger_at(time_ns / 1e9)
+        time_s, lasts_s = time_ns / 1e9, self.path.duration_s
+        again_s = time_s % (lasts_s + AGAIN_S) if time_s > lasts_s else time_s
+        pose, force_n = self.path.at(min(again_s, lasts_s))
+        if again_s > lasts_s:
+            # Between two passes the finger is lifted.
+            force_n = 0.0
         cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
         step_x, step_y = self._step
         rows, columns = self._fine.shape

@@ -1,5 +1,6 @@
 """Plan of periods by which the net current of each electrode stays below its limit."""
 
+import math
 from bisect import bisect_right
 from collections import deque
 from typing import NamedTuple
@@ -42,41 +43,54 @@ class NetPlan:
         # Bounds of all passes, of those whose own net charge is unknown, and of the newest.
         self._at_most_pc = self._unknown_pc = self._newest_at_most_pc = 0.0
 
-    def spares(self, at_most_pc: float, time_us: float, period_us: int) -> bool:
-        """Enter a sequence by a bound of its net charge, and return True, if that is sufficient.
+    def period_us(
+        self,
+        current_ua: NDArray[np.int16],
+        width_us: NDArray[np.uint16],
+        time_us: float,
+        period_us: int,
+        busy_us: int,
+        at_most_pc: float = math.inf,
+    ) -> float | None:
+        """Enter a sequence of the frame at a time; return its shortest period, µs.
 
-        False where a window of such sequences, or what is in it, might not be below the limit.
+        It is not below `period_us`, and None if slots (S, E), of `busy_us` together, would break
+        the limit now: then they are not entered. Where a window of sequences of no more than
+        `at_most_pc` (pC on one electrode) cannot break it, net charge is not added up.
         """
-        self._forget(time_us)
-        if (WINDOW_US // period_us + 2) * at_most_pc > GUARD_PC:
-            return False
-        if self._at_most_pc + at_most_pc > GUARD_PC:
-            return False
-        # No slot is later than the period.
-        self._passes.append(_Pass(time_us + period_us, at_most_pc, None))
-        self._at_most_pc += at_most_pc
-        self._newest_at_most_pc += at_most_pc
-        self._unknown_pc += at_most_pc
-        return True
-
-    def admits(self, net_pc: Array, time_us: float) -> bool:
-        """Whether a sequence may begin at a time without breaking the limit in any second."""
-        self._forget(time_us)
+        passes = self._passes
+        # Of passes that are in no window any more, nothing counts.
+        while passes and passes[0].end_us <= time_us - WINDOW_US:
+            _, most_pc, before_pc = passes.popleft()
+            self._at_most_pc -= most_pc
+            if before_pc is None:
+                self._unknown_pc -= most_pc
+            else:
+                self._sum_pc -= before_pc
+            self._newest_at_most_pc = min(self._newest_at_most_pc, self._at_most_pc)
+        of_window_pc = (WINDOW_US // period_us + 2) * at_most_pc
+        if max(of_window_pc, self._at_most_pc + at_most_pc) <= GUARD_PC:
+            # No slot is later than the period.
+            passes.append(_Pass(time_us + period_us, at_most_pc, None))
+            self._at_most_pc += at_most_pc
+            self._newest_at_most_pc += at_most_pc
+            self._unknown_pc += at_most_pc
+            return period_us
+        net_pc: Array = (width_us.astype(np.float32) @ current_ua.astype(np.float32)).astype(float)
         most_pc = float(np.abs(net_pc).max())
-        if self._newest_at_most_pc + most_pc <= GUARD_PC:
-            return True
-        newest_pc = float(self._newest(net_pc).max())
-        self._newest_at_most_pc = newest_pc + most_pc
-        return newest_pc <= _MOST_PC
-
-    def period_us(self, net_pc: Array, time_us: float, period_us: int, busy_us: int) -> float:
-        """Enter a sequence with net charge (E,) pC and slots of `busy_us`; return its shortest
-        period, not below `period_us`."""
-        most_pc = float(np.abs(net_pc).max())
-        self._passes.append(_Pass(time_us + busy_us, most_pc, net_pc))
+        if self._newest_at_most_pc + most_pc > GUARD_PC:
+            newest_pc = float(self._newest(net_pc).max())
+            self._newest_at_most_pc = newest_pc + most_pc
+            if newest_pc > _MOST_PC:
+                return None
+        passes.append(_Pass(time_us + busy_us, most_pc, net_pc))
         self._at_most_pc += most_pc
         self._newest_at_most_pc += most_pc
         self._sum_pc += net_pc
+        return self._spaced_us(net_pc, most_pc, time_us, period_us)
+
+    def _spaced_us(self, net_pc: Array, most_pc: float, time_us: float, period_us: int) -> float:
+        """Return the shortest period of the newest pass, which is entered."""
         count, needed_us = len(self._passes), float(period_us)
         carried_pc = float(np.abs(self._sum_pc).max()) + self._unknown_pc
         span_us = min(time_us + period_us - self._passes[0].end_us, WINDOW_US)
@@ -98,18 +112,6 @@ class NetPlan:
                 end_us = self._passes[count - room - 1].end_us
                 needed_us = max(needed_us, end_us + WINDOW_US - time_us)
         return needed_us
-
-    def _forget(self, time_us: float) -> None:
-        """Remove passes that are no longer in a window that begins before a time."""
-        passes = self._passes
-        while passes and passes[0].end_us <= time_us - WINDOW_US:
-            _, most_pc, net_pc = passes.popleft()
-            self._at_most_pc -= most_pc
-            if net_pc is None:
-                self._unknown_pc -= most_pc
-            else:
-                self._sum_pc -= net_pc
-            self._newest_at_most_pc = min(self._newest_at_most_pc, self._at_most_pc)
 
     def _newest(self, net_pc: Array) -> Array:
         """Return the largest net charges (magnitude) of the newest passes and one more, (N + 1, E).

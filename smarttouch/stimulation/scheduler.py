@@ -149,8 +149,11 @@ class ScanScheduler:
             period_us = max(period_us, timing.possible_period_us(self._checked_us(load)))
         if self._net is not None and slots:
             busy_us = pulses_us + slots * int(self._discharges_us[0])
-            needed_us = self._within_net(self._net, made, period_us, busy_us, image.time_ns / 1000)
+            needed_us = self._net.period_us(
+                current_ua, width_us, image.time_ns / 1000, period_us, busy_us, self._net_at_most_pc
+            )
             if needed_us is None:
+                self.net_emptied += 1
                 made, slots = Slots(made.site[:0], current_ua[:0], width_us[:0]), 0
             elif needed_us > period_us:
                 self.net_slowed += 1
@@ -172,11 +175,12 @@ class ScanScheduler:
                 "mode color is for stimuli with periods of their own, and this source gives none: "
                 "choose RA"
             )
-        share = {Afferent.SAI: rate_share(pressure, self._softness)}
+        first, share = self._first, 1.0
+        if Afferent.SAI in self._rate_hz:
+            share = rate_share(pressure, self._softness)
         if len(self._rate_hz) > 1:
-            return self._rates.due(image.time_ns, {Afferent.RA: 1.0} | share)
-        slowed_hz = self._rate_hz[self._first] * share.get(self._first, 1.0)
-        return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
+            return self._rates.due(image.time_ns, {Afferent.RA: 1.0, Afferent.SAI: share})
+        return (first,), self._timing.possible_period_us(1e6 / (self._rate_hz[first] * share))
 
     def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Afferent, ...]:
         """Return the classes that an image with its own period lets pulse."""
@@ -255,19 +259,6 @@ class ScanScheduler:
         self._charge_us = most_charge / (PLANNED * MOST_PER_US)
         # In whole pC: what is added up is taken away again without a rest.
         self._net_at_most_pc = float(np.ceil(most_charge / PER_PC))
-
-    def _within_net(
-        self, net: NetPlan, made: Slots, period_us: int, busy_us: int, time_us: float
-    ) -> float | None:
-        """Return a period that keeps the limit of net current; None if slots break it now."""
-        if net.spares(self._net_at_most_pc, time_us, period_us):
-            return period_us
-        width = made.width_us.astype(np.float32)
-        net_pc = (width @ made.current_ua.astype(np.float32)).astype(np.float64)
-        if net.admits(net_pc, time_us):
-            return net.period_us(net_pc, time_us, period_us, busy_us)
-        self.net_emptied += 1
-        return None
 
     def _checked_us(self, load: Load) -> int:
         needed_us = shortest_period_us(load)

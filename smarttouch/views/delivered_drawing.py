@@ -17,6 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 from smarttouch.base.afferent import CLASS_COLORS, Afferent
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import write_bytes
+from smarttouch.imaging.line_picture import Floats, Raster, as_ink
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.pages.page_image import INCH_MM, Page
 from smarttouch.physiology.finger import Finger
@@ -27,9 +28,6 @@ from smarttouch.running.delivered import (
     MOST_SLOTS,
     Counts,
     DeliveredResponses,
-    Floats,
-    Raster,
-    as_ink,
     delivered_spikes,
 )
 from smarttouch.running.step import StepResult

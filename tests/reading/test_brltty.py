@@ -10,12 +10,13 @@ import pytest
 from smarttouch.base.afferent import Mode
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.imaging.array_window import profile_for_reading
+from smarttouch.imaging.line_picture import LinePicture
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.reading.brltty import BrailleDisplaySource, DisplayContent
 from smarttouch.reading.line_source import LINE_GAP_MM
 from smarttouch.running.config import RunConfig
-from smarttouch.running.delivered import DeliveredResponses, LinePicture
+from smarttouch.running.delivered import DeliveredResponses
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
 from tests.reading.real_brltty import Brltty, cells_of, free_port, require_brltty, wait_until

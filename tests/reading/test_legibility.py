@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ReadingError, SafetyError
 from smarttouch.imaging.array_window import usual_speed_mm_s
+from smarttouch.imaging.line_picture import PIXELS_PER_PITCH, LinePicture
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.finger import Finger
@@ -31,7 +32,7 @@ from smarttouch.reading.legibility import (
 )
 from smarttouch.reading.letter_shapes import Shapes
 from smarttouch.reading.line_source import LineMotion
-from smarttouch.running.delivered import PIXELS_PER_PITCH, LinePicture, delivered_spikes
+from smarttouch.running.delivered import delivered_spikes
 from smarttouch.sources.source_contract import Pose
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 

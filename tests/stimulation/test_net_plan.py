@@ -11,6 +11,7 @@ from smarttouch.stimulation.net_plan import NetPlan
 from smarttouch.stimulation.slot_sums import NET_PC
 
 SECOND_US = 1_000_000
+WIDTH_US = np.array([1000], np.uint16)
 
 
 def newest_pc(sent, time_us):
@@ -25,27 +26,22 @@ def test_no_second_has_more_than_its_net_charge(seed, looks):
     rng, plan, sent, time_us = np.random.default_rng(seed), NetPlan(3), [], 0
     for _ in range(200):
         most_pc, period_us = rng.choice([2e4, 1e6, 9e6]), int(rng.choice([2000, 20_000, 200_000]))
-        net_pc = np.rint(rng.uniform(-0.2, 1, 3) * most_pc)
-        busy_us, next_us = period_us // 2, period_us
-        if not looks and plan.spares(most_pc, time_us, period_us):
-            sent.append((time_us + busy_us, net_pc))
-        elif plan.admits(net_pc, time_us):
-            next_us = math.ceil(plan.period_us(net_pc, time_us, period_us, busy_us))
-            sent.append((time_us + busy_us, net_pc))
+        current_ua = np.rint(rng.uniform(-0.2, 1, (1, 3)) * most_pc / WIDTH_US[0]).astype(np.int16)
+        slots, busy_us = (current_ua, WIDTH_US, time_us, period_us), period_us // 2
+        next_us = plan.period_us(*slots, busy_us, math.inf if looks else most_pc)
+        if next_us is not None:
+            sent.append((time_us + busy_us, WIDTH_US[0] * current_ua[0].astype(float)))
         assert newest_pc(sent, time_us) <= NET_PC
-        time_us += next_us
+        time_us += period_us if next_us is None else math.ceil(next_us)
 
 
 def test_what_is_spared_would_not_have_been_slowed():
     spared, looked = NetPlan(1), NetPlan(1)
-    net_pc = np.array([0.8e6])
+    current_ua = np.array([[800]], np.int16)
     for time_us in range(0, 3 * SECOND_US, 20_000):
-        assert spared.spares(net_pc[0], time_us, 20_000)
-        assert looked.admits(net_pc, time_us)
-        assert looked.period_us(net_pc, time_us, 20_000, 1000) == 20_000
-    # Twice that may come near the limit.
-    assert not spared.spares(2 * net_pc[0], 3 * SECOND_US, 20_000)
-    assert spared.admits(2 * net_pc, 3 * SECOND_US)
+        for plan, at_most_pc in ((spared, 0.8e6), (looked, math.inf)):
+            given = current_ua, WIDTH_US, time_us, 20_000, 1000, at_most_pc
+            assert plan.period_us(*given) == 20_000
 
 
 BUSY_US = 300
@@ -54,17 +50,18 @@ BUSY_US = 300
 def planned(rate_hz, net_pc, wanted, seconds=6.0):
     """Return the times of passes, the periods planned, and how many passes were left out, µs."""
     plan, time_us, period_us = NetPlan(1), 0.0, round(1e6 / rate_hz)
-    each_pc = np.array([float(net_pc)])
+    current_ua = np.array([[net_pc // 1000]], np.int16)
     times, periods, left_out = [], [], 0
     while time_us < 1e6 * seconds:
         next_us = period_us
         if wanted(time_us):
-            if plan.admits(each_pc, time_us):
-                next_us = math.ceil(plan.period_us(each_pc, time_us, period_us, BUSY_US))
+            spaced_us = plan.period_us(current_ua, WIDTH_US, time_us, period_us, BUSY_US)
+            if spaced_us is None:
+                left_out += 1
+            else:
+                next_us = math.ceil(spaced_us)
                 times.append(time_us)
                 periods.append(next_us)
-            else:
-                left_out += 1
         time_us += next_us
     return np.array(times), np.array(periods), left_out
 
