@@ -1,29 +1,23 @@
-"""The runner: one run put together, and its end at zero whatever happens."""
+"""Runs: one put together, its end at zero whatever happens, and the pace of its time."""
 
 import threading
+import time
 
 import numpy as np
 import pytest
 from PIL import Image
 
-import smarttouch
-from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import (
-    BoardClosedError,
-    BoardError,
-    BoardStoppedError,
-    ProfileError,
-    SmartTouchError,
-)
+import smarttouch as st
+from smarttouch.base.errors import BoardClosedError, BoardError, BoardStoppedError
 from smarttouch.base.events import Advice, IntensityChanged, ModeChanged, RunEnded
+from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import load_bank
+from smarttouch.profile.device import Calibrated
+from smarttouch.running.check_recording import check_recording
 from smarttouch.running.config import RunConfig
-from smarttouch.running.display import open_display
 from smarttouch.running.runner import Runner
-from smarttouch.running.step import Listener
-from smarttouch.sources import open_source
 from smarttouch.sources.force import open_force
-from smarttouch.sources.source_contract import Stimulus, StimulusSource
+from smarttouch.types import ForceSource, Mode
 from smarttouch.views.outputs import DeliveredPicture
 
 from ..raising import raises
@@ -31,16 +25,16 @@ from ..raising import raises
 
 @pytest.fixture
 def display(profile):
-    with open_display("simulated:", profile) as display:
+    with st.open_display("simulated:", profile) as display:
         yield display
 
 
 @pytest.fixture
 def source(profile):
-    return open_source("text:on", profile, speed_mm_s=400)
+    return st.open_source("text:on", profile, speed_mm_s=400)
 
 
-class Noting(Listener):
+class Noting(st.Listener):
     """Notes in which order it is called, and what it is given."""
 
     def __init__(self):
@@ -91,15 +85,15 @@ def test_a_run_from_its_source_to_its_statistics(source, display, bank):
 
 
 def test_a_stimulus_source_chooses_the_classes(profile, display):
-    class Taps(StimulusSource):
+    class Taps(st.StimulusSource):
         knows_force = True
 
         def read(self, time_ns):
             if time_ns > 0.3e9:
                 return None
             activation = np.zeros((3, 64), np.float32)
-            activation[Afferent.RA, 27] = 1
-            return Stimulus(activation, time_ns, profile.force.full_n, 25_000, 0.5)
+            activation[st.Afferent.RA, 27] = 1
+            return st.Stimulus(activation, time_ns, profile.force.full_n, 25_000, 0.5)
 
     noting = Noting()
     Runner(Taps("taps"), display, RunConfig(), listeners=[noting]).run()
@@ -127,47 +121,59 @@ def test_an_exception_in_a_listener_ends_at_zero(source, display, stage, monkeyp
         display.board.send(None)
 
 
-def test_a_stop_from_another_thread_ends_it_at_zero(profile):
-    source, stopped = open_source("text:a long line of words", profile), []
-    with open_display("simulated:", profile) as display:
+@pytest.mark.parametrize("stop", [st.Display.stop, lambda display: display.stopping.ask("a key")])
+@pytest.mark.parametrize(
+    "url", ["simulated:", "memory:", "link:/dev/null", "etactilekit:/dev/null"]
+)
+def test_a_display_that_was_stopped_stays_at_zero(url, stop):
+    """From another thread in a run, or while a program drives the board; it opens no more."""
+    display, stopped = st.open_display(url), []
+    source = st.open_source("text:a long line of words", display.profile)
 
-        def stop(result):
-            if result.number == 20:
-                thread = threading.Thread(target=display.stop)
-                thread.start()
-                thread.join()
-                stopped.append(result.number)
+    def stops(result):
+        if result.number == 20:
+            thread = threading.Thread(target=stop, args=(display,))
+            thread.start()
+            thread.join()
+            stopped.append(result.number)
 
-        statistics = Runner(source, display, RunConfig(), listeners=[stop]).run()
-        assert stopped == [20]
-        assert statistics.frames == 20
+    if url == "simulated:":
+        statistics = Runner(source, display, RunConfig(), listeners=[stops]).run()
+        assert (stopped, statistics.frames) == ([20], 20)
+    elif url == "memory:":
+        steps = st.steps(source, display.profile, intensity=0.05)
+        with display.board as board:
+            board.send(next(steps).sequence)
+            stop(display)
+            with pytest.raises(BoardStoppedError):
+                board.send(next(steps).sequence)
+    stop(display)
+    for _ in range(2):
         with pytest.raises(BoardStoppedError):
             display.board.open()
+    with pytest.raises((BoardStoppedError, st.SmartTouchError)):
+        st.run("text:a", display, seconds=0.1)
 
 
 def test_on_a_finger_an_intensity_is_required(profile, source):
-    display = open_display("link:/dev/nowhere", profile)
-    with raises(SmartTouchError, names="intensity"):
+    display = st.open_display("link:/dev/nowhere", profile)
+    with raises(st.SmartTouchError, names="intensity"):
         Runner(source, display, RunConfig()).run()
     # Then it is the port that is missing.
     with raises(BoardError, names="port"):
         Runner(source, display, RunConfig(intensity=0.3)).run()
 
 
-def test_a_simulated_calibration_is_no_finger_s(profile, source, monkeypatch):
-    from smarttouch.profile.device import Calibrated
-
+def test_a_simulated_calibration_is_no_finger_s(profile, monkeypatch):
     note = Calibrated.model_construct(found="simulated: yes or no")
     monkeypatch.setitem(profile.calibrated, "thresholds", note)
     notes = []
     for on_a_finger in (False, True):
-        with open_display("simulated:", profile) as display:
+        with st.open_display("simulated:", profile) as display:
             monkeypatch.setattr(type(display), "on_a_finger", on_a_finger)
-            noting = Noting()
-            Runner(
-                open_source("text:a", profile, speed_mm_s=400), display, RunConfig(intensity=0.5),
-                force=open_force("fixed:0.9", profile), listeners=[noting],
-            ).run()  # fmt: skip
+            noting, source = Noting(), st.open_source("text:a", profile, speed_mm_s=400)
+            force = open_force("fixed:0.9", profile)
+            st.run(source, display, intensity=0.5, force=force, listeners=[noting])
             notes.append([each for each in noting.events if isinstance(each, Advice)])
     assert not any("thresholds" in str(each) for each in notes[0])
     assert any("thresholds" in str(each) for each in notes[1])
@@ -180,7 +186,7 @@ def test_no_ink_is_said_once(display, seconds, inked, advised, noted):
     images = np.full((400, 64, 64), 230, np.uint8)
     images[0, 10:50, 30:34] = 20 if inked else 230
     noting = Noting()
-    statistics = smarttouch.run(images, display, seconds=seconds, listeners=[noting])
+    statistics = st.run(images, display, seconds=seconds, listeners=[noting])
     advice = [str(each) for each in noting.events if isinstance(each, Advice)]
     assert sum("no ink" in words for words in advice) == advised
     assert sum("no ink" in words for words in statistics.notes) == noted
@@ -190,7 +196,7 @@ def test_each_run_on_a_display_has_its_own_notes(profile, bank, display):
     told = []
     for words in ("first", "second"):
         display.board.notes.append(words)
-        source, noting = open_source("text:a", profile, speed_mm_s=400), Noting()
+        source, noting = st.open_source("text:a", profile, speed_mm_s=400), Noting()
         run = Runner(source, display, RunConfig(), listeners=[noting], load_kernels=lambda _: bank)
         told.append(run.run().notes)
         assert str(noting.events).count(words) == 1
@@ -199,8 +205,8 @@ def test_each_run_on_a_display_has_its_own_notes(profile, bank, display):
 
 
 def test_a_picture_of_what_was_felt_needs_every_pulse(profile, source, tmp_path):
-    display = open_display("memory:", profile)
-    with raises(SmartTouchError):
+    display = st.open_display("memory:", profile)
+    with raises(st.SmartTouchError):
         Runner(source, display, RunConfig(), listeners=[DeliveredPicture(tmp_path / "a.png")]).run()
 
 
@@ -208,10 +214,10 @@ def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_pa
     # No driving function was fitted to so short a pulse.
     short, shapes = changed(profile, {"pulse.width_us": 40}), []
     for each in (profile, short):
-        display = open_display("simulated:", profile)
+        display = st.open_display("simulated:", profile)
         picture = DeliveredPicture(tmp_path / "a.png", anatomy="paper")
         display.profile = each
-        source = open_source("text:a", profile)
+        source = st.open_source("text:a", profile)
         statistics = Runner(
             source, display, RunConfig(seconds=0.2), listeners=[picture],
             load_kernels=lambda _: load_bank(profile),
@@ -224,14 +230,157 @@ def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_pa
 
 
 @pytest.mark.parametrize(("name", "anatomy", "wrong"), [
-    ("a.png", "none", raises(ProfileError, key="anatomy", value="none")),
-    ("a.gif", "paper", raises(SmartTouchError, value="a.gif")),
+    ("a.png", "none", raises(st.ProfileError, key="anatomy", value="none")),
+    ("a.gif", "paper", raises(st.SmartTouchError, value="a.gif")),
 ])  # fmt: skip
 def test_an_impossible_picture_is_refused_before_the_board(
     profile, source, tmp_path, name, anatomy, wrong
 ):
-    display = open_display("simulated:", profile)
+    display = st.open_display("simulated:", profile)
     picture = DeliveredPicture(tmp_path / name, 1, anatomy)
     with wrong:
         Runner(source, display, RunConfig(), listeners=[picture]).run()
     assert not picture.path.exists()
+
+
+# -- mistakes in a program's own classes: one sentence with the name of the class
+
+
+class Follower(st.Listener):
+    def __init__(self):
+        self.most = 0
+
+
+class Camera(st.OpticalSource):
+    knows_force = True
+
+    def __init__(self, returned):
+        super().__init__("my camera")
+        self.returned = returned
+
+    def read(self, time_ns):
+        return self.returned
+
+
+def short(source="text:a", display="memory:", **settings):
+    st.run(source, st.open_display(display), seconds=0.1, **settings)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "act"),
+    [
+        (st.SmartTouchError, "Follower", lambda: short(listeners=[Follower])),
+        (st.SmartTouchError, "str", lambda: short(listeners=["screen"])),
+        (st.SourceError, "Camera", lambda: short(Camera(np.zeros((9, 9), np.uint8)))),
+        (st.SourceError, "Camera", lambda: short(Camera(st.Frame(np.zeros((9, 9)), 0)))),
+        (st.ProfileError, "4", lambda: st.open_source("text:a", 4)),
+    ],
+)
+def test_the_sentence_names_the_class(kind, name, act):
+    with raises(kind, names=name):
+        act()
+
+
+def test_a_profile_may_be_named_wherever_one_is_taken():
+    step = next(st.steps(st.open_source("text:a", "line-7"), "line-7"))
+    assert st.Finger("line-7").profile == st.load_profile(st.load_profile("line-7"))
+    assert step.tactile.activation.shape == (3, 7)
+
+
+def test_numbers_of_numpy_are_numbers():
+    class Scale(ForceSource):
+        def read(self, time_ns):
+            return np.float32(0.5)
+
+    short(force=Scale("my scale"))
+
+
+# -- on a board of simulated time: as fast as they can, or paced by the wall clock
+
+
+def timed(paced, *, url="text:touch what a sensor sees", stop=None, listeners=(), **settings):
+    """Return the sequences of a run, its statistics, and the seconds that it took."""
+    sequences = []
+    profile = st.load_profile("smarttouch-4x4")
+    runner = Runner(
+        st.open_source(url, profile), st.open_display("simulated:", profile),
+        st.RunConfig(paced=paced, **settings), stop=stop,
+        listeners=[lambda result: sequences.append(result.sequence), *listeners],
+    )  # fmt: skip
+    begun_s = time.monotonic()
+    statistics = runner.run()
+    return sequences, statistics, time.monotonic() - begun_s
+
+
+def test_a_paced_run_delivers_the_same_and_takes_its_time():
+    fast, fast_statistics, _ = timed(False, seconds=1)
+    paced, statistics, took_s = timed(True, seconds=1)
+    assert took_s > 0.9
+    # At the end of its seconds a slow computer has sent fewer.
+    assert 10 < len(paced) <= len(fast) + 1
+    for one, other in zip(fast, paced, strict=False):
+        assert one.time_ns == other.time_ns
+        assert np.array_equal(one.current_ua, other.current_ua)
+    for each in (fast_statistics, statistics):
+        assert each.restarts == 0
+        assert each.figures["dropped_late"] == each.figures["refused"] == 0
+        assert each.figures["emulator_violations"] == 0
+        # When a simulated pulse comes says nothing about a finger.
+        assert each.figures["motion_to_pulse_us"] is None
+
+
+def test_a_computer_that_stalls_makes_nothing_late_on_the_board():
+    def stall(result):
+        if result.number == 10:
+            time.sleep(0.25)
+
+    sequences, statistics, _ = timed(True, seconds=1.5, listeners=[stall])
+    assert statistics.late >= 1
+    assert statistics.restarts == statistics.figures["dropped_late"] == 0
+    # Nor does intensity begin at zero again.
+    levels = [each.intensity for each in sequences]
+    assert levels == sorted(levels)
+    assert levels[10] > levels[5] > 0
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_stop_ends_a_paced_run_within_a_moment(at_once):
+    stop, asked_s = StopRequest(), []
+
+    def ask(result):
+        if result.number == 5:
+            asked_s.append(time.monotonic())
+            stop.ask("the test", at_once=at_once)
+
+    sequences, statistics, _ = timed(True, stop=stop, listeners=[ask])
+    assert statistics.ended == "the test"
+    assert time.monotonic() - asked_s[0] < 2
+    assert len(sequences) == 5
+
+
+def test_the_machine_paces_a_board_with_time_of_its_own_anyway():
+    begun_s = time.monotonic()
+    st.run("text:a", "memory:", seconds=0.3)
+    assert time.monotonic() - begun_s > 0.25
+
+
+def test_a_recording_of_a_paced_run_is_as_exact(tmp_path):
+    path = tmp_path / "run.mcap"
+    timed(True, seconds=0.2, listeners=[st.Recorder(path)])
+    assert "paced" not in st.load_recording(path).settings
+    assert check_recording(path).exact
+
+
+def test_a_paced_session_keeps_real_time():
+    dot = np.eye(64, dtype=np.float32)[27]
+    with st.open_display("simulated:").session(mode="RA", intensity=0.6, paced=True) as touch:
+        touch.rise()
+        begun_s = time.monotonic()
+        shown = touch.show(dot, 0.3)
+        touch.wait(0.2)
+        assert time.monotonic() - begun_s > 0.45
+        assert (shown.sequences, shown.intensity) == (15, 0.6)
+        touch.put(dot, stale_s=0.2)
+        time.sleep(0.5)
+    assert touch.statistics.seconds > 0.5
+    assert touch.statistics.figures["emulator_violations"] == 0
