@@ -220,15 +220,14 @@ def design_bank(
     """Design every mode that the board can make, for every site."""
     if profile.kernels.neighbors is not None:
         return design_confined(profile, profile.driven.tolist(), progress, keep)
-    from smarttouch.kernels.batch_design import design_sites, part_of
+    from smarttouch.kernels.batch_design import design_sites, design_unless_known, part_of
     from smarttouch.kernels.design_problem import Array, Problem
-    from smarttouch.kernels.kept_kernels import kept_or
     from smarttouch.kernels.switched_design import designer, possible_modes
 
     modes, profile, design = possible_modes(profile), _by_sources(profile), designer(profile)
     known = _known(profile)
     if known is not None and problem_hash(known[0]) != problem_hash(profile):
-        design = kept_or(design, known[0], known[1].kernel)
+        design = design_unless_known(design, known[0], known[1].kernel)
     columns: dict[str, Any] = {name: {} for name in _IN_FILE}
     made: dict[Afferent, Array] = {}
     for index, afferent in enumerate(modes):
@@ -318,3 +317,25 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
     except Exception:
         # A damaged archive fails in a dozen ways. It is designed again: that is slow, not wrong.
         return None
+
+
+def single_bank(profile: Profile) -> KernelBank:
+    """Return a bank in which each site's kernel is its electrode against all others.
+
+    All are stored under `Afferent.RA`, whichever afferents they reach. The one electrode is anodic
+    where the profile's board can, and the others share its return equally.
+    """
+    count = len(profile.electrodes)
+    driven = profile.driven
+    weights = np.zeros((count, count))
+    weights[np.ix_(driven, driven)] = -1 / max(1, len(driven) - 1)
+    weights[driven, driven] = 1
+    if "anodic" in profile.output.polarities:
+        weights = -weights
+    nothing, nowhere = np.zeros(count), np.zeros((count, count), np.float32)
+    each = {Afferent.RA: nothing}
+    return KernelBank(
+        weights={Afferent.RA: weights}, off_target=each,
+        worst_class={Afferent.RA: nothing.astype(np.int8)}, spill=each, gap=each, seconds=each,
+        receptor={Afferent.RA: nowhere}, discs=(Afferent.RA,),
+    )  # fmt: skip

@@ -15,7 +15,8 @@ import numpy as np
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
 from smarttouch.base.files import read_bytes
-from smarttouch.kernels.design_problem import Kernel, Problem
+from smarttouch.kernels.design_problem import Array, Kernel, KernelKind, Problem, limits_ma
+from smarttouch.profile import Profile
 
 Design = Callable[[Problem, int], Kernel]
 Progress = Callable[[int, int], None]
@@ -141,3 +142,49 @@ def kept_kernel(keep: Path | None, problem: Problem, site: int) -> Timed | None:
     except (DesignError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         return None
     return (kernel, seconds) if whole else None
+
+
+_NOTHING = 1e-9  # part of a kernel's strongest current that is a last bit of the solver's
+_CLEAR = 1 - 1e-6
+
+
+def design_unless_known(
+    design: Design, before: Profile, known_kernel: Callable[[Afferent, int, KernelKind], Kernel]
+) -> Design:
+    """Return a design that gives a site its kernel of another profile where that stays the best:
+    without current at masked electrodes, and either its limits are the same, or the kernel
+    is within the limits and was not held up by those before.
+
+    An optimum stays optimal over any subset that contains it.
+    """
+
+    def keep_or_design(problem: Problem, site: int) -> Kernel:
+        known = known_kernel(problem.afferent, site, "weighted")
+        weights, masked = known.weights.copy(), list(problem.profile.output.masked)
+        peak = np.abs(weights).max()
+        if (np.abs(weights[masked]) > _NOTHING * peak).any() or not (
+            _same_limits(before, problem.profile, site)
+            or (_within(weights, site, before) and _within(weights, site, problem.profile))
+        ):
+            return design(problem, site)
+        weights[masked] = 0.0
+        weights[problem.driven] -= weights[problem.driven].mean()
+        return replace(known, weights=weights)
+
+    return keep_or_design
+
+
+def _same_limits(before: Profile, now: Profile, site: int) -> bool:
+    (total, own), (total_now, own_now) = limits_ma(before), limits_ma(now)
+    alike = total == total_now and np.array_equal(own, own_now)
+    return alike and bool(before.full_ma[site] == now.full_ma[site])
+
+
+def _within(weights: Array, site: int, profile: Profile) -> bool:
+    """Return whether a pattern (E,) keeps clear of a profile's limits at a site's full current."""
+    total, electrode = limits_ma(profile)
+    if weights[site] == 0:
+        return bool(np.isinf(total) and np.isinf(electrode).all())
+    carried = np.abs(weights) * float(profile.full_ma[site]) / abs(weights[site])
+    in_all, carried[site] = carried.sum() / 2, 0.0
+    return bool(in_all <= _CLEAR * total and (carried <= _CLEAR * electrode).all())

@@ -3,6 +3,15 @@
 Fixed kernels that do not move one another's targets are superposed. A node of
 another class is then reached by at most the sum of what it gets from those
 that excite it, whichever of them are on; the worst node bounds all subsets.
+
+Side effects of currents w are a quadratic form wᵀMw, M the sum of the outer products of the AF
+rows of all nodes of the own class, and of the squared currents. The currents that activate the
+targets of a set of sites as wished, y, and cause the least of it, are
+
+    w = P Tᵀ (T P Tᵀ)⁻¹ y
+
+with T the AF rows of the targets and P the inverse of M on the driven electrodes with Σw = 0 (least
+squares with linear constraints).
 """
 
 from collections.abc import Sequence
@@ -13,11 +22,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import DesignError
-from smarttouch.kernels.frame_fields import FrameBounds
-from smarttouch.kernels.frame_operator import AIM, FrameOperator
+from smarttouch.kernels.selectivity import FrameBounds, FrameJudge
 from smarttouch.profile import Profile
 
 Array = NDArray[np.float64]
+
+_SOFT = 1e-6
+"""Part of the targets' mean response that keeps systems solvable if all sites are active."""
+AIM = 0.8  # part of the allowed unevenness by which all targets are made weaker, to save current
+
+
+class FrameOperator:
+    """Solver for the kernels of sites that share slots."""
+
+    def __init__(self, judge: FrameJudge) -> None:
+        self.judge = judge
+        driven, count = judge.profile.driven, len(judge.profile.electrodes)
+        gram = judge.own.T.astype(np.float64) @ judge.own
+        form = np.eye(count) + gram / np.trace(gram) * count
+        # Masked electrodes carry nothing, and all currents sum to zero.
+        basis = _zero_sum(len(driven))
+        inner = basis.T @ form[np.ix_(driven, driven)] @ basis
+        inverse = np.zeros((count, count))
+        inverse[np.ix_(driven, driven)] = basis @ np.linalg.inv(inner) @ basis.T
+        self._columns = inverse @ judge.target.T
+        self._response = judge.target @ self._columns
+        self._soft = _SOFT * float(np.trace(self._response)) / len(self._response)
+
+    def independent(self, sites: NDArray[np.intp]) -> Array:
+        """Return kernels (A, E) mA per V/mm² of a set of sites that do not disturb one another."""
+        system = self._response[np.ix_(sites, sites)] + self._soft * np.eye(len(sites))
+        return np.asarray(np.linalg.solve(system, self._columns[:, sites].T))
+
+
+def _zero_sum(count: int) -> Array:
+    """Return an orthonormal basis of the vectors that sum to zero, (n, n − 1)."""
+    full, _ = np.linalg.qr(np.c_[np.ones(count), np.eye(count)[:, 1:]])
+    return np.asarray(full[:, 1:])
+
 
 MOST_PROVED = 300  # largest number of electrodes for which sets are proved, in about a second
 _STEPS = (2, 3, 4)  # distances, in rows and columns, between the points of a set to try
@@ -52,8 +94,7 @@ class SharedKernels:
         ones add nothing.
         """
         judge = self.operator.judge
-        others = np.concatenate([field(self.kernels) for field in judge.others], axis=1)
-        own = np.maximum(judge.own(self.kernels), 0)
+        others, own = self.kernels @ judge.others.T, np.maximum(self.kernels @ judge.own.T, 0)
         for row, site in zip(own, self.sites, strict=True):
             row[~judge.far(np.array([site]))] = 0
         return np.maximum(others, 0), own
@@ -210,15 +251,15 @@ def provable(profile: Profile) -> bool:
     return profile.array.layout == "grid" and len(profile.electrodes) <= MOST_PROVED
 
 
-def proved_sets(operator: FrameOperator, bounds: FrameBounds) -> list[SharedKernels]:
+def proved_sets(judge: FrameJudge, bounds: FrameBounds) -> list[SharedKernels]:
     """Return few sets of sites whose subsets all keep the bounds with targets aimed at `AIM`.
 
     Limits of single electrodes are kept too, the total current is not checked. None are returned
     where the array is no grid or large, or nothing could be proved.
     """
-    judge, aim = operator.judge, 1 - AIM * bounds.uneven
     if not provable(judge.profile):
         return []
+    aim, operator = 1 - AIM * bounds.uneven, FrameOperator(judge)
     for step in _STEPS:
         sets = color_classes(operator, step)
         if all(

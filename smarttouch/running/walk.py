@@ -13,7 +13,7 @@ from smarttouch.base.errors import BoardError, SmartTouchError, require_within
 from smarttouch.base.events import Note
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
-from smarttouch.kernels.disc_banks import single_bank
+from smarttouch.kernels.bank import single_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display

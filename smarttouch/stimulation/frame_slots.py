@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.kernels.frame_fields import FrameBounds
-from smarttouch.kernels.frame_judges import FrameJudge, full_wish
-from smarttouch.kernels.frame_operator import AIM, FrameOperator
-from smarttouch.kernels.proved_sets import Certainty, proved_sets
+from smarttouch.kernels.proved_sets import AIM, Certainty, proved_sets
+from smarttouch.kernels.selectivity import FrameBounds, FrameJudge, full_wish
 from smarttouch.profile import Profile
 from smarttouch.stimulation.point_slots import Slots, constant_us, perceived_at
 from smarttouch.stimulation.scan_sequence import (
@@ -56,7 +54,7 @@ class FrameSlots:
         self._aim = 1 - AIM * frames.uneven
         faintest = profile.threshold_ma / profile.full_ma
         sets = proved_sets(
-            FrameOperator(judge),
+            judge,
             FrameBounds(_ROUNDING * frames.other, _ROUNDING * frames.spill, frames.uneven),
         )
         driven = np.isin(np.arange(count), profile.driven)

@@ -1,22 +1,108 @@
-"""Bounds of sets of sites: no subset breaks them."""
+"""Figures of slots are those of all rows, and no subset of a set of sites breaks its bounds."""
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
-from smarttouch.kernels.frame_fields import FrameBounds
-from smarttouch.kernels.frame_judges import FrameJudge, full_wish
-from smarttouch.kernels.frame_operator import FrameOperator
-from smarttouch.kernels.proved_sets import Certainty, SharedKernels, color_classes, proved_sets
+from smarttouch.kernels.design_problem import Problem
+from smarttouch.kernels.proved_sets import (
+    Certainty,
+    FrameOperator,
+    SharedKernels,
+    color_classes,
+    proved_sets,
+)
+from smarttouch.kernels.selectivity import FrameBounds, FrameJudge, full_wish
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.quantized_kernels import quantized
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable
 from smarttouch.stimulation.slot_sums import round_charge_balanced
 
 from ..raising import raises
+from ..whole import WHOLE
+
+
+@pytest.fixture(scope="module")
+def make_operator(profile, bank, changed):
+    """Return a maker of operators with places as far apart as where frames are shown."""
+    made, profile = {}, changed(profile, {"skin.node_spacing_mm": 0.5})
+
+    def make(afferent):
+        if afferent not in made:
+            wish = full_wish(profile, bank.kernels(afferent), bank.receptor[afferent])
+            made[afferent] = FrameOperator(FrameJudge(profile, afferent, wish))
+        return made[afferent]
+
+    return make
+
+
+@pytest.fixture(scope="module", params=[Afferent.RA, Afferent.SAI], ids=lambda each: each.name)
+def judged(request, profile, changed, bank):
+    afferent, coarse = request.param, changed(profile, {"skin.node_spacing_mm": 0.25})
+    wish = full_wish(profile, bank.kernels(afferent), bank.receptor[afferent])
+    return FrameJudge(coarse, afferent, wish), Problem(coarse, afferent)
+
+
+@settings(max_examples=25 if WHOLE else 10, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 30))
+def test_figures_are_those_of_all_rows(judged, seed, points):
+    judge, problem = judged
+    rng = np.random.default_rng(seed)
+    level = np.zeros(64)
+    active = rng.choice(64, points, replace=False)
+    level[active] = rng.uniform(0.5, 1, points)
+    # Rough currents, so that every figure counts.
+    current = np.linalg.solve(problem.target, level * judge.wish_af) + 0.1 * rng.normal(size=64)
+    (figures,) = judge.judge(current[None], level[None])
+    reached = problem.target[active] @ current
+    smallest = (reached / level[active]).min()
+    assert figures.total_ma == pytest.approx(np.abs(current).sum() / 2)
+    assert figures.electrode_ma == pytest.approx(np.abs(current).max())
+    ratio = reached / (level * judge.wish_af)[active]
+    assert (figures.weakest, figures.strongest) == pytest.approx((ratio.min(), ratio.max()))
+    if smallest <= 0:
+        assert figures.off_target == figures.spill == np.inf
+        return
+    # What the quick judge may miss of either figure: below 2 %.
+    assert figures.off_target == pytest.approx((problem.other @ current).max() / smallest, rel=0.02)
+    far = np.logical_and.reduce([problem.beyond_a_pitch(site) for site in active])
+    spill = max((problem.own[far] @ current).max(initial=0) / smallest, 0)
+    assert figures.spill == pytest.approx(spill, rel=0.02, abs=0.002)
+    assert np.array_equal(judge.far(active), far)
+
+
+def test_a_single_kernel_has_its_bank_s_figures(judged, profile, bank):
+    judge, _ = judged
+    level = np.eye(64)[27]
+    current = bank.kernels(judge.afferent)[27] * profile.full_ma[27]
+    (figures,) = judge.judge(current[None], level[None])
+    assert figures.weakest == figures.strongest == pytest.approx(1, abs=1e-3)
+    assert figures.off_target == pytest.approx(bank.off_target[judge.afferent][27], rel=0.02)
+    assert figures.spill == pytest.approx(bank.spill[judge.afferent][27], rel=0.02)
+
+
+def test_limits_are_the_smallest_of_all(profile, changed):
+    keys = {"output.masked": [3], "limits.electrode_ma": [2.5] + [5.0] * 63}
+    keys["perception.comfort_ma"] = [2.4] * 63 + [2.0]
+    judge = FrameJudge(changed(profile, keys), Afferent.RA, np.ones(64))
+    assert judge.full_ma[[0, 3, 10, 63]] == pytest.approx([2.4, 0, 2.4, 2.0])
+
+
+def test_what_cannot_be_judged_is_refused(profile):
+    with raises(DesignError, value=3, allowed=64):
+        FrameJudge(profile, Afferent.RA, np.ones(3))
+    judge = FrameJudge(load_profile("smarttouch-4x4"), Afferent.RA, np.ones(16))
+    with raises(DesignError):
+        judge.judge(np.zeros((1, 16)), np.zeros((1, 16)))
+
+
+@pytest.mark.parametrize(("name", "value"), [("other", 0.0), ("spill", -1.0), ("uneven", 1.0)])
+def test_bounds_that_are_none_are_refused(name, value):
+    with raises(DesignError, value=value, allowed=(0, 1)):
+        FrameBounds(**{name: value})
 
 
 @given(
@@ -50,9 +136,7 @@ def test_the_bounds_are_reached_by_a_subset(make_operator, afferent, step):
     # Neighbors calm what each excites: only some of them make the worst subset.
     beside = SharedKernels(operator, np.array([18, 19, 20, 26, 28, 45]))
     for one in [*color_classes(operator, step), beside]:
-        reached = [field(one.kernels) for field in judge.others]
-        field = max(reached, key=lambda each: np.maximum(each, 0).sum(axis=0).max())
-        own = judge.own(one.kernels)
+        field, own = one.kernels @ judge.others.T, one.kernels @ judge.own.T
         far = np.array([judge.far(np.array([site])) for site in one.sites])
         # All that are on lie far from the node, else it would be no spill.
         for name, each in (("off_target", field), ("spill", np.where(far, own, 0))):
@@ -91,13 +175,13 @@ def test_a_hexagon_has_no_colors(hexagon):
 
 def test_sets_are_as_large_as_can_be_proved(make_operator, profile, changed):
     bounds = FrameBounds()
-    sets = proved_sets(make_operator(Afferent.RA), bounds)
+    sets = proved_sets(make_operator(Afferent.RA).judge, bounds)
     assert [len(each.sites) for each in sets] == [16] * 4
     assert sorted(np.concatenate([each.sites for each in sets])) == list(range(64))
     # Tighter bounds, sparser sets; and none at all.
-    assert len(proved_sets(make_operator(Afferent.RA), FrameBounds(other=0.15))) == 9
-    assert proved_sets(make_operator(Afferent.RA), FrameBounds(other=0.05)) == []
-    assert proved_sets(make_operator(Afferent.SAI), bounds) == []
+    assert len(proved_sets(make_operator(Afferent.RA).judge, FrameBounds(other=0.15))) == 9
+    assert proved_sets(make_operator(Afferent.RA).judge, FrameBounds(other=0.05)) == []
+    assert proved_sets(make_operator(Afferent.SAI).judge, bounds) == []
     judge = sets[0].operator.judge
     for one in sets:
         assert one.off_target <= 0.3
@@ -107,7 +191,7 @@ def test_sets_are_as_large_as_can_be_proved(make_operator, profile, changed):
 def test_what_is_proved_holds_every_tenth_of_a_millimeter(make_operator, profile, bank):
     wish = full_wish(profile, bank.kernels(Afferent.RA), bank.receptor[Afferent.RA])
     fine = FrameOperator(FrameJudge(profile, Afferent.RA, wish))
-    for one in proved_sets(make_operator(Afferent.RA), FrameBounds()):
+    for one in proved_sets(make_operator(Afferent.RA).judge, FrameBounds()):
         # The same kernels as at .5 mm, judged closer.
         closer = SharedKernels(fine, one.sites)
         closer.__dict__["kernels"] = one.kernels
@@ -117,11 +201,11 @@ def test_what_is_proved_holds_every_tenth_of_a_millimeter(make_operator, profile
 
 def test_what_is_no_grid_or_large_has_no_sets(profile, hexagon, changed):
     wish = np.full(61, 2.0)
-    assert proved_sets(FrameOperator(FrameJudge(hexagon, Afferent.RA, wish)), FrameBounds()) == []
+    assert proved_sets(FrameJudge(hexagon, Afferent.RA, wish), FrameBounds()) == []
     many = {"array.rows": 18, "array.columns": 18, "skin.node_spacing_mm": 1.0}
     wide = changed(profile, many)
     judge = FrameJudge(wide, Afferent.RA, np.full(324, 2.2))
-    assert proved_sets(FrameOperator(judge), FrameBounds()) == []
+    assert proved_sets(judge, FrameBounds()) == []
 
 
 @given(

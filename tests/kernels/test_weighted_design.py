@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
+from smarttouch.kernels import linear_program
 from smarttouch.kernels.design_problem import Problem
 from smarttouch.kernels.weighted_design import design_any_node, design_kernel
 from smarttouch.profile import load_profile
@@ -74,6 +75,13 @@ def test_no_method_of_the_solver_gives_another_kernel(line, afferent, options):
     usual, other = design_kernel(problem, 3), design_kernel(problem, 3, options=options)
     assert other.off_target == pytest.approx(usual.off_target, abs=1e-8)
     assert other.weights == pytest.approx(usual.weights, rel=1e-6)
+
+
+def test_a_simplex_that_runs_in_circles_gives_way(line, monkeypatch):
+    problem = Problem(line, Afferent.RA)
+    usual = design_kernel(problem, 3)
+    monkeypatch.setattr(linear_program, "_PATIENCE", 0)
+    assert design_kernel(problem, 3).weights == pytest.approx(usual.weights, rel=1e-6)
 
 
 def test_a_kernel_that_could_be_mirrored_is_not(profile, changed):

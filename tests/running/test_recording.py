@@ -147,4 +147,4 @@ def test_a_description_without_its_parts(broken_path, about, key, value):
 
 def test_goldens_are_small(goldens):
     for path in goldens:
-        assert Path(path).stat().st_size < 70_000
+        assert Path(path).stat().st_size < 80_000

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.kernels.frame_judges import FrameJudge, full_wish
+from smarttouch.kernels.selectivity import FrameJudge, full_wish
 from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.stimulation.scan_sequence import KernelTable
 

@@ -26,7 +26,7 @@ from smarttouch.experiments.calibration.threshold_session import (
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
 from smarttouch.experiments.psychophysics.simulated_subject import Subject
 from smarttouch.experiments.psychophysics.trials import Trial, TrialTiming
-from smarttouch.kernels.disc_banks import single_bank
+from smarttouch.kernels.bank import single_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display

@@ -29,7 +29,7 @@ from smarttouch.experiments.calibration.thresholds import (
 )
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
 from smarttouch.experiments.psychophysics.trials import TrialTiming
-from smarttouch.kernels.disc_banks import single_bank
+from smarttouch.kernels.bank import single_bank
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display

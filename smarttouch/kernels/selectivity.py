@@ -1,5 +1,6 @@
 """Selectivity of the finished currents of slots with several points of one class."""
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -7,11 +8,45 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
-from smarttouch.kernels.frame_fields import FieldMap, FrameFigures, Single
 from smarttouch.physiology.activating_function import af_matrix, everywhere, targets
 from smarttouch.profile import Profile
 
 Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class FrameFigures:
+    """Figures of one slot; activations are relative to the weakest target's, scaled to level 1."""
+
+    off_target: float  # largest activation of any other class
+    spill: float  # largest activation of the own class more than a pitch from every target
+    weakest: float  # least activation of a target, over its wish
+    strongest: float  # most activation of a target, over its wish
+    total_ma: float  # of all cathodes together
+    electrode_ma: float  # of the strongest electrode
+
+
+@dataclass(frozen=True)
+class FrameBounds:
+    """Bounds on the side effects of a slot; impossible ones raise a DesignError.
+
+    0.30 is what a single SAI point reaches on the paper's line array, by its own program. All
+    targets may be weaker together by `uneven`, which saves current.
+    """
+
+    other: float = 0.30  # of `FrameFigures.off_target`
+    spill: float = 0.30  # of `FrameFigures.spill`
+    uneven: float = 0.05  # largest relative deviation of a target from its wish
+
+    def __post_init__(self) -> None:
+        for name, value in (("other", self.other), ("spill", self.spill), ("uneven", self.uneven)):
+            most = 1 if name == "uneven" else np.inf
+            if not 0 < value < most:
+                raise DesignError(
+                    f"bound {name} = {value} of a frame must be above 0, uneven below 1"
+                )
+
 
 _SAME_MM = 1e-9
 
@@ -33,14 +68,21 @@ class FrameJudge:
         self.wish_af: Array = np.asarray(wish_af, np.float64)
         self.target: Array = af_matrix(profile, targets(profile, afferent))
         """Activating function of each site's target, (E, E) V/mm² per mA."""
-        self.others: list[FieldMap] = [
-            FieldMap(profile, everywhere(profile, each))
-            for each in Afferent
-            if each is not afferent
-        ]
-        place = everywhere(profile, afferent)
-        self.own: FieldMap = FieldMap(profile, place)
-        self._near = _near(place.position_mm, profile)
+
+    @cached_property
+    def others(self) -> Single:
+        """Activating function at every node of the other classes, (N, E) V/mm² per mA."""
+        others = [each for each in Afferent if each is not self.afferent]
+        return np.concatenate([self._rows(each) for each in others])
+
+    @cached_property
+    def own(self) -> Single:
+        """Activating function at every node of the class, (M, E) V/mm² per mA."""
+        return self._rows(self.afferent)
+
+    def _rows(self, afferent: Afferent) -> Single:
+        nodes = everywhere(self.profile, afferent)
+        return np.asarray(af_matrix(self.profile, nodes), np.float32)
 
     @cached_property
     def full_ma(self) -> Array:
@@ -55,16 +97,20 @@ class FrameJudge:
     @cached_property
     def uneven_af(self) -> tuple[float, float]:
         """Largest sum of a row's steps between electrodes: of other classes, of the own."""
-        count = len(self.wish_af)
-        steps = np.eye(count - 1, count) - np.eye(count - 1, count, 1)
-        other = max(float(np.abs(field(steps)).sum(axis=0).max()) for field in self.others)
-        return other, float(np.abs(self.own(steps)).sum(axis=0).max())
+        rows_of = self.others, self.own
+        other, own = (float(np.abs(np.diff(rows)).sum(axis=1).max()) for rows in rows_of)
+        return other, own
+
+    @cached_property
+    def _near(self) -> NDArray[np.bool_]:
+        """Which own nodes are within a pitch of each electrode, (E, M)."""
+        array, nodes = self.profile.electrodes, everywhere(self.profile, self.afferent)
+        away = np.linalg.norm(array.position_mm[:, None] - nodes.position_mm, axis=2)
+        return np.tile(away <= array.pitch_mm + _SAME_MM, len(nodes.direction))
 
     def far(self, active: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return which own nodes are more than a pitch from every active target, (D·N,)."""
-        mask = np.ones(self.own.places_n + 1, np.bool_)
-        mask[self._near[active]] = False
-        return np.tile(mask[:-1], self.own.directions_n)
+        """Return which own nodes are more than a pitch from every active target, (M,)."""
+        return np.asarray(~self._near[active].any(axis=0))
 
     def judge(self, current: Array, level: Array) -> list[FrameFigures]:
         """Return the figures of slots with currents (S, E) mA that are to activate sites with
@@ -77,8 +123,8 @@ class FrameJudge:
             return []
         if not level.any(axis=1).all():
             raise DesignError("a slot without an active site has no figures: leave it out")
-        others = [field(current).max(axis=1) for field in self.others]
-        rest, own = np.max(others, axis=0, initial=-np.inf), self.own(current)
+        single = np.asarray(current, np.float32)
+        rest, own = (single @ self.others.T).max(axis=1), single @ self.own.T
         return [
             self._figures(*slot) for slot in zip(current, level, rest.tolist(), own, strict=True)
         ]
@@ -97,16 +143,3 @@ def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
     """Return the activation of single kernels at full comfortable current, (E,) V/mm², from
     `KernelBank.kernels` and `KernelBank.receptor` of the class, (E, E)."""
     return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
-
-
-def _near(position_mm: Array, profile: Profile) -> NDArray[np.intp]:
-    """Return the places within a pitch of each electrode, (E, K), padded with N."""
-    array = profile.electrodes
-    found = []
-    for center in array.position_mm:
-        away = np.hypot(*(position_mm - center).T)
-        found.append(np.flatnonzero(away <= array.pitch_mm + _SAME_MM))
-    near = np.full((len(found), max(map(len, found))), len(position_mm), np.intp)
-    for row, places in zip(near, found, strict=True):
-        row[: len(places)] = places
-    return near
