@@ -36,8 +36,8 @@ from smarttouch.experiments.study_run import study_sums as study_sums
 from smarttouch.experiments.study_run import study_table as study_table
 from smarttouch.imaging.array_window import profile_for_reading as profile_for_reading
 from smarttouch.imaging.array_window import reading_force_n as reading_force_n
+from smarttouch.instruments.color_mix import ColorSource as ColorSource
 from smarttouch.instruments.color_mix import mix_colors as mix_colors
-from smarttouch.instruments.color_source import ColorSource as ColorSource
 from smarttouch.instruments.electric_mouse import MouseSource as MouseSource
 from smarttouch.instruments.electric_mouse import open_motion_over as open_motion_over
 from smarttouch.instruments.receptor_responses import split_trace as split_trace

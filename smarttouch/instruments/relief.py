@@ -5,13 +5,13 @@ same pulses on gratings and fills areas: **every pulse stands for one grain of w
 high ground**. High is what exceeds its surroundings; its depth is the distance to where
 it ends, at most half a grain. An electrode pulses where the depth along its way is
 greatest: in the middle of a ridge narrower than a grain, half a grain inside the edge of
-an area, and from there on after each grain of way. Where a pitch dominates, ridges are
-silent along themselves, as a grating's are; strokes of shapes pulse along themselves, too.
+an area, and from there on after each grain of way, also along a ridge or stroke.
 """
 
 import math
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,12 +19,6 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError, require_within
 from smarttouch.base.url_options import joined_options, read_options
-from smarttouch.instruments.relief_heights import (
-    Heights,
-    dominant_pitch_mm,
-    load_heights,
-    print_heights,
-)
 from smarttouch.instruments.textures import (
     COARSEST_PITCH_MM,
     FINEST_PITCH_MM,
@@ -33,15 +27,76 @@ from smarttouch.instruments.textures import (
     Texture,
     TextureSampler,
 )
+from smarttouch.pages.page_image import (
+    check_scale_options,
+    open_image,
+    read_grey,
+    require_size_mm,
+)
+from smarttouch.pages.prepared_page import print_text
 
-USUAL_GRAIN_MM = 2.0  # default grain, where no pitch dominates: that of the paper's electrodes
+LETTER_MM = 12.0  # height of printed letters: wide enough strokes for electrodes 2 mm apart
+_PRINTED_MM = 4.2  # height of the letters of `print_text`, ascender to descender
+_MARGIN_MM = 4.0
+_SCALE = "dpi or width_mm"
+_LEAST_RANGE = 7.65  # least range of grey levels; with less, nothing is shown
+
+
+class Heights(NamedTuple):
+    """Heights of a relief before its grain is known."""
+
+    title: str
+    height: NDArray[np.float32]  # (H, W) in [0, 1]
+    mm_per_pixel: float
+
+
+def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:
+    """Load an image, whose ink is high; the scale is needed where the file has none."""
+    check_scale_options(dpi, width_mm, "width_mm")
+    with open_image(path) as image:
+        grey, mm_per_pixel = read_grey(path, image, dpi, width_mm)
+    if mm_per_pixel is None:
+        raise PageError(f"{path} does not say how large it is: give {_SCALE}")
+    rows, columns = grey.shape
+    require_size_mm(str(path), columns * mm_per_pixel, rows * mm_per_pixel, _SCALE)
+    return Heights(path.name, _stretched(path.name, 255 - grey.astype(np.float64)), mm_per_pixel)
+
+
+def print_heights(text: str, width_mm: float | None = None) -> Heights:
+    """Print a text in large letters, 12 mm high unless the width of the whole is given."""
+    check_scale_options(None, width_mm, "width_mm")
+    page = print_text(text)
+    mm_per_pixel = page.mm_per_pixel * LETTER_MM / _PRINTED_MM
+    ink = page.grey < 128
+    rows, columns = (np.flatnonzero(ink.any(axis=axis)) for axis in (1, 0))
+    grey = page.grey[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    grey = np.asarray(np.pad(grey, round(_MARGIN_MM / mm_per_pixel), constant_values=255))
+    if width_mm is not None:
+        mm_per_pixel = width_mm / grey.shape[1]
+    require_size_mm(
+        "the text", grey.shape[1] * mm_per_pixel, grey.shape[0] * mm_per_pixel, "width_mm"
+    )
+    return Heights(f"“{text}”", np.asarray(1 - grey / 255, np.float32), mm_per_pixel)
+
+
+def _stretched(name: str, values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return values stretched to 0 to 1, without the few outliers."""
+    low, high = np.percentile(values, (0.5, 99.5))
+    if high - low <= _LEAST_RANGE:
+        low, high = values.min(), values.max()
+    if high - low <= _LEAST_RANGE:
+        message = f"{name} is flat: there is nothing on it that could be felt"
+        raise PageError(message)
+    return np.asarray(np.clip((values - low) / (high - low), 0, 1), np.float32)
+
+
+GRAIN_MM = 2.0  # default grain: the pitch of the paper's electrodes
 _PER_GRAIN = 20  # pixels of the map per grain
 _FINEST_MM, _COARSEST_MM = 0.02, 0.1
 _MOST_PIXELS = 16_000_000
 _LONGEST_SIDE = 32_000  # longest side of a map: OpenCV's sampling counts pixels in 16 bits
 _LOWEST, _HIGHEST = 0.25, 0.75
 """Heights of shapes that are never and always high; between, the surroundings decide."""
-_FAINT = 0.03  # least height of a ridge over its surroundings; the grain of an image is below it
 _AROUND = 2.5  # width of the surroundings, in grains; their standard deviation is one grain
 _BLUR_MM = 0.2  # blur against the noise of photographs of shapes; a line half as wide is still high
 
@@ -50,31 +105,19 @@ class Relief(Texture):
     """Heights on a map, and the depth of each place within high ground.
 
     `height` is (H, W) in [0, 1]; `depth`, (H, W) mm, the distance to where the high ground ends, at
-    most half a grain; `woven` whether a pitch dominates; `pixel_mm` the pitch of the maps.
+    most half a grain; `pixel_mm` the pitch of the maps.
     """
 
     def __init__(
         self,
         heights: Heights,  # heights, drawn dark where high
-        # way between two pulses on wide high ground; the dominant pitch if not given, and 2 mm if
-        # there is none
-        grain_mm: float | None = None,
+        grain_mm: float = GRAIN_MM,  # way between two pulses on wide high ground
         inverted: bool = False,  # turn high and low
     ) -> None:
         rows, columns = heights.height.shape
         wide_mm, high_mm = columns * heights.mm_per_pixel, rows * heights.mm_per_pixel
         super().__init__(heights.title, (wide_mm, high_mm), (wide_mm / 2, high_mm / 2))
         height = 1 - heights.height if inverted else heights.height
-        pitch_mm = dominant_pitch_mm(height, heights.mm_per_pixel) if heights.photo else None
-        self.woven: bool = pitch_mm is not None
-        if grain_mm is None:
-            grain_mm = pitch_mm
-            if grain_mm is not None:
-                self.notes.append(
-                    f"{heights.title}: ridges were found {grain_mm:.2g} mm apart, and wide ground "
-                    "pulses as often unless a grain is given"
-                )
-            grain_mm = min(max(grain_mm or USUAL_GRAIN_MM, FINEST_PITCH_MM), COARSEST_PITCH_MM)
         words = f"a grain of {grain_mm:g} mm"
         require_within(PageError, "grain_mm", grain_mm, FINEST_PITCH_MM, COARSEST_PITCH_MM, words)
         self.grain_mm = grain_mm
@@ -125,12 +168,9 @@ class Relief(Texture):
         # Twice a mean over a square is nearly a Gaussian, and takes no longer where it is wide.
         side = 2 * round(_AROUND * self.grain_mm / self.pixel_mm / 2) + 1
         around = cv2.blur(cv2.blur(wide, (side, side)), (side, side))
-        blur_mm = self.grain_mm / 8 if self.woven else min(self.grain_mm / 10, _BLUR_MM)
+        blur_mm = min(self.grain_mm / 10, _BLUR_MM)
         wide = cv2.GaussianBlur(wide, (0, 0), blur_mm / self.pixel_mm)
-        if self.woven:
-            threshold = np.minimum(around + _FAINT, _HIGHEST)
-        else:
-            threshold = np.clip(around, _LOWEST, _HIGHEST)
+        threshold = np.clip(around, _LOWEST, _HIGHEST)
         high = np.zeros(wide.shape, np.uint8)
         inside = (slice(margin, -margin), slice(margin, -margin))
         high[inside] = (wide > threshold)[inside]
@@ -162,8 +202,8 @@ class ReliefFeeler:
         self._step_mm = _STEP * relief.pixel_mm
         self._full_mm = np.float32(_FULL * relief.grain_mm / 2)
         self._least_mm = relief.pixel_mm / 2
-        self._ground_mm = self._full_mm if relief.woven else np.float32(_STROKE * relief.grain_mm)
-        self._within_mm = 0.0 if relief.woven else relief.grain_mm / 2 - float(self._ground_mm)
+        self._ground_mm = np.float32(_STROKE * relief.grain_mm)
+        self._within_mm = relief.grain_mm / 2 - float(self._ground_mm)
         """Distance of an electrode over this ground at its first pulse."""
         self._all = np.arange(len(position_mm))
         self._nothing = RidgeCrossing(np.zeros(len(position_mm), np.float32), 0)
@@ -290,7 +330,7 @@ def open_texture(
     # dpi, width_mm: scale of a file that states none; width of a text
     dpi: float | None = None,
     width_mm: float | None = None,
-    # way between two pulses on what is high and wide; measured if not given
+    # way between two pulses on what is high and wide, 2 mm if not given
     grain_mm: float | None = None,
     light_on_dark: bool = False,  # whether bright parts are high
 ) -> Texture:
@@ -320,7 +360,7 @@ def open_texture(
         heights = print_heights(rest, width_mm)
     else:
         heights = load_heights(Path(spec), dpi, width_mm)
-    return Relief(heights, grain_mm, light_on_dark)
+    return Relief(heights, GRAIN_MM if grain_mm is None else grain_mm, light_on_dark)
 
 
 def _grating(spec: str, rest: str) -> Texture:

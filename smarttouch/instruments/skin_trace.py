@@ -4,7 +4,6 @@ A line of text is like ``tone:30Hz,8um+press:0.5N``. Its parts are added up, and
 smoothly, within `RAMP_S`, as no skin can jump::
 
     tone:250Hz,2um            a sinusoid, amplitude as half of peak to peak
-    noise:60-400Hz,3um        Gaussian noise of a band, amplitude as root mean square
     press:0.5N                pressure
 """
 
@@ -81,16 +80,15 @@ _NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
 _AMPLITUDE = rf"{_NUMBER}(?:um|µm|μm)"
 _GRAMMAR = {
     "tone": re.compile(rf"{_NUMBER}hz,{_AMPLITUDE}"),
-    "noise": re.compile(rf"{_NUMBER}-{_NUMBER}hz,{_AMPLITUDE}"),
     "press": re.compile(rf"{_NUMBER}n"),
 }
-_EXAMPLE = "write for example tone:30Hz,8um+press:0.5N, or noise:60-400Hz,3um"
+_EXAMPLE = "write for example tone:30Hz,8um+press:0.5N"
 
 
-def open_trace(text: str, seconds: float = 2.0, seed: int = 0) -> Trace:
+def open_trace(text: str, seconds: float = 2.0) -> Trace:
     """Return the trace of a line in this module's syntax, or of a CSV file.
 
-    `seconds` is the duration of a line, a recorded trace has its own; the seed is of noise.
+    `seconds` is the duration of a line; a recorded trace has its own.
     """
     if not 0 < seconds <= LONGEST_S:
         message = f"{seconds:g} s are not possible: above 0, at most {LONGEST_S:g}"
@@ -100,48 +98,28 @@ def open_trace(text: str, seconds: float = 2.0, seed: int = 0) -> Trace:
             message = f"{text!r} is neither a file nor a trace in a line: {_EXAMPLE}"
             raise SmartTouchError(message)
         return read_trace(Path(text))
-    random = np.random.default_rng(seed)
     time = np.arange(max(2, round(seconds * SAMPLE_HZ))) / SAMPLE_HZ
     displacement, force = np.zeros_like(time), np.zeros_like(time)
     for part in text.split("+"):
         kind, values = _parse(part)
         if kind == "press":
             force += values[0]
-        elif kind == "tone":
-            displacement += values[1] * np.sin(2 * math.pi * values[0] * time)
         else:
-            displacement += _noise(values, len(time), random)
+            displacement += values[1] * np.sin(2 * math.pi * values[0] * time)
     to_edge = np.minimum(time, seconds - time) / min(RAMP_S, seconds / 2)
     smooth = (1 - np.cos(math.pi * np.clip(to_edge, 0, 1))) / 2
     return Trace(displacement * smooth, force * smooth, SAMPLE_HZ, text)
 
 
 def _parse(text: str) -> tuple[str, list[float]]:
-    """Return the kind of a part and its numbers: frequencies, then amplitude or force."""
+    """Return the kind of a part and its numbers: a frequency and an amplitude, or a force."""
     kind, _, rest = text.strip().lower().replace(" ", "").partition(":")
     matched = _GRAMMAR[kind].fullmatch(rest) if kind in _GRAMMAR else None
     if matched is None:
         raise SmartTouchError(f"{text.strip()!r} is no part of a trace: {_EXAMPLE}")
     values = [float(number) for number in matched.groups()]
-    band = values[:-1]
-    if any(not 0 < hz <= HIGHEST_HZ for hz in band) or sorted(set(band)) != band:
+    if kind == "tone" and not 0 < values[0] <= HIGHEST_HZ:
         raise SmartTouchError(
-            f"{text.strip()!r}: frequencies must be above 0, at most {HIGHEST_HZ:g} Hz, and the "
-            "lower one first"
+            f"{text.strip()!r}: a frequency must be above 0 and at most {HIGHEST_HZ:g} Hz"
         )
     return kind, values
-
-
-def _noise(values: list[float], samples: int, random: np.random.Generator) -> Array:
-    low_hz, high_hz, rms_um = values
-    spectrum = np.fft.rfft(random.standard_normal(samples))
-    frequency_hz = np.fft.rfftfreq(samples, 1 / SAMPLE_HZ)
-    spectrum[(frequency_hz < low_hz) | (frequency_hz > high_hz)] = 0
-    wave = np.fft.irfft(spectrum, samples)
-    spread = wave.std()
-    if not spread > 0:
-        raise SmartTouchError(
-            f"noise from {low_hz:g} to {high_hz:g} Hz is too narrow a band for so short a trace: "
-            "widen it, or make the trace longer"
-        )
-    return np.asarray(wave * (rms_um / spread))

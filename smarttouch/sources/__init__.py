@@ -27,7 +27,7 @@ SOURCES = Registry(
         "socket": "smarttouch.instruments.socket_source:SocketSource",
         "text": "smarttouch.sources.virtual_finger:open_text",
         "texture": "smarttouch.instruments.electric_mouse:open_texture_source",
-        "vibration": "smarttouch.instruments.color_source:open_vibration",
+        "vibration": "smarttouch.instruments.color_mix:open_vibration",
         "video": "smarttouch.sources.video:open_video",
     },
 )

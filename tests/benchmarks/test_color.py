@@ -18,8 +18,7 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.instruments.receptor_responses import split_trace
 from smarttouch.instruments.skin_trace import open_trace
 
-from ..instruments.color_delivered import feel
-from ..instruments.test_color_delivered import ALONE
+from ..instruments.test_color_delivered import ALONE, feel
 
 
 @pytest.fixture
@@ -36,11 +35,10 @@ def mixtures():
 def test_what_comes_back(profile, bank, row, quick, seconds):
     specs = list(mixtures())
     for spec in specs[-1:] if quick else specs:
-        got, sensor = feel(spec, profile, bank, seconds=seconds)
+        got = feel(spec, profile, bank, seconds=seconds)
         answers = split_trace(open_trace(spec, seconds), sai_full_n=profile.force.full_n)
         for afferent, found in got.items():
             answer = answers[afferent]
-            off_ms = np.abs(sensor.error_us(afferent)) / 1000
             row(
                 "Colors split, mixed and delivered",
                 {
@@ -50,7 +48,6 @@ def test_what_comes_back(profile, bank, row, quick, seconds):
                     "drive": f"{answer.drive.mean():.2f}",
                     "delivered, Hz": f"{found.rate_hz:.1f}",
                     "drive delivered": f"{found.drive.mean():.2f}",
-                    "off by, ms, p50 / max": f"{np.median(off_ms):.2f} / {off_ms.max():.2f}",
                 },
             )
         spread = {each: answers[each].drive.max() for each in Afferent if each not in got}

@@ -59,9 +59,8 @@ def test_frequencies(row, quick, bank, tmp_path):
     ]  # fmt: skip
     for pitch, angle, kind in some(images):
         noise = 5.0 if kind == "faint" else 0.0
-        texture = open_texture(
-            str(grating_file(tmp_path / "g.png", pitch, angle, kind, noise=noise))
-        )
+        path = grating_file(tmp_path / "g.png", pitch, angle, kind, noise=noise)
+        texture = open_texture(str(path), grain_mm=20.0)
         speed = 15 * pitch
         want = speed / pitch * math.cos(math.radians(angle))
         show(f"image {pitch} mm, {angle}°, {kind}", error_of(texture, speed, want, bank))

@@ -4,18 +4,34 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import SourceError
-from smarttouch.instruments.electric_mouse import JUMP_MM, MouseSource, PulseLimit
-from smarttouch.instruments.hand_motion import START_S, HandMotion
+from smarttouch.base.errors import SmartTouchError, SourceError
+from smarttouch.instruments.electric_mouse import (
+    JUMP_MM,
+    SLIDES,
+    STICKS,
+    Deadband,
+    MouseSource,
+    PulseLimit,
+    TexturePicture,
+    open_texture_source,
+)
+from smarttouch.instruments.hand_motion import START_S, HandMotion, SweepMotion, strokes_over
 from smarttouch.instruments.relief import open_texture
+from smarttouch.profile import load_profile
 
 from ..raising import raises
 from ..said import numbers_in
+from ..views.conftest import running
+from ..views.test_window import connect, receive
+from ..waiting import until
 from ..whole import WHOLE, sample
-from .feeling import feel
-from .touched import FELT, grating_file, object_file, path_motion, stroke, touch
+from .touched import FELT, feel, grating_file, object_file, path_motion, stroke, touch
 
 GRATING = open_texture("grating:4mm")
 
@@ -67,7 +83,8 @@ def test_a_grating_in_an_image_pulses_as_often(
     tmp_path, mouse, mouse_bank, pitch, angle, kind, noise
 ):
     path = grating_file(tmp_path / "g.png", pitch, angle, kind, noise=noise)
-    pulses_hz, _ = stroke(open_texture(str(path)), 20 * pitch, mouse, mouse_bank)
+    texture = open_texture(str(path), grain_mm=20.0)
+    pulses_hz, _ = stroke(texture, 20 * pitch, mouse, mouse_bank)
     want_hz = 20 * math.cos(math.radians(angle))
     assert pulses_hz.mean() == pytest.approx(want_hz, rel=0.03)
     assert np.abs(pulses_hz - want_hz).max() <= 1.1 * 20 * pitch / 60
@@ -240,3 +257,151 @@ def test_the_impossible_is_refused(mouse, options, about, allowed):
     (value,) = options.values()
     with raises(SourceError, value=value, allowed=allowed):
         MouseSource(GRATING, Played([]), mouse, **options)
+
+
+PLACE = st.floats(-1e3, 1e3)
+
+
+@given(x=PLACE, y=PLACE, angle=st.floats(0, 7), seed=st.integers(0, 99))
+def test_after_one_still_look_jitter_of_a_count_moves_nothing(x, y, angle, seed):
+    """Wherever the hand came from, and wherever within its jitter the still look was."""
+    steady, random = Deadband(1.0), np.random.default_rng(seed)
+    for way in np.arange(30, 0, -0.7):
+        steady.follow(x + way * math.cos(angle), y + way * math.sin(angle))
+    jumps = random.integers(-1, 2, (300, 2))
+    places = [steady.follow(x + jump[0], y + jump[1]) for jump in jumps]
+    still = next(k for k in range(1, 300) if places[k] == places[k - 1])
+    assert len(set(places[still:])) == 1
+
+
+@given(x=PLACE, y=PLACE)
+def test_it_is_never_farther_behind_than_it_sticks(x, y):
+    steady = Deadband(0.5)
+    assert math.dist(steady.follow(x, y), (x, y)) <= 0.5 * STICKS + 1e-9
+    assert math.dist(steady.follow(x + 30, y), (x + 30, y)) <= 0.5 * SLIDES + 1e-9
+
+
+@given(x=PLACE, y=PLACE)
+def test_what_is_exact_is_followed_exactly(x, y):
+    steady = Deadband(0.0)
+    steady.follow(1.0, 2.0)
+    assert math.dist(steady.follow(x, y), (x, y)) < 1e-9
+
+
+def test_jitter_on_a_slow_motion_is_no_motion_back():
+    steady, random = Deadband(0.03), np.random.default_rng(5)
+    x = [steady.follow(0.01 * k + 0.03 * random.integers(-1, 2), 0.0)[0] for k in range(1000)]
+    assert (np.diff(x) >= 0).all()
+    assert x[-1] > 9.7
+
+
+@pytest.fixture(scope="module")
+def cross(tmp_path_factory, mouse, mouse_bank):
+    """A cross, stroked over and back, and what came of it."""
+    path = object_file(tmp_path_factory.mktemp("cross") / "o.png", "cross", (40, 20), (20.0, 10.0))
+    texture = open_texture(str(path))
+    options = strokes_over(texture.size_mm, mouse.electrodes.extent_mm)
+    origin = options.pop("origin_mm")
+    motion = SweepMotion(60.0, **options)
+    motion.origin_mm = origin
+    return texture, touch(texture, motion, mouse, mouse_bank)[0]
+
+
+def test_what_is_drawn_looks_like_what_was_touched(cross):
+    texture, touched = cross
+    got = touched.drawing.picture((0.0, 0.0), (200, 400), 0.1).astype(float)
+    drawn = texture.draw(0.0, 0.0, (200, 400), 0.1).astype(float)
+    assert np.corrcoef(got.ravel(), drawn.ravel())[0, 1] > 0.8
+
+
+def test_pulses_are_where_their_electrodes_were(cross, mouse):
+    _, touched = cross
+    felt = touched.felt
+    poses = np.array([touched.poses_mm[each] for each in felt.number])
+    np.testing.assert_allclose(
+        felt.place_mm - poses, mouse.electrodes.position_mm[felt.electrode], atol=1e-9
+    )
+    assert (np.diff(felt.number.astype(int)) >= 0).all()
+
+
+def test_the_sheet_shows_both(cross, tmp_path):
+    _, touched = cross
+    touched.drawing.save(tmp_path / "felt.png")
+    sheet = 255.0 - np.asarray(Image.open(tmp_path / "felt.png").convert("L"), float)
+    half = (sheet.shape[0] - 24) // 2
+    above, below = sheet[52:half], sheet[52 + half : 2 * half]
+    assert above.shape == below.shape
+    assert np.corrcoef(above.ravel(), below.ravel())[0, 1] > 0.8
+    path = tmp_path / "none" / "felt.png"
+    with raises(SmartTouchError, names="file", value=path):
+        touched.drawing.save(path)
+
+
+def test_a_run_without_pulses_is_an_error(mouse, mouse_bank, tmp_path):
+    empty = TexturePicture(mouse, mouse_bank, (Afferent.RA,), open_texture("grating:4mm"))
+    empty.deliver(np.zeros(0, np.uint32), np.zeros(0, np.float32), np.zeros((0, 64), np.int16))
+    assert (empty.picture((0.0, 0.0), (20, 20), 1.0) == 255).all()
+    with raises(SmartTouchError):
+        empty.save(tmp_path / "felt.png")
+    assert not (tmp_path / "felt.png").exists()
+
+
+__all__ = ["running"]
+
+
+@pytest.fixture
+def profile():
+    return load_profile("electric-mouse")
+
+
+@pytest.fixture
+def grating(profile):
+    return open_texture_source("grating:4mm?motion=page", profile)
+
+
+def poses(run):
+    """Return where the hand has been, rounded to millimeters."""
+    return {
+        (round(each.input.pose.x_mm), round(each.input.pose.y_mm))
+        for each in [*run.results.values()]
+    }
+
+
+def test_the_page_that_steers_moves_the_hand_and_ridges_pulse(running, grating):
+    with running(grating) as run, connect(run) as socket, connect(run) as other:
+        assert receive(socket, "hello")["moves"]
+        sheet = receive(socket, "update")["sheet"]
+        assert sheet["size_mm"] == pytest.approx([150, 100], abs=0.1)
+        assert sheet["corner_mm"] == [-75, -50]
+        assert poses(run) == {(0, 0)}
+        socket.send("move 10 -5")
+        until(lambda: run.window.steering.page is not None)
+        other.send("move 60 40")
+        for x in range(10, 31):
+            socket.send(f"move {x} -5")
+            until(lambda at=x: at - 2 < max(poses(run))[0])
+        assert {y for _, y in poses(run)} <= {0, -5}
+        assert any(np.any(each.tactile.activation) for each in [*run.results.values()])
+
+
+@pytest.mark.parametrize("sent", ["move", "move 1", "move a b", "move nan 0", "move 77 0"])
+def test_a_place_that_is_not_on_the_texture_ends_the_page(running, grating, sent):
+    with running(grating) as run, connect(run) as socket:
+        socket.send(sent)
+        with pytest.raises(ConnectionClosed):
+            receive(socket, "never")
+        assert poses(run) == {(0, 0)}
+
+
+def test_without_the_secret_or_something_to_move_nothing_moves(running, grating):
+    with running(grating) as run, pytest.raises(InvalidStatus):
+        connect(run, token="another")
+    with running() as run, connect(run) as socket:
+        socket.send("move 0 0")
+        with pytest.raises(ConnectionClosed):
+            receive(socket, "never")
+
+
+def test_a_run_without_a_window_is_refused(grating):
+    with grating, raises(SourceError, value=("motion=page", "window")):
+        grating.read(0)

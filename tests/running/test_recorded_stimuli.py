@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.instruments.color_mix import mix_colors
-from smarttouch.instruments.color_source import ColorSource
+from smarttouch.instruments.color_mix import ColorSource, mix_colors
 from smarttouch.instruments.skin_trace import open_trace
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
