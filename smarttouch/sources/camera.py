@@ -19,7 +19,7 @@ BUFFERS = 1  # images buffered by the driver: older ones are of no use
 FAILURES = 5  # reads without an image in a row after which the camera is lost
 _PAUSE_S = 0.02
 COMPRESSED = float(cv2.VideoWriter.fourcc(*"MJPG"))
-"""Coding that fits more images a second through USB."""
+"""Coding that fits more images a second through USB; cameras without it keep theirs."""
 _MANUAL_EXPOSURE = 1
 """Manual value of V4L2_CID_EXPOSURE_AUTO, as OpenCV passes it on (3 is automatic)."""
 _BELIEVED_AGE_NS = 2_000_000_000
@@ -130,7 +130,8 @@ class CameraDevice(ImageDevice):
 
     def _set_up(self, capture: cv2.VideoCapture) -> None:
         capture.set(cv2.CAP_PROP_BUFFERSIZE, BUFFERS)
-        self._set_format(capture)
+        capture.set(cv2.CAP_PROP_FOURCC, COMPRESSED)
+        self._set_size(capture)
         width, height, given_hz = _format(capture)
         if self._size is not None and (width, height) != tuple(self._size):
             self._note(f"gives {width} x {height}, not {self._size[0]} x {self._size[1]}")
@@ -144,18 +145,6 @@ class CameraDevice(ImageDevice):
                 exposure = capture.get(cv2.CAP_PROP_EXPOSURE)
                 if abs(exposure - self._exposure) > 0.1 * abs(self._exposure):
                     self._note(f"exposes by {exposure:g}, not {self._exposure:g}")
-
-    def _set_format(self, capture: cv2.VideoCapture) -> None:
-        """Set size and rate, and compression where it gives more images of that size."""
-        self._set_size(capture)
-        plain, coding = _format(capture), capture.get(cv2.CAP_PROP_FOURCC)
-        if not capture.set(cv2.CAP_PROP_FOURCC, COMPRESSED):
-            return
-        self._set_size(capture)
-        compressed = _format(capture)
-        if compressed[:2] != plain[:2] or compressed[2] <= plain[2]:
-            capture.set(cv2.CAP_PROP_FOURCC, coding)
-            self._set_size(capture)
 
     def _set_size(self, capture: cv2.VideoCapture) -> None:
         if self._size is not None:

@@ -1,13 +1,30 @@
-"""Finger force from a source other than that of the frames."""
+"""Finger force from a source other than that of the frames: a load cell, or as stated.
 
+``hx711:`` reads lines of text as Arduino sketches for the HX711 print them, at 57,600
+baud as in the examples of its library; ``hx711:PORT?baud=115200`` sets another speed.
+``loadcell:`` reads FORCE packets of `smarttouch.sources.sensor_protocol`.
+
+The profile's ``force.curve`` turns readings into newtons.
+"""
+
+import contextlib
 import math
+import threading
+import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import ClassVar
 
-from smarttouch.base.errors import SourceError
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.base.registry import Registry
+from smarttouch.base.stopping import Closing
+from smarttouch.base.wire.port import LINE_ERRORS, Port, open_port
 from smarttouch.profile import Profile
-from smarttouch.sources.source_contract import Device
+from smarttouch.sources.sensor_protocol import PacketReadings, TextReadings, read_available
+from smarttouch.sources.source_contract import Device, DeviceWarnings, OutageTracker
 
 LARGEST_FIXED_N = 20.0
 
@@ -33,8 +50,8 @@ FORCES = Registry(
     SourceError,
     {
         "fixed": "smarttouch.sources.force:FixedForce",
-        "hx711": "smarttouch.sources.load_cell:open_hx711",
-        "loadcell": "smarttouch.sources.load_cell:open_load_cell",
+        "hx711": "smarttouch.sources.force:open_hx711",
+        "loadcell": "smarttouch.sources.force:open_load_cell",
     },
 )
 
@@ -65,3 +82,286 @@ class FixedForce(ForceSource):
     def read(self, time_ns: int) -> float:
         """Return the force."""
         return self._force_n
+
+
+FRESH_S = 0.35  # age up to which a reading is fresh: enough for cells with ten conversions a second
+FROZEN_READINGS = 20
+FROZEN_S = 2.0  # time of equal readings after which a cell is frozen: a converter always has noise
+SATURATED = (float(-(2**23)), float(2**23 - 1))
+"""Ends of the HX711's range: overloaded, or nothing is connected."""
+
+
+class CellWatch:
+    """Tracks the readings of one cell; the time is passed in each call, warnings go to ``notes``.
+
+    ``presses`` says whether a reading means contact: only then are constant readings a fault.
+    """
+
+    def __init__(self, title: str, notes: list[str], presses: Callable[[float], bool]) -> None:
+        self._title = title
+        self._presses = presses
+        self._value = math.nan
+        self._last_ns: int | None = None
+        self._same_since_ns = 0
+        self._same = 0
+        self._invalid = 0
+        self._warnings = DeviceWarnings(notes)
+        self._silence = OutageTracker(
+            self._warnings,
+            f"{title}: no reading",
+            f"check its cable; a reading is valid for {FRESH_S:g} s, so ten a second are needed",
+        )
+        self._freeze = OutageTracker(
+            self._warnings,
+            f"{title}: readings were constant under pressure",
+            "it is frozen, or prints too few decimals",
+        )
+
+    def take(
+        self, readings: list[float], now_ns: int, garbled: int = 0, last_garbled: str = ""
+    ) -> None:
+        """Take new readings, oldest first, or none; ``garbled`` counts input without a reading."""
+        for value in readings:
+            known = self._count(value)
+            if known == self._value:
+                self._same += 1
+            else:
+                self._value, self._same, self._same_since_ns = known, 1, now_ns
+        if readings:
+            self._silence.update(False, now_ns)
+            self._last_ns = now_ns
+            self._freeze.update(self._frozen(now_ns), now_ns, self._same_since_ns)
+        elif self._last_ns is not None and now_ns - self._last_ns > FRESH_S * 1e9:
+            self._silence.update(True, now_ns, self._last_ns)
+            self._freeze.update(False, self._last_ns)
+        if garbled:
+            times = "once" if garbled == 1 else f"{garbled} times"
+            self._warnings.put(
+                "garbled", f"{self._title}: input without a reading {times}, last {last_garbled}"
+            )
+
+    def lose(self, now_ns: int) -> None:
+        """Discard earlier readings at once: the port is lost."""
+        self._silence.update(True, now_ns, self._last_ns)
+        self._freeze.update(False, now_ns)
+        self._value, self._same = math.nan, 0
+
+    def reading(self, now_ns: int) -> float:
+        """Return the newest reading; NaN if it is unknown."""
+        if self._last_ns is None or now_ns - self._last_ns > FRESH_S * 1e9:
+            return math.nan
+        return math.nan if self._frozen(now_ns) else self._value
+
+    def _frozen(self, now_ns: int) -> bool:
+        return (
+            self._same >= FROZEN_READINGS
+            and now_ns - self._same_since_ns >= FROZEN_S * 1e9
+            and self._presses(self._value)
+        )
+
+    def _count(self, value: float) -> float:
+        """Return a reading, or NaN for an invalid one, with a note."""
+        if value not in SATURATED and not math.isnan(value):
+            return value
+        self._invalid += 1
+        self._warnings.put(
+            "invalid",
+            f"{self._title}: {self._invalid} times without a value or at the end of its range: "
+            "overloaded, or not connected",
+        )
+        return math.nan
+
+
+FIRST_READING_S = 5.0
+"""Time limit of the first reading: some boards restart when the port opens, for two seconds."""
+MUTE_S = 2.0  # least time without a reading after which a cell counts as silent
+RETRY_S = 0.25  # interval of attempts to reopen a lost port
+JOIN_S = 2.0  # time to wait for a driver that hangs, before it is abandoned
+LARGEST_N = 100.0  # largest plausible force of a finger; with more, the curve is not this cell's
+_WAIT_S = 0.05
+_KINDS: dict[str, tuple[int, type[TextReadings] | type[PacketReadings]]] = {
+    "hx711": (57_600, TextReadings),
+    "loadcell": (921_600, PacketReadings),
+}
+
+
+def open_hx711(rest: str, profile: Profile) -> ForceSource:
+    """Open ``hx711:PORT``, a sketch that prints one reading per line."""
+    return LoadCellForce(f"hx711:{rest}", profile)
+
+
+def open_load_cell(rest: str, profile: Profile) -> ForceSource:
+    """Open ``loadcell:PORT``, a load cell with the sensors' own format."""
+    return LoadCellForce(f"loadcell:{rest}", profile)
+
+
+def open_cell(url: str) -> "LoadCell":
+    """Open a load cell for its raw readings, without a curve."""
+    # Contact is unknown without a curve; a tared sketch sends constant zeros.
+    return LoadCell(url, presses=lambda reading: reading != 0)
+
+
+class LoadCell(Closing):
+    """Load cell at ``hx711:PORT`` or ``loadcell:PORT``, either with ``?baud=N``, read by a thread.
+
+    ``presses`` says whether a reading means contact: only then are constant readings a fault.
+    """
+
+    def __init__(self, url: str, presses: Callable[[float], bool]) -> None:
+        kind, name, self._baud = _parse(url)
+        self._name = name
+        self.title: str = f"{'HX711' if kind == 'hx711' else 'load cell'} at {name}"
+        self.notes: list[str] = []
+        self._readings = _KINDS[kind][1]()
+        self._watch = CellWatch(self.title, self.notes, presses)
+        self._news = threading.Condition()  # guards the watch and the collected readings
+        self._any = False
+        self._collected: list[float] | None = None
+        self._closing = threading.Event()
+        port = open_port(name, self._baud, _WAIT_S, SourceError)
+        self._thread = threading.Thread(
+            target=self._listen, args=(port,), name="load cell", daemon=True
+        )
+        self._thread.start()
+        try:
+            self._await_first()
+        except BaseException:
+            self.close()
+            raise
+
+    def reading(self) -> float:
+        """Return the newest raw reading; NaN if none is fresh, or the cell is frozen."""
+        with self._news:
+            return self._watch.reading(time.perf_counter_ns())
+
+    def collect(self, seconds: float) -> NDArray[np.float64]:
+        """Wait, and return the raw readings that arrived meanwhile, (N,); one at least."""
+        with self._news:
+            self._collected = []
+        self._closing.wait(seconds)
+        # A pause of this computer is no fault of the cable.
+        patience_s = max(seconds, MUTE_S)
+        with self._news:
+            self._news.wait_for(lambda: bool(self._collected), patience_s - seconds)
+            came, self._collected = self._collected, None
+        if not came:
+            raise SourceError(
+                f"the {self.title} sent no reading in {patience_s:g} s: check its cable and power"
+            )
+        return np.array(came, np.float64)
+
+    def close(self) -> None:
+        """End the thread and close the port."""
+        self._closing.set()
+        self._thread.join(JOIN_S)
+
+    def _await_first(self) -> None:
+        with self._news:
+            if self._news.wait_for(lambda: self._any, FIRST_READING_S):
+                return
+        raise SourceError(
+            f"the {self.title} sent no reading within {FIRST_READING_S:g} s: check that it is on, "
+            f"what it sends, and its speed (now {self._baud}; set another by ?baud=N after the "
+            "port)"
+        )
+
+    def _listen(self, port: Port | None) -> None:
+        while not self._closing.is_set():
+            if port is None:
+                port = self._reopen()
+                continue
+            try:
+                data = read_available(port, self.title)
+            except SourceLostError:
+                _let_go(port)
+                port = None
+                continue
+            self._take(data)
+        if port is not None:
+            _let_go(port)
+
+    def _take(self, data: bytes) -> None:
+        came = self._readings.feed(data)
+        now_ns = time.perf_counter_ns()
+        with self._news:
+            garbled, last_garbled = self._readings.garbled, self._readings.last_garbled
+            self._watch.take(came, now_ns, garbled, last_garbled)
+            if came:
+                self._any = True
+                if self._collected is not None:
+                    self._collected += [value for value in came if math.isfinite(value)]
+                self._news.notify_all()
+
+    def _reopen(self) -> Port | None:
+        with self._news:
+            self._watch.lose(time.perf_counter_ns())
+        if self._closing.wait(RETRY_S):
+            return None
+        try:
+            port = open_port(self._name, self._baud, _WAIT_S, SourceError)
+        except SourceError:
+            return None
+        self._readings.restart()
+        return port
+
+
+class LoadCellForce(ForceSource):
+    """Force of a load cell by the profile's ``force.curve``."""
+
+    def __init__(self, url: str, profile: Profile) -> None:
+        if profile.force.curve is None:
+            raise SourceError(
+                f"profile {profile.name} has no force.curve: run smarttouch calibrate force, or, "
+                "for a sketch that prints grams, set curve = [0, 0.00980665] in [force]"
+            )
+        self._curve = profile.force.curve
+        contact_n = profile.force.contact_n
+        self._cell = LoadCell(url, presses=lambda reading: self._newtons(reading) > contact_n)
+        super().__init__(self._cell.title)
+        self.notes: list[str] = self._cell.notes
+        self._beyond = False
+
+    def read(self, time_ns: int) -> float:
+        """Return the force by the newest reading, N; NaN if it is unknown."""
+        newtons = self._newtons(self._cell.reading())
+        if newtons > LARGEST_N or math.isinf(newtons):
+            if not self._beyond:
+                self._beyond = True
+                self.notes.append(
+                    f"{self.title}: {newtons:.3g} N by force.curve, more than any finger: that "
+                    "is not this cell's curve, run smarttouch calibrate force"
+                )
+            return math.nan
+        return newtons if math.isnan(newtons) else max(0.0, newtons)
+
+    def close(self) -> None:
+        """Close the port."""
+        self._cell.close()
+
+    def _newtons(self, reading: float) -> float:
+        newtons = 0.0
+        for coefficient in reversed(self._curve):
+            newtons = newtons * reading + coefficient
+        return newtons
+
+
+def _parse(url: str) -> tuple[str, str, int]:
+    """Return the kind, port and speed in a URL."""
+    kind, _, rest = url.partition(":")
+    if kind not in _KINDS:
+        kinds = " or ".join(f"{each}:PORT" for each in _KINDS)
+        raise SourceError(f"{url!r} is not a load cell: give {kinds}")
+    name, option, speed = rest.partition("?baud=")
+    if not name:
+        raise SourceError(f"{url!r} has no port: give one, as in {kind}:/dev/ttyUSB0")
+    if not option:
+        return kind, name, _KINDS[kind][0]
+    if not (speed.isdecimal() and 0 < int(speed) < 10**8):
+        message = f"{url!r}: {speed!r} is not a line speed: give bits per second, as in 115200"
+        raise SourceError(message)
+    return kind, name, int(speed)
+
+
+def _let_go(port: Port) -> None:
+    with contextlib.suppress(*LINE_ERRORS):
+        port.close()

@@ -7,13 +7,13 @@ from io import BytesIO
 from pathlib import Path
 from typing import Self
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import CalibrationError, SourceError
 from smarttouch.base.files import MOST_ARRAY_BYTES, open_file
 from smarttouch.profile import Optics, Profile
-from smarttouch.sources.image_match import Matcher
 from smarttouch.sources.source_contract import Pose
 
 DEAD_SHARE = 0.25  # part of the median response to light below which a pixel is dead
@@ -27,7 +27,7 @@ MOST_BROKEN = 0.02  # largest part of broken pixels
 class FlatField:
     """Dark level and gain of every pixel, (H, W) float32; the gain of dead and hot ones is 0.
 
-    Such a pixel shows the value of the nearest good one.
+    Such a pixel shows the median of those around it.
     """
 
     def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:
@@ -41,23 +41,10 @@ class FlatField:
         self.dark: NDArray[np.float32] = np.ascontiguousarray(dark, np.float32)
         self.gain: NDArray[np.float32] = np.ascontiguousarray(gain, np.float32)
 
-    @property
+    @cached_property
     def broken(self) -> int:
         """Number of dead or hot pixels."""
         return int((self.gain == 0).sum())
-
-    @cached_property
-    def _stand_ins(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Broken pixels, and the nearest good one of each, as flat indices."""
-        if not self.broken:
-            none = np.empty(0, np.intp)
-            return none, none
-        # Slow to import, and few sensors have broken pixels.
-        from scipy.ndimage import distance_transform_edt
-
-        broken = self.gain == 0
-        rows, columns = distance_transform_edt(broken, return_distances=False, return_indices=True)
-        return np.flatnonzero(broken), (rows * self.gain.shape[1] + columns)[broken]
 
     def correct(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return a corrected image, with the same response of every pixel."""
@@ -72,9 +59,8 @@ class FlatField:
         level += 0.5
         np.clip(level, 0, 255, out=level)
         corrected = level.astype(np.uint8)
-        broken, good = self._stand_ins
-        if len(broken):
-            corrected.ravel()[broken] = corrected.ravel()[good]
+        if self.broken:
+            np.copyto(corrected, cv2.medianBlur(corrected, 3), where=self.gain == 0)
         return corrected
 
     @classmethod
@@ -155,7 +141,159 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
     return total / len(images)
 
 
-_SQUARE = 1.03  # ratio of the sides of pixels below which they are square
+MOST_PIXELS = 64
+"""Longest side; larger images are reduced: more pixels cost time and add little accuracy."""
+FINER = 2
+"""Images of half that or less are enlarged so much: linear interpolation between their own pixels
+costs 16 x 16 sensors four fifths of the accuracy."""
+LEAST_SLOPE = 6.0
+"""Mean square of the grey levels' slope, (levels/pixel)², below which a direction shows no print:
+noise of 2 levels and uneven light make some 1.5."""
+MOST_UNEXPLAINED = 0.25  # share of the grey levels' variance that the shift may leave unexplained
+_STEPS = 6
+_CLOSE = 0.02  # length of a step, in pixels, below which the iteration ends
+_LONGEST_STEP = 4.0
+_LEAST_OVERLAP = 0.5  # least share of either side common to two images: a longer jump is rejected
+_FEWEST_COMMON = 2
+_FEWEST_PIXELS = 4
+_NOISE = 4.0  # variance of a sensor's noise, levels²
+_COARSER = 2
+
+Image = NDArray[np.float32]
+Floats = NDArray[np.float64]
+Shift = tuple[float, float]  # to the right and down
+Common = tuple[slice, slice]
+
+
+class Matcher:
+    """Finds the shift between an image and the one before, in pixels of the working image.
+
+    Correlation finds it to a pixel; Gauss–Newton steps on the grey levels refine it (inverse
+    compositional: Baker and Matthews, Lucas-Kanade 20 Years On, 2004).
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        small = max(shape) * FINER <= MOST_PIXELS
+        scale = FINER if small else min(1.0, MOST_PIXELS / max(shape))
+        rows, columns = (max(1, round(side * scale)) for side in shape)
+        self.shape: tuple[int, int] = (rows, columns)
+        self._method = cv2.INTER_CUBIC if small else cv2.INTER_AREA
+        self._least_slope = LEAST_SLOPE / FINER**2 if small else LEAST_SLOPE
+        self._seen = min(self.shape) // _COARSER >= _FEWEST_PIXELS
+        self._before = self._image = np.zeros(self.shape, np.float32)
+        self._beside = np.linspace(-1, 1, columns, dtype=np.float32)
+        self._below = np.linspace(-1, 1, rows, dtype=np.float32)[:, None]
+        self._usual: Shift = (0.0, 0.0)  # the last accepted shift: fingers move steadily
+
+    def match(self, image: NDArray[np.uint8], first: bool) -> Shift:
+        """Return the shift of the content; zeros if unknown, or for a first image."""
+        if image.shape != self.shape:
+            size = self.shape[::-1]
+            image = np.asarray(cv2.resize(image, size, interpolation=self._method), np.uint8)
+        self._before, self._image = self._image, image.astype(np.float32)
+        shift = None if first or not self._seen else self._find()
+        if first or shift is not None:
+            self._usual = shift or (0.0, 0.0)
+        return shift or (0.0, 0.0)
+
+    def _find(self) -> Shift | None:
+        """Return the shift that explains the image; None if there is none."""
+        begin = self._begin()
+        common = None if begin is None else self._common(begin, 1)
+        if begin is None or common is None:
+            return None
+        steep, slopes = self._slopes(common)
+        if not len(steep):
+            return None
+        solve = np.linalg.pinv((slopes @ slopes.T).astype(np.float64), hermitian=True)
+        shift = np.array(begin)
+        rest, unexplained = self._rest(shift, common)
+        for _ in range(_STEPS):
+            step = (solve @ (slopes @ rest))[: len(steep)] @ steep
+            shift, length = shift + step, math.hypot(*step)
+            if length > _LONGEST_STEP:
+                return None
+            rest, unexplained = self._rest(shift, common)
+            if length < _CLOSE:
+                break
+        if unexplained > MOST_UNEXPLAINED:
+            return None
+        # Only the part across print is known.
+        x, y = (steep @ shift) @ steep
+        return float(x), float(y)
+
+    def _slopes(self, common: Common) -> tuple[Floats, Image]:
+        """Return the directions in which the grey levels show a shift, (K, 2), and how the levels
+        change with a shift in each and with light, (K + 3, N)."""
+        along_x, along_y = (
+            np.asarray(cv2.Sobel(self._before, cv2.CV_32F, *way, ksize=3, scale=1 / 8)[common])
+            for way in ((1, 0), (0, 1))
+        )
+        gradient = np.stack([along_x.ravel(), along_y.ravel()])
+        squares, directions = np.linalg.eigh(np.cov(gradient, bias=True))
+        steep = directions.T[squares > self._least_slope]
+        level = self._before[common]
+        # Light fixed to the sensor moves over the print, and must not be taken for motion.
+        light = level, level * self._beside[common[1]], level * self._below[common[0]]
+        slopes = np.vstack([steep @ gradient, [each.ravel() for each in light]])
+        return steep, (slopes - slopes.mean(axis=1, keepdims=True)).astype(np.float32)
+
+    def _rest(self, shift: Floats, common: Common) -> tuple[Image, float]:
+        """Return the difference of the images at a shift, (N,) levels, without its mean, and the
+        share of their variance that it is."""
+        to_now = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+        laid_back = cv2.warpAffine(
+            self._image, to_now, self.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        )  # fmt: skip
+        before, now = self._before[common], np.asarray(laid_back, np.float32)[common]
+        rest = (before - now).ravel()
+        rest -= rest.mean()
+        contrast = float(before.var() + now.var()) / 2
+        return rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
+
+    def _begin(self) -> Shift | None:
+        """Return the best of the usual shift, zero, and the peak of the covariance."""
+        far = _largest_covariance(self._before, self._image)
+        best = max((self._correlation(by), by) for by in {far, self._usual, (0.0, 0.0)})
+        return best[1] if best[0] > 0 else None
+
+    def _correlation(self, shift: Shift) -> float:
+        """Return the correlation at a shift in whole pixels; -1 if the overlap is too small."""
+        common = self._common(shift)
+        if common is None:
+            return -1.0
+        x, y = (round(by) for by in shift)
+        rows, columns = common
+        now = self._image[rows.start + y : rows.stop + y, columns.start + x : columns.stop + x]
+        before = np.ascontiguousarray(self._before[common])
+        correlation = cv2.matchTemplate(before, np.ascontiguousarray(now), cv2.TM_CCOEFF_NORMED)
+        return float(correlation[0, 0])
+
+    def _common(self, shift: Shift, border: int = 0) -> Common | None:
+        """Return rows and columns of the image before that both show, without a border."""
+        slices = []
+        for side, by in zip(self.shape, map(round, shift[::-1]), strict=True):
+            start, stop = border + max(0, -by), side - border - max(0, by)
+            if abs(by) > (1 - _LEAST_OVERLAP) * side or stop - start < _FEWEST_COMMON:
+                return None
+            slices.append(slice(start, stop))
+        rows, columns = slices
+        return rows, columns
+
+
+def _largest_covariance(before: Image, now: Image) -> Shift:
+    """Return the shift, in whole pixels of the halved images, of the largest covariance."""
+    rows, columns = (side // _COARSER for side in before.shape)
+    first, second = (
+        np.asarray(cv2.resize(levels, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)
+        for levels in (before, now)
+    )
+    down, across = rows // 2, columns // 2
+    wide = np.pad(second - second.mean(), ((down, down), (across, across)))
+    covariance = cv2.matchTemplate(wide, first - first.mean(), cv2.TM_CCORR)
+    _, _, _, (x, y) = cv2.minMaxLoc(covariance)
+    return float(_COARSER * (x - across)), float(_COARSER * (y - down))
 
 
 def page_per_pixel(optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -178,14 +316,6 @@ def page_per_pixel(optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64
     return np.asarray(np.linalg.inv(slope))
 
 
-def _is_even(page_mm: NDArray[np.float64]) -> bool:
-    """Return whether pixels are square on the page, so that a turn of it is one of the image."""
-    across, down = page_mm.T
-    lengths = math.hypot(*across), math.hypot(*down)
-    askew = abs(float(across @ down)) / (lengths[0] * lengths[1])
-    return max(lengths) < _SQUARE * min(lengths) and askew < _SQUARE - 1
-
-
 class FramePreprocessor:
     """Corrects images by the profile's flat field, and sums the motion between them to a pose.
 
@@ -196,31 +326,26 @@ class FramePreprocessor:
     def __init__(self, profile: Profile) -> None:
         self._correct: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None
         if profile.optics.flat_field is not None:
-            flat_field = FlatField.load(Path(profile.optics.flat_field))
-            # The first call may import scipy, which must not delay the first image of a run.
-            flat_field.correct(np.zeros(flat_field.gain.shape, np.uint8))
-            self._correct = flat_field.correct
+            self._correct = FlatField.load(Path(profile.optics.flat_field)).correct
         self._optics = profile.optics
         self._matcher: Matcher | None = None
         self._shape: tuple[int, ...] = ()
         self._page_mm = np.zeros((2, 2))
         self._is_first = True
-        self._x_mm = self._y_mm = self._angle_rad = 0.0
+        self._x_mm = self._y_mm = 0.0
 
     def take(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Pose]:
         """Return the corrected image, and its pose."""
         if self._correct is not None:
             image = self._correct(image)
-        x_mm, y_mm, turn_rad = self.follow(image)
-        self._angle_rad += turn_rad
-        cos, sin = math.cos(self._angle_rad), math.sin(self._angle_rad)
-        self._x_mm += cos * x_mm - sin * y_mm
-        self._y_mm += sin * x_mm + cos * y_mm
-        return image, Pose(self._x_mm, self._y_mm, self._angle_rad)
+        x_mm, y_mm = self.follow(image)
+        self._x_mm += x_mm
+        self._y_mm += y_mm
+        return image, Pose(self._x_mm, self._y_mm)
 
-    def follow(self, image: NDArray[np.uint8]) -> tuple[float, float, float]:
-        """Return the motion of the patch on the page since the last image: mm along its rows and
-        columns, and its turn in radians.
+    def follow(self, image: NDArray[np.uint8]) -> tuple[float, float]:
+        """Return the motion of the patch on the page since the last image, mm along its rows and
+        columns.
 
         When the print moves left in the image, the patch has moved right. An image of another size
         starts again.
@@ -229,12 +354,11 @@ class FramePreprocessor:
             self._shape = image.shape
             self._matcher = Matcher((image.shape[0], image.shape[1]))
             self._page_mm = page_per_pixel(self._optics, self._matcher.shape)
-            self._matcher.turns = _is_even(self._page_mm)
             self._is_first = True
-        x, y, turn_rad = self._matcher.match(image, self._is_first)
+        shift = self._matcher.match(image, self._is_first)
         self._is_first = False
-        x_mm, y_mm = (-self._page_mm @ (x, y)).tolist()
-        return x_mm, y_mm, -turn_rad
+        x_mm, y_mm = (-self._page_mm @ shift).tolist()
+        return x_mm, y_mm
 
     def interrupt(self) -> None:
         """Ignore the motion to the next image, after an unknown time."""

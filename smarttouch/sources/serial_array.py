@@ -12,8 +12,7 @@ from smarttouch.base.errors import SourceError
 from smarttouch.base.wire.port import LINE_ERRORS, Port, open_port
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
-from smarttouch.sources.sensor_protocol import ArrayFrame, MessageStream, gap
-from smarttouch.sources.serial_input import read_available
+from smarttouch.sources.sensor_protocol import ArrayFrame, MessageStream, gap, read_available
 from smarttouch.sources.source_contract import DeviceWarnings
 
 USUAL_BAUD = 921_600  # default speed of lines that have one; over USB it has no effect

@@ -124,12 +124,6 @@ def folder_clip(path: Path, rate_hz: float) -> Clip:
             )
         return image
 
-    for file in files[1:]:
-        with _reading(file) as image:
-            size = image.size
-        # Some formats state at their end how they lie, so either way is possible here.
-        if size not in (shape, shape[::-1]):
-            load(file)
     return Clip(path.name, rate_hz, len(files), (partial(load, file) for file in files))
 
 

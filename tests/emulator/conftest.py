@@ -2,7 +2,7 @@
 
 import pytest
 
-from smarttouch.sources import live_capture, load_cell
+from smarttouch.sources import force, live_capture
 from tests.boards.conftest import claimed_time, make_limits, make_sequence, start_emulator
 
 __all__ = ["claimed_time", "make_limits", "make_sequence", "start_emulator"]
@@ -17,4 +17,4 @@ def judged_books():
 def patient(monkeypatch):
     """Wait for a first image or reading until a test would hang: how soon it comes says nothing."""
     monkeypatch.setattr(live_capture, "FIRST_IMAGE_S", 60.0)
-    monkeypatch.setattr(load_cell, "FIRST_READING_S", 60.0)
+    monkeypatch.setattr(force, "FIRST_READING_S", 60.0)

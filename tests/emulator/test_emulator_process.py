@@ -16,8 +16,7 @@ import serial
 from smarttouch.emulator.__main__ import main
 from smarttouch.emulator.firmware import read_slots, read_state
 from smarttouch.sources import open_source
-from smarttouch.sources.force import open_force
-from smarttouch.sources.load_cell import open_cell
+from smarttouch.sources.force import open_cell, open_force
 
 from ..boards.fresh import starter, until
 from ..forks import Forked, emulator

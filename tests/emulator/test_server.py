@@ -6,8 +6,7 @@ import pytest
 from smarttouch.emulator.firmware import Firmware
 from smarttouch.emulator.sensors import EmulatedLoadCell, SensorArray, SensorFirmware
 from smarttouch.emulator.server import Server
-from smarttouch.sources.sensor_protocol import ArrayFrame, CellReading, MessageStream
-from smarttouch.sources.serial_input import TextReadings
+from smarttouch.sources.sensor_protocol import ArrayFrame, CellReading, MessageStream, TextReadings
 
 MS = 10**6
 

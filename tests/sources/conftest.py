@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from smarttouch.base.wire.device_lines import PtyLine
-from smarttouch.sources import live_capture, load_cell
+from smarttouch.sources import force, live_capture
 
 
 class Device(threading.Thread):
@@ -49,4 +49,4 @@ def make_device():
 def patient(monkeypatch):
     """Wait for a first image or reading until a test would hang: how soon it comes says nothing."""
     monkeypatch.setattr(live_capture, "FIRST_IMAGE_S", 60.0)
-    monkeypatch.setattr(load_cell, "FIRST_READING_S", 60.0)
+    monkeypatch.setattr(force, "FIRST_READING_S", 60.0)

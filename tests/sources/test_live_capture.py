@@ -176,15 +176,6 @@ def test_images_from_before_the_run_are_nobodys(profile):
     assert sensor.read(0) is None
 
 
-def test_a_source_that_cannot_be_opened(profile):
-    error = SourceError("no camera 0")
-    source = Script(opens=[error])
-    with pytest.raises(SourceError) as caught:
-        LiveSource(source, profile)
-    assert caught.value is error
-    assert source.closes == 1
-
-
 def test_no_image_at_first(profile, monkeypatch):
     monkeypatch.setattr(live_capture, "FIRST_IMAGE_S", 0.01)
     mute = {"value": "by hand", "allowed": 0.01}
@@ -205,18 +196,6 @@ def test_errors_of_the_thread_reach_the_reader(profile, error, attributes):
             assert str(error) in str(caught.value)
     assert source.closes == 1
     assert sensor.notes == []
-
-
-def test_an_error_that_nobody_read_becomes_a_note(profile):
-    source = Handed(shot())
-    with LiveSource(source, profile) as sensor:
-        sensor.read(0)
-        source.hand(ValueError("odd"))
-        sensor._thread.join()
-    (note,) = sensor.notes
-    for name in ("by hand", "ValueError", "odd"):
-        assert name in note
-    assert (sensor.frames, sensor.dropped_frames) == (1, 0)
 
 
 def test_unplugged_and_plugged_in_again(profile):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import CalibrationError
 from smarttouch.experiments.psychophysics.procedures import middle_and_spread
 from smarttouch.profile import ForceLaw
-from smarttouch.sources.load_cell import open_cell
+from smarttouch.sources.force import open_cell
 
 FEWEST_FOR_BEND = 4  # fewest distinct weights for a quadratic
 

@@ -9,12 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from smarttouch.base.errors import CalibrationError, SourceError
 from smarttouch.base.files import data_folder
+from smarttouch.experiments.calibration.sensor_optics import SimulatedPatch
 from smarttouch.pages.document import open_document
-from smarttouch.sources.preprocess import FramePreprocessor, page_per_pixel
+from smarttouch.sources.preprocess import FlatField, FramePreprocessor, page_per_pixel
 from smarttouch.sources.virtual_finger import PageSource
 
-from ..whole import sample
+from ..raising import raises
 
 FIELD_MM = 5.0
 
@@ -43,8 +45,8 @@ def look(blots):
 def follow(tracker, *images):
     """Return the motion at the last of the images."""
     for image in images:
-        x_mm, y_mm, _ = tracker.follow(image)
-    return x_mm, y_mm
+        motion = tracker.follow(image)
+    return motion
 
 
 @pytest.mark.parametrize(("x", "y"), [(3, 0), (0, -5), (1.5, 2.25), (-20, 12), (0.3, -0.2)])
@@ -184,47 +186,96 @@ def test_no_image_is_too_much(profile, images):
         assert all(map(math.isfinite, follow(tracker, image, image)))
 
 
-def turned_look(blots, x, y, degrees, light=1.0):
-    """Return a patch that lies turned clockwise on the page, in uneven light."""
-    turn = math.radians(degrees)
-    cos, sin = math.cos(turn), math.sin(turn)
-    middle = 31.5
-    to_page = np.array(
-        [
-            [cos, -sin, 200 + x - cos * middle + sin * middle],
-            [sin, cos, 200 + y - sin * middle - cos * middle],
-        ]
-    )
-    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    patch = cv2.warpAffine(blots, to_page, (64, 64), flags=flags)
-    rows, columns = np.mgrid[-1:1:64j, -1:1:64j]
-    patch = patch * (1 - 0.1 * (1 - light) * (rows**2 + columns**2))
-    noise = np.random.default_rng(round(100 * degrees) % 1000).normal(0, 2, patch.shape)
-    return np.clip(np.rint(patch + noise), 0, 255).astype(np.uint8)
+def measured(patch, frames=32):
+    return FlatField.measure(patch.images(frames, light=False), patch.images(frames, light=True))
 
 
-@pytest.mark.parametrize("degrees", sample([-3.0, -0.5, 0.0, 0.2, 2.0]))
-@pytest.mark.parametrize(("x", "y"), [(0, 0), (3, -2)])
-def test_a_turn_of_the_patch_is_known(profile, blots, degrees, x, y):
-    tracker = FramePreprocessor(profile)
-    tracker.follow(turned_look(blots, 0, 0, 10))
-    _, _, turn_rad = tracker.follow(turned_look(blots, x, y, 10 + degrees))
-    assert math.degrees(turn_rad) == pytest.approx(degrees, abs=0.1)
+@pytest.fixture(scope="module")
+def patch():
+    return SimulatedPatch((48, 64), dead=4, hot=3, seed=5)
 
 
-def test_a_path_that_turns_is_summed_to_a_pose(profile, blots):
-    intake = FramePreprocessor(profile)
-    for step in range(40):
-        image = turned_look(blots, 2 * step, 0.5 * step, 0.5 * step, light=0.0)
-        _, pose = intake.take(image)
-    assert math.degrees(pose.angle_rad) == pytest.approx(19.5, abs=1)
-    # The image's rows were the page's at the start.
-    assert pose.x_mm == pytest.approx(78 * FIELD_MM / 64, abs=0.1)
-    assert pose.y_mm == pytest.approx(19.5 * FIELD_MM / 64, abs=0.1)
+@pytest.fixture(scope="module")
+def field(patch):
+    return measured(patch)
 
 
-def test_pixels_that_are_not_square_give_no_turn(profile, changed, blots):
-    flat = changed(profile, {"optics.field_height_mm": 4.0})
-    tracker = FramePreprocessor(flat)
-    tracker.follow(turned_look(blots, 0, 0, 0))
-    assert tracker.follow(turned_look(blots, 0, 0, 2))[2] == 0
+def test_every_grey_is_even_after_correction(patch, field):
+    for grey in (0.3, 0.6, 1.0):
+        seen = np.mean(patch.see(np.full((48, 64), grey), 30), axis=0)
+        corrected = np.mean(
+            [field.correct(each) for each in patch.see(np.full((48, 64), grey), 30)], axis=0
+        )
+        assert seen.std() / seen.mean() > 0.1
+        # What is left is the noise of 30 frames, and rounding.
+        assert corrected.std() / corrected.mean() < 0.015
+        assert corrected.mean() == pytest.approx(grey * corrected_white(patch, field), rel=0.02)
+
+
+def corrected_white(patch, field):
+    return np.mean([field.correct(each) for each in patch.images(30, light=True)])
+
+
+def test_broken_pixels_show_what_those_around_do(patch, field):
+    assert field.broken == 7
+    scene = np.ones((48, 64))
+    scene[:, 32:] = 0.0
+    image = field.correct(patch.see(scene)[0])
+    assert image[:, :31].min() > 150
+    assert image[:, 33:].max() < 30
+
+
+@given(rows=st.integers(1, 12), columns=st.integers(1, 12), seed=st.integers(0, 2**32 - 1))
+def test_any_field_is_read_back_as_it_was_written(tmp_path_factory, rows, columns, seed):
+    random = np.random.default_rng(seed)
+    dark = random.uniform(0, 60, (rows, columns)).astype(np.float32)
+    gain = random.uniform(0.5, 3, (rows, columns)).astype(np.float32)
+    path = tmp_path_factory.mktemp("field") / "f.npz"
+    path.write_bytes(FlatField(dark, gain).to_bytes())
+    again = FlatField.load(path)
+    assert (again.dark == dark).all()
+    assert (again.gain == gain).all()
+
+
+@pytest.mark.parametrize("content", [None, b"", b"garbage" * 50])
+def test_a_file_that_is_none(tmp_path, content):
+    path = tmp_path / "f.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with raises(SourceError, value=path):
+        FlatField.load(path)
+
+
+@pytest.mark.parametrize(("dark", "gain", "value"), [
+    (np.zeros((2, 2)), np.ones((2, 3)), ((2, 2), (2, 3))),
+    (np.zeros((2, 2)), np.full((2, 2), np.nan), None),
+    (np.zeros((2, 2)), -np.ones((2, 2)), None),
+    (np.zeros((2, 2)), np.zeros((2, 2)), None),
+    (np.zeros(4), np.ones(4), ((4,), (4,))),
+])  # fmt: skip
+def test_arrays_that_are_no_field(dark, gain, value):
+    with raises(SourceError, value=value):
+        FlatField(dark.astype(np.float32), gain.astype(np.float32))
+
+
+def grey(level, shape=(8, 8)):
+    return [np.full(shape, level, np.uint8)]
+
+
+@pytest.mark.parametrize(("dark", "white", "about", "value"), [
+    ([], grey(200), "frames", None),
+    (grey(10), grey(30), "white", 20),
+    (grey(200), grey(20), "white", -180),
+    (grey(10), grey(255), "white", 1.0),
+    (grey(10), grey(200, (8, 9)), "frames", (8, 9)),
+    (grey(10), grey(200) + grey(200, (9, 9)), "frames", ((8, 8), (9, 9))),
+])  # fmt: skip
+def test_references_that_are_none(dark, white, about, value):
+    with raises(CalibrationError, value=value):
+        FlatField.measure(dark, white)
+
+
+def test_too_many_broken_pixels():
+    # Two in a hundred of 64 x 64 may be broken.
+    with raises(CalibrationError, names="pixels", value=200):
+        measured(SimulatedPatch(dead=200))
