@@ -158,14 +158,12 @@ def feel(sensor: MouseSource, profile, bank, seconds: float | None = None) -> Si
             poses_mm[sent.number] = (frame.pose.x_mm, frame.pose.y_mm)
 
     with sensor, played(profile, SimulatedDriver) as board:
-        config = RunConfig(mode=sensor.mode, scan="points", balance=True)
-        tally = loop_through(
-            sensor, Pipeline(profile, bank, config), board, watch, seconds=seconds,
-            controls=Controls(ControlState(sensor.mode)),
-            regulator=Regulator(
-                ledger=ChargeBalance(len(profile.electrodes)),
-                recharge=RechargeRules.of(profile, board.driver.timing),
-            ),
-        )  # fmt: skip
+        pipeline = Pipeline(profile, bank, RunConfig(mode=sensor.mode, scan="points", balance=True))
+        pipeline.regulator = Regulator(
+            ledger=ChargeBalance(len(profile.electrodes)),
+            recharge=RechargeRules.of(profile, board.driver.timing),
+        )
+        controls = Controls(ControlState(sensor.mode))
+        tally = loop_through(sensor, pipeline, board, watch, seconds=seconds, controls=controls)
         drawing.deliver(*board.driver.take_pulses())
     return SimulationResult(drawing, pulses_of(drawing), times_ns, poses_mm, tally)
