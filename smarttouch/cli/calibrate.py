@@ -18,7 +18,7 @@ from smarttouch.cli.options import (
     require_answers,
     takes_options,
 )
-from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
+from smarttouch.views.keys_and_signals import command_stop, drives_a_board
 
 if TYPE_CHECKING:
     from smarttouch.experiments.calibration.profile_file import ProfileFile
@@ -258,9 +258,7 @@ def thresholds(
     )  # fmt: skip
     with procedure.progress() as progress:
         try:
-            procedure.measure(
-                progress, keyboard_listener, typer.echo, command_stop(), opened, force
-            )
+            procedure.measure(progress, keyboard_listener, typer.echo, command_stop(), force)
         except BoardStoppedError:
             raise procedure.stopped(progress) from None
     finish(file, "thresholds", procedure.put_down(progress), simulated)
@@ -287,9 +285,7 @@ def contact(
     simulated = board.startswith("emulator:")
     file = calibration.file("contact", simulated, board)
     chosen = file.profile
-    found = judge_contact(
-        measure_contact(lambda: opened(open_display(board, chosen).board), repeats)
-    )
+    found = judge_contact(measure_contact(lambda: open_display(board, chosen).opened(), repeats))
     masked = found.masked(chosen)
     still = sorted(set(chosen.output.masked) - set(found.broken))
     if still:

@@ -1,6 +1,5 @@
 """``smarttouch devices``: boards, sensors and cameras found, looked at, measured and tried."""
 
-from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -16,7 +15,7 @@ from smarttouch.cli.options import (
     option,
     require_site,
 )
-from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
+from smarttouch.views.keys_and_signals import command_stop, drives_a_board
 
 if TYPE_CHECKING:
     from smarttouch.base.events import Event
@@ -114,7 +113,7 @@ def _describe_board(url: str, profile: str | None) -> None:
     from smarttouch.running.display import open_display
 
     display = open_display(url, profile)
-    with opened(display.board) as board:
+    with display.opened() as board:
         rows, force = board.capabilities.describe(), board.force_n
     if force is not None:
         rows.append(("force", f"{force:.2f} N"))
@@ -144,7 +143,7 @@ def measure(url: _Url, profile: ProfileOption = None, json_file: JsonOption = No
     from smarttouch.running.display import open_display
 
     require_folder(json_file)
-    with opened(open_display(url, profile).board) as board:
+    with open_display(url, profile).opened() as board:
         found = board.measure()
     _print_impedance(found)
     if json_file is not None:
@@ -201,7 +200,7 @@ def try_out(
             walk.go_on()
 
     with keyboard_listener(on_key):
-        run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board), force)
+        run_walk(walk, display, [OnEvent(say)], stop, force)
     typer.echo(f"{len(walk.pulsed)} of {len(sites)} electrodes got pulses; all are at zero.")
     if walk.missed:
         typer.echo(f"No pulse came through: {', '.join(map(str, walk.missed))}.")

@@ -15,7 +15,7 @@ from smarttouch.cli.options import (
     parse_mode,
     takes_options,
 )
-from smarttouch.views.keys_and_signals import drives_a_board, opened
+from smarttouch.views.keys_and_signals import drives_a_board
 
 
 @takes_options
@@ -164,5 +164,5 @@ def _zero(url: str) -> None:
     """Open a board and close it, which puts it at zero."""
     from smarttouch.running.display import open_display
 
-    with opened(open_display(url).board):
+    with open_display(url).opened():
         pass

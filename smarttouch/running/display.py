@@ -1,17 +1,18 @@
 """Displays, and sessions, in which a program shows patterns on one."""
 
+import contextlib
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any, Self
 
-from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.errors import BoardError, BoardStoppedError, SmartTouchError
 from smarttouch.base.stopping import Closing, StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.open import default_profile, make_board
-from smarttouch.boards.shutdown import expect
+from smarttouch.boards.shutdown import current_command, expect
 from smarttouch.profile import Profile, load_profile
 from smarttouch.running.config import RunConfig, configured
 from smarttouch.running.loop import Loop
@@ -92,10 +93,28 @@ class Display(Closing):
         self._stop.ask("the display was stopped")
 
     @contextmanager
-    def opened(self, stop: StopRequest) -> Iterator[Board]:
-        """Open the board for a block; a stop puts it at zero at once, also while it opens."""
-        with stop.on_stop(self.board.halt), self.board:
-            yield self.board
+    def opened(self, stop: StopRequest | None = None) -> Iterator[Board]:
+        """Open the board for a block; a stop puts it at zero at once, also while it opens.
+
+        With the stop of the command that runs, as without any, a signal lets the block end by
+        itself: sending raises BoardStoppedError.
+        """
+        command = current_command()
+        stop, before = stop or command.stop, command.orderly
+        command.orderly = before or stop is command.stop
+        try:
+            with contextlib.ExitStack() as stack:
+                stack.enter_context(stop.on_stop(self.board.halt))
+                try:
+                    stack.enter_context(self.board)
+                except BoardError as error:
+                    if stop is not command.stop or not command.number:
+                        raise
+                    # Whatever failed, the signal is the reason.
+                    raise BoardStoppedError(str(error)) from None
+                yield self.board
+        finally:
+            command.orderly = before
 
     def close(self) -> None:
         """Put all electrodes at zero and release the board; a second call does nothing."""

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from smarttouch.base.errors import BoardStoppedError, SmartTouchError, SourceErr
 from smarttouch.base.events import Advice, Note, RunFailed
 from smarttouch.base.posix import priority_advice
 from smarttouch.base.stopping import StopRequest
-from smarttouch.boards.board import Board, BoardReport
+from smarttouch.boards.board import BoardReport
 from smarttouch.boards.shutdown import stoppable_run
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile, load_profile
@@ -47,8 +47,7 @@ class Runner:
     ``force`` is a source of finger force or its URL: if not given, where a finger may be on the
     board that of the profile's ``force.source``, else what source or board measure.
     ``load_kernels`` returns the kernels of a profile, ``controls`` makes the controls from their
-    first state and the modes offered, and ``opened`` opens the board for a block. Time is the
-    board's, and the machine's where a run is paced.
+    first state and the modes offered. Time is the board's, and the machine's where a run is paced.
     """
 
     def __init__(
@@ -62,7 +61,6 @@ class Runner:
         stop: StopRequest | None = None,
         load_kernels: Callable[[Profile], KernelBank] = load_bank,
         controls: MakeControls = Controls,
-        opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
     ) -> None:
         self.source: Source = source
         self.display: Display = display
@@ -75,7 +73,6 @@ class Runner:
         self._listeners = as_listeners(listeners)
         self._load_kernels, self._make_controls = load_kernels, controls
         self._stop = stop or StopRequest()
-        self._opened = opened or display.opened
         self._emit = emit_to(self._listeners)
 
     def run(self) -> RunStatistics:
@@ -182,7 +179,7 @@ class Runner:
         board, profile, source = context.board, context.profile, self.source
         on_a_finger = self.display.on_a_finger
         clock = SimulatedClock() if board.simulated_time and not self.config.paced else None
-        with steady_environment(pipeline, clock is not None), self._opened(self._stop):
+        with steady_environment(pipeline, clock is not None), self.display.opened(self._stop):
             if pipeline.table is not None:
                 board.keep_kernels(pipeline.table)
             self._require_force()

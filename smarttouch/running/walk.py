@@ -2,8 +2,7 @@
 
 import contextlib
 import math
-from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Generator, Iterable, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -129,11 +128,10 @@ def run_walk(
     display: Display,
     listeners: Iterable[Listener],
     stop: StopRequest,
-    opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
     force: ForceSource | str | None = None,
 ) -> None:
     """Run a walk, whose strength is an argument of its own; the arguments are those of `Runner`."""
     Runner(
         walk, display, RunConfig(scan="points", intensity=1.0), force=force, listeners=listeners,
-        stop=stop, load_kernels=single_bank, opened=opened,
+        stop=stop, load_kernels=single_bank,
     ).run()  # fmt: skip

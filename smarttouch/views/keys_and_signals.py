@@ -1,6 +1,5 @@
 """Keys and signals of a command in a terminal: it can be stopped at any instant."""
 
-import contextlib
 import functools
 import os
 import select
@@ -10,13 +9,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
-from smarttouch.base.errors import BoardError, BoardStoppedError
 from smarttouch.base.posix import termios, tty
 from smarttouch.base.stopping import RunStopped, StopRequest
 from smarttouch.boards.shutdown import current_command, running_command
 
 if TYPE_CHECKING:
-    from smarttouch.boards.board import Board
+    pass
 
 LOST = ""  # key that stands for a terminal that is gone
 JOIN_S = 0.3  # longest time that the end waits for a key that is being handled
@@ -124,23 +122,6 @@ def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
         yield
     finally:
         command.orderly = before
-
-
-@contextmanager
-def opened(board: "Board", stop: StopRequest | None = None) -> Iterator["Board"]:
-    """Open a board for a block; a stop puts it at zero at once, also while it opens, and sending
-    raises BoardStoppedError after it."""
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(ending_in_order())
-        stack.enter_context((stop or command_stop()).on_stop(board.halt))
-        try:
-            stack.enter_context(board)
-        except BoardError as error:
-            if not by_signal():
-                raise
-            # Whatever failed, the signal is the reason.
-            raise BoardStoppedError(str(error)) from None
-        yield board
 
 
 def _give_up(number: int) -> None:

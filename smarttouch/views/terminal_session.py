@@ -27,7 +27,6 @@ from smarttouch.views.keys_and_signals import (
     command_stop,
     ending_in_order,
     keyboard_listener,
-    opened,
 )
 from smarttouch.views.outputs import DeliveredPicture
 from smarttouch.views.progress import bank_progress
@@ -92,7 +91,6 @@ def run_in_terminal(
             stop=stop,
             load_kernels=_load_kernels,
             controls=controls,
-            opened=partial(opened, display.board),
         )
         try:
             runner.run()

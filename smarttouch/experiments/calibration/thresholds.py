@@ -4,14 +4,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from smarttouch.base.errors import CalibrationError
 from smarttouch.base.events import Advice, BoardRestarted, Event, FingerLifted
 from smarttouch.base.stopping import StopRequest
-from smarttouch.boards.board import Board
 from smarttouch.experiments.calibration.profile_file import ProfileFile
 from smarttouch.experiments.calibration.threshold_procedures import (
     REACTION_S,
@@ -117,8 +115,6 @@ class ThresholdProcedure:
         keys: Keys,
         say: Callable[[str], None],  # shows a line
         stop: StopRequest,
-        # opens a board for a block
-        opened: Callable[[Board, StopRequest], AbstractContextManager[Board]],
         force: str | None = None,  # URL of the finger's force; see `Runner`
     ) -> None:
         """Measure electrode after electrode."""
@@ -151,7 +147,7 @@ class ThresholdProcedure:
             finger = simulated_finger(profile, measuring, tops_ma, self.seed)
             listener = Subject(source, finger, _LOOK_S, REACTION_S)
         config = RunConfig(scan="points", intensity=1.0, seed=self.seed)
-        present(source, display, config, listener, keys, stop, opened, force)
+        present(source, display, config, listener, keys, stop, force)
         if not session.over:
             raise self.stopped(progress)
 
@@ -178,8 +174,6 @@ def present(
     listener: Listener,
     keys: Keys,
     stop: StopRequest,
-    # opens a board for a block
-    opened: Callable[[Board, StopRequest], AbstractContextManager[Board]],
     force: str | None = None,  # URL of the finger's force; see `Runner`
 ) -> None:
     """Present the trials of a calibration, whose currents are what it asks for; keys answer, and
@@ -200,7 +194,6 @@ def present(
             listeners=[listener],
             stop=stop,
             load_kernels=single_bank,
-            opened=partial(opened, display.board),
         ).run()
 
 

@@ -290,7 +290,7 @@ def measured(procedure, key_at=lambda _line: None):
 
     with procedure.progress() as progress:
         try:
-            procedure.measure(progress, keys, say, StopRequest(), lambda board, _stop: board)
+            procedure.measure(progress, keys, say, StopRequest())
         finally:
             found = dict(progress.found)
     return said, found
