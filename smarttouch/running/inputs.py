@@ -164,7 +164,7 @@ class Inputs:
             self._look_for_ink(time_ns)
         if counts_n != given.force_n:
             given = replace(given, force_n=counts_n)
-        level = state.current_level
+        level = 0.0 if state.paused else state.level
         if state is not self._before:
             self._say_changes(state, time_ns)
         if self.board.lifted or now_ns < self._lifted_until_ns:

@@ -24,18 +24,18 @@ class ScanTiming:
     load: float = 1.0  # share of the period that a scan may fill
 
     def shortest_period_us(
-        self, slots: int, electrodes: int, width_us: float, discharge_us: float
+        self,
+        slots: int,
+        electrodes: int,
+        width_us: float,
+        discharge_us: float,
+        least_us: float = 0.0,
     ) -> int:
-        """Return the shortest period of a scan of active points, µs; times of slots are means."""
-        return self.possible_period_us(self.scan_time_us(slots, electrodes, width_us, discharge_us))
-
-    def scan_time_us(
-        self, slots: int, electrodes: int, width_us: float, discharge_us: float
-    ) -> float:
-        """Return the time that a scan takes of its period, µs."""
+        """Return the shortest period of a scan of active points that is not below ``least_us``, µs;
+        times of slots are means."""
         taken = electrodes if self.every_electrode else slots
         busy_us = taken * (width_us + discharge_us + self.slot_extra_us) + self.scan_us
-        return busy_us / self.load
+        return self.possible_period_us(max(least_us, busy_us / self.load))
 
     def possible_period_us(self, period_us: float) -> int:
         """Return the shortest period possible on the board that is not below this one, µs.

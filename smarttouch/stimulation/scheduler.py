@@ -102,9 +102,7 @@ class ScanScheduler:
         steps_ns = 0, 2 * FIRST_NS, MOST_STEP_NS
         self._steps = [each / self._limits.ramp_ns for each in steps_ns]
         # Before anything is sent: the longest scan must be possible too.
-        timing.possible_period_us(
-            self._shortest_us(self._electrodes, self._electrodes * pulse.width_us)
-        )
+        self._period_us(0, self._electrodes, self._electrodes * pulse.width_us)
         self.asked_us: int = 0
         self.net_slowed: int = 0
         self.net_emptied: int = 0
@@ -139,9 +137,7 @@ class ScanScheduler:
         made, intensity = self._within_ramp(due, image, intensity, allowed, adaptation)
         current_ua, width_us, slots = made.current_ua, made.width_us, len(made.site)
         pulses_us = sum(width_us.tolist())
-        period_us = timing.possible_period_us(
-            max(self.asked_us, self._shortest_us(slots, pulses_us))
-        )
+        period_us = self._period_us(self.asked_us, slots, pulses_us)
         # No electrode gets more pulses than there are slots.
         felt_us = min(self._felt_us, _PULSE_US * slots)
         if slots and max(self._charge_us, felt_us) > min(period_us, BURST_US):
@@ -207,10 +203,11 @@ class ScanScheduler:
         adaptation: Adaptation | None,
     ) -> Slots:
         """Return the slots of all classes that are due; none of the first if none is."""
-        if not due:
-            due, intensity = (self._first,), 0.0
-        parts = [self._makers[each].slots(activation[each], intensity) for each in due]
-        made = joined(parts) if len(parts) > 1 else parts[0]
+        if len(due) > 1:
+            made = joined([self._makers[each].slots(activation[each], intensity) for each in due])
+        else:
+            one = due[0] if due else self._first
+            made = self._makers[one].slots(activation[one], intensity if due else 0.0)
         return made if adaptation is None or not len(made.site) else adaptation.apply(made)
 
     def _within_ramp(
@@ -270,10 +267,11 @@ class ScanScheduler:
             )
         return needed_us
 
-    def _shortest_us(self, slots: int, pulses_us: int) -> float:
-        """Return the shortest time of slots whose pulses take so long together, µs."""
+    def _period_us(self, asked_us: int, slots: int, pulses_us: int) -> int:
+        """Return the period of slots whose pulses take so long together: that asked for, or the
+        shortest one in which they fit, µs."""
         mean_us = pulses_us / slots if slots else 0.0
-        scan_us = self._timing.scan_time_us(
-            slots, self._electrodes, mean_us, float(self._discharges_us[0])
-        )
-        return max(scan_us, pulses_us / self._duty)
+        return self._timing.shortest_period_us(
+            slots, self._electrodes, mean_us, float(self._discharges_us[0]),
+            least_us=max(asked_us, pulses_us / self._duty),
+        )  # fmt: skip
