@@ -4,8 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from smarttouch.stimulation.exposure import Exposure
 from smarttouch.stimulation.point_slots import Slots
+from smarttouch.stimulation.safety_gate import SafetyLimits, frozen
 from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.sequence_limits import prove_sequence
+from smarttouch.stimulation.slot_sums import SlotAdder
 
 
 def sequence(currents, widths=200, *, electrodes=4, discharge_us=100, **other):
@@ -25,3 +29,10 @@ def adapted(adaptation, sequence):
     """Return a sequence with adapted slots."""
     slots = adaptation.apply(Slots(sequence.site, sequence.current_ua, sequence.width_us))
     return replace(sequence, current_ua=slots.current_ua, width_us=slots.width_us)
+
+
+def prove_alone(profile, sequence):
+    """Prove all limits of a sequence but the ramp, as if nothing had come before it."""
+    limits = SafetyLimits.of(profile)
+    load = prove_sequence(frozen(sequence), limits, SlotAdder(limits.felt_ua))
+    Exposure(limits).enter(sequence.time_ns, sequence.period_us, 1, load, flows=True)

@@ -48,7 +48,6 @@ from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
 __all__ = ["BOTH", "Board", "BoardReport", "Capabilities", "Polarity"]
 
 FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock
-MEASURED_WITHIN_NS = 10_000_000_000  # time in which measuring scans must be written
 PROBES = 10  # attempts at a measuring scan: on a busy computer its reading may be lost
 ENDS_WITHIN_S = 3.0  # of the sender thread
 RESTARTS = 3  # attempts to restart a board after its line was lost
@@ -434,7 +433,7 @@ class Board:
         if not (self._claimed_time or self.driver.reports_starts):
             passes = 1 if self.driver.queued else proved.times
             self._over_s = time.monotonic() + passes * proved.sequence.period_us / 1e6
-        if proved.ramped and not self.driver.reports_delivery:
+        if not self.driver.reports_delivery:
             self._count(proved, proved.times)
 
     def _count(self, proved: ProvedSequence, scans: int, most: int | None = None) -> None:
@@ -575,8 +574,6 @@ class Board:
 
         Raises
         ------
-        SafetyError
-            If the board's measuring pulse is above the profile's limits.
         BoardStoppedError
             If the board was stopped, before or meanwhile: all electrodes are at zero.
         BoardError
@@ -586,18 +583,10 @@ class Board:
         self._line.require_running()
         self._gate.restart()
         try:
-            if scans := self.driver.measuring_scans():
-                self.drain()
-                now_ns, within_ns = self._clock.now_ns(), MEASURED_WITHIN_NS
-                impedance = self.driver.measure([
-                    self._gate.prove(scan, times, due_ns=now_ns, late_ns=within_ns, ramped=False)
-                    for scan, times in scans
-                ])  # fmt: skip
-            else:
-                self.take_volts()
-                impedance = measure_by_probes(
-                    self._probe, self._limits, self._output, self.capabilities
-                )
+            self.take_volts()
+            impedance = measure_by_probes(
+                self._probe, self._limits, self._output, self.capabilities
+            )
         except BoardError as error:
             # A board whose line is lost is at zero only if the stop has reached it.
             if self._zeroed or not isinstance(error, LineLostError):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError, BoardFaultError
-from smarttouch.boards.reports import BoardReport, Capabilities, Impedance, SequenceStart
+from smarttouch.boards.reports import BoardReport, Capabilities, SequenceStart
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.stimulation.pulse_rates import ScanTiming
 
@@ -118,19 +118,6 @@ class Driver(ABC):
 
     def store_kernels(self, table: KernelTable) -> None:  # noqa: B027, optional for drivers
         """Give the device the kernels of the sequences to come."""
-
-    def measuring_scans(self) -> list[tuple[ScanSequence, int]]:
-        """Return the scans with which the firmware measures impedances, and how often each runs.
-
-        Empty if the firmware has none of its own: the board then measures by sequences, if its
-        capabilities say that it reports voltages.
-        """
-        return []
-
-    def measure(self, proved: list[ProvedSequence]) -> Impedance:
-        """Run the `measuring_scans`, which were proved, and return the impedances."""
-        # Called where `measuring_scans` returns any: whoever writes one writes the other.
-        raise NotImplementedError(f"{type(self).__name__} has measuring_scans, and no measure")
 
     def status(self) -> BoardReport | None:
         """Return the device's own report of what it delivered; None to use the host's."""

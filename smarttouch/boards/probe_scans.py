@@ -1,17 +1,17 @@
-"""Measuring scans: small currents through each electrode in turn, or through pairs of them.
+"""Impedances of electrodes: the scans that measure them, and what their voltages say.
 
-On a board whose outputs each force their own current, one open electrode among the
-returns takes all the voltage there is, whichever electrode is measured.
+A board with one source drives each electrode in turn against all others. Where every output forces
+its own current, one open electrode among the returns would take all the voltage there is: such a
+board drives pairs of near electrodes.
 """
 
-import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
-from smarttouch.boards.reports import SATURATED, Capabilities, Impedance, classify, judge
+from smarttouch.boards.reports import Capabilities, Impedance
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -21,12 +21,45 @@ PROBE_US = 50
 _STEPS = 20
 _SLOWEST_US = 20_000  # period that leaves any board the time to answer
 _SWITCHING_US = 30  # most that switching adds to a slot
+_PAIRS = 4  # pairs of each electrode: with the next, the next but one, and so on
+SATURATED = 0.97  # part of the compliance at which a source counts as saturated
+OPEN_FACTOR = 5.0
+SHORT_FACTOR = 0.1
+"""Part of the median below which an electrode is shorted; good ones differ two- or threefold. An
+estimate of ours."""
+
+Array = NDArray[np.float64]
 
 
-def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[ScanSequence]:
-    """Yield scans of one electrode against all others that rise from zero to `PROBE_MA`, without
-    masked electrodes. The last one is the measurement; those before it keep the rise within the
-    ramp, by their own time stamps."""
+def measure_by_probes(
+    ask: Callable[[ScanSequence], Array],
+    limits: SafetyLimits,
+    output: Output | None,
+    can: Capabilities,
+) -> Impedance:
+    """Return the impedance of each electrode, by sequences that rise from zero.
+
+    ``ask`` delivers one and returns the voltage of each of its slots, (S,) V.
+    """
+    if not can.measures or can.compliance_v is None:
+        raise BoardError("this board does not measure: use a multimeter")
+    in_pairs = can.output == "weighted"
+    for probe in probe_sequences(limits, output, in_pairs=in_pairs):
+        volts = ask(probe)
+    if in_pairs:
+        return _from_pairs(probe, volts, can.compliance_v)
+    # A masked electrode is not driven, and counts as open.
+    every = np.full(limits.electrodes, can.compliance_v)
+    every[probe.site] = volts
+    beside_ma = every / can.load_kohm if can.load_kohm else 0.0
+    return judge(every, np.maximum(probe.source_ua[0] / 1000 - beside_ma, 1e-6), can.compliance_v)
+
+
+def probe_sequences(
+    limits: SafetyLimits, output: Output | None, *, in_pairs: bool
+) -> Iterator[ScanSequence]:
+    """Yield scans that rise from zero to `PROBE_MA`, without masked electrodes. The last one is the
+    measurement; those before it keep the rise within the ramp if each is delivered to its end."""
     peak_ma = min(PROBE_MA, 0.9 * limits.current_ma, 0.9 * limits.full_ma)
     if limits.electrode_ma is not None:
         peak_ma = min(peak_ma, 0.9 * min(limits.electrode_ma))
@@ -36,17 +69,22 @@ def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[Sca
     rise_s = limits.ramp_s * top
     # Only the time of passes with current counts towards the rise.
     step_us = max(_SLOWEST_US, int(np.ceil(1.05e6 * rise_s / _STEPS)))
-    start = time.monotonic_ns()
+    sites = np.delete(np.arange(limits.electrodes), limits.masked).tolist()
     cathodic = output is None or "cathodic" in output.polarities
+    time_ns = 0
     for step in range(_STEPS + 1):
         part = step / _STEPS
-        due_ns = start + int(1.05 * part * rise_s * 1e9)
-        time.sleep(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
-        yield one_each(
-            limits, round(1000 * peak_ma * part), PROBE_US, top * part, due_ns, cathodic=cathodic,
-            sites=np.delete(np.arange(limits.electrodes), limits.masked).tolist(),
-            masked=limits.masked, period_us=step_us,
-        )  # fmt: skip
+        level_ua = round(1000 * peak_ma * part)
+        if in_pairs:
+            current_ua, driven = _pairs(limits.electrodes, sites if level_ua else [], level_ua)
+            probe = _scan(limits, current_ua, driven, PROBE_US, top * part, time_ns, 100, step_us)
+        else:
+            probe = one_each(
+                limits, level_ua, PROBE_US, top * part, time_ns, cathodic=cathodic,
+                sites=sites, masked=limits.masked, period_us=step_us,
+            )  # fmt: skip
+        yield probe
+        time_ns += 1000 * probe.period_us
 
 
 def one_each(
@@ -65,21 +103,31 @@ def one_each(
     """Return a scan of one slot for each site (all if not given): ``level_ua`` through it, returned
     equally by the other electrodes; no slots if that is 0. Masked ones take no share, as an open
     one would need all the voltage there is."""
-    count = limits.electrodes
-    driven = list(range(count) if sites is None else sites) if level_ua else []
-    currents = np.zeros((len(driven), count), np.int16)
+    electrodes = limits.electrodes
+    driven = list(range(electrodes) if sites is None else sites) if level_ua else []
+    currents = np.zeros((len(driven), electrodes), np.int16)
     for current, site in zip(currents, driven, strict=True):
         # From the driven electrode on: the nearest ones take the remainder.
-        others = ((site + step) % count for step in range(1, count))
+        others = ((site + step) % electrodes for step in range(1, electrodes))
         returns = [other for other in others if other not in masked]
         share, rest = divmod(level_ua, len(returns))
         current[returns] = -share
         current[returns[:rest]] -= 1
         current[site] = level_ua
-    return _scan(
-        limits, currents if cathodic else -currents, driven, width_us,
-        intensity, time_ns, discharge_us, period_us,
-    )  # fmt: skip
+    currents = currents if cathodic else -currents
+    return _scan(limits, currents, driven, width_us, intensity, time_ns, discharge_us, period_us)
+
+
+def _pairs(electrodes: int, sites: list[int], level_ua: int) -> tuple[NDArray[np.int16], list[int]]:
+    """Return a slot for each pair of near electrodes, (S, E) µA, and their first ones: over a scan
+    each electrode carries as much of either sign."""
+    strides = range(1, min(_PAIRS, len(sites) // 2) + 1)
+    first = sites * len(strides)
+    second = [site for stride in strides for site in np.roll(sites, -stride).tolist()]
+    currents = np.zeros((len(first), electrodes), np.int16)
+    slots = np.arange(len(first))
+    currents[slots, first], currents[slots, second] = level_ua, -level_ua
+    return currents, first
 
 
 def _scan(
@@ -89,8 +137,8 @@ def _scan(
     width_us: int,
     intensity: float,
     time_ns: int,
-    discharge_us: int = 100,
-    period_us: int = 0,
+    discharge_us: int,
+    period_us: int,
 ) -> ScanSequence:
     slots = len(current_ua)
     slot_us = max(width_us + discharge_us, int(np.ceil(width_us / limits.duty))) + _SWITCHING_US
@@ -106,70 +154,37 @@ def _scan(
     )
 
 
-MOST_REFERENCES = 16  # tried before all count as open; far apart, for partial touch
-MOST_TRIPLES = 16
-ENOUGH = 0.5  # part of the electrodes that must conduct to a good reference
-
-Ask = Callable[[ScanSequence], NDArray[np.float64]]  # delivers a scan, returns (S,) V
-
-
-def measure_by_probes(
-    ask: Ask, limits: SafetyLimits, output: Output | None, can: Capabilities
-) -> Impedance:
-    """Return the impedance of each electrode, measured by sequences that rise from zero."""
-    if not can.measures or can.compliance_v is None:
-        raise BoardError("this board does not measure: use a multimeter")
-    for probe in probe_sequences(limits, output):
-        volts = ask(probe)
-    is_saturated = bool((volts >= SATURATED * can.compliance_v).any())
-    if can.output == "weighted" and is_saturated and not limits.masked:
-        return measure_in_pairs(ask, limits, probe, can.compliance_v)
-    # A masked electrode is not driven, and counts as open.
-    every = np.full(limits.electrodes, can.compliance_v)
-    every[probe.site] = volts
-    beside_ma = every / can.load_kohm if can.load_kohm else 0.0
-    skin_ma = np.maximum(probe.source_ua[0] / 1000 - beside_ma, 1e-6)
-    return judge(every, skin_ma, can.compliance_v)
+def _from_pairs(probe: ScanSequence, volts: Array, compliance_v: float) -> Impedance:
+    """Return impedances from the voltages of pairs: I (Zᵢ + Zⱼ), solved by least squares over the
+    pairs that conduct. An electrode with no such pair is open."""
+    level_ua = int(probe.current_ua.max(initial=0))
+    conducts = volts < SATURATED * compliance_v
+    pairs = (probe.current_ua[conducts] != 0).astype(np.float64)
+    kohm, *_ = np.linalg.lstsq(pairs.T @ pairs, pairs.T @ (1000 * volts[conducts] / level_ua))
+    return _classify(np.where(pairs.any(axis=0), np.maximum(kohm, 1e-3), np.inf), level_ua / 1000)
 
 
-def measure_in_pairs(
-    ask: Ask, limits: SafetyLimits, probe: ScanSequence, compliance_v: float
-) -> Impedance:
-    """Return the impedance of each electrode, from scans of two electrodes at a time.
+def judge(volts: Array, current_ma: float | Array, compliance_v: float) -> Impedance:
+    """Return the impedances from the source's voltages (E,), each electrode against all others.
 
-    All are measured against one reference r: I (Zᵢ + Zᵣ). Of three electrodes that all conduct, Zᵣ
-    = (Zᵢᵣ + Zⱼᵣ − Zᵢⱼ) / 2; the median over neighbors counts. The board is at the intensity of the
-    last ``probe`` already; scans are stamped a millisecond apart after it.
+    The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ), all others in parallel; solved by repeated
+    insertion, which converges as the return is small.
     """
-    count, step = limits.electrodes, 0
-    level_ua = int(np.abs(probe.current_ua).max())
+    total = np.asarray(volts, np.float64) / np.asarray(current_ma, np.float64)
+    saturated = np.asarray(volts) >= SATURATED * compliance_v
+    kohm = np.where(saturated, np.inf, np.maximum(total, 1e-3))
+    for _ in range(20):
+        admittance = 1 / kohm
+        others = admittance.sum() - admittance
+        back = np.divide(1, others, out=np.zeros_like(others), where=others > 0)
+        kohm = np.where(saturated, np.inf, np.maximum(total - back, 1e-3))
+    return _classify(kohm, float(np.mean(current_ma)))
 
-    def kohm_of(pairs: list[tuple[int, int]]) -> NDArray[np.float64]:
-        nonlocal step
-        step += 1
-        currents = np.zeros((len(pairs), count), np.int16)
-        for current, (first, second) in zip(currents, pairs, strict=True):
-            current[first], current[second] = level_ua, -level_ua
-        sites, time_ns = [first for first, _ in pairs], probe.time_ns + step * 1_000_000
-        volts = ask(_scan(limits, currents, sites, PROBE_US, probe.intensity, time_ns))
-        return np.where(volts >= SATURATED * compliance_v, np.inf, 1000 * volts / level_ua)
 
-    references = np.unique(np.linspace(0, count - 1, min(count, MOST_REFERENCES)).round())
-    best, chosen = np.full(count, np.inf), 0
-    for reference in references.astype(int).tolist():
-        others = [electrode for electrode in range(count) if electrode != reference]
-        kohm = np.full(count, np.inf)
-        kohm[others] = kohm_of([(other, reference) for other in others])
-        if np.isfinite(kohm).sum() > np.isfinite(best).sum():
-            best, chosen = kohm, reference
-        if np.isfinite(best).sum() >= ENOUGH * (count - 1):
-            break
-    good = np.flatnonzero(np.isfinite(best))[: MOST_TRIPLES + 1]
-    if len(good) < 2:
-        return classify(np.full(count, np.inf), level_ua / 1000)
-    first, second = good[:-1], good[1:]
-    between = kohm_of(list(zip(first.tolist(), second.tolist(), strict=True)))
-    reference_kohm = float(np.median((best[first] + best[second] - between) / 2))
-    kohm = np.maximum(best - reference_kohm, 1e-3)
-    kohm[chosen] = max(reference_kohm, 1e-3)
-    return classify(kohm, level_ua / 1000)
+def _classify(kohm: Array, current_ma: float) -> Impedance:
+    """Return which electrodes are open or shorted, by their impedances, (E,) kΩ."""
+    finite = kohm[np.isfinite(kohm)]
+    middle = np.median(finite) if finite.size else np.inf
+    is_open = ~(kohm <= OPEN_FACTOR * middle) | ~np.isfinite(kohm)
+    conditions = np.select([is_open, kohm < SHORT_FACTOR * middle], ["open", "short"], "good")
+    return Impedance(kohm, tuple(conditions.tolist()), current_ma)

@@ -160,13 +160,6 @@ class HostStatistics:
         )
 
 
-SATURATED = 0.97  # part of the compliance at which a source counts as saturated
-OPEN_FACTOR = 5.0
-SHORT_FACTOR = 0.1
-"""Part of the median below which an electrode is shorted; good ones differ two- or threefold. An
-estimate of ours.
-"""
-
 Condition = Literal["good", "open", "short", "unsure"]  # unsure where measurements disagree
 
 
@@ -202,33 +195,3 @@ class Impedance:
             "current_ma": self.current_ma,
             "masked": self.broken,
         }
-
-
-def judge(
-    volts: NDArray[np.float64],
-    current_ma: float | NDArray[np.float64],
-    compliance_v: float,
-) -> Impedance:
-    """Return the impedances from the source's voltages (E,), each electrode against all others.
-
-    The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ), all others in parallel; solved by repeated
-    insertion, which converges as the return is small.
-    """
-    total = np.asarray(volts, np.float64) / np.asarray(current_ma, np.float64)
-    saturated = np.asarray(volts) >= SATURATED * compliance_v
-    kohm = np.where(saturated, np.inf, np.maximum(total, 1e-3))
-    for _ in range(20):
-        admittance = 1 / kohm
-        others = admittance.sum() - admittance
-        back = np.divide(1, others, out=np.zeros_like(others), where=others > 0)
-        kohm = np.where(saturated, np.inf, np.maximum(total - back, 1e-3))
-    return classify(kohm, float(np.mean(current_ma)))
-
-
-def classify(kohm: NDArray[np.float64], current_ma: float) -> Impedance:
-    """Return which electrodes are open or shorted, by their impedances, (E,) kΩ."""
-    finite = kohm[np.isfinite(kohm)]
-    middle = np.median(finite) if finite.size else np.inf
-    is_open = ~(kohm <= OPEN_FACTOR * middle) | ~np.isfinite(kohm)
-    conditions = np.select([is_open, kohm < SHORT_FACTOR * middle], ["open", "short"], "good")
-    return Impedance(kohm, tuple(conditions.tolist()), current_ma)

@@ -57,8 +57,6 @@ class ProvedSequence:
         Number of the sequence on its board.
     due_ns, write_before_ns : int
         Planned start, and the time after which it may no longer be written, by the board's clock.
-    ramped : bool
-        Whether it must keep to the ramp; not a measuring scan, which the firmware fixes.
     """
 
     sequence: ScanSequence
@@ -66,7 +64,6 @@ class ProvedSequence:
     number: int
     due_ns: int
     write_before_ns: int
-    ramped: bool
     session: int
     """Of the gate, in which it was proved."""
     strength_ppb: int = 0
@@ -150,7 +147,6 @@ class SafetyGate:
         number: int = 0,
         due_ns: int = 0,
         late_ns: int = LATE_NS,
-        ramped: bool = True,
     ) -> ProvedSequence:
         """Return a frozen copy of a sequence for its board, or raise if it breaks a limit.
 
@@ -163,9 +159,6 @@ class SafetyGate:
             Of the sequence on its board.
         due_ns, late_ns : int
             Planned start by the board's clock, and the delay after which it is not sent.
-        ramped : bool
-            False for a scan with which the firmware measures, by pulses that it fixes: every limit
-            is checked but the ramp, and each pass counts as a sequence.
 
         Raises
         ------
@@ -181,18 +174,12 @@ class SafetyGate:
             ppb = parts_per_billion(copy.intensity)
             now_ns = self._time_of(copy.time_ns)
             strength_ppb = self.limits.strength_ppb(ppb, load.peak_pc)
-            if ramped:
-                self._prove_ramp(copy, strength_ppb, now_ns)
-            for _ in range(1 if ramped else times):
-                passes = times if ramped else 1
-                self._exposure.enter(now_ns, copy.period_us, passes, load, copy.slots > 0)
-            self._now_ns = now_ns
-            if ramped:
-                self._time_ns = copy.time_ns
-                self._ramp.claim(ppb, strength_ppb)
-            latest_ns, session = due_ns + late_ns, self._session
+            self._prove_ramp(copy, strength_ppb, now_ns)
+            self._exposure.enter(now_ns, copy.period_us, times, load, copy.slots > 0)
+            self._now_ns, self._time_ns = now_ns, copy.time_ns
+            self._ramp.claim(ppb, strength_ppb)
             return ProvedSequence(
-                copy, times, number, due_ns, latest_ns, ramped, session, strength_ppb, _GATE
+                copy, times, number, due_ns, due_ns + late_ns, self._session, strength_ppb, _GATE
             )
 
     def check(self, sequence: ScanSequence, times: int = 1) -> ScanSequence:
@@ -227,7 +214,7 @@ class SafetyGate:
 
     def permits(self, proved: ProvedSequence) -> bool:
         """Return whether the current of a proved sequence may begin now, by what was written."""
-        if not (proved.ramped and proved.strength_ppb):
+        if not proved.strength_ppb:
             return True
         with self._lock:
             now_ns = self._time_of(proved.sequence.time_ns)
@@ -237,7 +224,7 @@ class SafetyGate:
         """Enter that the bytes of a proved sequence have just been written; its parts and
         repetitions count once."""
         sequence = proved.sequence
-        if not proved.ramped or sequence is self._noted:
+        if sequence is self._noted:
             return
         ppb, lasting_ns = parts_per_billion(sequence.intensity), 1000 * sequence.period_us
         with self._lock:

@@ -212,7 +212,7 @@ class DriverContract:
 
         def make() -> Board:
             self.made, self.calls = self.make(limits), []
-            for name in ("open", "write", "measure", "zero", "close"):
+            for name in ("open", "write", "zero", "close"):
                 setattr(self.made, name, self._kept(name, getattr(self.made, name)))
             return self.board(self.made, limits)
 
@@ -354,7 +354,6 @@ class DriverContract:
                 board.send(self.sequence(2))
             with pytest.raises(BoardError):
                 board.measure()
-            assert "measure" not in [name for name, _ in self.calls]
             self.assert_silent()
 
     @pytest.mark.parametrize("what", ["send", "measure"])

@@ -308,7 +308,8 @@ class TestSimulated(TestMemory):
 
     def assert_silent(self):
         # What repeats, or a measurement: its ramp of probes, a slot for each electrode.
-        probes = probe_sequences(self.driver._limits, self.output)
+        in_pairs = self.output.kind == "weighted"
+        probes = probe_sequences(self.driver._limits, self.output, in_pairs=in_pairs)
         books = self.driver._firmware.books
         assert books.slots <= max(80, sum(each.slots for each in probes))
         assert books.state == "shorted"

@@ -27,6 +27,7 @@ from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from ..played import played
 from ..raising import raises
+from ..scans import prove_alone
 from ..whole import sample
 
 RA, SAI, PC = Afferent
@@ -171,7 +172,7 @@ def test_pulses_that_do_not_fit_lengthen_the_period_with_a_note(profile, settled
     # PC of the last row would have to be stimulated below it: its 8 points have no slot.
     assert step.sequence.slots == 3 * 64 - 8
     assert step.sequence.period_us >= step.sequence.slots * 300
-    SafetyGate(SafetyLimits.of(profile)).prove(step.sequence, ramped=False)
+    prove_alone(profile, step.sequence)
 
 
 def test_level_and_force_and_soft_start_count_as_for_everyone(pipeline_of):
@@ -207,14 +208,13 @@ def test_a_vibrator_takes_pc_over(profile, settled):
     assert sequence.site.tolist() == [4]
     assert np.flatnonzero(sequence.vibration).tolist() == [35, 36]
     assert sequence.vibration.max() == sequence.intensity == 0.5
-    gate = SafetyGate(SafetyLimits.of(profile))
-    gate.prove(sequence, ramped=False)
+    prove_alone(profile, sequence)
     for wrong in (
         np.full(64, 0.6, np.float32), np.full(64, np.nan, np.float32), np.zeros(63, np.float32),
         np.full(64, -0.1, np.float32), np.zeros(64),
     ):  # fmt: skip
         with raises(SafetyError, limit="vibration"):
-            gate.prove(replace(sequence, vibration=wrong), ramped=False)
+            prove_alone(profile, replace(sequence, vibration=wrong))
 
 
 def test_a_sensation_is_placed_at_the_receptor(profile, settled, changed):

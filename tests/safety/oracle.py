@@ -26,8 +26,6 @@ AMONG = (
 )  # fmt: skip
 """The limits from one sequence to the next, by name."""
 NAMES = ("types", "range", *RULES, *AMONG)
-RAMPED = ("time", "rise", "strength")
-"""What a measuring scan that a firmware fixes need not keep."""
 
 
 @dataclass
@@ -142,10 +140,10 @@ class Oracle:
         for level in (self._level, self._if_strong):
             level.close()
 
-    def judge(self, sequence, clock_ns, times=1, measuring=False, written=True):
+    def judge(self, sequence, clock_ns, times=1, written=True):
         """Return the names of all rules that a sequence, sent so many times, breaks at the
         display's clock; one that breaks nothing counts as sent, and as written at once if
-        ``written``, else by `wrote`. ``measuring`` is of scans that a firmware fixes.
+        ``written``, else by `wrote`.
         """
         alone = self._alone(sequence, self.bounds)
         if isinstance(times, bool) or not isinstance(times, int | np.integer):
@@ -171,19 +169,16 @@ class Oracle:
             "session charge": int((spent_pc + times * alone.charge_pc).max())
             <= self.bounds.session_pc,
         }
-        broken = alone.broken + [
-            name for name, keeps in kept.items() if not keeps and not (measuring and name in RAMPED)
-        ]
+        broken = alone.broken + [name for name, keeps in kept.items() if not keeps]
         if not broken:
             self._spent, self._passes, self._last = (spent_us, spent_pc, carried_pc), known, new
             self.clock_ns = clock_ns
-            if not measuring:
-                self.time_ns = alone.time_ns
-                self._level.begun = self._if_strong.begun = True
-                current_ns = 1000 * times * alone.period_us * (alone.peak_pc > 0)
-                self.newest = alone.intensity_ppb, strong_ppb, current_ns
-                if written:
-                    self.wrote(self.newest, clock_ns)
+            self.time_ns = alone.time_ns
+            self._level.begun = self._if_strong.begun = True
+            current_ns = 1000 * times * alone.period_us * (alone.peak_pc > 0)
+            self.newest = alone.intensity_ppb, strong_ppb, current_ns
+            if written:
+                self.wrote(self.newest, clock_ns)
         return broken
 
     def wrote(self, sent, clock_ns):

@@ -234,13 +234,6 @@ def test_charge_of_a_session():
     assert small.judge(replace(made, time_ns=START + NS), START + 1, times=9) == []
 
 
-def test_a_measuring_scan_need_not_rise():
-    measured = sequence(pair(2000))
-    assert Oracle(FULL).judge(measured, 0, measuring=True) == []
-    assert Oracle(FULL).judge(measured, 0) == ["rise"]
-    assert Oracle(FULL).judge(sequence(pair(3001)), 0, measuring=True) == ["current"]
-
-
 def test_bounds_of_profiles():
     """By hand, from the definitions."""
     mouse = Bounds.of(display("electric-mouse"))

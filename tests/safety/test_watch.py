@@ -27,7 +27,7 @@ def gate(limits=LIMITS):
 
 def unproved(gate, sequence, times=1, **_):
     """Prove whatever it is."""
-    return ProvedSequence(sequence, times, 1, 0, 2**62, True, gate._session, 1, key=_GATE)
+    return ProvedSequence(sequence, times, 1, 0, 2**62, gate._session, 1, key=_GATE)
 
 
 @pytest.fixture

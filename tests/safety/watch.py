@@ -74,20 +74,18 @@ class Watch:
         taken, self.broken = self.broken, []
         return taken
 
-    def judge(self, gate, sequence, times=1, measuring=False):
+    def judge(self, gate, sequence, times=1):
         """Judge what a gate has accepted."""
         if not self.on:
             return
         oracle = self._oracles.get(gate)
-        if oracle is None or measuring:
-            oracle = Oracle(self.bounds_of(gate.limits), judge_alone_quickly)
-        if not measuring:
-            self._oracles[gate] = oracle
+        if oracle is None:
+            oracle = self._oracles[gate] = Oracle(self.bounds_of(gate.limits), judge_alone_quickly)
         clock = self._clocks.get(gate)
         # A gate without a clock takes time as each sequence claims it.
         now_ns = sequence.time_ns if clock is None else clock.heard_ns
-        broken = oracle.judge(sequence, now_ns, times, measuring, written=False)
-        if not broken and not measuring:
+        broken = oracle.judge(sequence, now_ns, times, written=False)
+        if not broken:
             self._proved_sequences[sequence] = oracle.newest
         if broken:
             self.broken.append(f"a gate accepted what breaks {', '.join(broken)}: {sequence}")
@@ -141,7 +139,7 @@ class Watch:
         patch.setattr(SafetyGate, "__init__", self._made(SafetyGate.__init__))
 
         def judge(gate, proved, *_, **__):
-            self.judge(gate, proved.sequence, proved.times, not proved.ramped)
+            self.judge(gate, proved.sequence, proved.times)
 
         def note(gate, _, proved):
             sent = self._proved_sequences.pop(proved.sequence, None)

@@ -14,11 +14,11 @@ from smarttouch.profile import load_profile
 from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.stimulation.point_slots import PointSlots
 from smarttouch.stimulation.pulse_rates import ScanTiming
-from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
 
 from ..raising import raises
+from ..scans import prove_alone
 from ..whole import WHOLE
 
 _DRAWN = np.zeros((8, 8), np.bool_)
@@ -72,7 +72,7 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
     )
     sequence = scan.schedule(image(activation, afferent), intensity)
     assert np.array_equal(sequence.current_ua, current_ua)
-    SafetyGate(SafetyLimits.of(profile)).prove(sequence, ramped=False)
+    prove_alone(profile, sequence)
     assert not current_ua.sum(axis=1).any()
     assert proof.points.sum() == (np.count_nonzero(activation) if intensity > 0 else 0)
     shared = proof.points > 1
@@ -120,7 +120,6 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
     keys |= {"perception.threshold_ma": 0.6, "perception.comfort_ma": (1.2345,) * 64}
     limited = changed(profile, keys)
     bank = load_bank(profile)
-    gate = SafetyGate(SafetyLimits.of(limited))
     for afferent in (Afferent.RA, Afferent.SAI):
         scan = ScanScheduler(
             limited, bank, (afferent,), 10.0,
@@ -129,7 +128,7 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
         for seed in range(20 if WHOLE else 5):
             activation = np.zeros(64, np.float32)
             activation[np.random.default_rng(seed).choice(64, 20, replace=False)] = 1
-            gate.prove(scan.schedule(image(activation, afferent), 1.0), ramped=False)
+            prove_alone(limited, scan.schedule(image(activation, afferent), 1.0))
 
 
 def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
@@ -238,4 +237,4 @@ def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, ba
     sequence = scan.schedule(image(activation), 1.0)
     assert sequence.slots == 6
     assert np.abs(sequence.current_ua).max() > 2310
-    SafetyGate(SafetyLimits.of(alone)).prove(sequence, ramped=False)
+    prove_alone(alone, sequence)

@@ -19,6 +19,7 @@ from smarttouch.stimulation.scheduler import ScanScheduler
 
 from ..raising import raises
 from ..rising import open_level
+from ..scans import prove_alone
 
 
 def image(activation, time_ns=10**9):
@@ -75,13 +76,12 @@ def test_every_sequence_is_safe_with_either_carrier(
 def test_the_gate_bounds_charge_where_width_carries_intensity(by_width, bank):
     scan = ScanScheduler(by_width, bank, (Afferent.RA,))
     sequence = scan.schedule(image(np.ones(64)), 0.5)
-    gate = SafetyGate(SafetyLimits.of(by_width))
-    gate.prove(sequence, ramped=False)
+    prove_alone(by_width, sequence)
     # Twice as long, and within all other limits.
     object.__setattr__(sequence, "width_us", np.full(64, 180, np.uint16))
     charge_uc = 180e-6 * np.abs(sequence.current_ua.astype(int)).max()
     with raises(SafetyError, limit="intensity", value=pytest.approx(charge_uc)):
-        gate.prove(sequence, ramped=False)
+        prove_alone(by_width, sequence)
 
 
 def test_a_board_with_one_width_needs_height(by_width, bank):
@@ -119,13 +119,12 @@ def test_a_comfort_that_is_just_the_limit_stays_within_it(changed, keys):
     """Remainders of rounding never push the strongest electrode above its limit."""
     line = changed(load_profile("line-8"), keys)
     bank = load_bank(line)
-    gate = SafetyGate(SafetyLimits.of(line))
     for afferent in Afferent:
         scan = ScanScheduler(line, bank, (afferent,), 10.0)
         rows = np.zeros((3, 8), np.float32)
         rows[afferent] = 1
         for level in np.linspace(0.5, 1, 30):
-            gate.prove(scan.schedule(TactileImage(rows, 0, 1.0), float(level)), ramped=False)
+            prove_alone(line, scan.schedule(TactileImage(rows, 0, 1.0), float(level)))
 
 
 def test_rounding_of_a_thousand_small_currents_is_no_charge_above_the_limit(profile, bank, changed):
@@ -140,10 +139,9 @@ def test_rounding_of_a_thousand_small_currents_is_no_charge_above_the_limit(prof
     )
     rows = np.zeros((3, 1024), np.float32)
     rows[Afferent.SAI, :100] = np.linspace(0.1, 1, 100)
-    gate = SafetyGate(SafetyLimits.of(wide))
     for intensity in np.linspace(0.1, 1, 10):
         sequence = scan.schedule(TactileImage(rows, 0, 1.0), float(intensity))
-        gate.prove(sequence, ramped=False)
+        prove_alone(wide, sequence)
         assert sequence.slots == 100
         assert np.abs(sequence.current_ua).max() <= 2500
     strongest = sequence.site.tolist().index(99)

@@ -20,6 +20,7 @@ from smarttouch.stimulation.scheduler import ScanScheduler
 
 from ..raising import raises
 from ..rising import open_level
+from ..scans import prove_alone
 from ..whole import sample
 
 
@@ -192,4 +193,4 @@ def test_classes_that_are_due_together_follow_one_another(profile, bank, changed
     assert_joined(joined, (first, second))
     assert len(set(joined.width_us.tolist())) > 30 or carrier == "height"
     assert joined.proof is None
-    started(profile, bank).prove(joined, ramped=False)
+    prove_alone(profile, joined)

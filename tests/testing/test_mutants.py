@@ -18,12 +18,6 @@ import numpy as np
 import test_smarttouch_journal as own
 from smarttouch_journal import JournalDriver
 
-FLOWS = ", ".join(["+100", "-100", *["0"] * 6])
-ONE = np.ones(1, np.uint16)
-SCAN = {
-    "current_ua": np.array([[100, -100, 0, 0, 0, 0, 0, 0]], np.int16), "width_us": 100 * ONE,
-    "discharge_us": 50 * ONE, "site": ONE, "period_us": 20_000, "intensity": 1.0, "time_ns": 0,
-}
 
 
 class Changed(own.TestJournal):
@@ -143,17 +137,6 @@ class TestStopsLater(Changed):
             super().close()
 
 
-class TestMeasuresOn(Changed):
-    class kind(JournalDriver):
-        def measuring_scans(self):
-            return [(own.st.ScanSequence(**SCAN), 1)]
-        def measure(self, proved):
-            for _ in range(8):
-                text = f"scan: 1 x 1000 us\\n  100 us, then 50 us shorted: {FLOWS} uA"
-                print(text, file=self._file, flush=True)
-            raise own.st.BoardError("no reading")
-
-
 class TestClosesWithCurrent(Changed):
     class kind(JournalDriver):
         def close(self):
@@ -162,10 +145,7 @@ class TestClosesWithCurrent(Changed):
 """
 
 SENT = {"what_the_device_is_sent_is_what_was_proved"}
-ANY_LINE, MEASURED = (
-    "a_stop_at_any_line_of_the_driver[send]",
-    "a_stop_at_any_line_of_the_driver[measure]",
-)
+ANY_LINE = "a_stop_at_any_line_of_the_driver[send]"
 STOPS = {"a_stop_from_another_thread_ends_it"}
 CLOSES = {"closing_puts_it_at_zero[closed]", "closing_puts_it_at_zero[broken]"}
 FOUND = {
@@ -175,9 +155,9 @@ FOUND = {
     ),
     "LooksNotAtStop": {ANY_LINE}, "LooksTooEarly": {ANY_LINE},
     "StopsNot": STOPS | CLOSES | {ANY_LINE}, "StopsLater": STOPS | {ANY_LINE},
-    "MeasuresOn": {MEASURED}, "ClosesWithCurrent": CLOSES,
+    "ClosesWithCurrent": CLOSES,
 }  # fmt: skip
-DRAWN = ("FiftiethMore", "LooksTooEarly", "StopsLater", "MeasuresOn", "ClosesWithCurrent")
+DRAWN = ("FiftiethMore", "LooksTooEarly", "StopsLater", "ClosesWithCurrent")
 """One of each kind."""
 
 
