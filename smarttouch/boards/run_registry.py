@@ -30,6 +30,13 @@ _LOOKS_PER_CHECK = 20  # once a second a run checks that its files are still the
 _LOCK_S = 2.0
 
 
+class Answer(NamedTuple):
+    """What is known of a run after a stop, in a sentence, and whether it has confirmed zero."""
+
+    sentence: str
+    at_zero: bool = False
+
+
 @dataclass(frozen=True)
 class _Run:
     """A run as its file describes it; without a host if the file cannot be read."""
@@ -41,6 +48,15 @@ class _Run:
     pid: int = 0
     start_ns: int = 0  # 0 if the system does not say when a process started
     current_ua: int = 0  # the most that all its boards may drive together
+
+    @classmethod
+    def read(cls, run_id: str) -> "_Run":
+        with suppress(OSError, ValueError, TypeError):
+            run = cls(**json.loads(_read(registry_folder() / f"{run_id}.json")) | {"id": run_id})
+            # A file of another program would not hold what can be added.
+            if run.host and run.pid + run.start_ns + run.current_ua:
+                return run
+        return cls(run_id)
 
     def path(self, kind: str) -> Path:
         return registry_folder() / f"{self.id}.{kind}"
@@ -82,12 +98,37 @@ class _Run:
             return False
         return _start_ns(self.pid) != self.start_ns if self.start_ns else not self.is_locked
 
-
-class Answer(NamedTuple):
-    """What is known of a run after a stop, in a sentence, and whether it has confirmed zero."""
-
-    sentence: str
-    at_zero: bool = False
+    def answer(self, until_s: float) -> Answer:
+        """Wait for the answer of a run that was asked, and put into words what is known."""
+        name = self.name
+        while True:
+            # In this order: a run may answer just before it ends.
+            ended = self.has_ended
+            withdrawn = registry_folder().exists() and not (self.has("json") or self.is_locked)
+            if self.has("unconfirmed"):
+                return Answer(f"{name} could not confirm zero: switch the board off")
+            # A run withdraws only once its boards are closed, perhaps before it was asked.
+            if withdrawn or (self.has("zero") and not self.has("stop")):
+                self.remove("stop")
+                return Answer(f"{name} has confirmed zero", at_zero=True)
+            if ended:
+                return Answer(f"{name} ended without confirming zero: switch the board off")
+            if time.monotonic() > until_s:
+                break
+            time.sleep(0.01)
+        if self.is_here or self.is_locked:
+            return Answer(f"{name} did not answer: switch the board off")
+        if not self.host:
+            path = self.path("json")
+            return Answer(f"{path} cannot be read: remove it if no board is driven")
+        if self.host != socket.gethostname():
+            return Answer(f"1 run is on host {self.host}: stop it there")
+        # If it lives, it announces itself again within a second.
+        self.remove("json", "lock", "stop")
+        return Answer(
+            f"{name}, from before the last start of this computer or from another container, did "
+            "not answer: if it still drives a board, switch that off"
+        )
 
 
 class RunEntry:
@@ -218,45 +259,10 @@ def stop_all() -> list[Answer]:
         except OSError as error:
             problems.append(f"{run.name} cannot be asked ({error}): switch the board off")
     deadline_s = time.monotonic() + ANSWER_S
-    answers = [_await_answer(run, deadline_s) for run in asked]
+    answers = [run.answer(deadline_s) for run in asked]
     # Start times come in steps of 10 ms: programs started from now on are later than the mark.
     time.sleep(0.02)
     return [*answers, *map(Answer, problems)]
-
-
-def _await_answer(run: _Run, deadline_s: float) -> Answer:
-    """Wait for the answer of a run that was asked, and put into words what is known."""
-    while True:
-        # In this order: a run may answer just before it ends.
-        ended = run.has_ended
-        withdrawn = registry_folder().exists() and not (run.has("json") or run.is_locked)
-        if run.has("unconfirmed"):
-            return Answer(f"{run.name} could not confirm zero: switch the board off")
-        # A run withdraws only once its boards are closed, perhaps before it was asked.
-        if withdrawn or (run.has("zero") and not run.has("stop")):
-            if withdrawn:
-                run.remove("stop")
-            return Answer(f"{run.name} has confirmed zero", at_zero=True)
-        if ended:
-            return Answer(f"{run.name} ended without confirming zero: switch the board off")
-        if time.monotonic() > deadline_s:
-            return Answer(_unanswered(run))
-        time.sleep(0.01)
-
-
-def _unanswered(run: _Run) -> str:
-    if run.is_here or run.is_locked:
-        return f"{run.name} did not answer: switch the board off"
-    if not run.host:
-        return f"{run.path('json')} cannot be read: remove it if no board is driven"
-    if run.host != socket.gethostname():
-        return f"1 run is on host {run.host}: stop it there"
-    # If it lives, it announces itself again within a second.
-    run.remove("json", "lock", "stop")
-    return (
-        f"{run.name}, from before the last start of this computer or from another container, did "
-        "not answer: if it still drives a board, switch that off"
-    )
 
 
 def registry_folder() -> Path:
@@ -305,17 +311,8 @@ def _listed() -> list[_Run]:
         raise SmartTouchError(message) from None
     # By their locks too: a listing may miss a file that is just being replaced.
     names = sorted({path.stem for path in paths if path.suffix in (".json", ".lock")})
-    runs = map(_read_run, names)
+    runs = map(_Run.read, names)
     return [run for run in runs if run.path("json").exists() or run.is_locked]
-
-
-def _read_run(run_id: str) -> _Run:
-    with suppress(OSError, ValueError, TypeError):
-        run = _Run(**json.loads(_read(registry_folder() / f"{run_id}.json")) | {"id": run_id})
-        # A file of another program would not hold what can be added.
-        if run.host and run.pid + run.start_ns + run.current_ua:
-            return run
-    return _Run(run_id)
 
 
 def _read(path: Path) -> str:
@@ -325,13 +322,9 @@ def _read(path: Path) -> str:
 
 def _write(path: Path, text: str) -> None:
     draft = path.with_name(f".{uuid4().hex}.draft")
-    try:
-        draft.touch(0o600)
-        draft.write_text(text)
-        draft.replace(path)
-    except OSError:
-        draft.unlink(missing_ok=True)
-        raise
+    draft.touch(0o600)
+    draft.write_text(text)
+    draft.replace(path)
 
 
 @contextmanager

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from queue import SimpleQueue
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 
 ZERO_WITHIN_S = 2.0  # time for boards to confirm zero
 ENDS_WITHIN_S = 5.0  # for a command to end once its boards are at zero
-_LOOK_S = 0.05
 
 
 @dataclass(eq=False)
@@ -63,6 +61,37 @@ class _Process:
         self.in_run = False  # whether the main thread is in a run, which ends by itself
         self.reason = ""  # for which this process drives no board any more
         self.entry: RunEntry | None = None
+
+    def forget(self) -> None:
+        """Leave boards, runs and signals to the parent of this forked process."""
+        if self.entry is not None:
+            self.entry.close()
+        if self.signals is not None:
+            self.signals.close(forked=True)
+        vars(self).update(vars(_Process()))
+
+    def enter(self, board: "Board") -> None:
+        """Announce a board that is about to be opened, if a stop must reach it; raise BoardError if
+        this program was stopped, or the displays of this user could drive too much together."""
+        if not board.announced:
+            return
+        with self.lock:
+            if board in self.boards:
+                # The thread that fails would withdraw the board that the other has open.
+                raise BoardError("another thread opens or closes the board: try again")
+            self.boards[board] = board.budget_ua
+            try:
+                self.announce(board.budget_ua)
+            except BaseException:
+                self.leave(board)
+                raise
+
+    def expect(self, board: "Board") -> None:
+        """Announce the command that runs, if it will open a board that a stop must reach."""
+        if self.command is not None and board.announced:
+            with self.lock:
+                self.command.opens_a_board = True
+                self.announce()
 
     def announce(self, own_ua: int = 0) -> None:
         """Announce this process and the current of all its boards; refuse what it begins if it was
@@ -100,9 +129,10 @@ class _Process:
             self.signals = self.signals or _Signals(self.command)
 
     def leave(
-        self, board: "Board | None" = None, run: StopRequest | None = None, at_zero: bool = True
+        self, board: "Board | None" = None, at_zero: bool = True, run: StopRequest | None = None
     ) -> None:
-        """Withdraw a board or a run, and the entry with the last of them."""
+        """Withdraw a board that is closed or a run, and the entry with the last of them; a stop
+        reports a board that has not confirmed zero."""
         with self.lock:
             entry, command = self.entry, self.command
             if board is not None and self.boards.pop(board, None) is not None and entry is not None:
@@ -159,16 +189,15 @@ class _Process:
 class _Signals:
     """Handler of the signals that would end this process, or raise KeyboardInterrupt in it.
 
-    It locks nothing: it puts the number into a queue, from which a thread takes it. The system
-    wakes that thread also while the main thread cannot run a handler.
+    It locks nothing. The system writes the number of each signal to a socket, also while the main
+    thread cannot run a handler; where an event loop has the system write to its own, the handler
+    does. A thread reads them.
     """
 
     def __init__(self, command: Command | None) -> None:
         self.number = 0  # of the first signal
         self._raised, self._command = False, command
-        self._numbers: SimpleQueue[int] = SimpleQueue()
         self._hears, self._wakes = socket.socketpair()
-        self._hears.settimeout(_LOOK_S)
         self._wakes.setblocking(False)
         self._set_wakeup(self._wakes.fileno())
         self._before: dict[int, Any] = {}
@@ -180,22 +209,18 @@ class _Signals:
                 signal.signal(number, self._handle)
         threading.Thread(target=self._work, name="signals", daemon=True).start()
 
-    def close(self) -> bool:
+    def close(self, *, forked: bool = False) -> bool:
         """Handle signals no more; return False if that is impossible or a command is ending."""
-        ending = self._command is not None and self.number
+        ending = self._command is not None and self.number and not forked
         if ending or threading.current_thread() is not threading.main_thread():
             return False
         for number in filter(self._is_ours, self._before):
             signal.signal(number, self._before[number])
         self._set_wakeup(-1)
         self._wakes.close()  # which ends the thread
+        if forked:
+            self._hears.close()
         return True
-
-    def forget(self) -> None:
-        """Leave the signals to the parent of this forked process."""
-        self._command = None
-        self.close()
-        self._hears.close()
 
     def end_main_thread(self) -> None:
         """Raise what a signal means in the main thread, if one has come."""
@@ -207,15 +232,18 @@ class _Signals:
             self._raised = True
             interrupt(RunStopped(self.number, _process.reason or None))
 
-    def _set_wakeup(self, descriptor: int) -> None:
-        """Let the system write signals to a descriptor, unless an event loop has set its own."""
+    def _set_wakeup(self, descriptor: int) -> bool:
+        """Let the system write signals to a descriptor, unless an event loop has set its own;
+        return whether it has written them to ours."""
         before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
         if before not in (-1, self._wakes.fileno()):
             signal.set_wakeup_fd(before)
+        return before == self._wakes.fileno()
 
     def _handle(self, number: int, _frame: FrameType | None) -> None:
         first, self.number = not self.number, self.number or number
-        self._numbers.put(number)
+        if not self._set_wakeup(self._wakes.fileno()):
+            self._wakes.send(bytes([number]))
         # A second Ctrl-C interrupts a program's run that hangs.
         orderly = _process.in_run and first
         if self._command is not None:
@@ -227,77 +255,33 @@ class _Signals:
         return number in SIGNALS and signal.getsignal(number) == self._handle
 
     def _work(self) -> None:
-        command, deadline_s = self._command, float("inf")
-        # The same signals, as the system tells them, unless an event loop has its descriptor, and
-        # as the handler does, unless the main thread cannot run it.
-        woken: list[int] = []
-        handled: list[int] = []
-        ends: list[int] = []  # those that end the process
-        while len(ends) < 2 and time.monotonic() < deadline_s:
-            seen = max(len(woken), len(handled))
-            with suppress(TimeoutError):
-                if not (numbers := self._hears.recv(64)):
-                    return self._hears.close()
-                woken += [number for number in numbers if self._is_ours(number)]
-            while not self._numbers.empty():
-                handled.append(self._numbers.get())
-            for number in max(woken, handled, key=len)[seen:]:
+        command, end_s = self._command, 0.0
+        ends: list[int] = []  # signals that end the process
+        while len(ends) < 2:
+            self._hears.settimeout(max(0.001, end_s - time.monotonic()) if end_s else None)
+            try:
+                numbers = self._hears.recv(64)
+            except TimeoutError:
+                break
+            if not numbers:
+                return self._hears.close()
+            for number in filter(self._is_ours, numbers):
                 again = command is None and number == signal.SIGINT
                 ends += [number] * (not again)
                 if len(ends) < 2:
                     _process.end(SIGNALS[signal.Signals(number)], for_good=not again)
                 if command is not None and len(ends) == 1:
-                    deadline_s = time.monotonic() + command.patience_s
+                    end_s = time.monotonic() + command.patience_s
         # Every board is at zero, or that is unknown: what still blocks the end is cut off.
         if command is not None:
             command.give_up(ends[0])
         os._exit(128 + ends[0])
 
 
-def _after_fork() -> None:
-    """Give a forked process boards, runs and signals of its own, and none of its parent's."""
-    global _process
-    if _process.entry is not None:
-        _process.entry.close()
-    if _process.signals is not None:
-        _process.signals.forget()
-    _process = _Process()
-
-
 _process = _Process()
 if hasattr(os, "register_at_fork"):  # not on Windows
-    os.register_at_fork(after_in_child=_after_fork)
-
-
-def enter(board: "Board") -> None:
-    """Announce a board that is about to be opened, if a stop must reach it; raise BoardError if
-    this program was stopped, or the displays of this user could drive too much together."""
-    if not board.announced:
-        return
-    with _process.lock:
-        if board in _process.boards:
-            # The thread that fails would withdraw the board that the other has open.
-            raise BoardError("another thread opens or closes the board: try again")
-        _process.boards[board] = board.budget_ua
-        try:
-            _process.announce(board.budget_ua)
-        except BaseException:
-            _process.leave(board)
-            raise
-
-
-def leave(board: "Board", at_zero: bool = True) -> None:
-    """Withdraw a board that is closed; a stop reports one that has not confirmed zero."""
-    _process.leave(board, at_zero=at_zero)
-
-
-def expect(board: "Board") -> None:
-    """Announce the command that runs, if it will open a board that a stop must reach."""
-    command = _process.command
-    if command is not None and board.announced:
-        with _process.lock:
-            command.opens_a_board = True
-            _process.announce()
+    os.register_at_fork(after_in_child=_process.forget)
+enter, leave, expect = _process.enter, _process.leave, _process.expect
 
 
 def current_command() -> Command:

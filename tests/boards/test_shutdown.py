@@ -239,7 +239,8 @@ def test_boards_are_at_zero_while_the_main_thread_cannot_run_a_handler(number):
         assert exit_code(child) == 42
 
 
-def test_a_second_signal_ends_a_program_that_hangs_once_its_boards_are_at_zero():
+@pytest.mark.parametrize("after_s", [0.1, 0.6])
+def test_a_second_signal_ends_a_program_that_hangs_once_its_boards_are_at_zero(after_s):
     def work(say):
         with Display() as board:
             board.zero = lambda how: (time.sleep(0.3), os.write(told, b"z"))
@@ -252,7 +253,7 @@ def test_a_second_signal_ends_a_program_that_hangs_once_its_boards_are_at_zero()
     heard, told = os.pipe()
     with in_child(work) as child:
         os.kill(child, signal.SIGTERM)
-        time.sleep(0.1)
+        time.sleep(after_s)
         os.kill(child, signal.SIGTERM)
         assert exit_code(child) == 128 + signal.SIGTERM
         assert os.read(heard, 9) == b"z"
