@@ -16,6 +16,7 @@ from smarttouch.base.errors import (
     BoardClosedError,
     BoardError,
     BoardFaultError,
+    BoardLatchedError,
     BoardRestartedError,
     BoardStoppedError,
     LineLostError,
@@ -27,7 +28,6 @@ from smarttouch.base.posix import prioritized
 from smarttouch.base.stopping import uninterrupted
 from smarttouch.base.wire.port import device_of
 from smarttouch.boards.driver import Driver
-from smarttouch.boards.faults import latch, refuse_latched
 from smarttouch.boards.line import Line
 from smarttouch.boards.probe_scans import measure_by_probes
 from smarttouch.boards.reports import (
@@ -38,6 +38,8 @@ from smarttouch.boards.reports import (
     Impedance,
     Polarity,
     SequenceStart,
+    find_latch,
+    latch,
 )
 from smarttouch.boards.shutdown import enter, leave
 from smarttouch.profile.device import Output
@@ -82,6 +84,8 @@ class Board:
     driver : Driver
     capabilities : Capabilities
         Of the device; known once the board is open.
+    clock : Clock
+        Of planned sequences.
     acknowledged, refused, replaced, dropped_late : int
         Number of sequences that the board has begun to deliver; that it has refused; that a newer
         one replaced before they were sent; that were not sent because they were too late.
@@ -127,16 +131,16 @@ class Board:
         self._output = output
         self._limits = limits.on(output)
         # Waits for a deadline need to be exact only where the host times the pulses.
-        self._clock = clock or MonotonicClock(None if driver.queued else 0)
+        self.clock: Clock = clock or MonotonicClock(None if driver.queued else 0)
         self._late_ns = LATE_NS if late_ns is None else late_ns
-        self._gate = SafetyGate(self._limits, None if claimed_time else self._clock)
+        self._gate = SafetyGate(self._limits, None if claimed_time else self.clock)
         self._line = Line(self)
         self._stopped = self._line._stopped
         self._halted = self._opened = False
-        self._fault_found: BoardFaultError | None = None  # fault that latched the board
         self._ready = False  # whether the driver can put the device at zero
         self._is_lost = False  # whether the connection was lost, and is not back
         self._zeroed = False  # whether a stop has put the board at zero
+        self._fault_found: BoardFaultError | None = None  # fault that latched the board
         self._opened_by = os.getpid()
         self._number = self._counted = 0
         self._starts: dict[int, SequenceStart] = {}
@@ -145,8 +149,8 @@ class Board:
         # What the sender thread and the others share.
         self._news = threading.Condition()
         self._waiting: ProvedSequence | None = None
-        self._busy = self._late_unreported = False
-        self._failure: BoardError | None = None
+        self._busy = False
+        self._failure: BoardError | None = None  # that the next call raises
         self._over_s = 0.0  # end of the scans that were written last, by time.monotonic
         self._sender: threading.Thread | None = None
         self._ending = threading.Event()
@@ -175,7 +179,11 @@ class Board:
         if self._opened:
             raise BoardError("the board is open already: close it first")
         self._opened_by = os.getpid()
-        refuse_latched(self.device)
+        if self.device is not None and (record := find_latch(self.device)) is not None:
+            raise BoardLatchedError(
+                f"the board ({self.device}) is latched since {record.date}: {record.reason}; have "
+                "it checked, then clear it with smarttouch devices clear"
+            )
         enter(self)
         try:
             # A new run starts from zero intensity, and its time may start again.
@@ -186,8 +194,7 @@ class Board:
             if self._halted:
                 self._stopped.set()
             self._line.require_running()
-            if self._stopped.wait(self._gate.net_rest_ns() / 1e9):
-                self._line.require_running()
+            self._line.pause(self._gate.net_rest_ns() / 1e9)
             self._number = self._counted = 0
             self._statistics = HostStatistics(self._limits.electrodes)
             self._starts.clear()
@@ -205,21 +212,18 @@ class Board:
     def _open_driver(self, *, again: bool) -> None:
         self._line.reopened = again
         try:
-            capabilities = self.driver.open(self._line, replace(self._limits))
-            if not isinstance(capabilities, Capabilities):
+            self.capabilities = self.driver.open(self._line, replace(self._limits))
+            if not isinstance(self.capabilities, Capabilities):
                 kind = type(self.driver).__name__
                 raise BoardError(f"{kind}.open returns no Capabilities: return those of the device")
-            self.capabilities = capabilities
             self._line.require_running()
         except BaseException:
             self._close_driver()
             raise
         with self._news:
-            self._waiting = self._failure = None
-            self._busy = self._late_unreported = False
-        self._ready, self._is_lost = True, False
+            self._waiting, self._failure, self._busy = None, None, False
+        self._ready, self._is_lost, self._ending = True, False, threading.Event()
         if self.driver.queued or self.driver.idle_s:
-            self._ending = threading.Event()
             self._sender = threading.Thread(
                 target=self._serve, args=(self._ending,), name="board sender", daemon=True
             )
@@ -227,8 +231,7 @@ class Board:
 
     def _close_driver(self) -> None:
         self._ending.set()
-        with self._news:
-            self._news.notify_all()
+        self._notify()
         if self._sender is not None and self._sender is not threading.current_thread():
             self._sender.join(ENDS_WITHIN_S)
         try:
@@ -286,9 +289,7 @@ class Board:
             try:
                 self._line._bar()
             finally:
-                with self._news:
-                    self._waiting = None
-                    self._news.notify_all()
+                self._notify(waiting=None)
                 if self._ready:
                     self._confirm_zero()
             self._zeroed = True
@@ -306,6 +307,12 @@ class Board:
             # Where silence is zero, only the first loss needs a report.
             if not self._is_lost or self.capabilities.time_to_zero_ms is None:
                 raise
+
+    def _notify(self, **changes: object) -> None:
+        """Set attributes that threads share, and wake those that wait."""
+        with self._news:
+            vars(self).update(changes)
+            self._news.notify_all()
 
     def _refusal(self) -> BoardError:
         """Return the error of a call after a stop."""
@@ -380,15 +387,14 @@ class Board:
         """
         proved = self._prove(sequence, times, due_ns)
         try:
-            if self._clock.now_ns() > proved.write_before_ns:
+            if self.clock.now_ns() > proved.write_before_ns:
                 raise self._line.late()
             self._number = proved.number
             if self.driver.queued:
                 self.driver.check(proved)
                 self._queue(proved)
-            elif self._failure is not None:
-                raise self._failure
             else:
+                self._raise_failure()
                 self.driver.write(proved)
         except SequenceLateError:
             self.dropped_late += 1
@@ -408,7 +414,7 @@ class Board:
 
     def _prove(self, sequence: ScanSequence, times: int, due_ns: int | None) -> ProvedSequence:
         """Return what the gate has proved of a sequence that this board can deliver."""
-        now_ns = self._clock.now_ns()
+        now_ns = self.clock.now_ns()
         due_ns = now_ns if due_ns is None else due_ns
         self._require_open("sending")
         self._line.require_running()
@@ -493,10 +499,12 @@ class Board:
         """Whether nothing is sent any more."""
         return self._failure is not None or self._stopped.is_set()
 
-    def _require_life(self) -> None:
-        if self._failure is not None:
-            raise self._failure
-        self._line.require_running()
+    def _raise_failure(self) -> None:
+        failure = self._failure
+        if isinstance(failure, SequenceLateError):
+            self._failure = None
+        if failure is not None:
+            raise failure
 
     def _queue(self, proved: ProvedSequence) -> None:
         """Let the sender thread write a sequence; a newer one replaces one that waits."""
@@ -505,10 +513,8 @@ class Board:
             patience_s += 4e-6 * proved.sequence.period_us
         with self._news:
             self._news.wait_for(lambda: self._is_over or self._waiting is None, patience_s)
-            self._require_life()
-            if self._late_unreported:
-                self._late_unreported = False
-                raise self._line.late()
+            self._raise_failure()
+            self._line.require_running()
             self.replaced += self._waiting is not None
             self._waiting = proved
             self._news.notify_all()
@@ -538,20 +544,17 @@ class Board:
                     wait_s = self.driver.idle()
                 else:
                     self.driver.write(proved)
-            except SequenceLateError:
+            except SequenceLateError as late:
                 # The next `send` reports it and restarts at zero.
                 with self._news:
                     self.dropped_late += 1 + (self._waiting is not None)
-                    self._waiting = None
-                    self._late_unreported = True
+                    self._waiting, self._failure = None, self._failure or late
             except BoardStoppedError:
                 break
             except Exception as error:
                 self._fail(error)
                 break
-        with self._news:
-            self._busy = False
-            self._news.notify_all()
+        self._notify(_busy=False)
 
     def _fail(self, error: Exception) -> None:
         fault = error
@@ -636,11 +639,6 @@ class Board:
             the end of each slot, (S,) V.
         """
         return [self._volts.popleft() for _ in range(len(self._volts))]
-
-    @property
-    def clock(self) -> Clock:
-        """Clock of planned sequences."""
-        return self._clock
 
     @property
     def simulated_time(self) -> bool:

@@ -161,29 +161,26 @@ class Line:
         SequenceLateError, BoardStoppedError
             As `drive`.
         """
-        with uninterrupted(), self._locked(proved):
-            yield
-
-    @contextlib.contextmanager
-    def _locked(self, proved: ProvedSequence | None) -> Iterator[None]:
-        if not self._lock.acquire(timeout=BLOCKED_S if self._is_zeroing else -1):
-            raise self.lost("is blocked: check the cable")
-        try:
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(uninterrupted())
+            if not self._lock.acquire(timeout=BLOCKED_S if self._is_zeroing else -1):
+                raise self.lost("is blocked: check the cable")
+            stack.callback(self._lock.release)
             self.require_running()
             if proved is not None:
                 self._require_timely(proved)
             self._writes += 1
-            try:
-                yield
-                if proved is not None:
-                    self._board._note_written(proved)
-            finally:
-                self._writes -= 1
-                if self._overtaken and not self._writes and not self._is_zeroing:
-                    self._overtaken = False
-                    self._put_at_zero()
-        finally:
-            self._lock.release()
+            stack.callback(self._written)
+            yield
+            if proved is not None:
+                self._board._note_written(proved)
+
+    def _written(self) -> None:
+        """End a write; after one that a stop did not wait for, put the device at zero again."""
+        self._writes -= 1
+        if self._overtaken and not self._writes and not self._is_zeroing:
+            self._overtaken = False
+            self._put_at_zero()
 
     def later(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
         """Return a proved sequence for a later start, by `now_ns`: a repetition that the host

@@ -1,13 +1,19 @@
-"""Reports of a board: its capabilities, delivery statistics and impedances."""
+"""Reports of a board: its capabilities, delivery statistics, impedances and faults."""
 
-from dataclasses import dataclass, replace
+import hashlib
+import json
+import time
+from dataclasses import asdict, dataclass, replace
 from itertools import compress
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from platformdirs import user_state_path
 
 from smarttouch.base.errors import BoardError
+from smarttouch.base.files import make_folder, write_bytes
 from smarttouch.stimulation.recharge import ChargeBalance
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
@@ -195,3 +201,49 @@ class Impedance:
             "current_ma": self.current_ma,
             "masked": self.broken,
         }
+
+
+@dataclass(frozen=True)
+class Latch:
+    """Record of a board's fault, which keeps it from being opened until a person clears it.
+
+    It is a small file in the user's state folder, named by a digest of the device: its USB vendor,
+    product and serial number, else its port.
+    """
+
+    device: str
+    reason: str
+    date: str  # local time, to the second
+
+
+def latch(device: str, reason: str) -> None:
+    """Record a fault of a board; the first one stays."""
+    if find_latch(device) is None:
+        path = _record(device)
+        make_folder(path.parent)
+        record = Latch(device, reason, time.strftime("%Y-%m-%d %H:%M:%S"))
+        write_bytes(path, json.dumps(asdict(record)).encode())
+
+
+def find_latch(device: str) -> Latch | None:
+    """Return the record of a board, None if there is none; an unreadable one counts as a fault."""
+    try:
+        record = json.loads(_record(device).read_bytes())
+        return Latch(device, str(record["reason"]), str(record["date"]))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        return Latch(device, f"its record {_record(device)} cannot be read ({error})", "?")
+
+
+def clear_latch(device: str) -> Latch | None:
+    """Remove the record of a board; return it, or None if there is none."""
+    record = find_latch(device)
+    if record is not None:
+        _record(device).unlink(missing_ok=True)
+    return record
+
+
+def _record(device: str) -> Path:
+    name = hashlib.sha256(device.encode()).hexdigest()[:32]
+    return user_state_path("smarttouch", appauthor=False) / "latched" / f"{name}.json"

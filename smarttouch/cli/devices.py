@@ -124,7 +124,7 @@ def _describe_board(url: str, profile: str | None) -> None:
 @devices.command()
 def clear(url: _Url, profile: ProfileOption = None) -> None:
     """Clear the latched fault of a board, once the board has been checked."""
-    from smarttouch.boards.faults import clear_latch
+    from smarttouch.boards.reports import clear_latch
     from smarttouch.running.display import open_display
 
     device = open_display(url, profile).board.device

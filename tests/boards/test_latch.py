@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from smarttouch.base.errors import BoardFaultError, BoardLatchedError
-from smarttouch.boards.faults import clear_latch, find_latch, latch
 from smarttouch.boards.open import make_board
+from smarttouch.boards.reports import clear_latch, find_latch, latch
 from smarttouch.profile.device import Output
 
 from ..forks import PROGRAM, Forked

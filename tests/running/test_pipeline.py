@@ -275,7 +275,7 @@ def test_strong_pulses_after_weak_ones_rise_by_the_ramp(url, period_us, profile,
     sensitive = changed(profile, {"perception.threshold_ma": 0.3, "perception.comfort_ratio": 8.0})
     display, results = open_display(url, sensitive), []
     if url == "memory:":
-        display.board._clock = SimulatedClock()
+        display.board.clock = SimulatedClock()
     run(Brighter(period_us), display, listeners=[results.append])
     assert all(each.number is not None for each in results)
     weak, strong = ([each for each in results if (each.step.input.time_ns < BRIGHTER_NS) is early]
