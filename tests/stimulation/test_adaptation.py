@@ -17,7 +17,6 @@ from smarttouch.stimulation.scheduler import ScanScheduler
 
 from ..raising import raises
 from ..rising import open_level
-from ..scans import adapted, sequence
 from ..whole import WHOLE
 
 COMPLIANCE_V = 300.0
@@ -96,18 +95,6 @@ def test_charge_is_held_while_an_electrode_dries(profile):
     assert finger.adaptation.limited == ()
 
 
-def test_a_wet_electrode_gets_its_own_pulse_back():
-    finger = Finger(MOUSE, "charge")
-    finger.kohm[:] = 200.0
-    for _ in range(10):
-        finger.touch()
-    finger.kohm[:] = KOHM
-    widths = [int(finger.touch()[1].width_us.max()) for _ in range(20)]
-    assert widths[0] > 100
-    assert widths == sorted(widths, reverse=True)
-    assert widths[-1] == 80
-
-
 def test_where_pulses_cannot_be_longer_that_is_reported():
     finger = Finger(MOUSE, "charge")
     finger.kohm[9] = 2000.0
@@ -120,19 +107,6 @@ def test_where_pulses_cannot_be_longer_that_is_reported():
     for _ in range(30):
         finger.touch()
     assert finger.adaptation.limited == ()
-
-
-def test_the_first_pulses_after_a_lifted_finger_are_not_forgotten_for_long():
-    """A soft start into the air finds the source at its end with next to no current."""
-    finger = Finger(MOUSE, "charge")
-    finger.kohm[:] = 1e6
-    for _ in range(50):
-        finger.touch(intensity=0.01)
-    finger.kohm[:] = KOHM
-    for _ in range(40):
-        asked, sent, delivered, _ = finger.touch()
-        assert delivered / charges_uc(asked) == pytest.approx(1, abs=0.01)
-    assert same(sent, asked)
 
 
 @pytest.mark.parametrize("drift", [0.25, 4.0])
@@ -188,18 +162,6 @@ def test_no_reference_is_taken_from_a_source_at_its_end():
     asked, sent, _, _ = finger.touch()
     ratio = np.abs(sent.current_ua).max() / np.abs(asked.current_ua).max()
     assert ratio == pytest.approx(0.5 * np.sqrt(0.5), rel=0.01)
-
-
-@given(st.integers(100, 2400), st.floats(276, 600))
-def test_rounding_adds_no_charge_to_a_pulse_at_its_limit(peak_ua, volts):
-    table = MOUSE.model_dump()
-    table["perception"]["threshold_ma"] = peak_ua / 2000
-    table["limits"]["charge_uc"] = peak_ua * 80 / 1e6 * (1 + 1e-6)
-    adaptation = Adaptation(Profile.model_validate(table), "charge", COMPLIANCE_V)
-    asked = sequence([peak_ua, -peak_ua] + [0] * 62, 80, electrodes=64)
-    adaptation.observe(asked, np.array([volts], np.float32))
-    sent = adapted(adaptation, asked)
-    assert 0.98 * charges_uc(asked) <= charges_uc(sent) <= charges_uc(asked)
 
 
 def test_longer_pulses_lengthen_the_period():

@@ -115,22 +115,6 @@ def test_a_class_is_felt_at_its_own_shift(profile, bank, changed):
     assert FrameSlots(shifted, bank, Afferent.RA).slots(activation, 1.0).site.tolist() == [44]
 
 
-def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
-    keys = {"frames.other": 0.01, "limits.electrode_ma": (1.23456,) * 64}
-    keys |= {"perception.threshold_ma": 0.6, "perception.comfort_ma": (1.2345,) * 64}
-    limited = changed(profile, keys)
-    bank = load_bank(profile)
-    for afferent in (Afferent.RA, Afferent.SAI):
-        scan = ScanScheduler(
-            limited, bank, (afferent,), 10.0,
-            common=SchedulerContext(SlotPolicy((afferent,))),
-        )  # fmt: skip
-        for seed in range(20 if WHOLE else 5):
-            activation = np.zeros(64, np.float32)
-            activation[np.random.default_rng(seed).choice(64, 20, replace=False)] = 1
-            prove_alone(limited, scan.schedule(image(activation, afferent), 1.0))
-
-
 def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
     rows = np.zeros((3, 64), np.float32)
     rows[Afferent.RA, LETTER_T] = rows[Afferent.SAI, :3] = 1
@@ -181,17 +165,6 @@ def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots, bank, profile
     assert len(slots.slots(LETTER, 0.0)[0]) == 0
 
 
-def test_fainter_points_take_fewer_slots(profile, bank, changed):
-    # A sixth of the current leaves room for six times as many points.
-    faint = changed(profile, {"perception.threshold_ma": 0.2})
-    assert len(FrameSlots(faint, bank, Afferent.RA).slots(LETTER, 1.0)[0]) < 4
-
-
-def test_a_bound_of_the_profile_counts(profile, bank, changed):
-    strict = changed(profile, {"perception.threshold_ma": 0.24, "frames.other": 0.12})
-    assert len(FrameSlots(strict, bank, Afferent.RA).slots(LETTER, 1.0)[0]) > 1
-
-
 def test_masked_electrodes_carry_nothing(profile, changed):
     # Of few electrodes: kernels around the masked ones are designed here.
     few = {"array.rows": 4, "array.columns": 4, "skin.node_spacing_mm": 1.0}
@@ -215,14 +188,6 @@ def test_boards_that_cannot_are_refused(profile, bank, changed):
     ):
         with raises(ScheduleError, value=key):
             FrameSlots(changed(profile, keys), bank, Afferent.RA)
-
-
-def test_the_faintest_points_are_at_their_threshold(profile, bank, slots, rows):
-    _, current_ua, *_ = slots.slots(np.float32(1e-6) * LETTER, 1.0)
-    kernels = bank.kernels(Afferent.RA)
-    threshold = (rows.target * kernels).sum(axis=1) * profile.threshold_ma
-    reached = (current_ua / 1000 @ rows.target.T / threshold).max(axis=0)
-    assert reached[LETTER_T] == pytest.approx(1, abs=0.01)
 
 
 def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, bank, changed):

@@ -89,18 +89,6 @@ def test_a_board_with_one_width_needs_height(by_width, bank):
         ScanScheduler(by_width, bank, (Afferent.RA,), timing=ScanTiming(own_widths=False))
 
 
-def test_hard_things_pulse_faster_when_pressed(profile, bank):
-    def period_us(softness, pressure):
-        scan = ScanScheduler(profile, bank, (Afferent.SAI,), softness=softness)
-        return scan.schedule(image(np.ones(64) * (np.arange(64) == 9)), 1.0, pressure).period_us
-
-    assert [period_us(1.0, pressure) for pressure in (0.1, 0.5, 1.0)] == [20_000] * 3
-    assert [period_us(0.0, pressure) for pressure in (0.1, 0.5, 1.0)] == [100_000, 40_000, 20_000]
-    # RA does not encode pressure.
-    scan = ScanScheduler(profile, bank, (Afferent.RA,), softness=0.0)
-    assert scan.schedule(image(np.ones(64)), 1.0, 0.1).period_us == 20_000
-
-
 @pytest.mark.parametrize(("options", "attributes"), [
     ({"rate_hz": 50.0}, {"names": "rate_hz", "value": 50}),
     ({"timing": ScanTiming(whole_hz=True)}, {"names": "mode", "allowed": ("RA", "SAI")}),

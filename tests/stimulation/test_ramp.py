@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.clock import LATE_NS
-from smarttouch.stimulation.ramp import LEEWAY_PPB, LEVEL_KEPT_NS, MOST_STEP_NS, PPB, Ramp
+from smarttouch.stimulation.ramp import LEEWAY_PPB, MOST_STEP_NS, PPB, Ramp
 
 RAMP_NS = 500_000_000
 LATE_PPB = LATE_NS * PPB // RAMP_NS
@@ -35,23 +35,6 @@ def opened():
 
 
 @given(steps)
-def test_what_begins_is_below_the_ramp_of_current_since_its_first_step(asked):
-    """And no more than a step above the strongest that has flowed."""
-    ramp, now_ns, spans, strongest_ppb = begun(), 0, [], 0
-    for wait_ns, ppb, strength_ppb, lasting_ns in asked:
-        now_ns += wait_ns
-        # Passes one after another, and no more of them than time has gone by.
-        driven_ns = sum(min(lasting, now_ns - start) for start, lasting in spans)
-        if ramp.permits(strength_ppb, now_ns):
-            if strength_ppb:
-                ramp_ppb = min(strongest_ppb, driven_ns * PPB // RAMP_NS)
-                assert strength_ppb <= ramp_ppb + LATE_PPB + LEEWAY_PPB
-                spans.append((now_ns, lasting_ns))
-                strongest_ppb = max(strongest_ppb, strength_ppb)
-            ramp.note(ppb, strength_ppb, now_ns, lasting_ns)
-
-
-@given(steps)
 def test_what_is_planned_is_permitted_though_it_is_written_late_or_never(asked):
     """Planned from what was proved before, of which each third is replaced."""
     ramp, now_ns = begun(), 0
@@ -64,15 +47,6 @@ def test_what_is_planned_is_permitted_though_it_is_written_late_or_never(asked):
             ramp.note(strength_ppb, min(weak_ppb, strength_ppb), now_ns + 5_000_000, lasting_ns)
 
 
-@given(st.integers(0, PPB), st.integers(0, RAMP_NS))
-def test_it_goes_on_from_what_was_reached(reached_ppb, wait_ns):
-    ramp, now_ns = opened()
-    ramp.note(reached_ppb, PPB, now_ns, RAMP_NS)
-    assert ramp.open_ppb(now_ns) == reached_ppb
-    open_ppb = min(PPB, reached_ppb + wait_ns * PPB // RAMP_NS)
-    assert ramp.open_ppb(now_ns + wait_ns) == open_ppb
-
-
 @pytest.mark.parametrize("now_ns", [0, 10**12])
 def test_a_restart_begins_at_zero_without_current(now_ns):
     ramp, _ = opened()
@@ -82,59 +56,6 @@ def test_a_restart_begins_at_zero_without_current(now_ns):
     ramp.claim(PPB, 0)
     assert ramp.permits(LATE_PPB, now_ns)
     assert not ramp.permits(LATE_PPB + LEEWAY_PPB + 1, now_ns)
-
-
-@pytest.mark.parametrize("silence", ["none is sent", "empty passes", "repetitions end"])
-def test_a_level_stays_through_silence_and_not_for_ever(silence):
-    """Never higher: a second of silence opens no more than the pass before it."""
-    ramp, _ = opened()
-    ramp.note(PPB // 2, PPB, 10**9, 10**12 if silence == "repetitions end" else STEP_NS)
-    end_ns, wanted_ppb = 10**9 + STEP_NS, PPB // 2 + STEP_NS * PPB // RAMP_NS
-    if silence != "none is sent":
-        ramp.note(PPB, 0, end_ns, 0)
-    if silence == "repetitions end":
-        # The pass that runs is finished.
-        end_ns, wanted_ppb = end_ns + LATE_NS, wanted_ppb + LATE_PPB
-    for later_ns in (STEP_NS, 10**9, LEVEL_KEPT_NS):
-        assert ramp.open_ppb(end_ns + later_ns) in (wanted_ppb, wanted_ppb - 1)
-    assert ramp.open_ppb(end_ns + LEVEL_KEPT_NS + 1) == 0
-
-
-def test_current_alone_opens_it():
-    ramp = begun()
-    for step in range(100):
-        ramp.note(PPB, 0, step * STEP_NS, STEP_NS)
-    assert ramp.open_ppb(100 * STEP_NS) == 0
-    ramp.note(LATE_PPB, LATE_PPB, 10**10, STEP_NS)
-    assert ramp.open_ppb(2 * 10**10) == STEP_NS * PPB // RAMP_NS
-
-
-@given(st.integers(1, PPB), st.integers(0, PPB))
-def test_weak_current_neither_raises_a_level_nor_lowers_it(weak_ppb, ppb):
-    """Whatever it claims, and however long it flows; a lower claim lowers it."""
-    ramp = begun()
-    ramp.note(PPB, weak_ppb, 0, 10 * RAMP_NS)
-    assert ramp.open_ppb(10 * RAMP_NS) == weak_ppb
-    ramp, now_ns = opened()
-    ramp.note(ppb, 1, now_ns, 10 * RAMP_NS)
-    assert ramp.open_ppb(now_ns + 10 * RAMP_NS) == max(1, ppb)
-
-
-def test_jitter_costs_nothing():
-    """Steps that come by turns early and late count as much as regular ones."""
-    ramp = begun()
-    for step in range(1, 27):
-        now_ns = step * STEP_NS + (step % 2) * 9_000_000
-        ppb = min(PPB, step * STEP_NS * PPB // RAMP_NS)
-        assert ramp.permits(ppb, now_ns)
-        ramp.note(ppb, ppb, now_ns, STEP_NS)
-    assert ramp.open_ppb(27 * STEP_NS + 9_000_000) > 0.95 * PPB
-
-
-def test_a_clock_that_falls_stands_still():
-    ramp = begun()
-    ramp.note(0, PPB, 10**9, 10**9)
-    assert ramp.open_ppb(0) == 0
 
 
 @pytest.mark.parametrize(("period_ms", "planned"), [

@@ -1,4 +1,4 @@
-"""The recharge phase: within its limits whatever comes, and net charge stays near zero."""
+"""Net charge of each electrode, kept near zero by polarity or by a recharge phase."""
 
 from dataclasses import replace
 
@@ -11,12 +11,14 @@ from smarttouch.base.errors import SafetyError
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import (
+    ChargeBalance,
     RechargeRules,
     add_recharge,
     net_charge_pc,
     recharge_most_ua,
 )
-from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits, frozen
+from smarttouch.stimulation.safety_gate import SafetyLimits, frozen
+from smarttouch.stimulation.scan_sequence import SelectivityReport
 from smarttouch.stimulation.sequence_limits import (
     MOST_RECHARGE_PC,
     MOST_RECHARGE_US,
@@ -25,8 +27,59 @@ from smarttouch.stimulation.sequence_limits import (
 from smarttouch.stimulation.slot_sums import SlotAdder
 
 from ..raising import raises
-from ..rising import open_level
 from ..scans import sequence
+
+
+@st.composite
+def balanced(draw):
+    """Sequences as a smarttouch-4x4 gets them: one to four slots that sum to zero."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    slots = []
+    for _ in range(draw(st.integers(1, 4))):
+        shares = rng.integers(-100, 101, 16)
+        shares[rng.integers(16)] -= shares.sum()
+        slots.append(shares)
+    return sequence(slots, rng.integers(10, 201, len(slots)), electrodes=16)
+
+
+def test_charge_is_current_times_width():
+    ledger = ChargeBalance(4)
+    ledger.add(sequence([]))
+    assert ledger.worst_uc == 0
+    ledger.add(sequence([[1000, -600, -400, 0], [0, 0, -2000, 2000]], [200, 100]), 3)
+    assert ledger.charge_uc == pytest.approx(3 * np.array([0.2, -0.12, -0.28, 0.2]))
+    assert ledger.worst_uc == pytest.approx(0.84)
+
+
+@given(st.lists(balanced(), min_size=1, max_size=20))
+def test_the_choice_is_the_better_one(run):
+    ledger = ChargeBalance(16)
+    for one in run:
+        chosen = ledger.balancing(one)
+        found = []
+        for sign in (1, -1):
+            tried = ChargeBalance(16)
+            tried.charge_pc = ledger.charge_pc.copy()
+            tried.add(sequence(sign * one.current_ua, one.width_us, electrodes=16))
+            found.append((tried.charge_uc**2).sum())
+        ledger.add(chosen)
+        assert (ledger.charge_uc**2).sum() == pytest.approx(min(found))
+
+
+def test_what_has_no_twin_stays_as_it_is():
+    ledger, extreme = ChargeBalance(4), sequence([[-32768, 32767, 1, 0]], 10)
+    ledger.add(extreme)
+    assert ledger.balancing(extreme) is extreme
+    turned = sequence([[-32767, 32767, 0, 0]], 10)
+    assert ledger.balancing(turned).current_ua.tolist() == [[32767, -32767, 0, 0]]
+
+
+def test_a_turned_scan_has_no_proof():
+    proved = sequence([[100, -100, 0, 0]], proof=SelectivityReport.of_nothing(1))
+    ledger = ChargeBalance(4)
+    assert ledger.balancing(proved) is proved
+    ledger.add(proved)
+    assert ledger.balancing(proved).proof is None
 
 
 def rules(most_ua=120, electrodes=4, total_ua=10_000, timing=None):
@@ -181,23 +234,15 @@ def test_a_good_phase_and_none_pass():
 @pytest.mark.parametrize(("bad", "limit"), [
     (with_phase([-121, 61, 0, 60]), "recharge_ua"),
     (with_phase([0, -1, -60, 61]), "recharge_ua"),
-    (with_phase([-32768, 32767, 1, 0]), "recharge_ua"),
     (with_phase([-120, 60, 0, 60], 16_667), "recharge_ua"),
     (with_phase([-100, 100, 0, 0], 20_001, period_us=50_000), "recharge_us"),
     (with_phase([-1, 1, 0, 0], 0), "recharge_us"),
-    (with_phase([-1, 1, 0, 0], -5), "recharge_us"),
     (with_phase([-1, 1, 0, 0], 100.0), "recharge_us"),
-    (with_phase([-1, 1, 0, 0], True), "recharge_us"),
-    (with_phase([-1, 1, 0, 0], float("nan")), "recharge_us"),
     (with_phase([-100, 60, 0, 39]), "balance"),
     (with_phase([-1, 1, 0, 0], 19_681), "period_us"),
-    (with_phase([-1, 1, 0]), "recharge_ua"),
     (with_phase([[-1, 1, 0, 0]]), "recharge_ua"),
     (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.array([-1.0, 1, 0, 0])), "recharge_ua"),
-    (replace(with_phase([-1, 1, 0, 0]), recharge_ua=[-1, 1, 0, 0]), "recharge_ua"),
-    (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.int16(0)), "recharge_ua"),
     (replace(with_phase([-1, 1, 0, 0]), recharge_ua=None), "recharge_ua"),
-    (with_phase([-1, 1, 0, 0], 10**30), "recharge_us"),
     (sequence([], recharge_ua=np.zeros(4, np.int16), recharge_us=5), "recharge_ua"),
 ])  # fmt: skip
 def test_a_bad_phase_is_refused(bad, limit):
@@ -205,67 +250,7 @@ def test_a_bad_phase_is_refused(bad, limit):
         prove(bad)
 
 
-def test_all_electrodes_together_are_bounded():
-    with raises(SafetyError, limit="total_ma"):
-        prove(with_phase([-120, 60, 0, 60]), replace(MOST, total_ma=0.119))
-
-
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4, threshold_ma=1.25)
-LATER = {"time_ns": 10**9}
-
-
-def gate_for(limits=LIMITS):
-    gate = SafetyGate(limits)
-    open_level(gate.check, sequence(ONE), limits)
-    return gate
-
-
-# Electrode 0 carries 0.2 µC: 120 µA for 1,666 µs take back just less.
-BACK = [-120, 72, 48, 0]
-
-
-@pytest.mark.parametrize("times", [1, 3])
-def test_the_gate_proves_the_phase_and_counts_its_charge(times):
-    gate = gate_for()
-    with pytest.raises(SafetyError):
-        gate.check(replace(with_phase([-126, 78, 48, 0]), **LATER))
-    before_mc = gate.dose.charge_mc[0]
-    gate.check(replace(with_phase(BACK, 1000), **LATER), times)
-    assert gate.dose.charge_mc[0] - before_mc == pytest.approx(times * 0.32e-3)
-    assert gate.dose.net_uc[0] == pytest.approx(times * 0.08, abs=1e-5)
-
-
-@pytest.mark.parametrize(("phase", "width_us", "limit"), [
-    ([120, -72, -48, 0], 1000, "recharge_ua"),
-    (BACK, 1667, "recharge_ua"),
-    ([-119, 71, 47, 1], 100, "recharge_ua"),
-    (BACK, 1666, None),
-    # Of a period of 20 ms, 12 may have current: 200 µs of pulses are among them.
-    ([-1, 1, 0, 0], 11_800, None),
-    ([-1, 1, 0, 0], 11_801, "duty"),
-])  # fmt: skip
-def test_a_phase_takes_back_charge_and_nothing_else(phase, width_us, limit):
-    """Nearly direct current: the same sign in pulse and phase, for all of the time."""
-    gate, given = gate_for(), replace(with_phase(phase, width_us), **LATER)
-    if limit is None:
-        gate.check(given)
-        return
-    with raises(SafetyError, limit=limit):
-        gate.check(given)
-
-
-def test_repetitions_may_not_take_back_more_than_the_first_carried():
-    gate, back = gate_for(), replace(with_phase(BACK, 1000), **LATER)
-    gate.check(back, 10)
-    # Slots without net charge from here on: what is there lasts for six phases, less what 1 µA
-    # and the rest have left.
-    twin = [[1000, -600, -400, 0], [-1000, 600, 400, 0]]
-    phase = replace(
-        sequence(twin), recharge_ua=back.recharge_ua, recharge_us=1000, time_ns=2 * 10**9
-    )
-    with raises(SafetyError, limit="recharge_ua"):
-        gate.check(phase, 7)
-    gate.check(phase, 6)
 
 
 def test_a_phase_is_bounded_whatever_the_threshold():

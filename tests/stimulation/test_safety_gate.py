@@ -1,7 +1,6 @@
 """Every limit raises, and nothing that keeps them is refused."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -100,20 +99,6 @@ def test_each_limit_raises(bad, limit, slot, electrode):
         warmed().check(bad)
 
 
-def test_the_most_negative_current_is_not_mistaken_for_a_small_one():
-    with raises(SafetyError, value=32.768):
-        warmed().check(sequence([[-32768, 32767, 1, 0]], widths=1))
-
-
-def test_a_refused_sequence_does_not_count_as_the_one_before():
-    gate = warmed()
-    with pytest.raises(SafetyError):
-        gate.check(sequence([[-2400, 2400, 0, 1]], time_ns=SECOND))
-    with pytest.raises(SafetyError):
-        gate.check(sequence(GOOD, time_ns=SECOND // 10))
-    gate.check(sequence(GOOD))
-
-
 class ManualClock:
     """Time as a test sets it."""
 
@@ -122,20 +107,6 @@ class ManualClock:
 
     def now_ns(self):
         return self.time_ns
-
-
-def on_a_clock(limits=LIMITS):
-    """A gate on a clock that a test sets, at full intensity a second after its start."""
-    clock = ManualClock()
-    gate = SafetyGate(limits, clock)
-    open_level(gate.check, sequence(GOOD), gate.limits, clock=clock)
-    return gate, clock
-
-
-def of(intensity, **other):
-    """The weakest sequence that counts for as much as it claims."""
-    weak_ua = math.ceil(2400 * intensity / STRENGTH)
-    return sequence([[-weak_ua, weak_ua, 0, 0]], intensity=intensity, **other)
 
 
 weak_or_strong = st.lists(
@@ -194,35 +165,6 @@ def test_an_array_that_answers_for_another_is_read_as_what_it_is():
     lying = changed(current_ua=np.array([[-3001, 3001, 0, 0]], np.int16).view(Liar))
     with raises(SafetyError, value=3.001):
         warmed().check(lying)
-
-
-# A pair both ways: no net charge.
-TWIN = [[-2400, 1200, 600, 600], [2400, -1200, -600, -600]]
-
-
-def test_repetitions_count_as_they_begin():
-    gate, clock = on_a_clock()
-    before = gate.dose
-    gate.check(sequence(TWIN * 5), times=1000)
-    assert gate.dose.seconds - before.seconds == pytest.approx(20)
-    clock.time_ns = 2 * SECOND - 1
-    gate.check(sequence([], intensity=0.0, time_ns=2 * SECOND))
-    # Fifty of them had begun; those cut short are given back.
-    assert gate.dose.seconds - before.seconds == pytest.approx(1)
-    charge_mc = gate.dose.charge_mc[0] - before.charge_mc[0]
-    assert charge_mc == pytest.approx(50 * 10 * 2.4e-3 * 0.2)
-
-
-@pytest.mark.parametrize("change", [{"session_s": 0.61}, {"session_mc": 0.00553}])
-def test_a_session_ends_with_its_dose(change):
-    gate = SafetyGate(dataclasses.replace(LIMITS, **change))
-    open_level(gate.check, sequence(GOOD), gate.limits)
-    for step in range(5):
-        gate.check(sequence(GOOD * 2, time_ns=SECOND * (step + 1)))
-    with raises(SafetyError, limit=next(iter(change))):
-        gate.check(sequence(GOOD * 2, time_ns=10 * SECOND))
-    gate.begin_session()
-    gate.check(sequence([], intensity=0.0, time_ns=0))
 
 
 @pytest.mark.parametrize(
