@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -105,7 +106,7 @@ def test_another_board_than_the_profiles_is_refused(make_limits, start_emulator)
         make_board(f"link:{port}", make_limits(), Output(kind="three-state")).open()
 
 
-def test_impossible_repetitions_and_electrodes_of_a_sequence_are_named(make_limits):
+def test_what_a_board_cannot_deliver_is_named(make_limits):
     none = np.zeros(0, np.uint16)
 
     def silent(electrodes):
@@ -118,6 +119,10 @@ def test_impossible_repetitions_and_electrodes_of_a_sequence_are_named(make_limi
                 board.send(silent(8), times)
         with raises(BoardError, value=9, allowed=8):
             board.send(silent(9))
+    with make_board("memory:", make_limits(), Output(kind="three-state")) as board:
+        phase = {"recharge_ua": np.zeros(8, np.int16), "recharge_us": 200}
+        with raises(BoardError, names="recharge"):
+            board.send(replace(silent(8), **phase))
 
 
 def test_a_silent_port_is_reported(make_limits):

@@ -76,17 +76,6 @@ def test_a_run_is_announced_to_its_owner_alone_as_long_as_it_lasts(own_state):
     assert entries(folder) == []
 
 
-def test_a_run_answers_for_its_own_boards_alone(folder):
-    """Whatever became of boards that this process had open before."""
-    with Display(confirms=False):
-        pass
-    for path in folder.glob("*.unconfirmed"):
-        path.unlink()
-    with Display():
-        pass
-    assert entries(folder) == []
-
-
 def test_what_drives_nothing_real_needs_no_folder(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
@@ -256,15 +245,6 @@ def test_a_run_that_cannot_announce_itself_again_ends_within_a_second(folder):
         begun_s = time.monotonic()
         assert exit_code(child) == 7
         assert time.monotonic() - begun_s < 3.0
-
-
-def test_a_second_board_of_a_run_that_cannot_be_entered_does_not_open(folder):
-    with Display(5_000):
-        shutil.rmtree(folder)
-        folder.write_text("a file in its place")
-        with raises(SmartTouchError, names="XDG_STATE_HOME", value=folder), Display(5_000):
-            pass
-        folder.unlink()
 
 
 PROGRAM = """

@@ -9,11 +9,11 @@ import time
 
 import pytest
 
-from smarttouch.base.errors import BoardError, BoardStoppedError
+from smarttouch.base.errors import BoardError
 from smarttouch.base.stopping import RunStopped, StopRequest, uninterrupted
 from smarttouch.boards.open import make_board
 from smarttouch.boards.run_registry import registry_folder, stop_all
-from smarttouch.boards.shutdown import enter, expect, leave, running_command, stoppable_run
+from smarttouch.boards.shutdown import enter, expect, running_command, stoppable_run
 from smarttouch.profile.ceilings import CEILING_USER_MA
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -31,12 +31,6 @@ def folder(own_state):
 
 def runs(folder):
     return len(list(folder.glob("*.json")))
-
-
-@pytest.mark.parametrize("url", ["memory:", "simulated:"])
-def test_a_board_that_drives_nothing_real_has_none(folder, url, profile):
-    with make_board(url, SafetyLimits.of(profile), profile.output):
-        assert not folder.exists()
 
 
 def test_boards_of_a_process_share_the_budget(folder):
@@ -76,19 +70,6 @@ def test_that_zero_was_not_confirmed_is_said_also_where_the_program_closes_its_b
         (answer,) = stop_all()
     assert not answer.at_zero
     assert "switch the board off" in answer.sentence
-
-
-def test_a_run_that_finds_a_request_opens_no_board(folder):
-    def work(say):
-        with Display(5_000):
-            (file,) = folder.glob("*.json")
-            file.with_suffix(".stop").touch()
-            with pytest.raises(BoardStoppedError), Display(5_000):
-                pass
-        say()
-
-    with in_child(work) as child:
-        assert exit_code(child) == 0
 
 
 def test_a_run_is_asked_to_end_before_its_board_is_at_zero():
@@ -384,7 +365,3 @@ class TestCommands:
             stop_all()
             os.write(go, b".")
             assert exit_code(child) == 128 + signal.SIGTERM
-
-
-def test_a_board_that_was_never_entered_may_leave():
-    leave(Display())

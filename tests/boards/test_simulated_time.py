@@ -51,17 +51,3 @@ def test_a_gap_closes_the_level(send, later_s):
     with raises(BoardError, names="board", value=4):
         send((later_s, STRONG))
     assert board.driver._packets.session.sent < 1000
-
-
-def test_stamps_may_begin_again(send):
-    send((100, SILENT), (101, FAINT), (102, STRONG), (0, SILENT), (1, FAINT), (2, STRONG))
-    with raises(BoardError, names="board", value=7):
-        send((19, STRONG))
-
-
-def test_what_overlaps_waits(send):
-    """Two sequences at the same time are one after the other, and the next is on time again."""
-    board = send((0, SILENT), (1, FAINT), (1.1, FAINT), (2, STRONG), (3, STRONG))
-    before_ns = board.driver._packets.now_ns()
-    send((4, STRONG))
-    assert board.driver._packets.now_ns() == before_ns + SECOND

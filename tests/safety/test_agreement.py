@@ -14,8 +14,6 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..whole import sample
 from .agreement import RunStatistics, attack, stream
-from .displays import display
-from .drafts import intensity_of
 from .gates import Answer, faults_of_copy
 from .oracle import Oracle
 from .quick import judge_alone_quickly
@@ -77,12 +75,6 @@ def test_it_reaches_limits_and_agrees_with_a_gate_that_overlooks_none(tally):
     assert min(tally.accepted, tally.refused) > 400
 
 
-def test_it_is_the_same_every_time(tally):
-    again = attack(0, 100, Careless)
-    assert again == attack(0, 100, Careless)
-    assert again.only != tally.only
-
-
 @pytest.mark.parametrize(("rule", "first"), sample([
     ("discharge", 0), ("time", 500), ("strong in a second", 24), ("session time", 0),
 ]))  # fmt: skip
@@ -97,24 +89,6 @@ def test_it_finds_what_a_gate_refuses_without_need():
 
 def test_it_finds_what_breaks_a_gate():
     assert set(attack(0, 500, Crashing).crashes) == {"TypeError"}
-
-
-def test_tallies_add_up():
-    total = RunStatistics()
-    for seed in (0, 1):
-        total.add(attack(seed * 100, 150, Careless))
-    assert total.asked == total.accepted + total.refused >= 300
-    assert sum(total.only.values()) <= total.refused
-    assert f"{total.asked} asked" in total.table()
-
-
-@pytest.mark.parametrize("ppb", [0, 1, 999, 333_333_333, 10**9 - 1, 10**9])
-def test_an_intensity_of_so_many_parts(ppb):
-    oracle = Oracle(display("line-7"))
-    empty = ScanSequence(
-        np.zeros((0, 7), np.int16), *(np.zeros(0, np.uint16),) * 3, 20_000, intensity_of(ppb), 0
-    )
-    assert oracle._alone(empty, oracle.bounds).intensity_ppb == ppb
 
 
 def frozen(array):

@@ -1,4 +1,4 @@
-"""Limits from one sequence to the next, by the ways in which the version before was beaten."""
+"""Limits of profiles and units, and from one sequence to the next, by hand."""
 
 import dataclasses
 
@@ -12,6 +12,29 @@ from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from ..rising import open_level
 from .by_hand import pulses, refused
+
+
+@pytest.mark.parametrize("kind", ["kajimoto61", "etactilekit"])
+@pytest.mark.parametrize("ua_per_count", [0.00244, 0.00999, 2440.0])
+def test_a_misread_unit(kind, ua_per_count):
+    profile = load_profile({"kajimoto61": "kajimoto-61"}.get(kind, "etactilekit-32"))
+    output = profile.output.model_copy(update={"ua_per_count": ua_per_count})
+    with pytest.raises(BoardError):
+        make_board(f"{kind}:/dev/nowhere", SafetyLimits.of(profile), output)
+
+
+def test_density_is_bounded_by_the_electrodes_area(limits):
+    gate = SafetyGate(dataclasses.replace(limits, area_mm2=0.2))
+    assert refused(gate, pulses(1)) == "charge_uc"
+
+
+def test_a_session_ends(limits):
+    gate = SafetyGate(dataclasses.replace(limits, session_s=0.55))
+    open_level(gate.check, pulses(0), limits)
+    gate.check(pulses(1))
+    gate.check(pulses(1, time_ns=2 * SECOND))
+    assert refused(gate, pulses(1, time_ns=3 * SECOND)) == "session_s"
+
 
 SECOND = 10**9
 

@@ -1,14 +1,10 @@
 """The rules in whole arrays are the rules: two oracles beside each other, on every display."""
 
-import random
-
 import pytest
 
 from ..whole import sample
 from .agreement import RunStatistics, stream
-from .bounds import NS
-from .displays import display, display_names
-from .drafts import ordinary
+from .displays import display_names
 from .gates import Answer
 from .oracle import Oracle
 from .quick import judge_alone_quickly
@@ -39,18 +35,3 @@ def test_both_forms_agree(name):
     assert tally.asked > 130
     assert tally.disagreements == 0
     assert min(tally.accepted, tally.refused) > 30
-
-
-@pytest.mark.parametrize("name", ["line-7", "one finger", "by width"])
-def test_both_forms_bring_the_same(name):
-    oracle, rng = Oracle(display(name)), random.Random(1)
-    silent = ordinary(oracle, rng, 0, 0)
-    silent.resize(0)
-    assert oracle.judge(silent.made(), 0) == []
-    for _ in range(50):
-        made = ordinary(oracle, rng, NS, NS).made()
-        plain, quick = (judge(made, oracle.bounds) for judge in (judge_alone, judge_alone_quickly))
-        assert list(quick.strong) == plain.strong
-        assert list(quick.charge_pc) == plain.charge_pc
-        assert quick.intensity_ppb == plain.intensity_ppb
-        assert (quick.time_ns, quick.period_us, quick.slots) == (NS, made.period_us, made.slots)

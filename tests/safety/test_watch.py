@@ -71,12 +71,6 @@ def test_limits_of_a_profile_are_read_from_the_profile(blind):
     assert blind.bounds_of_size(61) == Bounds.of(load_profile("kajimoto-61"))
 
 
-def test_it_can_look_away(blind):
-    blind.on = False
-    gate().check(sequence(pair(3001)))
-    assert blind.take() == []
-
-
 def test_books_in_a_folder(blind, tmp_path):
     folder = tmp_path / "books"
     folder.mkdir()
