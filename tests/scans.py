@@ -9,7 +9,6 @@ from smarttouch.stimulation.point_slots import Slots
 from smarttouch.stimulation.safety_gate import SafetyLimits, frozen
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.stimulation.sequence_limits import prove_sequence
-from smarttouch.stimulation.slot_sums import SlotAdder
 
 
 def sequence(currents, widths=200, *, electrodes=4, discharge_us=100, **other):
@@ -34,5 +33,5 @@ def adapted(adaptation, sequence):
 def prove_alone(profile, sequence):
     """Prove all limits of a sequence but the ramp, as if nothing had come before it."""
     limits = SafetyLimits.of(profile)
-    load = prove_sequence(frozen(sequence), limits, SlotAdder(limits.felt_ua))
+    load = prove_sequence(frozen(sequence), limits)
     Exposure(limits).enter(sequence.time_ns, sequence.period_us, 1, load, flows=True)

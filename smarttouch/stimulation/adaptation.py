@@ -14,8 +14,7 @@ from smarttouch.base.errors import ScheduleError
 from smarttouch.profile import Profile
 from smarttouch.stimulation.point_slots import Slots
 from smarttouch.stimulation.pulse_rates import ScanTiming
-from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.stimulation.slot_sums import round_charge_balanced
+from smarttouch.stimulation.scan_sequence import ScanSequence, round_charge_balanced
 
 NEAR = 0.92  # part of the compliance above which a source counts as saturated
 FASTEST_FALL = 0.8

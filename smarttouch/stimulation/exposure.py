@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import SafetyError
 from smarttouch.stimulation.safety_limits import SafetyLimits, decimal
-from smarttouch.stimulation.sequence_limits import refusal
-from smarttouch.stimulation.slot_sums import (
+from smarttouch.stimulation.sequence_limits import (
     BURST_US,
     MOST_PER_US,
     NET_PC,
     PER_PC,
     PER_PULSE,
-    WINDOW_NS,
-    Charge,
-    Load,
     PassLoad,
     Sums,
+    refusal,
 )
 
+WINDOW_NS = 1_000_000_000
 _LAST_NS = WINDOW_NS - 1
+
+Charge = NDArray[np.float64]  # (E,) pC with its sign: whole numbers below 2^53
 
 
 @dataclass(frozen=True)
@@ -286,7 +286,7 @@ def _check_recharge(before_pc: Charge, recharge_pc: Charge, net_pc: Charge, time
             raise refusal("takes_back", recharge_pc[at] / 1e6, -carried_pc[at] / 1e6, electrode=at)
 
 
-def _too_much(load: Load, time_us: int) -> SafetyError:
+def _too_much(load: Sums, time_us: int) -> SafetyError:
     """Return the error of too many felt pulses, or too much charge, of either sign."""
     kind, at = divmod(int(load.argmax()), load.shape[1])
     limit, unit = ("mean_ma", PER_PC * 1_000_000) if kind else ("pulses_hz", PER_PULSE)

@@ -18,9 +18,9 @@ from smarttouch.stimulation.scan_sequence import (
     KernelLists,
     KernelTable,
     SelectivityReport,
+    round_charge_balanced,
     unsupported_reason,
 )
-from smarttouch.stimulation.slot_sums import round_charge_balanced
 
 Array = NDArray[np.float64]
 
@@ -83,11 +83,6 @@ class FrameSlots:
         self._widths_us = constant_us(count, profile.pulse.width_us)
         self._afferent = afferent
         self._table: KernelTable | None = None
-        most_ma = np.abs(points_ma)
-        np.maximum.at(most_ma, self._sites, np.abs(self._shared_ma))
-        # In each slot rounding adds less than a whole µA.
-        self.most_ua: Array = 1000 * most_ma.sum(axis=0) + count
-        """Largest sum of magnitudes at an electrode over a frame, (E,) µA."""
 
     def kernels(self) -> tuple[Array, NDArray[np.intp]]:
         """Return the kernels by which slots are shared, (A, E) mA, and their sites (A,)."""

@@ -18,8 +18,8 @@ from smarttouch.stimulation.scan_sequence import (
     KernelTable,
     SelectivityReport,
     largest_amplitude,
+    round_charge_balanced,
 )
-from smarttouch.stimulation.slot_sums import round_charge_balanced, rows_of_block
 
 SHORTEST_PULSE_US = 10  # shortest pulse that is felt, where pulse width carries intensity
 
@@ -87,8 +87,6 @@ class PointSlots:
             least_ua = np.where(magnitude > 0, magnitude, np.inf).min(axis=1)
             self._weakest_level = np.asarray(1 / least_ua, np.float32)
         self._weakest_level[list(masked)] = np.inf
-        self._scratch = np.empty((min(rows_of_block(count), count), count), np.float32)
-        self._ones = np.ones(count, np.float32)
         self._widths_all_us = constant_us(count, self._pulse.width_us)
         self._single = afferent in bank.discs
         self._perceived_at = None if self._single else perceived_at(profile, afferent)
@@ -140,21 +138,11 @@ class PointSlots:
 
     def _rounded(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
         """Return each kernel times its level in whole µA, (S, E); the strongest takes the rest."""
-        slots, rows = len(site), len(self._scratch)
-        current_ua = np.empty((slots, len(self._ones)), np.int16)
-        surplus = np.empty(slots, np.float32)
-        for first in range(0, slots, rows):
-            part = slice(first, min(slots, first + rows))
-            block = self._scratch[: part.stop - first]
-            # With "raise", numpy would fill a copy of the block first.
-            np.take(self._kernels_ua, site[part], axis=0, out=block, mode="clip")
-            block *= level[part, None]
-            np.rint(block, out=block)
-            # Whole numbers far below 2^24: exact in single precision.
-            block.dot(self._ones, out=surplus[part])
-            np.copyto(current_ua[part], block, casting="unsafe")
-        own = np.arange(slots), self._strongest.take(site)
-        current_ua[own] -= surplus.astype(np.int16)
+        # Whole numbers far below 2^24: exact in single precision.
+        whole_ua = np.rint(self._kernels_ua[site] * level[:, None])
+        current_ua: NDArray[np.int16] = whole_ua.astype(np.int16)
+        own = np.arange(len(site)), self._strongest.take(site)
+        current_ua[own] -= whole_ua.sum(axis=1).astype(np.int16)
         if self._tight and (over := np.abs(current_ua[own]) > self._most_ua[site]).any():
             current_ua[over] = self._carried(site[over], level[over])
         return current_ua

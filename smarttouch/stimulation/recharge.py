@@ -17,8 +17,12 @@ from smarttouch.profile.ceilings import CEILING_DUTY, CEILING_MEAN_MA
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_limits import recharge_most_ua
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.stimulation.sequence_limits import MOST_RECHARGE_PC, MOST_RECHARGE_US
-from smarttouch.stimulation.slot_sums import BURST_US, PLANNED
+from smarttouch.stimulation.sequence_limits import (
+    BURST_US,
+    MOST_RECHARGE_PC,
+    MOST_RECHARGE_US,
+    PLANNED,
+)
 
 _LOWEST = np.iinfo(np.int16).min
 

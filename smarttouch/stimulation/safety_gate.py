@@ -14,7 +14,6 @@ from smarttouch.stimulation.ramp import PPB, Ramp
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import ScanSequence, unwritable
 from smarttouch.stimulation.sequence_limits import prove_sequence
-from smarttouch.stimulation.slot_sums import SlotAdder
 
 __all__ = ["ProvedSequence", "SafetyGate", "SafetyLimits"]
 
@@ -91,7 +90,6 @@ class SafetyGate:
         self.limits: SafetyLimits = limits
         self._clock = clock
         self._exposure = Exposure(limits)
-        self._adder = SlotAdder(limits.felt_ua)
         self._ramp = Ramp(limits.ramp_ns)
         self._lock = Lock()
         self._now_ns: int | None = None
@@ -170,7 +168,7 @@ class SafetyGate:
             if times < 1:
                 raise SafetyError(f"{times} repetitions: there must be one at least", limit="times")
             copy = frozen(sequence)
-            load = prove_sequence(copy, self.limits, self._adder)
+            load = prove_sequence(copy, self.limits)
             ppb = parts_per_billion(copy.intensity)
             now_ns = self._time_of(copy.time_ns)
             strength_ppb = self.limits.strength_ppb(ppb, load.peak_pc)

@@ -175,11 +175,6 @@ class SafetyLimits:
         whole = [math.floor(1000 * min(most, decimal(each))) for each in own]
         return self._unmasked(np.array(whole, np.float64))
 
-    @cached_property
-    def least_current_ua(self) -> int:
-        """Current that every electrode may carry that is not masked."""
-        return int(np.delete(self.current_ua, self.masked).min(initial=0xFFFF))
-
     def _unmasked(self, each: NDArray[np.generic]) -> NDArray[Any]:
         """Return limits of each electrode with those of masked ones set to zero."""
         each[list(self.masked)] = 0
@@ -193,11 +188,6 @@ class SafetyLimits:
         density = self.density_uc_cm2 * area * 1e4
         shannon = np.sqrt(10**CEILING_SHANNON_K * area / 100) * 1e6
         return np.floor(np.minimum(charge, np.minimum(density, shannon)))
-
-    @cached_property
-    def least_charge_pc(self) -> int:
-        """Charge that a pulse of any electrode may carry."""
-        return int(self.charge_pc.min())
 
     @cached_property
     def total_ua(self) -> int:

@@ -4,7 +4,8 @@ A weight is an int16, 32,767 the largest of its kernel; an amplitude counts quar
 flows is defined to the bit, by `KernelLists.current_ua`.
 """
 
-from collections.abc import Mapping
+import struct
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -15,7 +16,6 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.one_line import one_line
 from smarttouch.profile import Profile
-from smarttouch.stimulation.quantized_kernels import quantized
 
 
 class SlotPolicy(NamedTuple):
@@ -39,8 +39,10 @@ def unsupported_reason(profile: Profile) -> str | None:
 
 
 PER_UA = 4  # amplitudes are in quarters of a µA
+PEAK = 32_767  # largest magnitude of a kernel's weights
 SHIFT = 17  # a weight of 2^15 times an amplitude of 4 is one µA: 2^17
-_BLOCK = 1 << 15
+_HEAD = struct.Struct("<HH")
+_SHORTEST_GAP = 3  # zeros from which a new run is shorter than to write them out
 _ABOVE = 1 << 30  # above what any slot's electrodes carry together, µA; a multiple of 2^16
 
 Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
@@ -114,25 +116,13 @@ class KernelLists:
         Of weights times amplitudes, added up, the sum from electrode 0 to each one is rounded to
         whole µA, halves upward; an electrode gets the difference of two of these.
         """
-        first, slots, electrodes = self.first, len(self.first) - 1, self.table.weights.shape[1]
-        found = np.empty((slots, electrodes), np.int16)
-        scale = self.amplitude.astype(np.float64)[:, None]
-        # By as many slots as stay in the processor's cache.
-        step = max(1, _BLOCK // electrodes)
-        for start in range(0, slots, step):
-            rows = slice(start, min(start + step, slots))
-            pairs = slice(first[start], first[rows.stop])
-            # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
-            scaled = self.table.so_far_ua.take(self.kernel[pairs], axis=0)
-            scaled *= scale[pairs]
-            if len(scaled) > rows.stop - start:
-                scaled = np.add.reduceat(scaled, first[rows] - first[start], axis=0)
-            scaled += _ABOVE + 0.5
-            # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
-            whole = scaled.astype(np.int64).astype(np.int16)
-            found[rows, 0] = whole[:, 0]
-            np.subtract(whole[:, 1:], whole[:, :-1], out=found[rows, 1:])
-        return unwritable(found)
+        # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
+        scaled = self.table.so_far_ua[self.kernel] * self.amplitude.astype(np.float64)[:, None]
+        if len(scaled) > len(self.first) - 1:
+            scaled = np.add.reduceat(scaled, self.first[:-1], axis=0)
+        # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
+        whole = (scaled + (_ABOVE + 0.5)).astype(np.int64).astype(np.int16)
+        return unwritable(np.diff(whole, axis=1, prepend=np.int16(0)))
 
     def joined(self, other: "KernelLists") -> "KernelLists":
         """Return these slots, and then others of the same table."""
@@ -142,6 +132,61 @@ class KernelLists:
             np.concatenate([self.kernel, other.kernel]),
             np.concatenate([self.amplitude, other.amplitude]),
         )
+
+
+def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
+    """Return currents (S, E) in whole µA that sum to zero in every slot, like the given ones.
+
+    The rounding error is carried on from electrode to electrode, so that none is off by a whole µA.
+    """
+    carried = np.cumsum(current_ua, axis=1)
+    np.rint(carried, out=carried)
+    whole = np.empty(carried.shape, np.int16)
+    whole[:, :1] = carried[:, :1]
+    np.subtract(carried[:, 1:], carried[:, :-1], out=whole[:, 1:], casting="unsafe")
+    return whole
+
+
+def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
+    """Return kernels (K, E) as whole numbers, each row with sum zero; zero stays zero."""
+    peak = np.abs(kernels).max(axis=1, keepdims=True, initial=0)
+    carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
+    carried[:, -1:] = 0
+    # Halves upward: to even, the peak of (-0.5, 1, -0.5) would be 32,768. Sums of doubles are
+    # exact to far less than the sixth decimal.
+    whole = np.floor(carried.round(6) + 0.5)
+    return np.diff(whole, axis=1, prepend=0).astype(np.int16)
+
+
+def kept_kernels(
+    weights: NDArray[np.int16], sites: NDArray[np.uint16], room: float, most: int
+) -> tuple[bytes, int]:
+    """Return kernels (K, E) and their sites (K,) as the bytes that a board keeps, and how many of
+    them there is room for, in bytes and in number."""
+    parts, size = [b""], _HEAD.size
+    for record in _records(weights[:most], sites):
+        if size + len(record) > room:
+            break
+        parts.append(record)
+        size += len(record)
+    parts[0] = _HEAD.pack(weights.shape[1], len(parts) - 1)
+    return b"".join(parts), len(parts) - 1
+
+
+def _records(weights: NDArray[np.int16], sites: NDArray[np.uint16]) -> Iterator[bytes]:
+    """Yield each kernel as runs of weights; long gaps of zeros are left out."""
+    for own, site in zip(weights, sites.tolist(), strict=False):
+        active = np.flatnonzero(own)
+        if not len(active):
+            yield _HEAD.pack(site, 0)
+            continue
+        breaks = np.flatnonzero(np.diff(active) > _SHORTEST_GAP)
+        starts = active[np.concatenate([[0], breaks + 1])].tolist()
+        ends = (active[np.concatenate([breaks, [len(active) - 1]])] + 1).tolist()
+        parts = [_HEAD.pack(site, len(starts))]
+        for start, end in zip(starts, ends, strict=True):
+            parts += [_HEAD.pack(start, end - start), own[start:end].astype("<i2").tobytes()]
+        yield b"".join(parts)
 
 
 def unwritable(values: NDArray[Any]) -> NDArray[Any]:

@@ -25,18 +25,13 @@ from smarttouch.stimulation.scan_sequence import (
     SlotPolicy,
     peak_pc,
 )
-from smarttouch.stimulation.slot_sums import (
+from smarttouch.stimulation.sequence_limits import (
     BURST_US,
     MOST_PER_US,
-    PER_PC,
-    PER_PULSE,
     PLANNED,
-    Load,
-    SlotAdder,
-    shortest_period_us,
+    Sums,
+    add_up,
 )
-
-_PULSE_US = PER_PULSE / (PLANNED * MOST_PER_US)  # period planned for each pulse of an electrode
 
 
 @dataclass
@@ -98,7 +93,6 @@ class ScanScheduler:
         # At most one slot for each point of each class.
         self._discharges_us = constant_us(self._electrodes * len(afferents), pulse.discharge_us)
         self._limits = SafetyLimits.of(profile)
-        self._adder = SlotAdder(self._limits.felt_ua)
         steps_ns = 0, 2 * FIRST_NS, MOST_STEP_NS
         self._steps = [each / self._limits.ramp_ns for each in steps_ns]
         # Before anything is sent: the longest scan must be possible too.
@@ -107,10 +101,8 @@ class ScanScheduler:
         self.net_slowed: int = 0
         self.net_emptied: int = 0
         self._net = common.net
-        # Periods that keep the exposure of any image; infinite where points share slots.
-        self._felt_us, self._charge_us, self._net_at_most_pc = (math.inf,) * 3
         if not set(self._makers) <= set(bank.discs):
-            self._bound_exposure(pulse.width_us)
+            self._require_exposure_of_all()
 
     def restart(self) -> None:
         """Restart: all classes are due."""
@@ -135,22 +127,20 @@ class ScanScheduler:
         timing = self._timing
         due, self.asked_us = self._due(image, pressure)
         made, intensity = self._within_ramp(due, image, intensity, allowed, adaptation)
-        current_ua, width_us, slots = made.current_ua, made.width_us, len(made.site)
-        pulses_us = sum(width_us.tolist())
+        slots, pulses_us = len(made.site), int(made.width_us.sum(dtype=np.int64))
         period_us = self._period_us(self.asked_us, slots, pulses_us)
-        # No electrode gets more pulses than there are slots.
-        felt_us = min(self._felt_us, _PULSE_US * slots)
-        if slots and max(self._charge_us, felt_us) > min(period_us, BURST_US):
-            load = self._adder.add_up(current_ua, width_us).sums[:2]
-            period_us = max(period_us, timing.possible_period_us(self._checked_us(load)))
-        if self._net is not None and slots:
+        if slots:
+            sums = add_up(made.current_ua, made.width_us, self._limits.felt_ua).sums
+            period_us = max(period_us, timing.possible_period_us(self._exposed_us(sums)))
             busy_us = pulses_us + slots * int(self._discharges_us[0])
-            needed_us = self._net.period_us(
-                current_ua, width_us, image.time_ns / 1000, period_us, busy_us, self._net_at_most_pc
-            )
+            needed_us: float | None = period_us
+            if self._net is not None:
+                needed_us = self._net.next_period_us(
+                    sums[2], image.time_ns / 1000, period_us, busy_us
+                )
             if needed_us is None:
                 self.net_emptied += 1
-                made, slots = Slots(made.site[:0], current_ua[:0], width_us[:0]), 0
+                made, slots = Slots(made.site[:0], made.current_ua[:0], made.width_us[:0]), 0
             elif needed_us > period_us:
                 self.net_slowed += 1
                 period_us = timing.possible_period_us(needed_us)
@@ -237,28 +227,19 @@ class ScanScheduler:
                 break
         return made, intensity
 
-    def _bound_exposure(self, width_us: int) -> None:
-        load = np.zeros((2, self._electrodes))
-        everywhere = np.ones(self._electrodes, np.float32)
-        shared_pc = np.zeros(self._electrodes)
+    def _require_exposure_of_all(self) -> None:
+        """Raise if all points that have slots of their own expose an electrode too much."""
+        sums = np.zeros((3, self._electrodes))
         for maker in self._makers.values():
-            if isinstance(maker, FrameSlots):
-                shared_pc += maker.most_ua * width_us
-            else:
-                points = maker.slots(everywhere, 1.0)
+            if isinstance(maker, PointSlots):
+                points = maker.slots(np.ones(self._electrodes, np.float32), 1.0)
                 if len(points.site):
-                    load += self._adder.add_up(points.current_ua, points.width_us).sums[:2]
-        self._checked_us(load)
-        load[0, shared_pc > 0] = math.inf
-        load[1] += PER_PC * shared_pc
-        most_felt, most_charge = load.max(axis=1).tolist()
-        self._felt_us = most_felt / (PLANNED * MOST_PER_US)
-        self._charge_us = most_charge / (PLANNED * MOST_PER_US)
-        # In whole pC: what is added up is taken away again without a rest.
-        self._net_at_most_pc = float(np.ceil(most_charge / PER_PC))
+                    sums += add_up(points.current_ua, points.width_us, self._limits.felt_ua).sums
+        self._exposed_us(sums)
 
-    def _checked_us(self, load: Load) -> int:
-        needed_us = shortest_period_us(load)
+    def _exposed_us(self, sums: Sums) -> int:
+        """Return the shortest period for the load of a sequence, µs."""
+        needed_us = math.ceil(float(sums[:2].max()) / (PLANNED * MOST_PER_US))
         if needed_us > BURST_US:
             raise ScheduleError(
                 f"the points of one frame expose an electrode as much as {needed_us / 1000:.0f} ms "

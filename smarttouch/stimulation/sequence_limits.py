@@ -1,23 +1,73 @@
 """Limits of a single scan sequence, checked in whole numbers on its frozen copy."""
 
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SafetyError
-from smarttouch.profile.ceilings import LEAST_DISCHARGE_US
+from smarttouch.profile.ceilings import (
+    BURST_S,
+    CEILING_MEAN_MA,
+    CEILING_NET_MA,
+    CEILING_PULSES_HZ,
+    LEAST_DISCHARGE_US,
+)
 from smarttouch.stimulation.ramp import PPB
 from smarttouch.stimulation.safety_limits import SafetyLimits, decimal, parts_per_billion
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.stimulation.slot_sums import PER_PC, Load, PassLoad, SlotAdder
 
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
 MOST_RECHARGE_US = 20_000  # one period of the usual 50 scans a second. Ours
 MOST_RECHARGE_PC = 2_000_000  # of one electrode: four of the strongest pulses. Ours
+BURST_US = round(1e6 * BURST_S)
+PER_PULSE = 1_000_000
+PER_PC = round(1000 * CEILING_PULSES_HZ / (1e6 * CEILING_MEAN_MA))
+"""Weights that give felt pulses and charge one limit, in whole numbers: 3 of it for 1 pC, a
+million for a pulse, and `MOST_PER_US` of either for each microsecond."""
+MOST_PER_US = round(CEILING_PULSES_HZ)
+NET_PC = round(1e9 * CEILING_NET_MA)  # largest net charge of an electrode in a second
+PLANNED = 0.9
+"""Part of the limit used by schedules, so that jittered steps keep the window of a second."""
 _WIDTH_LEEWAY = Fraction(1001, 1000)
 """Tolerance of pulse widths: whole microseconds, rounded down in single precision."""
+
+Sums = NDArray[np.float64]
+"""Felt pulses × `PER_PULSE`, charge in pC × `PER_PC`, and charge with its sign, positive cathodic,
+pC, of each electrode, (3, E): whole numbers, all far below 2^53, where doubles are exact."""
+
+
+class SlotSums(NamedTuple):
+    """Exact sums over the currents of S slots."""
+
+    net_ua: NDArray[np.float64]  # (S,) zero where a slot is in balance
+    total_ua: NDArray[np.float64]  # (S,) sum of magnitudes
+    highest_ua: NDArray[np.float64]  # (E,) largest magnitude of each electrode
+    sums: Sums
+
+
+def add_up(
+    current_ua: NDArray[np.int16], width_us: NDArray[np.uint16], felt_ua: NDArray[np.float32]
+) -> SlotSums:
+    """Return the sums of slots, currents (S, E) and widths (S,), S > 0; pulses are felt from
+    ``felt_ua``, (E,), on."""
+    currents, widths = current_ua.astype(np.float64), width_us.astype(np.float64)
+    magnitudes = np.abs(currents)
+    felt = PER_PULSE * np.count_nonzero(magnitudes >= felt_ua, axis=0)
+    sums = np.stack([felt, PER_PC * (widths @ magnitudes), widths @ currents])
+    return SlotSums(currents.sum(axis=1), magnitudes.sum(axis=1), magnitudes.max(axis=0), sums)
+
+
+class PassLoad(NamedTuple):
+    """Load of one pass of a sequence on each electrode."""
+
+    sums: Sums  # with its recharge phase
+    recharge_pc: NDArray[np.float64] | None  # (E,), of its recharge phase, positive cathodic
+    busy_us: int  # time of its slots and its recharge phase
+    peak_pc: int  # largest charge of one pulse of its slots; 0 if none has current
+
 
 _SENTENCES = {
     "electrodes": "currents are of {value} electrodes, must be of {allowed}",
@@ -94,16 +144,8 @@ def refusal(
     )  # fmt: skip
 
 
-def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, adder: SlotAdder) -> PassLoad:
-    """Return the load of a sequence on each electrode, or raise if a limit is broken.
-
-    Parameters
-    ----------
-    sequence : ScanSequence
-        Frozen.
-    limits : SafetyLimits
-    adder : SlotAdder
-        Of the limits' `felt_ua`.
+def prove_sequence(sequence: ScanSequence, limits: SafetyLimits) -> PassLoad:
+    """Return the load of a frozen sequence on each electrode.
 
     Raises
     ------
@@ -115,33 +157,30 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, adder: SlotAdde
     if not busy_us:
         return PassLoad(np.zeros((3, limits.electrodes)), None, 0, peak_pc=0)
     current_ua, width_us = sequence.current_ua, sequence.width_us
-    net_ua, total_ua, highest_ua, sums = adder.add_up(current_ua, width_us)
-    # All sums are integers, so the dot product is zero only if every slot balances.
-    if net_ua.dot(net_ua):
+    net_ua, total_ua, highest_ua, sums = add_up(current_ua, width_us, limits.felt_ua)
+    if net_ua.any():
         slot = int(np.abs(net_ua).argmax())
         raise refusal("balance", int(net_ua[slot]), 0, slot)
-    if highest_ua > limits.least_current_ua or (
-        limits.masked and current_ua[:, limits.masked].any()
-    ):
+    if (highest_ua > limits.current_ua).any():
         _prove_each("current_ma", np.abs(current_ua.astype(np.float64)), limits.current_ua, 1000)
     # In balance: what flows in is half of all that flows.
-    if np.maximum.reduce(total_ua) > 2 * limits.total_ua:
+    if total_ua.max() > 2 * limits.total_ua:
         slot = int(total_ua.argmax())
         raise refusal("total_ma", total_ua[slot] / 2000, limits.total_ma, slot)
-    highest_pc = highest_ua * longest_us
-    if highest_pc > limits.least_charge_pc or pulses_us != len(width_us) * longest_us:
-        charge_pc: Load = (
-            np.abs(current_ua.astype(np.float64)) * width_us.astype(np.float64)[:, None]
-        )
+    highest_pc = int(highest_ua.max()) * longest_us
+    if (highest_ua * longest_us > limits.charge_pc).any() or pulses_us < len(width_us) * longest_us:
+        charge_pc = np.abs(current_ua.astype(np.float64)) * width_us.astype(np.float64)[:, None]
         _prove_each("charge_uc", charge_pc, limits.charge_pc, 1_000_000)
         highest_pc = int(charge_pc.max())
     if limits.one_source:
         # One electrode alone may have to carry each slot's charge.
-        source_pc = total_ua.astype(np.float64) / 2 * width_us
+        source_pc = total_ua / 2 * width_us
         if source_pc.max() > float(decimal(limits.charge_uc) * 10**6):
             slot = int(source_pc.argmax())
             raise refusal("source", source_pc[slot] / 1e6, limits.charge_uc, slot)
-    _prove_intensity(limits, parts_per_billion(sequence.intensity), highest_ua, highest_pc)
+    _prove_intensity(
+        limits, parts_per_billion(sequence.intensity), int(highest_ua.max()), highest_pc
+    )
     recharge_pc = None
     if sequence.recharge_ua is not None:
         recharge_pc = sequence.recharge_ua.astype(np.float64) * sequence.recharge_us
@@ -220,7 +259,9 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
     return longest_us, pulses_us, busy_us
 
 
-def _prove_each(limit: str, values: Load, allowed: NDArray[np.float64], unit: int) -> None:
+def _prove_each(
+    limit: str, values: NDArray[np.float64], allowed: NDArray[np.float64], unit: int
+) -> None:
     """Raise if a value (S, E) is above what its electrode allows, (E,)."""
     if (values > allowed).any():
         slot, at = divmod(int((values - allowed).argmax()), values.shape[1])

@@ -17,9 +17,12 @@ from smarttouch.kernels.proved_sets import (
 )
 from smarttouch.kernels.selectivity import FrameBounds, FrameJudge, full_wish
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.quantized_kernels import quantized
-from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable
-from smarttouch.stimulation.slot_sums import round_charge_balanced
+from smarttouch.stimulation.scan_sequence import (
+    KernelLists,
+    KernelTable,
+    quantized,
+    round_charge_balanced,
+)
 
 from ..raising import raises
 from ..whole import WHOLE

@@ -10,8 +10,6 @@ from smarttouch.kernels.selectivity import FrameJudge, full_wish
 from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.stimulation.scan_sequence import KernelTable
 
-from ..whole import WHOLE
-
 INTENSITIES = (1.0, 0.6, 0.3, 0.1, 0.03, 0.01, 0.003)
 
 
@@ -28,13 +26,6 @@ def judge(profile, bank, changed):
     coarse = changed(profile, {"skin.node_spacing_mm": 0.5})
     kernels = np.asarray(bank.kernels(Afferent.RA), np.float64)
     return FrameJudge(coarse, Afferent.RA, full_wish(profile, kernels, bank.receptor[Afferent.RA]))
-
-
-def activations(count):
-    for seed in range(count):
-        random = np.random.default_rng(seed)
-        drawn = random.random(64, np.float32)
-        yield drawn * (random.random(64) < random.choice([0.05, 0.2, 0.5, 1]))
 
 
 @given(
@@ -76,12 +67,3 @@ def test_hardly_any_intensity_shows_points_one_by_one(both):
         activation = np.ones(64, np.float32)
         assert len(slots.slots(activation, 0.99 * slots.certain_from).site) == 64
         assert len(slots.slots(activation, slots.certain_from).site) < 64
-
-
-def test_no_frame_exposes_an_electrode_more_than_all_points_can(both):
-    """By this bound schedulers know that a period is long enough without adding up a frame."""
-    for intensity in INTENSITIES:
-        for activation in [np.ones(64, np.float32), *activations(30 if WHOLE else 8)]:
-            for slots in both:
-                current_ua = slots.slots(activation, intensity).current_ua.astype(np.int64)
-                assert (np.abs(current_ua).sum(axis=0) <= slots.most_ua).all()

@@ -11,9 +11,14 @@ from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.source_contract import Stimulus
-from smarttouch.stimulation.quantized_kernels import PEAK, quantized
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
-from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, largest_amplitude
+from smarttouch.stimulation.scan_sequence import (
+    PEAK,
+    KernelLists,
+    KernelTable,
+    largest_amplitude,
+    quantized,
+)
 
 
 def random_table(seed, kernels, electrodes):

@@ -24,7 +24,6 @@ from smarttouch.stimulation.sequence_limits import (
     MOST_RECHARGE_US,
     prove_sequence,
 )
-from smarttouch.stimulation.slot_sums import SlotAdder
 
 from ..raising import raises
 from ..scans import sequence
@@ -221,7 +220,7 @@ MOST = SafetyLimits(
 
 def prove(sequence, limits=MOST):
     """At most 120 µA, and 60 through the last."""
-    prove_sequence(frozen(sequence), limits, SlotAdder(limits.felt_ua))
+    prove_sequence(frozen(sequence), limits)
 
 
 def test_a_good_phase_and_none_pass():

@@ -4,8 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.stimulation.scan_sequence import SelectivityReport
-from smarttouch.stimulation.slot_sums import round_charge_balanced
+from smarttouch.stimulation.scan_sequence import SelectivityReport, round_charge_balanced
 
 
 @given(st.integers(0, 6), st.integers(1, 80), st.integers(0, 2**32 - 1), st.floats(0, 5000))

@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import BoardError
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import IDENTITY_BYTES, pack_states, source_of
-from smarttouch.stimulation.quantized_kernels import kept_kernels
 from smarttouch.stimulation.ramp import PPB
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
-from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
+from smarttouch.stimulation.scan_sequence import (
+    KernelLists,
+    KernelTable,
+    ScanSequence,
+    kept_kernels,
+)
 
 
 @dataclass(frozen=True, eq=False)
