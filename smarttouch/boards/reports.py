@@ -138,7 +138,7 @@ class HostStatistics:
     """Delivery statistics kept by the host, in ``report``."""
 
     def __init__(self, electrodes: int) -> None:
-        self.report = BoardReport(0, 0, 0, 0, 0.0, 0.0, 0.0, by="host", most_pulses=0)
+        self.report: BoardReport = BoardReport(0, 0, 0, 0, 0.0, 0.0, 0.0, by="host", most_pulses=0)
         self._ledger, self._unsure_uc = ChargeBalance(electrodes), 0.0
 
     def add(

@@ -281,7 +281,9 @@ class _Signals:
 _process = _Process()
 if hasattr(os, "register_at_fork"):  # not on Windows
     os.register_at_fork(after_in_child=_process.forget)
-enter, leave, expect = _process.enter, _process.leave, _process.expect
+enter: "Callable[[Board], None]" = _process.enter
+leave: Callable[..., None] = _process.leave
+expect: "Callable[[Board], None]" = _process.expect
 
 
 def current_command() -> Command:
