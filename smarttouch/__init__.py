@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display, Session, open_display, show_together
     from smarttouch.running.program import Shown
-    from smarttouch.running.recorded_run import RecordedRun, load_recording
     from smarttouch.running.recorder import Recorder
+    from smarttouch.running.recording import RecordedRun, load_recording
     from smarttouch.running.run_statistics import RunStatistics
     from smarttouch.running.runner import replay, run, steps
     from smarttouch.running.step import Listener, StepResult
@@ -77,7 +77,7 @@ if not TYPE_CHECKING:  # else any name would be one to a type checker
         "running.display": "Display Session open_display show_together",
         "running.runner": "replay run steps",
         "running.program": "Shown",
-        "running.recorded_run": "RecordedRun load_recording",
+        "running.recording": "RecordedRun load_recording",
         "running.recorder": "Recorder",
         "running.run_statistics": "RunStatistics",
         "running.step": "Listener StepResult",

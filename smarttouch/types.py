@@ -80,7 +80,7 @@ from smarttouch.profile.toml_tables import Table as Table
 from smarttouch.running.inputs import Controls as Controls
 from smarttouch.running.inputs import ControlState as ControlState
 from smarttouch.running.program import Pattern as Pattern
-from smarttouch.running.recorded_run import RunArrays as RunArrays
+from smarttouch.running.recording import RunArrays as RunArrays
 from smarttouch.running.run_statistics import LatencyHistogram as LatencyHistogram
 from smarttouch.running.runner import Listeners as Listeners
 from smarttouch.running.step import FirstPulse as FirstPulse

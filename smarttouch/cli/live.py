@@ -98,7 +98,7 @@ def replay(
     board. The recorded force counts on simulated boards only; --intensity scales what was recorded.
     """
     from smarttouch.running.recorded_source import RecordedControls, RecordingSource
-    from smarttouch.running.recording import Recording, describe
+    from smarttouch.running.recording import RecordedRun, describe
 
     if info:
         print_table(describe(file), left=2)
@@ -106,7 +106,7 @@ def replay(
     if check:
         _check(file, run.profile)
         return
-    recording = Recording(file)
+    recording = RecordedRun(file)
     recorded = run.profile is None and not run.on_a_finger
     chosen = recording.profile if recorded else run.load_profile()
     asked = {"hold": None, "balance": False, "paced": run.is_watched} | run.settings()
@@ -121,10 +121,10 @@ def _check(file: Path, profile: str | None) -> None:
     from smarttouch.kernels.bank import load_bank
     from smarttouch.profile import load_profile
     from smarttouch.running.check_recording import check_recording
-    from smarttouch.running.recording import Recording
+    from smarttouch.running.recording import RecordedRun
     from smarttouch.views.progress import bank_progress
 
-    chosen = Recording(file).profile if profile is None else load_profile(profile)
+    chosen = RecordedRun(file).profile if profile is None else load_profile(profile)
     with bank_progress() as progress:
         bank = load_bank(chosen, progress)
     report = check_recording(file, bank=bank, profile=chosen)

@@ -12,8 +12,8 @@ from smarttouch.base.errors import RecordingError
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.running.pipeline import Pipeline, Regulator
-from smarttouch.running.recording import Recording
-from smarttouch.running.step_messages import RecordedStep
+from smarttouch.running.recording import RecordedRun
+from smarttouch.running.recording_format import RecordedStep
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -67,7 +67,7 @@ def check_recording(
     Kernels and profile are today's and the recorded one if not given. Raises RecordingError if the
     recording cannot be read, holds no sequence, or does not say how it was made.
     """
-    recording = Recording(path)
+    recording = RecordedRun(path)
     profile = recording.profile if profile is None else profile
     pipeline = rebuild_pipeline(recording, profile, load_bank(profile) if bank is None else bank)
     report, image = CheckReport(), None
@@ -104,7 +104,7 @@ def assert_replays(path: Path | str, **same: Any) -> None:
         raise AssertionError(f"{path}: {report.describe()}")
 
 
-def rebuild_pipeline(recording: Recording, profile: Profile, bank: KernelBank) -> Pipeline:
+def rebuild_pipeline(recording: RecordedRun, profile: Profile, bank: KernelBank) -> Pipeline:
     """Return a pipeline in its state at the start of a recording."""
     run = recording.run
     pipeline = Pipeline(profile, bank, run, run.timing, vibrated=run.vibrated, in_sums=run.in_sums)

@@ -10,8 +10,8 @@ from smarttouch.base.errors import RecordingError, SourceError
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import stricter
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.recording import Recording
-from smarttouch.running.step_messages import RecordedStep
+from smarttouch.running.recording import RecordedRun
+from smarttouch.running.recording_format import RecordedStep
 from smarttouch.sources.source_contract import Input, Source, Stimulus
 
 
@@ -19,7 +19,7 @@ def open_recording(rest: str, profile: Profile) -> "RecordingSource":
     """Open ``recording:FILE``."""
     if not rest:
         raise SourceError("recording: needs a file: give recording:FILE.mcap")
-    return RecordingSource(Recording(Path(rest)))
+    return RecordingSource(RecordedRun(Path(rest)))
 
 
 class RecordingSource(Source):
@@ -30,7 +30,7 @@ class RecordingSource(Source):
 
     knows_force = True  # only where no finger is: on a board with one the force is live
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: RecordedRun) -> None:
         super().__init__(recording.path.name)
         self._recording = recording
         self.duration_s: float = recording.seconds
@@ -109,7 +109,9 @@ class RecordedControls(Controls):
     offer a mode of the recording.
     """
 
-    def __init__(self, recording: Recording, state: ControlState, modes: tuple[Mode, ...]) -> None:
+    def __init__(
+        self, recording: RecordedRun, state: ControlState, modes: tuple[Mode, ...]
+    ) -> None:
         super().__init__(state, modes)
         self._times_ns: list[int] = []
         self._recorded: list[ControlState] = []

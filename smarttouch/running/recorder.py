@@ -15,9 +15,16 @@ from smarttouch.base.errors import RecordingError
 from smarttouch.base.events import Event
 from smarttouch.base.files import owner_only, unwritable
 from smarttouch.base.version import __version__
-from smarttouch.running.recording_format import METADATA, SCHEMAS, about_run
+from smarttouch.running.recording_format import (
+    METADATA,
+    SCHEMAS,
+    Message,
+    about_run,
+    event_message,
+    image_message,
+    step_message,
+)
 from smarttouch.running.step import Listener, RunContext, StepResult
-from smarttouch.running.step_messages import Message, event_message, image_message, step_message
 
 CHUNK_S = 1.0  # longest time before a chunk is on the disk: the loss if the program is killed
 MOST_WAITING = 1000  # steps that may wait for the disk
@@ -53,7 +60,9 @@ class Recorder(Listener):
     def prepare(self, run: RunContext) -> None:
         """Raise if the file exists, before the display is opened."""
         if self.path.exists():
-            raise self._name_taken()
+            raise RecordingError(
+                f"{self.path} exists and recordings are never overwritten: give another name"
+            )
 
     def start(self, run: RunContext) -> None:
         """Start the file, with the description of the open board."""
@@ -65,23 +74,12 @@ class Recorder(Listener):
         self._started_unix_ns = started_unix_ns
         try:
             self._file = open(self.path, "xb", opener=owner_only)  # noqa: SIM115, until closing
-        except FileExistsError:
-            raise self._name_taken() from None
-        except OSError as error:
-            raise unwritable(RecordingError, self.path, error) from None
-        self._writer = Writer(self._file)
-        try:
+            self._writer = Writer(self._file)
             self._write_head(about)
         except OSError as error:
-            self._file.close()
             raise unwritable(RecordingError, self.path, error) from None
         self._thread = threading.Thread(target=self._write_all, name="recorder", daemon=True)
         self._thread.start()
-
-    def _name_taken(self) -> RecordingError:
-        return RecordingError(
-            f"{self.path} exists and recordings are never overwritten: give another name"
-        )
 
     def _write_head(self, about: dict[str, str]) -> None:
         self._writer.start(profile=METADATA, library=f"smarttouch {__version__}")
@@ -93,7 +91,8 @@ class Recorder(Listener):
                 name, "jsonschema", json.dumps(schema).encode()
             )
             self._channels[topic] = self._writer.register_channel(topic, "json", schema_id)
-        self._end_chunk()
+        self._writer.flush()
+        self._to_disk()
 
     def step(self, result: StepResult) -> None:
         """Queue a step for writing; RecordingError if the disk is full, broken or too slow."""
@@ -131,38 +130,31 @@ class Recorder(Listener):
     def _write_all(self) -> None:
         """Write what is queued until the end; after a failure only close the file."""
         try:
-            while self._write_chunk():
-                self._end_chunk()
-            self._writer.finish()
-            self._to_disk()
+            with self._file:
+                while self._write_chunk():
+                    self._writer.flush()
+                    self._to_disk()
+                self._writer.finish()
+                self._to_disk()
         # Any exception must reach the loop: a run must not go on unrecorded.
         except Exception as error:
-            self._failure = self._failure or error
-        try:
-            self._file.close()
-        except OSError as error:
             self._failure = self._failure or error
 
     def _write_chunk(self) -> bool:
         """Write items until `CHUNK_S` after the first; return False at the end of the recording."""
-        item = self._queue.get()
-        end_s = time.monotonic() + CHUNK_S
+        item, begun_s = self._queue.get(), time.monotonic()
         while item is not None:
             if self._failure is not None:
                 raise self._failure
             self._write(item)
+            left_s = begun_s + CHUNK_S - time.monotonic()
+            if left_s <= 0:
+                return True
             try:
-                item = self._queue.get(timeout=max(0.0, end_s - time.monotonic()))
+                item = self._queue.get(timeout=left_s)
             except queue.Empty:
                 return True
-            if time.monotonic() >= end_s and item is not None:
-                self._write(item)
-                return True
         return False
-
-    def _end_chunk(self) -> None:
-        self._writer.flush()
-        self._to_disk()
 
     def _to_disk(self) -> None:
         """Sync the file to the disk; raise if its name is gone, which nobody could open later."""

@@ -1,16 +1,19 @@
-"""Reader of recordings, also of those that were cut or damaged, and their summary."""
+"""Recordings of runs, also cut or damaged ones: their steps, arrays and summary."""
 
 import json
 from collections import Counter
 from collections.abc import Generator, Iterator
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
+import numpy as np
 from mcap.records import Channel, Chunk, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from smarttouch.base.errors import ProfileError, RecordingError, SmartTouchError
@@ -19,22 +22,117 @@ from smarttouch.profile import Profile
 from smarttouch.running.recording_format import (
     FORMAT,
     METADATA,
-    RecordedSettings,
+    RecordedConfig,
+    RecordedStep,
+    StepDecoder,
     digest_of,
 )
-from smarttouch.running.step_messages import RecordedStep, StepDecoder
 from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
 
 _MOST_BYTES = 2**40  # largest recording: a month
 _MOST_RECORD_BYTES = 128 * 2**20  # largest chunk: ours have some MB, and perhaps a large image
 
 
-class Recording:
-    """A recording of a run, also one that was cut or damaged.
+@dataclass(frozen=True, eq=False)
+class RunArrays:
+    """All numbers of a run; the page *Recorded data* lists shapes, units and meanings."""
 
-    ``about`` is the result of `about_run`; ``damaged_chunks`` and ``broken_steps`` count what could
-    not be read in the last reading. Raises RecordingError if there is no such file, if it is not
-    from SmartTouch, or if its description of the run was changed.
+    step: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    clock_ns: NDArray[np.int64]
+    number: NDArray[np.int64]
+    mode: NDArray[np.str_]
+    level: NDArray[np.float64]
+    intensity: NDArray[np.float64]
+    restarted: NDArray[np.bool_]
+    asked_us: NDArray[np.int64]
+    period_us: NDArray[np.int64]
+    force_n: NDArray[np.float64]
+    x_mm: NDArray[np.float64]
+    y_mm: NDArray[np.float64]
+    angle_rad: NDArray[np.float64]
+    age_ns: NDArray[np.int64]
+    stale: NDArray[np.bool_]
+    latency_us: NDArray[np.float64]
+    work_us: NDArray[np.float64]
+    sent: NDArray[np.int64]
+    acknowledged: NDArray[np.int64]
+    refused: NDArray[np.int64]
+    first_pulse_us: NDArray[np.float64]
+    activation: NDArray[np.float32]
+    first_slot: NDArray[np.int64]
+    current_ua: NDArray[np.int16]
+    width_us: NDArray[np.uint16]
+    discharge_us: NDArray[np.uint16]
+    site: NDArray[np.uint16]
+    recharge_us: NDArray[np.int64]
+    recharge_ua: NDArray[np.int16]
+    volts: NDArray[np.float32]
+    volts_step: NDArray[np.int64]
+
+
+_SLOTS = ("current_ua", "width_us", "discharge_us", "site")
+_COMPUTED = {
+    "step", "sent", "first_pulse_us", "activation", "first_slot", "recharge_ua", "volts",
+    "volts_step", *_SLOTS,
+}  # fmt: skip
+_NUMBERS = [each.name for each in fields(RunArrays) if each.name not in _COMPUTED]
+"""Arrays of the numbers that a step's message has by the same name."""
+
+
+def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
+    columns: dict[str, list[Any]] = {each.name: [] for each in fields(RunArrays)}
+    row_of: dict[int | None, int] = {}  # by the board's number
+    index_of: dict[int, int] = {}  # by the time of the sequence
+    columns["first_slot"].append(0)
+    for row, recorded in enumerate(steps):
+        step, sent, sequence = recorded.step, recorded.sent, recorded.step.sequence
+        for name in _NUMBERS:
+            columns[name].append(recorded.message[name])
+        columns["step"].append(recorded.index)
+        columns["sent"].append(-1 if sent.number is None else sent.number)
+        columns["first_pulse_us"].append(np.nan)
+        columns["activation"].append(step.tactile.activation)
+        recharge_ua = sequence.recharge_ua
+        columns["recharge_ua"].append(np.zeros(electrodes) if recharge_ua is None else recharge_ua)
+        for name in _SLOTS:
+            columns[name].append(getattr(sequence, name).ravel())
+        columns["first_slot"].append(columns["first_slot"][-1] + sequence.slots)
+        row_of[sent.number] = row
+        if sent.first_pulse is not None and sent.first_pulse.number in row_of:
+            pulsed = row_of[sent.first_pulse.number]
+            columns["first_pulse_us"][pulsed] = sent.first_pulse.latency_us
+        index_of[sequence.time_ns] = recorded.index
+        for measured, volts in step.observed:
+            columns["volts"].append(volts)
+            columns["volts_step"].append(index_of.get(measured.time_ns, -1))
+    sides = {
+        "current_ua": (electrodes,),
+        "activation": (3, electrodes),
+        "recharge_ua": (electrodes,),
+    }
+    arrays = {}
+    for each in fields(RunArrays):
+        # A dtype before NumPy 2.5, and its scalar from then on.
+        kind: Any = get_args(each.type)[-1]
+        kind = (get_args(kind) or (kind,))[0]
+        values: Any = columns[each.name]
+        if each.name in (*_SLOTS, "volts"):
+            values = np.concatenate([np.empty(0, kind), *values])
+        arrays[each.name] = np.array(values, kind).reshape(-1, *sides.get(each.name, ()))
+    return RunArrays(**arrays)
+
+
+class RecordedRun:
+    """A recording of a run, also one that was cut or damaged: see `smarttouch.load_recording`.
+
+    Attributes
+    ----------
+    path : Path
+    about : dict of str to str
+        Description of the run: profile, settings, versions.
+    damaged_chunks, broken_steps : int
+        What could not be read in the last reading.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -62,6 +160,9 @@ class Recording:
                 f"the description of the run in {path} was changed or is damaged: its digest does "
                 "not match"
             )
+
+    def __repr__(self) -> str:
+        return f"RecordedRun({str(self.path)!r}, {self.seconds:.1f} s)"
 
     @property
     def whole(self) -> bool:
@@ -94,10 +195,10 @@ class Recording:
         return dict(json.loads(self.about["settings"]))
 
     @cached_property
-    def run(self) -> RecordedSettings:
+    def run(self) -> RecordedConfig:
         """Configuration of the run, with all that sequences depend on."""
         try:
-            return RecordedSettings.model_validate(self.settings)
+            return RecordedConfig.model_validate(self.settings)
         except (SmartTouchError, LookupError, AttributeError) as error:
             raise RecordingError(
                 f"the settings in {self.path} do not say how it was made: {error}"
@@ -123,6 +224,16 @@ class Recording:
                 f"{self.path} has an impossible step {at_ns / 1e9:.3f} s after its start: its time "
                 f"is {time_ns / 1e9:.3f} s and its period {period_us} µs"
             )
+
+    @cached_property
+    def arrays(self) -> RunArrays:
+        """All numbers of the run, read at their first use."""
+        return _arrays(self.steps(), len(self.profile.electrodes))
+
+    def images(self) -> Iterator[NDArray[np.uint8] | None]:
+        """Yield the image of each step, (H, W) uint8; None where there is none."""
+        for each in self.steps():
+            yield each.step.input.image
 
     def contents(self, topic: str) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield the time of each message of a topic, ns since the start, and its content."""
@@ -173,9 +284,40 @@ class Recording:
             return
 
 
+def load_recording(path: Path | str) -> RecordedRun:
+    """Open a recording as arrays: currents, activation, times, force, events, settings.
+
+    Parameters
+    ----------
+    path : Path or str
+        A recording. A cut or damaged one gives every step that is complete.
+
+    Returns
+    -------
+    RecordedRun
+        Its ``arrays`` are a `RunArrays`, which lists shapes and units: for example ``current_ua``,
+        (S, E) int16, µA, and ``time_ns``, (N,) int64, ns since the start of the run.
+
+    Raises
+    ------
+    RecordingError
+        If the file does not exist or is not a recording.
+
+    Examples
+    --------
+    >>> import smarttouch as st, tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.mcap"
+    >>> statistics = st.run("text:a", "simulated:", seconds=0.5, listeners=[st.Recorder(path)])
+    >>> run = st.load_recording(path).arrays
+    >>> run.activation.shape, run.current_ua.shape[1]
+    ((25, 3, 64), 64)
+    """
+    return RecordedRun(path)
+
+
 def describe(path: Path) -> list[tuple[str, str]]:
     """Return the names and values of a recording's summary, for display."""
-    recording = Recording(path)
+    recording = RecordedRun(path)
     settings, steps = recording.settings, [step for _, step in recording.contents("/step")]
     modes = Counter(step["mode"] for step in steps)
     last = steps[-1] if steps else {"acknowledged": 0, "refused": 0}
@@ -208,7 +350,7 @@ def describe(path: Path) -> list[tuple[str, str]]:
     return [("state", _state(recording)), *rows]
 
 
-def _state(recording: Recording) -> str:
+def _state(recording: RecordedRun) -> str:
     if recording.whole:
         return "whole"
     if recording.damaged_chunks:

@@ -26,7 +26,7 @@ from smarttouch.running.loop import Loop, emit_to, steady_environment
 from smarttouch.running.pipeline import Pipeline, make_regulator
 from smarttouch.running.program import Program
 from smarttouch.running.recorded_source import RecordedControls, RecordingSource
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import recorded_settings
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import Listener, RunContext, Step, StepResult, as_listeners
@@ -424,7 +424,7 @@ def replay(
     >>> st.replay(path, display).slots == first.slots
     True
     """
-    recording = Recording(path)
+    recording = RecordedRun(path)
     source = RecordingSource(recording)
     source.url = f"recording:{path}"
     config = recording.run.model_copy(update={"hold": None, "balance": False} | dict(settings))

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from smarttouch.base.errors import ScheduleError, SourceError
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 
 from .conftest import refused, says
 
@@ -46,7 +46,7 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
         wait_for(process, words)
     os.write(keys, b"q")
     assert ended(process, tmp_path)["ended"] == "key q"
-    words = [words for _, words in Recording(tmp_path / "run.mcap").events]
+    words = [words for _, words in RecordedRun(tmp_path / "run.mcap").events]
     assert words.pop().startswith("dose ")
     assert words.pop().startswith("counted by the board")
     assert words == [

@@ -19,7 +19,7 @@ from smarttouch.base.errors import ExperimentError
 from smarttouch.base.events import FingerLifted, TrialEvent
 from smarttouch.experiments.psychophysics.trial_rows import read_rows
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.views.screen import BlindScreen
 
@@ -71,12 +71,14 @@ def test_recordings_of_a_session_are_numbered(program_here, tmp_path):
     path.write_bytes(path.read_bytes()[:-20])
     second = program_here(one)
     assert "run-2.mcap" in second.stdout
-    words = [words for _, words in Recording(tmp_path / "run-2.mcap").events]
+    words = [words for _, words in RecordedRun(tmp_path / "run-2.mcap").events]
     trials = [each for each in words if each.startswith(("trial", "response"))]
     assert len(trials) == 2
     assert trials[0].startswith("trial 10: standard 30 Hz, comparison ")
     assert trials[1].startswith("response 10: ")
-    assert any(each.startswith("trial 1: ") for _, each in Recording(tmp_path / "run.mcap").events)
+    assert any(
+        each.startswith("trial 1: ") for _, each in RecordedRun(tmp_path / "run.mcap").events
+    )
 
 
 def test_discomfort_ends_with_a_current(program_here, tmp_path):

@@ -10,7 +10,7 @@ from scipy.io import wavfile
 
 from smarttouch.base.errors import PageError, ScheduleError, SmartTouchError, SourceError
 from smarttouch.running.check_recording import assert_replays, check_recording
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 
 from ..instruments.touched import object_file
 from .conftest import refused, says
@@ -88,7 +88,7 @@ def test_a_vibrator_plays_what_was_recorded(program_here, tmp_path, changed):
     rate_hz, wave = wavfile.read(tmp_path / "v.wav")
     spectrum = np.abs(np.fft.rfft(wave.astype(np.float64)))
     assert np.fft.rfftfreq(len(wave), 1 / rate_hz)[spectrum.argmax()] == pytest.approx(250, abs=2)
-    recording = Recording(tmp_path / "a.mcap")
+    recording = RecordedRun(tmp_path / "a.mcap")
     shaken = [each.step.sequence.vibration for each in recording.steps()]
     assert max(each.max() for each in shaken) > 0.8
     assert check_recording(tmp_path / "a.mcap").exact

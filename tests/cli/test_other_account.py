@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from smarttouch.base.errors import RecordingError
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 
 from .test_window import page_of
 
@@ -75,7 +75,7 @@ def open_folder():
 def has_steps(path):
     """Return whether a step was recorded, in a file that is still written."""
     try:
-        return next(Recording(path).steps(), None) is not None
+        return next(RecordedRun(path).steps(), None) is not None
     except RecordingError:
         # It is not there, or its head is not yet complete.
         return False
@@ -125,6 +125,6 @@ def test_another_account_gets_in_by_no_door(start_program, other_account, open_f
         (open_folder / "browser.closed").touch()
         run.terminate()
         run.communicate(timeout=60)
-    steps = list(Recording(path).steps())
+    steps = list(RecordedRun(path).steps())
     assert steps
     assert not any(each.step.sequence.current_ua.any() for each in steps)

@@ -20,7 +20,7 @@ from smarttouch.base.errors import (
 )
 from smarttouch.braille.code_tables import open_table
 from smarttouch.pages.prepared_page import print_text
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 
 from ..braille.drawn_dots import draw_dots
 from .conftest import panels, refused, says
@@ -116,7 +116,7 @@ def test_a_picture_of_braille_is_refused_and_shown_by_live(program_here, figures
 def lines_of(path):
     """Return which line was under the finger in each step of a recording, also unfinished."""
     try:
-        heights = [recorded.step.input.pose.y_mm for recorded in Recording(path).steps()]
+        heights = [recorded.step.input.pose.y_mm for recorded in RecordedRun(path).steps()]
     except SmartTouchError:
         return []
     return [round(each / 20) for each in heights]

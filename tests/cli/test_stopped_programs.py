@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from smarttouch.emulator.firmware import read_state
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 
 from ..boards.fresh import starter, until
 from ..whole import WHOLE
@@ -46,7 +46,7 @@ def told(process):
 
 def is_whole(path):
     """Return whether a recording was closed, and holds steps to its end."""
-    recording = Recording(path)
+    recording = RecordedRun(path)
     return any(True for _ in recording.steps()) and recording.whole
 
 

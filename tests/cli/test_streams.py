@@ -12,7 +12,7 @@ import pytest
 
 from smarttouch.base.files import data_folder
 from smarttouch.running.check_recording import check_recording
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 
 from ..forks import PROGRAM, Forked
 from ..whole import sample
@@ -48,7 +48,7 @@ def refused(code, said):
 def test_closed_streams_lead_nowhere(shell, tmp_path, closed):
     done = shell(f"smarttouch {SHORT} --json f.json --record r.mcap {closed}")
     assert (done.returncode, done.stderr) == (0, b"")
-    assert Recording(tmp_path / "r.mcap").whole
+    assert RecordedRun(tmp_path / "r.mcap").whole
     assert check_recording(tmp_path / "r.mcap").exact
 
 
@@ -109,7 +109,7 @@ def test_a_run_that_fills_the_disk_keeps_what_it_took(shell, tmp_path):
     done = shell(f"ulimit -f 40; {run}")
     assert "r.mcap" in refused(done.returncode, done.stderr)
     assert json.loads((tmp_path / "f.json").read_text())["ended"] == "fault"
-    recording = Recording(tmp_path / "r.mcap")
+    recording = RecordedRun(tmp_path / "r.mcap")
     indexes = [recorded.index for recorded in recording.steps()]
     assert indexes == list(range(len(indexes)))
     assert not recording.whole

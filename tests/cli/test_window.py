@@ -11,7 +11,7 @@ import pytest
 from websockets.sync.client import connect
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 
 from .conftest import refused, says
 
@@ -111,7 +111,7 @@ def test_on_a_finger_a_page_turns_it_up_from_nothing(start_program, start_emulat
         page.send("stop")
         receive(page, "ended")
     assert run.wait(60) == 0
-    recording = Recording(tmp_path / "run.mcap")
+    recording = RecordedRun(tmp_path / "run.mcap")
     words = [words for _, words in recording.events]
     assert [each for each in words if each in ("intensity 0.00", "intensity 0.05", "paused")] == [
         "intensity 0.00", "intensity 0.05", "paused",

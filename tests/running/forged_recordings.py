@@ -4,13 +4,13 @@ import json
 
 from mcap.writer import Writer
 
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import digest_of
 
 
 def take_apart(path):
     """Return a recording's metadata, and the topics, contents and indexes of its messages."""
-    recording = Recording(path)
+    recording = RecordedRun(path)
     return recording.about, [
         (topic, json.loads(each.data), each.log_time, each.sequence)
         for topic, each in recording.messages()

@@ -14,7 +14,7 @@ from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import RecordingError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.running.check_recording import KEPT, assert_replays, check_recording
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 
 from ..raising import raises
 
@@ -30,7 +30,7 @@ def with_weight(bank, afferent, site, electrode, by):
 
 def strongest_slot(path):
     """Return the step with a recording's greatest intensity, of its first mode, and a slot."""
-    steps = list(Recording(path).steps())
+    steps = list(RecordedRun(path).steps())
     steps = [each for each in steps if each.step.mode is steps[0].step.mode]
     best = max(
         steps, key=lambda each: each.step.sequence.intensity * bool(each.step.sequence.slots)
@@ -47,12 +47,12 @@ def test_goldens_come_out_again_to_the_bit(goldens):
         assert report.frames > 5
         assert report.sequences >= 20
         assert report.slots > 50
-        modes |= {each.step.mode for each in Recording(path).steps()}
+        modes |= {each.step.mode for each in RecordedRun(path).steps()}
     assert modes == set(Mode)
 
 
 def test_goldens_hold_what_they_are_for(goldens):
-    steps = {path.stem: list(Recording(path).steps()) for path in goldens}
+    steps = {path.stem: list(RecordedRun(path).steps()) for path in goldens}
     assert any(each.sent.number is None for each in steps["regulated"])
     assert any(each.step.observed for each in steps["regulated"])
     assert {each.step.level for each in steps["sai-levels"]} == {0.0, 0.4, 0.8, 1.0}
@@ -73,7 +73,7 @@ def test_one_weight_changed_by_a_thousandth_is_reported_with_its_place(goldens):
         step = recorded.step
         site = int(step.sequence.site[slot])
         afferent = step.mode.afferents[-1]
-        profile = Recording(path).profile
+        profile = RecordedRun(path).profile
         bank = load_bank(profile)
         electrode = int(np.argsort(np.abs(bank.weights[afferent][site]))[-2])
         report = check_recording(path, bank=with_weight(bank, afferent, site, electrode, 1e-3))
@@ -92,7 +92,7 @@ def test_one_weight_changed_by_a_thousandth_is_reported_with_its_place(goldens):
 
 def test_another_profile_is_reported(golden, changed):
     path = golden("ra")
-    profile = changed(Recording(path).profile, {"limits.ramp_s": 0.9})
+    profile = changed(RecordedRun(path).profile, {"limits.ramp_s": 0.9})
     report = check_recording(path, profile=profile)
     assert not report.exact
     assert report.different > len(report.differences) == KEPT
@@ -104,7 +104,7 @@ def test_another_profile_is_reported(golden, changed):
 
 def test_another_bound_on_shared_slots_is_reported(golden, changed):
     path = golden("shared")
-    profile = changed(Recording(path).profile, {"frames.other": 0.1})
+    profile = changed(RecordedRun(path).profile, {"frames.other": 0.1})
     report = check_recording(path, profile=profile)
     assert any(": slots " in line for line in report.differences)
 
@@ -112,7 +112,7 @@ def test_another_bound_on_shared_slots_is_reported(golden, changed):
 def test_a_sequence_without_its_slots_is_one_difference(golden, changed):
     path = golden("ra")
     pressed = {"force.contact_n": 50.0, "force.full_n": 60.0}
-    report = check_recording(path, profile=changed(Recording(path).profile, pressed))
+    report = check_recording(path, profile=changed(RecordedRun(path).profile, pressed))
     words = {re.search(r": (\w+) .*, ([\d.]+) now", line).groups() for line in report.differences}
     assert words == {("slots", "0"), ("intensity", "0.0")}
 
@@ -125,7 +125,7 @@ def test_what_follows_a_gap_is_not_compared(damaged, tmp_path):
     assert 2 < report.sequences < 38
     # From what time on is told, and the time is that of a step before the end.
     (since_s,) = map(float, re.findall(r"(\d+\.\d) s", report.left_out))
-    assert 0 < since_s < Recording(path).seconds
+    assert 0 < since_s < RecordedRun(path).seconds
     assert report.left_out in report.describe()
 
 

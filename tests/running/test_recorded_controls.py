@@ -6,7 +6,7 @@ from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import RecordingError
 from smarttouch.running.inputs import ControlState
 from smarttouch.running.recorded_source import RecordedControls
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 
 from ..raising import raises
 from .forged_recordings import put_together, take_apart
@@ -14,7 +14,7 @@ from .forged_recordings import put_together, take_apart
 
 @pytest.fixture(params=["sai-levels", "natural"])
 def recording(request, golden):
-    return Recording(golden(request.param))
+    return RecordedRun(golden(request.param))
 
 
 def test_every_wish_comes_at_its_time(recording):
@@ -40,7 +40,7 @@ def test_today_s_user_lowers_and_pauses(recording):
 
 def test_a_board_without_the_recorded_mode_is_refused(golden):
     with raises(RecordingError, names="mode", value="natural"):
-        RecordedControls(Recording(golden("natural")), ControlState(Mode.RA), (Mode.RA,))
+        RecordedControls(RecordedRun(golden("natural")), ControlState(Mode.RA), (Mode.RA,))
 
 
 def test_a_level_above_the_strongest_comfortable_current_is_not_followed(golden, tmp_path):
@@ -50,6 +50,6 @@ def test_a_level_above_the_strongest_comfortable_current_is_not_followed(golden,
             content["level"] = 1.5
     put_together(tmp_path / "forged.mcap", about, messages)
     controls = RecordedControls(
-        Recording(tmp_path / "forged.mcap"), ControlState(Mode.RA, 0.2), tuple(Mode)
+        RecordedRun(tmp_path / "forged.mcap"), ControlState(Mode.RA, 0.2), tuple(Mode)
     )
     assert controls.state(10**9).level == 0.2

@@ -10,8 +10,7 @@ from smarttouch.base.errors import RecordingError
 from smarttouch.running.check_recording import check_recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline, Regulator
-from smarttouch.running.recorded_run import load_recording
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun, load_recording
 from smarttouch.running.step import StepResult
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
@@ -56,7 +55,7 @@ def write(record, about, settings, balanced, tmp_path):
 
 def test_they_are_kept_and_come_out_again(write, balanced):
     path = write(recharge=True)
-    kept = [each.step.sequence for each in Recording(path).steps()]
+    kept = [each.step.sequence for each in RecordedRun(path).steps()]
     for was, now in zip((each.step.sequence for each in balanced), kept, strict=True):
         assert now.recharge_us == was.recharge_us
         assert np.array_equal(now.recharge_ua, was.recharge_ua)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def recorded(tmp_path_factory):
 
 
 def test_its_arrays_are_those_of_its_steps(recorded):
-    run, steps = st.load_recording(recorded), [*Recording(recorded).steps()]
+    run, steps = st.load_recording(recorded), [*RecordedRun(recorded).steps()]
     arrays = run.arrays
     assert arrays is run.arrays
     assert len(arrays.step) == len(steps) > 50

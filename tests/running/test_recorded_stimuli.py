@@ -14,10 +14,10 @@ from smarttouch.running.display import open_display
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import open_recording
 from smarttouch.running.recorder import Recorder
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
+from smarttouch.running.recording_format import StepDecoder, image_message, step_message
 from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
-from smarttouch.running.step_messages import StepDecoder, image_message, step_message
 from smarttouch.sources.source_contract import Stimulus
 
 
@@ -48,7 +48,7 @@ def decoded(step, image=True, **changed):
 
 def test_they_are_played_once_more(run, profile):
     path, results = run
-    assert "/frame" not in {topic for topic, _ in Recording(path).messages()}
+    assert "/frame" not in {topic for topic, _ in RecordedRun(path).messages()}
     assert len(results) > 30
     with open_recording(str(path), profile) as source:
         for sent in results:

@@ -14,7 +14,7 @@ from smarttouch.base.errors import RecordingError
 from smarttouch.base.events import Note
 from smarttouch.running import recorder as module
 from smarttouch.running.recorder import Recorder
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import SCHEMAS
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.source_contract import Frame
@@ -71,7 +71,7 @@ def test_another_image_of_the_same_number_is_not_lost(tmp_path, steps, record):
         StepResult(Step(Frame(image, at, number=1), was.tactile, was.sequence, was.mode), at, 0.0)
         for at, image in enumerate(images)
     ]
-    recording = Recording(record(tmp_path / "run.mcap", made))
+    recording = RecordedRun(record(tmp_path / "run.mcap", made))
     assert [each.step.input.image[0, 0] for each in recording.steps()] == [10, 10, 200]
     assert len(list(recording.contents("/frame"))) == 2
 
@@ -88,14 +88,14 @@ def test_where_no_recording_can_be(tmp_path, about):
 def test_what_was_handed_over_is_on_the_disk_soon(recorder, tmp_path, steps):
     recorder.step(steps[0])
     recorder.event(Note(0, "paused"))
-    until(lambda: len(list(Recording(tmp_path / "run.mcap").steps())) == 1)
-    until(lambda: Recording(tmp_path / "run.mcap").events == [(0, "paused")])
-    assert not Recording(tmp_path / "run.mcap").whole
+    until(lambda: len(list(RecordedRun(tmp_path / "run.mcap").steps())) == 1)
+    until(lambda: RecordedRun(tmp_path / "run.mcap").events == [(0, "paused")])
+    assert not RecordedRun(tmp_path / "run.mcap").whole
 
 
 def test_a_failure_is_raised_once_at_the_next_step(recorder, tmp_path, steps, monkeypatch):
     recorder.step(steps[0])
-    until(lambda: list(Recording(tmp_path / "run.mcap").steps()))
+    until(lambda: list(RecordedRun(tmp_path / "run.mcap").steps()))
     monkeypatch.setattr(recorder._writer, "add_message", full)
     recorder.step(steps[1])
     until(lambda: recorder._failure is not None)
@@ -105,7 +105,7 @@ def test_a_failure_is_raised_once_at_the_next_step(recorder, tmp_path, steps, mo
         recorder.step(steps[2])
     assert "No space left on device" in str(caught.value)
     recorder.close()
-    assert len(list(Recording(tmp_path / "run.mcap").steps())) == 1
+    assert len(list(RecordedRun(tmp_path / "run.mcap").steps())) == 1
 
 
 def test_a_failure_without_a_next_step_is_raised_at_the_end(recorder, steps, monkeypatch):
@@ -154,7 +154,7 @@ def test_what_the_disk_had_is_readable_after_a_power_cut(tmp_path, about, steps,
     for count, size in enumerate(sizes[:11]):
         cut = tmp_path / f"cut{count}.mcap"
         cut.write_bytes(whole[:size])
-        recording = Recording(cut)
+        recording = RecordedRun(cut)
         assert [each.index for each in recording.steps()] == list(range(count))
         assert recording.about == about
         assert not recording.whole

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from smarttouch.running.check_recording import check_recording
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 
 from ..whole import WHOLE
 
@@ -45,13 +45,13 @@ def test_a_killed_program_loses_little(tmp_path, seed):
         process.kill()
         told += [[int(each) for each in line.split()] for line in process.stdout]
     last_ns, given = (max(each) for each in zip(*told, strict=True))
-    kept = list(Recording(path).steps())
+    kept = list(RecordedRun(path).steps())
     lost_ms = (last_ns - kept[-1].step.input.time_ns) / 1e6
     print(f"killed at {last_ns / 1e6:.0f} ms: {lost_ms:.1f} ms lost")
     assert [each.index for each in kept] == list(range(len(kept)))
     # What the system was given is kept; how soon it is given is asked of a clock that is told.
     assert len(kept) >= given > 2
-    assert not Recording(path).whole
+    assert not RecordedRun(path).whole
     check = check_recording(path)
     assert check.exact, check.describe()
     assert check.left_out
@@ -66,7 +66,7 @@ def test_a_disk_that_fills_up_is_one_sentence_and_what_it_took_stays(tmp_path):
     assert os.strerror(errno.EFBIG) in sentence
     assert closed == "closed"
     assert path.stat().st_size <= 600_000
-    kept = list(Recording(path).steps())
+    kept = list(RecordedRun(path).steps())
     assert [each.index for each in kept] == list(range(len(kept)))
     assert len(kept) > 3
     assert check_recording(path).exact

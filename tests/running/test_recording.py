@@ -10,8 +10,7 @@ import pytest
 from mcap.reader import make_reader
 
 from smarttouch.base.errors import RecordingError
-from smarttouch.running.recorded_run import load_recording
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun, load_recording
 from smarttouch.running.recording_format import FORMAT
 
 from ..raising import raises
@@ -30,7 +29,7 @@ def broken_path(tmp_path_factory):
 
 def read_all(path):
     """Read all there is to read; return the steps."""
-    found = Recording(path)
+    found = RecordedRun(path)
     steps = list(found.steps())
     assert found.seconds >= 0
     for read in (lambda: found.profile, lambda: found.settings, lambda: found.events):
@@ -40,7 +39,7 @@ def read_all(path):
 
 
 def test_a_whole_recording(recording, steps, profile, settings):
-    found = Recording(recording)
+    found = RecordedRun(recording)
     again = list(found.steps())
     assert found.whole
     assert found.damaged_chunks == 0
@@ -69,7 +68,7 @@ def test_wherever_it_is_cut_what_came_before_is_kept(content, broken_path):
         except RecordingError:
             assert place < 4000
             continue
-        assert not Recording(broken_path).whole
+        assert not RecordedRun(broken_path).whole
         assert [each.index for each in steps] == list(range(len(steps)))
         kept.append(len(steps))
     assert kept == sorted(kept)
@@ -84,7 +83,7 @@ def test_a_flipped_bit_costs_one_chunk(content, steps, broken_path, part):
     broken = bytearray(content)
     broken[chunk.chunk_start_offset + int(0.9 * chunk.chunk_length)] ^= 1
     broken_path.write_bytes(broken)
-    recording = Recording(broken_path)
+    recording = RecordedRun(broken_path)
     indexes = [step.index for step in recording.steps()]
     assert 0 < len(steps) - len(indexes) <= 3
     assert indexes == sorted(set(indexes))
@@ -109,16 +108,16 @@ def test_what_is_none_of_ours(broken_path, tmp_path):
     for content in (b"", b"\x89MCAP", b"precious", b"\x89MCAP0\r\n"):
         broken_path.write_bytes(content)
         with raises(RecordingError, value=broken_path):
-            Recording(broken_path)
+            RecordedRun(broken_path)
     for path in (tmp_path / "none.mcap", tmp_path):
         with raises(RecordingError, value=path):
-            Recording(path)
+            RecordedRun(path)
 
 
 def described(path, about):
     """Return a recording that has nothing but its description."""
     put_together(path, about, [])
-    return Recording(path)
+    return RecordedRun(path)
 
 
 def test_a_recording_of_the_future(broken_path, about):
@@ -135,7 +134,7 @@ def test_a_changed_description_is_refused(broken_path, recording, about, key):
     changed = was.replace(digit, b"%d" % ((int(digit) + 1) % 10), 1)
     broken_path.write_bytes(content.replace(was, changed))
     with raises(RecordingError, value=broken_path):
-        Recording(broken_path)
+        RecordedRun(broken_path)
 
 
 @pytest.mark.parametrize(("key", "value"), [("profile", "{}"), ("settings", "{}")])

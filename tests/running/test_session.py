@@ -15,7 +15,7 @@ import pytest
 import smarttouch as st
 from smarttouch.base.errors import BoardError, SmartTouchError
 from smarttouch.running.check_recording import assert_replays
-from smarttouch.running.recording import Recording
+from smarttouch.running.recording import RecordedRun
 from smarttouch.running.step import OnEvent, OnStep
 
 from ..raising import raises
@@ -355,7 +355,7 @@ def test_a_recording_of_a_session_can_be_checked(tmp_path):
     touch, results = session("simulated:", listeners=[st.Recorder(path)])
     with touch:
         touch.show(RING, 0.3)
-    assert len([*Recording(path).steps()]) == len(results)
+    assert len([*RecordedRun(path).steps()]) == len(results)
     assert_replays(path)
 
 
@@ -400,4 +400,4 @@ def test_many_threads_put_until_another_stops(url, tmp_path):
                 assert not each.is_alive()
                 ended.set()
         assert touch.statistics.ended == "the session was stopped"
-        assert len([*Recording(path).steps()]) == len(results)
+        assert len([*RecordedRun(path).steps()]) == len(results)

@@ -12,14 +12,14 @@ from hypothesis.extra import numpy as arrays
 
 from smarttouch.base.afferent import Mode
 from smarttouch.base.tactile_image import TactileImage
-from smarttouch.running.recording_format import SCHEMAS
-from smarttouch.running.step import Step, StepResult
-from smarttouch.running.step_messages import (
+from smarttouch.running.recording_format import (
+    SCHEMAS,
     StepDecoder,
     event_message,
     image_message,
     step_message,
 )
+from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.source_contract import Frame, Pose, Stimulus
 from smarttouch.stimulation.scan_sequence import ScanSequence, SelectivityReport
 
