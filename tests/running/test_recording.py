@@ -1,17 +1,36 @@
 """Whatever happened to a file: what holds is read, and the rest is one clear sentence."""
 
 import contextlib
+import json
+import math
 import re
+from dataclasses import asdict, replace
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as hy
+from hypothesis.extra import numpy as arrays
 from mcap.reader import make_reader
 
+import smarttouch as st
+from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import RecordingError
+from smarttouch.base.tactile_image import TactileImage
 from smarttouch.running.recording import RecordedRun, load_recording
-from smarttouch.running.recording_format import FORMAT
+from smarttouch.running.recording_format import (
+    FORMAT,
+    SCHEMAS,
+    StepDecoder,
+    event_message,
+    image_message,
+    step_message,
+)
+from smarttouch.running.step import Step, StepResult
+from smarttouch.sources.source_contract import Frame, Pose, Stimulus
+from smarttouch.stimulation.scan_sequence import ScanSequence, SelectivityReport
 
 from ..raising import raises
 from .forged_recordings import put_together
@@ -147,3 +166,221 @@ def test_a_description_without_its_parts(broken_path, about, key, value):
 def test_goldens_are_small(goldens):
     for path in goldens:
         assert Path(path).stat().st_size < 80_000
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "run.mcap"
+    st.run(
+        "text:on and on and on", "simulated:", mode="natural", seconds=2,
+        listeners=[st.Recorder(path)],
+    )  # fmt: skip
+    return path
+
+
+def test_its_arrays_are_those_of_its_steps(recorded):
+    run, steps = st.load_recording(recorded), [*RecordedRun(recorded).steps()]
+    arrays = run.arrays
+    assert arrays is run.arrays
+    assert len(arrays.step) == len(steps) > 50
+    last = arrays.time_ns[-1] / 1e9
+    assert last < run.seconds <= last + arrays.period_us[-1] / 1e6
+    assert run.profile.name == "electric-mouse"
+    assert run.settings["mode"] == "natural"
+    assert run.whole
+    assert [words for _, words in run.events]
+    for index, each in enumerate(steps):
+        own, sequence = slice(*arrays.first_slot[index : index + 2]), each.step.sequence
+        np.testing.assert_array_equal(arrays.current_ua[own], sequence.current_ua)
+        np.testing.assert_array_equal(arrays.width_us[own], sequence.width_us)
+        np.testing.assert_array_equal(arrays.activation[index], each.step.tactile.activation)
+        assert arrays.force_n[index] == each.step.input.force_n
+        assert arrays.time_ns[index] == each.step.input.time_ns
+        assert arrays.intensity[index] == sequence.intensity
+        assert arrays.mode[index] == "natural"
+    for image, each in zip(run.images(), steps, strict=True):
+        np.testing.assert_array_equal(image, each.step.input.image)
+
+
+PAGE = Path(__file__).parents[2] / "docs/reference/recorded-data.md"
+
+
+def test_the_page_describes_each_array(golden):
+    arrays = vars(st.load_recording(golden("regulated")).arrays)
+    rows = re.findall(r"^\| `(\w+)` \| \(([^)]*)\) (\w+) \|", PAGE.read_text("utf-8"), re.MULTILINE)
+    assert {name for name, _, _ in rows} == arrays.keys()
+    sizes = {
+        "N": len(arrays["step"]), "N+1": len(arrays["step"]) + 1, "S": len(arrays["site"]),
+        "E": 64, "V": len(arrays["volts"]), "M": len(arrays["volts_step"]), "3": 3,
+    }  # fmt: skip
+    assert sizes["V"] > sizes["M"] > 3
+    for name, shape, kind in rows:
+        sides = [side for side in shape.replace(" ", "").split(",") if side]
+        assert arrays[name].shape == tuple(sizes[side] for side in sides)
+        assert ("str" if arrays[name].dtype.kind == "U" else arrays[name].dtype.name) == kind
+
+
+numbers = hy.floats(allow_infinity=False)
+whole_us = hy.integers(0, 65535)
+
+
+@hy.composite
+def sequences(draw, time_ns, electrodes):
+    slots = draw(hy.integers(0, 4))
+
+    def column():
+        return draw(arrays.arrays(np.uint16, slots, elements=whole_us))
+
+    recharge_us = draw(hy.integers(0, 20_000))
+    recharge = draw(arrays.arrays(np.int16, electrodes)) if recharge_us else None
+    return ScanSequence(
+        draw(arrays.arrays(np.int16, (slots, electrodes))),
+        column(),
+        column(),
+        column(),
+        draw(hy.integers(1, 10**6)),
+        draw(hy.floats(0, 1)),
+        time_ns,
+        draw(hy.none() | arrays.arrays(np.float32, electrodes, elements=hy.floats(0, 1, width=32))),
+        draw(hy.none() | proofs(slots)),
+        recharge,
+        recharge_us,
+    )
+
+
+def proofs(slots):
+    ratio = hy.floats(0, width=32, allow_infinity=False) | hy.just(math.nan)
+    ratios = arrays.arrays(np.float32, slots, elements=ratio)
+    return hy.builds(
+        SelectivityReport, arrays.arrays(np.uint16, slots, elements=whole_us), ratios, ratios
+    )
+
+
+@hy.composite
+def runs(draw):
+    """Steps, some with the image of the one before, and voltages of what was before them."""
+    electrodes, made, image, number = draw(hy.integers(1, 5)), [], None, 0
+    for index in range(draw(hy.integers(1, 4))):
+        if image is None or draw(hy.booleans()):
+            image = draw(arrays.arrays(np.uint8, hy.tuples(hy.integers(1, 6), hy.integers(1, 6))))
+            number += 1
+        time_ns = index * 10**7 + draw(hy.integers(0, 10**6))
+        observed = tuple(
+            (each.step.sequence, draw(arrays.arrays(np.float32, each.step.sequence.slots)))
+            for each in made[-1:]
+        )
+        activation = draw(
+            arrays.arrays(np.float32, (3, electrodes), elements=hy.floats(0, 1, width=32))
+        )
+        force_n = draw(numbers)
+        rest = {
+            "pose": Pose(*(draw(numbers) for _ in range(3))),
+            "number": number,
+            "age_ns": draw(hy.integers(0, 10**9)),
+            "stale": draw(hy.booleans()),
+        }
+        if draw(hy.booleans()):
+            period_us, level = draw(hy.integers(0, 10**6)), draw(hy.floats(0, 1))
+            seen = draw(hy.sampled_from([None, image]))
+            given = tactile = Stimulus(
+                activation, time_ns, force_n, period_us, level, image=seen, **rest
+            )
+        else:
+            given = Frame(image, time_ns, force_n=force_n, **rest)
+            tactile = TactileImage(activation, time_ns, force_n)
+        step = Step(
+            input=given, tactile=tactile, sequence=draw(sequences(time_ns, electrodes)),
+            mode=draw(hy.sampled_from(Mode)), level=draw(hy.floats(0, 1)),
+            restarted=draw(hy.booleans()), asked_us=draw(hy.integers(0, 10**6)), observed=observed,
+        )  # fmt: skip
+        made.append(
+            StepResult(step, draw(hy.none() | hy.integers(0, 2**32)), draw(hy.floats(0, 1e9)))
+        )
+    return made
+
+
+def through(steps):
+    """Return steps as they come back from their messages."""
+    decoder, found = StepDecoder(steps[0].step.sequence.electrodes), []
+    for index, sent in enumerate(steps):
+        image = sent.step.input.image
+        messages = [("/step", step_message(replace(sent, acknowledged=index)))]
+        if image is not None:
+            messages.insert(0, ("/frame", image_message(image, 10**18)))
+        for topic, message in messages:
+            step = decoder.take(topic, index, json.dumps(message, allow_nan=False).encode())
+            found += [] if step is None else [step]
+    assert decoder.broken == 0
+    return found
+
+
+def same(one, other):
+    """Tell whether two things have the same bits, in all their parts."""
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+    if isinstance(one, float) and math.isnan(one):
+        return math.isnan(other)
+    if isinstance(one, dict):
+        return all(same(one[key], other[key]) for key in one)
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    return one == other
+
+
+@given(runs())
+def test_a_step_comes_back_to_the_bit(steps):
+    found = through(steps)
+    assert len(found) == len(steps)
+    for index, (was, now) in enumerate(zip(steps, found, strict=True)):
+        assert now.index == index
+        assert type(was.step.input) is type(now.step.input)
+        assert same(asdict(replace(was, acknowledged=index)), asdict(now.sent))
+
+
+@pytest.mark.parametrize("force", [math.inf, -math.inf])
+def test_an_endless_force_is_the_largest_there_is(steps, force):
+    step = steps[0].step
+    frame = Frame(step.input.image, 0, step.input.pose, force)
+    endless = Step(frame, step.tactile, step.sequence, step.mode)
+    (found,) = through([StepResult(endless, 1, 0.0)])
+    assert math.isfinite(found.step.input.force_n)
+    assert math.copysign(1e308, force) / found.step.input.force_n > 0.5
+
+
+def test_foxglove_finds_what_the_schemas_name(steps):
+    """By schemas/jsonschema of foxglove-sdk."""
+    messages = {
+        "/frame": image_message(steps[0].step.input.image, 5),
+        "/step": step_message(steps[0]),
+        "/event": event_message("paused", 5),
+    }
+    assert set(messages) == set(SCHEMAS)
+    for topic, message in messages.items():
+        assert set(SCHEMAS[topic][1]) <= set(message)
+    assert set(messages["/frame"]) == {"timestamp", "frame_id", "data", "format"}
+    assert set(messages["/event"]) == {"timestamp", "level", "message", "name", "file", "line"}
+    assert messages["/event"]["timestamp"] == {"sec": 0, "nsec": 5}
+
+
+LAYOUT = Path(__file__).parents[2] / "docs" / "how-to" / "foxglove-layout.json"
+
+
+def test_the_layout_names_what_there_is():
+    layout = json.loads(LAYOUT.read_text("utf-8"))
+    paths = []
+    for panel in layout["configById"].values():
+        paths += [panel["imageMode"]["imageTopic"]] if "imageMode" in panel else []
+        paths += [panel["topicToRender"]] if "topicToRender" in panel else []
+        paths += [path["value"] for path in panel.get("paths", ())]
+    assert len(paths) == 6
+    for path in paths:
+        topic, _, key = path.partition(".")
+        assert topic in SCHEMAS
+        assert not key or key in SCHEMAS[topic][1]
+
+    def panels(part):
+        if isinstance(part, str):
+            return [part]
+        return [*panels(part["first"]), *panels(part["second"])]
+
+    assert sorted(panels(layout["layout"])) == sorted(layout["configById"])
