@@ -54,14 +54,6 @@ def test_a_brf_file(braille, tmp_path):
     assert braille("story.brf", "--columns=30").startswith("⠠⠕⠝⠑⠀⠞⠺⠕⠀⠞⠓⠗⠑⠑⠀⠋⠕⠥⠗⠲\n")
 
 
-def test_what_a_file_holds_is_read(braille, tmp_path):
-    (tmp_path / "README.rst").write_text("Go\n")
-    assert braille("README.rst") == braille("Go")
-    assert (
-        braille("text:README.rst") == braille("README.rst ").rstrip("⠀\n") + "\n" != braille("Go")
-    )
-
-
 def test_tables(braille):
     listed = braille("--tables").splitlines()
     names = [line.split()[0] for line in listed[1:-1]]

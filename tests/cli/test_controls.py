@@ -5,7 +5,6 @@ import math
 import os
 
 import pytest
-from PIL import Image
 
 from smarttouch.base.errors import ScheduleError, SourceError
 from smarttouch.running.recording import RecordedRun
@@ -87,14 +86,6 @@ def test_a_run_that_was_killed_is_no_run(start_at_a_terminal, program_here, tmp_
     assert list((tmp_path / "state").rglob("*.json"))
     assert program_here("stop").returncode == 1
     assert not list((tmp_path / "state").rglob("*.json"))
-
-
-def test_the_force_is_unknown(program_here, tmp_path):
-    (tmp_path / "frames").mkdir()
-
-    Image.new("L", (64, 64), 255).save(tmp_path / "frames" / "1.png")
-    done = program_here("live frames:frames --board memory:")
-    says(SourceError)(refused(done))
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [

@@ -1,5 +1,6 @@
 """Experiments as a user runs them: at a terminal, simulated, stopped, killed and gone on with."""
 
+import csv
 import io
 import json
 import os
@@ -7,22 +8,32 @@ import re
 import signal
 import threading
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
+import joblib
 import numpy as np
 import pytest
+import typer
+from PIL import Image
 from rich.console import Console
+from typer.testing import CliRunner
 
 import smarttouch as st
 from smarttouch.base.afferent import Mode
-from smarttouch.base.errors import ExperimentError
+from smarttouch.base.errors import ExperimentError, ProfileError, SmartTouchError
 from smarttouch.base.events import FingerLifted, TrialEvent
+from smarttouch.cli.experiment import fit
+from smarttouch.cli.simulate import study
+from smarttouch.experiments.psychophysics.procedures import constant_stimuli, ratio_pairs
 from smarttouch.experiments.psychophysics.trial_rows import read_rows
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.recording import RecordedRun
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.views.screen import BlindScreen
 
+from ..experiments.psychophysics.simulated import Subject, answer_all
+from ..raising import assert_says
 from .conftest import refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
@@ -81,17 +92,6 @@ def test_recordings_of_a_session_are_numbered(program_here, tmp_path):
     )
 
 
-def test_discomfort_ends_with_a_current(program_here, tmp_path):
-    result = program_here("experiment run discomfort?repetitions=2&train_s=2 --simulate model")
-    rows = read_rows(tmp_path / "discomfort-RA.csv")
-    enough = [row.comparison for row in rows if row.success]
-    assert len(rows) == 2
-    # Lines of the run itself begin with a time.
-    summary = re.sub(r"(?m)^[\d.]+ s: .*$", "", result.stdout)
-    told = re.findall(r" (\d\.\d{3}) mA", summary)
-    assert list(map(float, told)) == ([pytest.approx(np.mean(enough), 1e-3)] if enough else [])
-
-
 def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_path, monkeypatch):
     # The screen is drawn, though what it is drawn on is kept.
     monkeypatch.setenv("FORCE_COLOR", "1")
@@ -146,13 +146,6 @@ def test_free_stimulation_by_hand(start_at_a_terminal, tmp_path):
     assert figures["max_current_ma"] < 0.11
 
 
-def test_free_stimulation_for_some_seconds(program_here, tmp_path):
-    free = "experiment run free --board simulated: --seconds 1"
-    program_here(f"{free} --intensity 0.5").fine()
-    assert (tmp_path / "free.mcap").exists()
-    assert "free-2.mcap" in program_here(free).stdout
-
-
 @pytest.mark.parametrize(("arguments", "check"), [
     ("experiment run frequency", wrong()),
     ("experiment run frequency --simulate model --board memory:",
@@ -196,8 +189,137 @@ def test_a_participant_s_screen_does_not_show_the_answer(profile, make_frame):
     assert "2.0 s: the finger is lifted" in console.file.getvalue()
 
 
-def test_no_other_participant_goes_on_with_a_file(program_here):
-    """Made answers and a person's do not end up in one file."""
-    program_here(f"{ONCE} --output a.csv")
-    other = program_here(f"{ONCE.replace('--simulate model', '--simulate random')} --output a.csv")
-    says(ExperimentError)(refused(other))
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    """Return a runner of the command in an empty folder: its output, or the error's sentence."""
+    monkeypatch.chdir(tmp_path)
+    app = typer.Typer()
+    app.command()(fit)
+
+    def run(*arguments):
+        found = CliRunner().invoke(app, [*map(str, arguments)])
+        if found.exception is not None and not isinstance(found.exception, SystemExit):
+            raise found.exception
+        return found.output
+
+    return run
+
+
+def session(path, thresholds, seed=0):
+    """Write the answers of a subject with these thresholds of standards; none: the first."""
+    with path.open("w", newline="", encoding="utf-8-sig") as file:
+        writer = csv.writer(file)
+        writer.writerow(["standard", "comparison", "comparison_interval", "unit", "success"])
+        for standard, threshold in thresholds.items():
+            procedure = constant_stimuli(ratio_pairs([standard]), 20, seed=seed)
+            subject = Subject(threshold or 1.0, 0.2)
+            answers = answer_all(procedure, subject.probability, seed + int(standard))
+            success = answers.success if threshold else answers.interval == 1
+            for row in zip(answers.comparison, answers.interval, success, strict=True):
+                writer.writerow([standard, row[0], row[1], "Hz", int(row[2])])
+
+
+def test_two_modes(program, tmp_path):
+    session(tmp_path / "RA.csv", {30.0: 36.0, 75.0: None})
+    session(tmp_path / "PC.csv", {30.0: 36.0, 75.0: 90.0})
+    said = program("RA.csv", "PC.csv", "--plot", "a.png", "--json", "a.json")
+    lines = said.splitlines()
+    assert lines[0] == "RA, Hz"
+    assert lines[1].split() == [
+        "standard", "n", "75%", "at", "Weber", "lower", "middle", "spread", "lapse", "p",
+    ]  # fmt: skip
+    (without,) = (line for line in lines if line.startswith("75: "))
+    assert "200 of 200" in without
+    assert max(map(len, lines[:3])) <= 80
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+    figures = json.loads((tmp_path / "a.json").read_text())
+    assert list(figures) == ["RA", "PC"]
+    good, bad = figures["RA"]
+    assert good["threshold"]["low"] < good["threshold"]["value"] < good["threshold"]["high"]
+    assert good["threshold"]["value"] == pytest.approx(36, rel=0.1)
+    assert good["weber"]["value"] == pytest.approx(good["threshold"]["value"] / 30 - 1)
+    assert good["verdict"] is None
+    assert bad["threshold"] is bad["weber"] is bad["spread"] is None
+    assert bad["verdict"]
+    row = lines[2].split()
+    assert row[:2] == ["30", "200"]
+    assert float(row[2]) == pytest.approx(good["threshold"]["value"], rel=0.01)
+
+
+def test_others_answers(program, tmp_path):
+    """Detection of somebody else's: no standard, columns with names of their own."""
+    random = np.random.default_rng(2)
+    subject = Subject(0.8, 0.3, 0.5, 0.01, guess=0.1)
+    felt = [
+        f"{level};{'yes' if random.random() < subject.probability(level) else 'no'}"
+        for level in (0.0, 0.3, 0.5, 0.7, 0.9, 1.2, 1.6)
+        for _ in range(25)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(["mA;ok", *felt]))
+
+    def fitted(options):
+        program(*f"a.csv --x mA --y ok --json a.json {options}".split())
+        (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+        return found
+
+    found = fitted("--plot a.svg")
+    assert found["standard"] is found["weber"] is None
+    assert found["at"] == 0.5
+    assert 0 < found["guess"] < 0.3
+    assert found["threshold"]["value"] == pytest.approx(0.8, rel=0.2)
+    for options, at in (
+        ("--guess 0.1 --function weibull", 0.55),
+        ("--guess equal --function logistic --at 0.6", 0.6),
+        ("--guess free", 0.5),
+    ):
+        found = fitted(options)
+        assert found["at"] == pytest.approx(at)
+        assert found["threshold"]["value"] == pytest.approx(0.8, rel=0.3)
+
+
+@pytest.mark.parametrize(("options", "wrong"), [
+    ("none.csv", says(ExperimentError, value=Path("none.csv"))),
+    ("a.csv --x hz",
+     says(ExperimentError, "a.csv", "comparison or success", value="hz")),
+    ("a.csv --guess half", says(ExperimentError, value="half")),
+    ("a.csv --function cubic",
+     says(value="cubic", allowed=("normal", "logistic", "weibull"))),
+    ("a.csv --plot a.doc", says(SmartTouchError, "a.doc", "*.png")),
+    ("a.csv --plot none/a.png", says(value=Path("none/a.png"))),
+])  # fmt: skip
+def test_what_a_user_can_do_wrong(program, tmp_path, options, wrong):
+    (tmp_path / "a.csv").write_text("comparison,success\n1,0\n2,1\n")
+    with pytest.raises(SmartTouchError) as caught:
+        program(*options.split())
+    wrong(caught.value)
+
+
+PLAN = (
+    'title = "x"\nprofiles = ["smarttouch-4x4"]\nanatomies = ["paper"]\nfingers = 1\nletters = "L"'
+)
+
+
+@pytest.fixture
+def plan(tmp_path):
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+def test_a_table_and_a_plot(plan, tmp_path, capsys):
+    with joblib.parallel_config("threading", n_jobs=1):
+        study(plan, tmp_path / "out")
+    assert len((tmp_path / "out" / "rows.csv").read_text().splitlines()) == 2
+    with Image.open(tmp_path / "out" / "study.png") as picture:
+        assert min(picture.size) > 200
+    assert str(tmp_path / "out" / "rows.csv") in capsys.readouterr().out
+
+
+def test_it_ends_with_one_sentence(program_here, tmp_path):
+    (tmp_path / "plan.toml").write_text("fingers = 3")
+    error = refused(program_here("simulate study plan.toml --output out"))
+    assert type(error) is ProfileError
+    assert_says(error, key="title")
+    (tmp_path / "plan.toml").write_text(PLAN)
+    error = refused(program_here("simulate study plan.toml --output out --cluster nowhere:x"))
+    assert_says(error)

@@ -127,11 +127,6 @@ def test_standard_input_is_a_file(monkeypatch, data):
     assert not path.exists()
 
 
-@pytest.mark.parametrize("given", [None, "a-b.txt", "--", "-1", "text:-", "-?x"])
-def test_other_names_are_left_alone(given):
-    assert or_standard_input(None, given) == given
-
-
 def test_nothing_on_standard_input(monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     with pytest.raises(SmartTouchError, match="standard input"):

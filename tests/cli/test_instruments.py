@@ -12,7 +12,6 @@ from smarttouch.base.errors import PageError, ScheduleError, SmartTouchError, So
 from smarttouch.running.check_recording import assert_replays, check_recording
 from smarttouch.running.recording import RecordedRun
 
-from ..instruments.touched import object_file
 from .conftest import refused, says
 
 FAST = "live texture:grating:4mm?motion=sweep:?speed_mm_s=120 --set paced=no"
@@ -41,16 +40,6 @@ def test_all_three_on_an_emulated_board(played, tmp_path):
     assert_replays(tmp_path / "r.mcap")
 
 
-def test_a_file_keeps_its_own_time_and_can_be_cut(played, tmp_path):
-    time_s = np.arange(0, 1, 0.001)
-    moved = 8 * np.sin(60 * np.pi * time_s)
-    lines = [f"{time:.3f},{um:.3f}" for time, um in zip(time_s, moved, strict=True)]
-    (tmp_path / "t.csv").write_text("\n".join(["time_s,displacement_um", *lines]))
-    for more, lasts in (("", 1.0), ("--seconds 0.4", 0.4)):
-        figures = played("vibration:t.csv", more)
-        assert figures["seconds"] == pytest.approx(lasts, abs=0.03)
-
-
 def test_what_is_left_out_is_reported(played):
     said = played("vibration:tone:30Hz,9um+press:1N?seconds=0.3", "--profile kajimoto-61")
     (left_out,) = (
@@ -67,19 +56,6 @@ def test_without_options_a_virtual_hand_strokes_a_grating(played, tmp_path):
     assert figures["ended"] == "the hand has stopped"
     with Image.open(tmp_path / "felt.png") as picture:
         assert picture.width > 900
-
-
-def test_an_image_under_a_recorded_hand(played, tmp_path):
-    object_file(tmp_path / "o.png", "disc")
-    (tmp_path / "way.csv").write_text(
-        "time_s,x_mm,y_mm,force_n\n0,20,20,1\n1,20,20,1\n2,60,20,1\n2.1,60,20,1\n"
-    )
-    hand = "motion=path:way.csv"
-    all_over = played(f"texture:o.png?{hand}")["slots"]
-    assert 100 < all_over < 250
-    twice = played(f"texture:o.png?grain_mm=1&{hand}", "--mode SAI")["slots"]
-    assert twice == pytest.approx(2 * all_over, rel=0.2)
-    assert played(f"texture:o.png?{hand}", "--force fixed:0.1")["slots"] == 0
 
 
 def test_a_vibrator_plays_what_was_recorded(program_here, tmp_path, changed):

@@ -2,18 +2,24 @@
 
 import base64
 import json
+import os
+import pty
+import subprocess
+import time
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from PIL import Image
-from skimage import data
 
+from smarttouch.base.errors import BoardError
 from smarttouch.base.files import data_folder
+from smarttouch.emulator.firmware import read_slots
 from smarttouch.profile import list_profiles, load_profile
 
+from ..boards.fresh import fresh_state
+from ..forks import PROGRAM, Forked
 from ..whole import sample
-from .conftest import panels
+from .conftest import panels, refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
@@ -81,15 +87,6 @@ def test_the_sample_page(program, tmp_path):
     assert len(messages(tmp_path / "run.mcap", "/frame")) == len(sequences)
 
 
-def test_a_photographed_page(program_here, tmp_path):
-    Image.fromarray(data.page()).save(tmp_path / "page.png")
-    page = "page:page.png?page_width_mm=110&speed_mm_s=300"
-    live = f"live --set paced=no {page} --seconds 3 --json run.json"
-    done = program_here(live).flawless()
-    assert_safe(done.figures)
-    assert 0.1 < done.figures["active_fraction"] < 0.5
-
-
 @pytest.mark.parametrize("name", sample(list_profiles(), 4))
 def test_every_profile_runs(figures_of, tmp_path, name):
     # Axons that branch take seconds beneath a large array.
@@ -105,42 +102,6 @@ def test_every_profile_runs(figures_of, tmp_path, name):
     # Measured: .58 and .53 at least.
     assert ink_agreement(page, delivered) > 0.5
     assert ink_agreement(page, felt) > 0.4
-
-
-def test_sai_and_light_on_dark(figures_of):
-    page = data_folder("sample_images") / "light_on_dark.png"
-    options = "--set paced=no --mode=sai --set light_on_dark --seconds=2"
-    assert_safe(figures_of(f"live page:{page}?speed_mm_s=500 {options}"))
-
-
-def recorded(program_here, tmp_path, name, seed):
-    same = "live --set paced=no text:same?speed_mm_s=200"
-    program_here(f"{same} --set seed={seed} --record={name}").fine()
-    sequences = messages(tmp_path / name, "/step")
-    return [
-        (entry["site"], entry["period_us"], base64.b64decode(entry["current_ua"]))
-        for entry in sequences
-    ]
-
-
-def test_same_seed_same_sequences(program_here, tmp_path):
-    first = recorded(program_here, tmp_path, "a.mcap", 5)
-    assert first == recorded(program_here, tmp_path, "b.mcap", 5)
-    assert first != recorded(program_here, tmp_path, "c.mcap", 6)
-
-
-def along(folder, rows):
-    """Return a command over the sample page along a recorded path."""
-    (folder / "p.csv").write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + rows)
-    return f"live --set paced=no {SAMPLE}?path=p.csv"
-
-
-def test_recorded_path(figures_of, tmp_path):
-    path = along(tmp_path, "0,5,11,0,0\n0.1,5,11,0,1\n1,40,11,0,1\n")
-    figures = figures_of(f"{path} --record run.mcap")
-    finger = messages(tmp_path / "run.mcap", "/step")
-    assert (finger[0]["x_mm"], finger[0]["force_n"]) == (5, 0)
-    assert figures["slots"] > 0
 
 
 def test_many_points_in_a_slot(program_here, tmp_path):
@@ -166,3 +127,85 @@ def test_many_points_in_a_slot(program_here, tmp_path):
     assert max(shared) == pytest.approx(frames["worst_other"])
     assert messages(tmp_path / "points.mcap", "/step")[-1]["worst_other"] is None
     program_here("replay auto.mcap --check").fine()
+
+
+def lasts(*options, seconds):
+    """Run a short text with its output at a terminal; return whether it still runs after a time."""
+    ours, terminal = pty.openpty()
+    words = [PROGRAM, "live", "text:i?speed_mm_s=400", "--board", "simulated:", *options]
+    with Forked(
+        words, stdin=subprocess.DEVNULL, stdout=terminal, stderr=subprocess.PIPE, text=True
+    ) as run:
+        os.close(terminal)
+        os.set_blocking(ours, False)
+        until_s = time.monotonic() + seconds
+        try:
+            while run.poll() is None and time.monotonic() < until_s:
+                time.sleep(0.05)
+                try:
+                    os.read(ours, 1 << 16)
+                except OSError:
+                    continue
+            return run.poll() is None
+        finally:
+            run.terminate()
+            run.wait(30)
+            os.close(ours)
+
+
+def test_on_a_screen_it_is_read_again(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    begun_s = time.monotonic()
+    assert not lasts("--plain", seconds=60), "this is read once"
+    assert lasts(seconds=1 + 2 * (time.monotonic() - begun_s))
+
+
+def test_what_is_kept_is_read_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert not lasts("--json", "f.json", seconds=60)
+
+
+@pytest.fixture
+def live(program_here):
+    """Return a runner of ``live`` over a short word."""
+    touch = "live text:touch?speed_mm_s=80 --json run.json --intensity 1"
+    return lambda options: program_here(f"{touch} {options}")
+
+
+def test_where_it_does_not_fit_the_rate_falls_with_a_note(live, program_here):
+    hurried = "--board simulated: --set rate_hz=150 --set scan=points --set balance"
+    done = live(f"{hurried} --record run.mcap").fine()
+    figures = done.figures
+    assert figures["slowed_sequences"] > 0
+    assert figures["lowest_rate_hz"] < figures["rate_hz"] < 150
+    assert figures["emulator_violations"] == 0
+    assert f"({figures['slowed_sequences']} sequences " in done.stdout
+    program_here("replay run.mcap --check").fine()
+
+
+def test_a_board_on_a_line_makes_them(live, start_emulator):
+    _, port, books = start_emulator(64, "link")
+    # Within the word: what the limits leave of one scan is taken back by the next.
+    options = f"--board link:{port} --force fixed:1 --set balance --seconds 0.8"
+    figures = live(options).fine().figures
+    assert figures["emulator_violations"] == 0
+    state = fresh_state(books)
+    assert state["recharges"] == len(read_slots(books, recharges=True)) > 0
+    assert (state["unsafe"], state["violations"]) == (0, 0)
+    assert np.abs(state["passed_uc"]).max() < 0.02
+
+
+def test_one_source_reverses_with_a_note_on_the_effect(live):
+    done = live("--board simulated: --profile smarttouch-4x4 --set balance").fine()
+    figures = done.figures
+    for said in (done.stderr, done.stdout):
+        assert all(name in said for name in ("RA", "SAI"))
+    assert "SAI where RA is meant" in done.stderr
+    assert figures["emulator_violations"] == 0
+    assert figures["slots"] > 20
+
+
+def test_a_board_of_one_polarity_refuses(live, start_emulator):
+    _, port, _ = start_emulator(61, "kajimoto61")
+    done = live(f"--board kajimoto61:{port} --force fixed:1 --set balance")
+    says(BoardError, value=("anodic",))(refused(done))

@@ -140,15 +140,6 @@ def test_at_a_terminal_keys_go_from_line_to_line(start_at_a_terminal, tmp_path):
     assert [line for line, _ in itertools.groupby(lines)] == [0, 1, 2, 1]
 
 
-def test_what_waits_for_nothing_is_felt_at_once_also_from_a_terminal(start_at_a_terminal, tmp_path):
-    process, _ = start_at_a_terminal(
-        "read", "text:i", "--board", "simulated:", "--json", "figures.json"
-    )
-    _, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (0, "")
-    assert json.loads((tmp_path / "figures.json").read_text())["slots"] > 0
-
-
 def test_plain_prints_the_words_of_each_line_and_what_was_read(program_here):
     done = program_here("read 'text:one\ntwo' --plain --set paced=no").flawless()
     said = [line.partition(" s: ")[2] for line in done.stdout.splitlines()]

@@ -1,14 +1,20 @@
 """Boards from the command line: found, looked at, measured, tried, stopped, and run."""
 
 import os
+import re
+import select
 import signal
 import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
-from smarttouch.base.errors import BoardError
-from smarttouch.boards.link.protocol import HostSession, MessageKind
+from smarttouch.base.errors import ProfileError, SourceError
+from smarttouch.boards.open import may_touch_a_finger
+from smarttouch.cli.devices import devices
 from smarttouch.emulator.firmware import STATE_FILE, read_slots, read_state
 
 from ..boards.fresh import fresh_state, until
@@ -69,22 +75,6 @@ def test_live_end_to_end_ends_in_zero(program_here, kit):
     assert state_of(books)["slots"] == state["slots"]
 
 
-@on("link")
-def test_packets_that_come_twice_are_reported(program_here, monkeypatch, kit):
-    encode = HostSession.encode
-
-    def twice(session, kind, *more):
-        return encode(session, kind, *more) * (1 + (kind == MessageKind.SEQUENCE))
-
-    monkeypatch.setattr(HostSession, "encode", twice)
-    live = f"live --board {kit[0]} --force fixed:1 --intensity 0 --seconds 1"
-    done = program_here(f"{live} --json run.json").fine()
-    figures = done.figures
-    assert figures["packets_refused_by_host"] == 0
-    assert figures["packets_refused_by_board"] >= figures["acknowledged"] > 10
-    assert state_of(kit[1])["old_packets"] >= figures["packets_refused_by_board"]
-
-
 @on("kajimoto61", "etactilekit")
 def test_a_signal_ends_in_zero(start_program, kit):
     url, books = kit
@@ -119,17 +109,6 @@ def test_a_killed_host(start_program, kit):
     assert after["slots"] == before["slots"]
 
 
-def test_info_of_the_newest_kit_has_how_long_it_goes_on(program_here, start_emulator):
-    _, port, _ = start_emulator(32, "etactilekit", "firmware=newest")
-    # On a busy computer it may pass for the one before it: then once more.
-    for _ in range(10):
-        done = program_here("devices show", f"etactilekit:{port}").fine()
-        if "newest" in done.stdout:
-            break
-    assert "newest" in done.stdout
-    assert "520 ms" in done.stdout
-
-
 @on("kajimoto61", "etactilekit", "link")
 def test_info(program_here, kit):
     done = program_here("devices show", kit[0]).fine()
@@ -153,14 +132,6 @@ def test_measuring_finds_bad_electrodes(program_here, start_emulator):
     assert found["masked"] == [5, 9]
     assert "masked = [5, 9]" in done.stdout
     assert found["impedance_kohm"][5] is None
-
-
-def test_measuring_without_a_finger_is_reported(program_here, start_emulator):
-    _, port, _ = start_emulator(16, "link", "output=three-state", "event=0 lift")
-    small = f"link:{port} --profile smarttouch-4x4"
-    found = program_here(f"devices measure {small} --json found.json").fine().figures
-    assert found["condition"] == ["open"] * 16
-    assert found["impedance_kohm"] == [None] * 16
 
 
 @on("etactilekit")
@@ -194,12 +165,6 @@ def test_a_key_goes_on_to_the_next_electrode_and_q_ends_it():
     os.close(keyboard)
 
 
-def test_one_electrode_alone(program_here):
-    done = program_here("devices test memory: --electrode 3 --seconds 0.05").fine()
-    assert [line.split(":")[0] for line in done.stdout.splitlines()[:-1]] == ["electrode 3"]
-    assert done.stdout.splitlines()[-1].startswith("1 of 1 electrodes")
-
-
 @on("etactilekit")
 def test_stop(program_here, kit):
     program_here("stop", kit[0]).fine()
@@ -213,20 +178,6 @@ def test_the_scale_from_a_resistor(program_here, kit):
     assert "1.100 mA" in done.stdout
     assert "ua_per_count = 2.686" in done.stdout
     assert fresh_state(kit[1])["slots"] == 0
-
-
-def test_a_scale_is_not_measured_out_of_its_band_step_by_step(program_here, tmp_path):
-    from smarttouch.base.files import data_folder
-
-    text = (data_folder("calibration") / "kajimoto-61.toml").read_text(encoding="utf-8")
-    path = tmp_path / "own.toml"
-    path.write_text(text.replace("[output]", "[output]\nua_per_count = 3.0"), encoding="utf-8")
-    measure = ("calibrate", "scale", "kajimoto61:x", "--profile", path, "--volts")
-    done = program_here(*measure, 1.2)
-    assert done.stdout == ""
-    says(BoardError, "ua_per_count = 3.6")(refused(done))
-    done = program_here(*measure, 0.9).fine()
-    assert "ua_per_count = 2.7" in done.stdout
 
 
 def test_what_is_there_is_listed_and_nothing_is_opened(program_here):
@@ -266,3 +217,105 @@ def test_an_emulator_that_is_killed_leaves_no_board_behind(start_program, tmp_pa
     before = written()
     time.sleep(0.3)
     assert written() == before
+
+
+@pytest.fixture
+def run(monkeypatch, tmp_path):
+    """Return a runner of the command in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    return lambda *arguments: CliRunner().invoke(devices, [str(each) for each in arguments])
+
+
+def table(output):
+    return {line[:13].strip(): line[13:].strip() for line in output.splitlines()}
+
+
+def test_a_page_is_shown(run):
+    shown = run("show", "text:touch", "--seconds", 0.2)
+    assert shown.exit_code == 0, shown.exception
+    rows = table(shown.output)
+    assert rows["source"]
+    assert re.findall(r"\d+", rows["read"]) == ["21", "100"]
+    assert rows["size"].startswith("64 x 64, ")
+    assert re.search(r"\b0\.\d+ N", rows["force"])
+
+
+@pytest.mark.parametrize(("arguments", "wrong"), [
+    ("show nothing:", says(SourceError, value="nothing:")),
+    ("show text:x --seconds 0", says(value=0, allowed=(0, 3600))),
+    ("show text:x --profile none", says(ProfileError, "'none'")),
+    ("show hx711:/dev/nowhere",
+     says(SourceError, "electric-mouse", "force.curve", "0.00980665")),
+    ("emulate mouse",
+     says(value="mouse", allowed=("serial-array", "hx711", "loadcell"))),
+    ("emulate hx711?books=no/where", says(value=Path("no/where"))),
+])  # fmt: skip
+def test_wrong_requests_end_in_one_sentence(run, arguments, wrong):
+    wrong(run(*arguments.split()).exception)
+
+
+def test_an_array_is_played_and_shown(run):
+    program = "from smarttouch.cli.devices import devices; devices()"
+    arguments = ["emulate", "serial-array"]
+    with subprocess.Popen(
+        [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert select.select([process.stdout], [], [], 30)[0], "it prints nothing"
+            said = [process.stdout.readline() for _ in range(3)][-1].split()
+            assert said[:2] == ["smarttouch", "live"]
+            url = said[2]
+            shown = run("show", url, "--seconds", 0.3)
+            assert shown.exit_code == 0, shown.exception
+            rows = table(shown.output)
+            assert re.findall(r"\d+", rows["size"])[:4] == ["64", "64", "40", "220"]
+            assert not re.search(r"\d", rows["force"])
+            assert int(rows["frames"].partition(",")[0]) > 0
+        finally:
+            process.send_signal(signal.SIGTERM)
+        assert process.wait(60) == 0
+
+
+@pytest.mark.parametrize(("url", "finger"), [
+    ("link:x", True), ("kajimoto61:x", True), ("etactilekit:x", True),
+    ("emulator:", False), ("simulated:", False), ("memory:", False),
+])  # fmt: skip
+def test_which_boards_a_finger_may_be_on(url, finger):
+    assert may_touch_a_finger(url) is finger
+
+
+@pytest.mark.parametrize("command", [
+    ("live",), ("live", "texture:"), ("read", "text:a"),
+    ("live", "vibration:tone:30Hz,8um+press:0.5N"),
+    ("experiment", "run", "free", "--seconds", "1"), ("devices", "test", "--seconds", "1"),
+])  # fmt: skip
+def test_no_command_drives_a_real_board_that_nobody_controls(program_here, command):
+    board = ("link:/dev/nowhere",) if command[0] == "devices" else ("--board", "link:/dev/nowhere")
+    about = "keyboard" if command[0] == "devices" else "intensity"
+    says(names=about)(refused(program_here(*command, *board)))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("live",), ("read", "text:a"), ("live", "texture:"),
+        ("live", "vibration:tone:30Hz,8um+press:0.5N"),
+        ("experiment", "run", "detection"),
+        ("experiment", "run", "free", "--seconds", "1", "--profile", "kajimoto-61"),
+        ("devices", "test", "--seconds", "1", "--current-ma", "0.5"),
+        ("calibrate", "thresholds", "--output", "mine.toml", "--electrodes", "5"),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_no_command_drives_a_real_board_whose_finger_nobody_measures(
+    start_at_a_terminal, start_emulator, command
+):
+    _, port, books = start_emulator(61, "kajimoto61")
+    url = f"kajimoto61:{port}"
+    board = (url,) if command[0] == "devices" else ("--board", url)
+    process, _ = start_at_a_terminal(*command, *board)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "--force" in errors
+    assert fresh_state(books)["max_current_ma"] == 0
