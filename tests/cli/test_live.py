@@ -173,7 +173,7 @@ def live(program_here):
 
 
 def test_where_it_does_not_fit_the_rate_falls_with_a_note(live, program_here):
-    hurried = "--board simulated: --set rate_hz=150 --set scan=points --set balance"
+    hurried = "--board simulated: --set paced=no --set rate_hz=150 --set scan=points --set balance"
     done = live(f"{hurried} --record run.mcap").fine()
     figures = done.figures
     assert figures["slowed_sequences"] > 0
