@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from smarttouch.instruments.color_source import ColorSource
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import RecordingError, SourceError
-from smarttouch.instruments.color_mix import mix_colors
+from smarttouch.instruments.color_mix import ColorSource, mix_colors
 from smarttouch.instruments.skin_trace import open_trace
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
