@@ -72,10 +72,10 @@ from smarttouch.profile.device import PerceptThresholds as PerceptThresholds
 from smarttouch.profile.device import Pulse as Pulse
 from smarttouch.profile.device import Skin as Skin
 from smarttouch.profile.electrodes import ElectrodeArray as ElectrodeArray
-from smarttouch.profile.layouts import FreeLayout as FreeLayout
-from smarttouch.profile.layouts import GridLayout as GridLayout
-from smarttouch.profile.layouts import HexagonLayout as HexagonLayout
-from smarttouch.profile.layouts import LineLayout as LineLayout
+from smarttouch.profile.electrodes import FreeLayout as FreeLayout
+from smarttouch.profile.electrodes import GridLayout as GridLayout
+from smarttouch.profile.electrodes import HexagonLayout as HexagonLayout
+from smarttouch.profile.electrodes import LineLayout as LineLayout
 from smarttouch.profile.toml_tables import Table as Table
 from smarttouch.running.inputs import Controls as Controls
 from smarttouch.running.inputs import ControlState as ControlState

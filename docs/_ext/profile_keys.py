@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from pydantic.fields import FieldInfo
 
 from smarttouch.profile.device import Calibrated
-from smarttouch.profile.layouts import ArrayLayout
+from smarttouch.profile.electrodes import ArrayLayout
 from smarttouch.profile.profile import Profile
 from smarttouch.profile.toml_tables import LARGEST, Table
 

@@ -145,7 +145,7 @@ def list_profiles(context: typer.Context) -> None:
 def show(name: _Name = "") -> None:
     """Print all values of a profile, defaults included, and what calibrations measured."""
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
-    from smarttouch.profile.toml_writer import as_toml
+    from smarttouch.profile.toml_files import as_toml
 
     typer.echo(as_toml(load_profile(name or DEFAULT_PROFILE)), nl=False)
 
@@ -173,8 +173,8 @@ def new(
     from smarttouch.base.files import require_replaceable, write_bytes
     from smarttouch.experiments.calibration.profile_file import ProfileFile
     from smarttouch.profile import load_profile
-    from smarttouch.profile.electrode_table import grid_of
-    from smarttouch.profile.toml_writer import as_toml
+    from smarttouch.profile.electrodes import grid_of
+    from smarttouch.profile.toml_files import as_toml
 
     *tables, file = files
     if len(tables) + bool(grid) > 1:

@@ -18,7 +18,7 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.batch_design import Design, Progress, design_sites, part_of
 from smarttouch.kernels.design_problem import Array, Kernel, Problem, mirrors, own_properties
 from smarttouch.profile import Profile
-from smarttouch.profile.layouts import FreeLayout
+from smarttouch.profile.electrodes import FreeLayout
 
 _RING_PITCHES = 1.0
 _DECIMALS = 6

@@ -26,9 +26,13 @@ from smarttouch.profile.device import (
     Pulse,
     Skin,
 )
-from smarttouch.profile.electrode_table import layout_of, lowest_for_all
-from smarttouch.profile.electrodes import ElectrodeArray
-from smarttouch.profile.layouts import ArrayLayout, FreeLayout, GridLayout
+from smarttouch.profile.electrodes import (
+    ArrayLayout,
+    ElectrodeArray,
+    FreeLayout,
+    GridLayout,
+    layout_of,
+)
 from smarttouch.profile.toml_tables import Table, UnfitError, raise_all, table_error
 
 
@@ -303,10 +307,31 @@ class Profile(Table):
         else:
             layout, optics = layout_of(table), {}
         count = len(layout.build())
-        own = lowest_for_all(count, self.output, self.perception, self.limits, self.calibrated)
-        title = title or f"{count} electrodes, else as {self.title}"
-        own["optics"] = self.optics.model_dump() | optics
-        return self.model_copy(update={**own, "array": layout, "title": title, "name": ""})
+        output = self.output.model_dump() | {"masked": (), "wiring": None}
+        output["impedance_kohm"] = np.max(self.output.impedance_kohm)
+        felt = self.perception.model_dump()
+        felt["threshold_ma"] = np.min(self.perception.threshold_ma)
+        if self.perception.comfort_ma is not None:
+            felt["comfort_ma"] = (min(self.perception.comfort_ma),) * count
+        limits = self.limits.model_dump()
+        if self.limits.electrode_ma is not None:
+            limits["electrode_ma"] = (min(self.limits.electrode_ma),) * count
+        still = ("optics", "registration", "force")  # of the sensor and the finger
+        return self.model_copy(
+            update={
+                "array": layout,
+                "output": output,
+                "perception": felt,
+                "limits": limits,
+                "optics": self.optics.model_dump() | optics,
+                "calibrated": {
+                    part: self.calibrated[part] for part in self.calibrated.keys() & still
+                },
+                "defaults": CommandDefaults(),
+                "title": title or f"{count} electrodes, else as {self.title}",
+                "name": "",
+            }
+        )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -1,15 +1,17 @@
 """Profiles by name, and as TOML files."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import tomlkit
 from pydantic import ValidationError
+from tomlkit.items import Array
 
 from smarttouch.base.errors import ProfileError
 from smarttouch.base.files import data_folder, read_toml
 from smarttouch.profile.profile import Profile
-from smarttouch.profile.toml_tables import table_error
+from smarttouch.profile.toml_tables import Table, table_error
 
 DEFAULT_PROFILE = "electric-mouse"
 
@@ -98,3 +100,53 @@ def _is_there(path: Path) -> bool:
     except OSError:
         # Reading it raises the right error.
         return True
+
+
+CALIBRATED_KEYS: dict[str, tuple[str, ...]] = {
+    "optics": ("optics.flat_field",),
+    "registration": ("optics.homography", "optics.sensor_columns", "optics.sensor_rows"),
+    "force": ("force.curve",),
+    "thresholds": ("perception.threshold_ma", "perception.comfort_ma"),
+    "contact": ("output.impedance_kohm", "output.masked"),
+}
+"""Keys that each calibration measures."""
+_A_LINE = 8  # numbers of a long list on one line
+
+
+def as_toml(profile: Profile) -> str:
+    """Return all values of a profile, defaults included, as they would stand in a file."""
+    return tomlkit.dumps(profile.model_dump(exclude={"name"}, exclude_none=True))
+
+
+def difference(one: Profile, other: Profile) -> str | None:
+    """Return the first key in which two profiles differ, apart from calibrations and defaults."""
+    measured = {key for keys in CALIBRATED_KEYS.values() for key in keys}
+    values, others = dict(_flat(one)), dict(_flat(other))
+    for key in values | others:
+        aside = key in ("name", "title", "calibrated") or key in measured
+        aside = aside or key.startswith("defaults.")
+        if not aside and values.get(key) != others.get(key):
+            return key
+    return None
+
+
+def in_rows(values: Sequence[Any]) -> Array:
+    """Return a list as TOML, a long one in rows."""
+    rows = tomlkit.array()
+    if len(values) <= _A_LINE:
+        rows.extend(values)
+        return rows
+    width = 3 if len(values) == 9 else _A_LINE
+    for first in range(0, len(values), width):
+        rows.add_line(*values[first : first + width])
+    rows.add_line(indent="")
+    return rows
+
+
+def _flat(table: Table, before: str = "") -> Iterator[tuple[str, Any]]:
+    for name in type(table).model_fields:
+        value = getattr(table, name)
+        if isinstance(value, Table):
+            yield from _flat(value, f"{before}{name}.")
+        else:
+            yield before + name, value

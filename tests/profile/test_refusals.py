@@ -7,8 +7,8 @@ import pytest
 
 from smarttouch.base.errors import ProfileError
 from smarttouch.base.files import data_folder
-from smarttouch.profile import list_profiles, load_profile
-from smarttouch.profile.toml_writer import as_toml
+from smarttouch.profile import load_profile
+from smarttouch.profile.toml_files import as_toml
 
 from ..raising import raises
 
@@ -76,12 +76,6 @@ def test_refusals(edited, old, new, attributes):
     with raises(ProfileError, **attributes) as caught:
         load_profile(path)
     assert str(path) in str(caught.value)
-
-
-def test_the_weakest_electrode_is_named(edited):
-    path = edited(("total_ma = 10.0", f"electrode_ma = {[5.0] * 62 + [2.0, 5.0]}"))
-    with raises(ProfileError, key="limits.electrode_ma", electrode=62):
-        load_profile(path)
 
 
 FREE = """[array]
@@ -171,14 +165,6 @@ def test_all_errors_are_reported_at_once(edited, changes, complaints):
         assert all(f"{each}" in found[key] for each in (path, *numbers)), found[key]
     assert caught.value.key == caught.value.complaints[0][0]
     assert all(key.rpartition(".")[2] in str(caught.value) for key in found)
-
-
-def test_an_error_of_one_thing_complains_of_it():
-    with raises(ProfileError) as caught:
-        load_profile("nothing")
-    (complaint,) = caught.value.complaints
-    assert complaint == ("profile", str(caught.value))
-    assert all(each in complaint[1] for each in ("nothing", *list_profiles()))
 
 
 def with_shapes(edited, shapes, sizes, positions="[[0, 0], [0, 0]]"):

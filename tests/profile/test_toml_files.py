@@ -1,13 +1,15 @@
 """Profiles are found by name or file."""
 
 import math
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from smarttouch.base.errors import ProfileError
-from smarttouch.base.files import data_folder
 from smarttouch.profile import list_profiles, load_profile
+from smarttouch.profile.toml_files import CALIBRATED_KEYS, as_toml, difference, profile_of
 
 from ..raising import raises
 
@@ -33,11 +35,6 @@ def test_shipped(name):
     assert profile.electrodes.position_mm.mean(axis=0) == pytest.approx([0, 0])
 
 
-@pytest.mark.parametrize("name", ELECTRODES)
-def test_shipped_files_describe_themselves(name):
-    assert (data_folder("calibration") / f"{name}.toml").read_text(encoding="utf-8")[0] == "#"
-
-
 def test_hexagon_order_is_the_board_s():
     """Index rises as x falls and as y falls (y up): 0 at (.5, .866), 60 at (-.5, -.866)."""
     electrodes = load_profile("kajimoto-61").electrodes
@@ -46,10 +43,6 @@ def test_hexagon_order_is_the_board_s():
     assert unit[30] == pytest.approx([0, 0])
     assert unit[60] == pytest.approx([-0.5, -math.sqrt(3) / 2])
     assert len(electrodes) == 61
-
-
-def test_a_file_of_one_s_own(edited):
-    assert load_profile(edited(("rows = 8", "rows = 4"))).array.rows == 4
 
 
 def test_what_is_known_of_a_board(edited):
@@ -79,3 +72,37 @@ def test_not_text(tmp_path):
     path.write_bytes(b"\xff\xfe\x00")
     with raises(ProfileError, value=path):
         load_profile(path)
+
+
+def read_back(text, profile):
+    return profile_of(tomllib.loads(text), Path(f"{profile.name}.toml"))
+
+
+@pytest.mark.parametrize("name", list_profiles())
+def test_it_is_read_back_as_it_was(name):
+    profile = load_profile(name)
+    assert read_back(as_toml(profile), profile) == profile
+
+
+MEASURED = {
+    "optics.flat_field": "other.npz", "optics.homography": (1.0, 0, 0.1, 0, 1, 0, 0, 0, 1),
+    "optics.sensor_columns": 99, "optics.sensor_rows": 98, "force.curve": (0.0, 0.5),
+    "perception.threshold_ma": 0.9, "perception.comfort_ma": (1.5,) * 64,
+    "output.impedance_kohm": 12.5, "output.masked": (3,),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", [key for keys in CALIBRATED_KEYS.values() for key in keys])
+def test_calibrations_make_no_difference(key, profile):
+    table, _, name = key.partition(".")
+    inner = getattr(profile, table).model_copy(update={name: MEASURED[key]})
+    other = profile.model_copy(update={table: inner})
+    assert other != profile
+    assert difference(profile, other) is None
+
+
+def test_anything_else_does(profile, changed):
+    other = changed(profile, {"limits.current_ma": 4.0, "pulse.rate_hz": 40.0})
+    assert difference(profile, other) in ("limits.current_ma", "pulse.rate_hz")
+    assert difference(profile, load_profile("line-7")) is not None
+    assert difference(profile, profile) is None

@@ -20,8 +20,7 @@ from smarttouch.base.files import (
 )
 from smarttouch.base.version import __version__
 from smarttouch.profile import Profile, load_profile
-from smarttouch.profile.toml_files import profile_of, profile_path
-from smarttouch.profile.toml_writer import difference, in_rows
+from smarttouch.profile.toml_files import difference, in_rows, profile_of, profile_path
 
 Value = str | float | Sequence[float]
 

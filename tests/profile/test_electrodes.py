@@ -7,7 +7,8 @@ import pytest
 
 import smarttouch as st
 from smarttouch.base.errors import ProfileError
-from smarttouch.profile.toml_writer import as_toml
+from smarttouch.profile.profile import require_driven
+from smarttouch.profile.toml_files import as_toml
 
 from ..forks import PROGRAM, Forked
 from ..raising import raises
@@ -92,7 +93,7 @@ def test_a_command_writes_a_profile_of_it(table, tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
     made = st.load_profile(path)
     expected = MOUSE.with_electrodes(table, made.title)
-    assert as_toml(made).replace(" # default", "") == as_toml(expected).replace(" # default", "")
+    assert as_toml(made) == as_toml(expected)
     again = smarttouch("profiles", "new", table, path)
     assert again.returncode == 2
     assert "--overwrite" in again.stderr
@@ -119,3 +120,29 @@ def test_what_is_no_grid_is_one_sentence(options, tmp_path):
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "new.toml").exists()
+
+
+@pytest.mark.parametrize(("sites", "expected"), [
+    ("0-3,12", [0, 1, 2, 3, 12]), (" 5 , 5-6", [5, 6]), ("63", [63]), ([8, 3, 8], [3, 8]),
+])  # fmt: skip
+def test_by_number_and_range(sites, expected):
+    assert require_driven(MOUSE, sites, ProfileError, "site").tolist() == expected
+
+
+@pytest.mark.parametrize("text", ["", "a", "3-", "-3", "1;2", "5-2", "64", "0-64"])
+def test_what_is_no_list_of_electrodes(text):
+    with raises(ProfileError, names="sites", value=text):
+        require_driven(MOUSE, text, ProfileError, "sites")
+
+
+@pytest.mark.parametrize(("sites", "site"), [([], None), ([64], 64), ([-1], -1)])
+def test_what_is_not_there(sites, site):
+    with raises(ProfileError, names="site", value=site, electrode=site):
+        require_driven(MOUSE, sites, ProfileError, "site")
+
+
+def test_masked_ones(changed):
+    broken = changed(MOUSE, {"output.masked": (1, 27)})
+    for sites in ([27, 28], "20-30"):
+        with raises(ProfileError, names="site", value=27, allowed=(0, 63), electrode=27):
+            require_driven(broken, sites, ProfileError, "site")
