@@ -52,11 +52,8 @@ from smarttouch.kernels.design_problem import KernelKind as KernelKind
 from smarttouch.pages.page_image import Page as Page
 from smarttouch.pages.page_image import TextLine as TextLine
 from smarttouch.physiology.anatomy import Anatomy as Anatomy
-from smarttouch.physiology.anatomy import Bystander as Bystander
-from smarttouch.physiology.anatomy import BystanderAnatomy as BystanderAnatomy
 from smarttouch.physiology.anatomy import ClassAnatomy as ClassAnatomy
 from smarttouch.physiology.driving_function import DrivingFunction as DrivingFunction
-from smarttouch.physiology.finger_afferents import FingerAfferents as FingerAfferents
 from smarttouch.physiology.response import Feeling as Feeling
 from smarttouch.physiology.response import ResponseQuality as ResponseQuality
 from smarttouch.physiology.spikes import Spikes as Spikes

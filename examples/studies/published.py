@@ -27,7 +27,7 @@ from smarttouch.physiology.driving_function import load_driving
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.membrane import weiss_fit
 from smarttouch.physiology.response import response_map
-from smarttouch.physiology.spikes import NOCICEPTORS, Bystanders, SpikeModel
+from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile, load_profile
 from smarttouch.reading.legibility import (
     letter_sequences,
@@ -112,9 +112,6 @@ EXPERIMENTS = (
     Experiment("points_ra", "two points 4 mm apart resolved, RA mode", "–", None,
                _SOURCES["solomonow"], "its abstract has no distance; the reader of spikes is ours"),
     Experiment("points_sai", "the same, SAI mode", "–", None, _SOURCES["solomonow"], ""),
-    Experiment("range", "first free ending over first afferent, either polarity",
-               "3.9 (unbearable over felt)", (3.5, 4.3), _SOURCES["dölker"],
-               "places and thickness of free endings are guesses"),
     Experiment("level", f"letters read at {COMFORTABLE:g} × a point's threshold, less those at 1 ×",
                "better", (0.02, 1), _SOURCES["display"], "fewer points are silent"),
 )  # fmt: skip
@@ -144,7 +141,6 @@ def measured(bench: Bench, anatomy: str, seed: int) -> dict[str, float]:
     model = SpikeModel(finger, seed)
     return {
         **disc_figures(model),
-        **_free_endings(model),
         "size": _size_ratio(bench, anatomy, seed),
         **_of_one_ending(finger),
         **_points(bench, finger),
@@ -171,19 +167,6 @@ def disc_figures(model: SpikeModel) -> dict[str, float]:
         "pair": _pair_ratio(model),
     }
     return {key: float(value) for key, value in found.items()}
-
-
-def _free_endings(model: SpikeModel) -> dict[str, float]:
-    """Return the current that fires the first free ending over that of the first afferent."""
-    finger = model.finger
-    others = Bystanders(finger.profile, finger.seed, finger.anatomy)
-    pain = np.isin(others.classes, [list(others.populations).index(one) for one in NOCICEPTORS])
-    poles = against_all(finger.profile, cathodic=False)[inner_sites(finger.profile)]
-    felt, hurts = (
-        np.maximum(*(_drive(one, sign * poles)[which].max(axis=0) for sign in (1, -1)))
-        for one, which in ((model, slice(None)), (others.model, pain))
-    )
-    return {"range": float(median(felt / hurts))}
 
 
 def _drive(model: SpikeModel, current_ma: Array, width_us: float = 200.0) -> Floats:

@@ -1,7 +1,6 @@
 """Anatomies of a finger: densities, courses and thresholds of its afferents, as TOML files."""
 
 from dataclasses import replace
-from enum import IntEnum
 from pathlib import Path
 from typing import Literal
 
@@ -9,26 +8,10 @@ from pydantic import Field
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ProfileError
-from smarttouch.physiology.driving_function import (
-    THRESHOLD_MV,
-    DrivingFunction,
-    free_ending,
-    load_driving,
-)
+from smarttouch.physiology.driving_function import DrivingFunction, load_driving
 from smarttouch.profile.toml_tables import Positive, Table, load_model
 
 _SHIPPED = Path(__file__).with_name("anatomies")
-
-
-class Bystander(IntEnum):
-    """Class of afferents that a display must not fire."""
-
-    SAII = 3
-    """Ruffini ending: stretch of the skin."""
-    A_DELTA = 4
-    """Thinly myelinated nociceptor: pricking pain."""
-    C = 5
-    """Unmyelinated nociceptor: burning pain."""
 
 
 class ClassAnatomy(Table):
@@ -36,15 +19,11 @@ class ClassAnatomy(Table):
 
     density_per_cm2: float = Field(ge=0, le=1000)
     """Axons per area at the fingertip."""
-    fiber: Literal["fingertip", "trunk", "mrg", "unmyelinated"] = "fingertip"
+    fiber: Literal["fingertip", "trunk", "mrg"] = "fingertip"
     """Fiber whose driving function they have."""
-    diameter_um: Positive = 0.5
-    """Diameter of an unmyelinated fiber; the others have their own."""
     diameter_factor: Positive = 1.0
     """Diameter over that of the fiber; internodes grow with it, and of a fiber that keeps its
     proportions nothing else changes."""
-    threshold_mv: Positive = THRESHOLD_MV
-    """Depolarization that fires an unmyelinated fiber."""
     ending: Literal["through", "active", "passive"] = "passive"
     """Kind of their endings; "through" where the receptor's end of the axon cannot fire."""
     depth_mm: Positive | None = None
@@ -88,18 +67,8 @@ class ClassAnatomy(Table):
 
     def driving(self, width_us: float) -> DrivingFunction:
         """Return the driving function of the fibers for a pulse width."""
-        part = self.diameter_factor
-        if self.fiber == "unmyelinated":
-            return free_ending(part * self.diameter_um, width_us, self.threshold_mv)
         found = load_driving(self.fiber, self.ending, width_us)
-        return replace(found, internode_mm=part * found.internode_mm)
-
-
-class BystanderAnatomy(ClassAnatomy):
-    """Afferents of a class that must not fire: its depth has no key in the profile."""
-
-    depth_mm: Positive
-    """Depth of the endings."""
+        return replace(found, internode_mm=self.diameter_factor * found.internode_mm)
 
 
 class Anatomy(Table):
@@ -120,18 +89,9 @@ class Anatomy(Table):
     ra: ClassAnatomy
     sai: ClassAnatomy
     pc: ClassAnatomy
-    saii: BystanderAnatomy | None = None
-    a_delta: BystanderAnatomy | None = None
-    c: BystanderAnatomy | None = None
 
     def of(self, afferent: Afferent) -> ClassAnatomy:
         return (self.ra, self.sai, self.pc)[afferent]
-
-    @property
-    def bystanders(self) -> dict[Bystander, ClassAnatomy]:
-        """Classes that must not fire, if given."""
-        given = zip(Bystander, (self.saii, self.a_delta, self.c), strict=True)
-        return {each: anatomy for each, anatomy in given if anatomy is not None}
 
 
 def load_anatomy(name: str | Path) -> Anatomy:

@@ -1,12 +1,88 @@
-"""A finger under an array: the response of its afferents to a scan sequence."""
+"""A finger under an array: afferents drawn from an anatomy, and what drives each of them."""
 
-from typing import Any
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from smarttouch.physiology.finger_afferents import FingerAfferents
-from smarttouch.physiology.response import Feeling, feel
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ProfileError, require_within
+from smarttouch.physiology import activating_function as nominal
+from smarttouch.physiology.activating_function import potential_mv
+from smarttouch.physiology.anatomy import Anatomy, ClassAnatomy, load_anatomy
+from smarttouch.physiology.driving_function import DrivingFunction
+from smarttouch.profile import Profile, load_profile
+
+if TYPE_CHECKING:
+    from smarttouch.physiology.response import Feeling
+
+Array = NDArray[np.float64]
 
 
-class Finger(FingerAfferents):
+@dataclass(frozen=True, eq=False)
+class Population:
+    """Afferents of one class, each with one or more branches."""
+
+    afferent: Afferent
+    receptor_mm: Array  # (A, 2) middle of each afferent's endings, where its spikes are perceived
+    axon_path_mm: Array  # (B, P, 3) corners of each branch, ending first; z is the depth
+    owner: NDArray[np.intp]  # (B,) afferent of each branch
+    factor: Array  # (A,) threshold relative to the class's
+    anatomy: ClassAnatomy
+
+
+def axon_path_points(
+    one: Population, branches: NDArray[np.intp], nodes: int, spacing_mm: float
+) -> Array:
+    """Return places of nodes along branches, (B, N, 3) mm, ending first."""
+    points = _along(one.axon_path_mm[branches], np.arange(nodes, dtype=np.float64) * spacing_mm)
+    return _rounded(points, int(one.anatomy.bend_mm / spacing_mm / 2))
+
+
+def axon_path_length_mm(axon_path_mm: Array, corners: int) -> Array:
+    """Return the lengths of courses up to a corner, (B,) mm."""
+    steps = np.linalg.norm(np.diff(axon_path_mm[:, : corners + 1], axis=1), axis=2)
+    return np.asarray(steps.sum(axis=1))
+
+
+def _along(axon_path_mm: Array, along_mm: Array) -> Array:
+    """Return places along courses, (B, N, 3), at distances from their ends, (N,)."""
+    steps = np.diff(axon_path_mm, axis=1)
+    lengths = np.linalg.norm(steps, axis=2)
+    begins = np.cumsum(lengths, axis=1) - lengths
+    points = np.repeat(axon_path_mm[:, :1], len(along_mm), axis=1)
+    for index in range(steps.shape[1]):
+        last = index == steps.shape[1] - 1
+        done = along_mm - begins[:, index, None]
+        # A course goes straight on beyond its last corner.
+        done = np.maximum(done, 0) if last else np.clip(done, 0, lengths[:, index, None])
+        length = np.maximum(lengths[:, index], 1e-12)
+        points += done[..., None] * (steps[:, index] / length[:, None])[:, None]
+    return np.asarray(points)
+
+
+def _rounded(points_mm: Array, reach: int) -> Array:
+    """Return courses with bends rounded by running means over `reach` nodes to either side."""
+    reach = min(reach, points_mm.shape[1] - 1)
+    if reach < 1:
+        return points_mm
+    pad = ((0, 0), (reach + 1, reach), (0, 0))
+    sums = np.cumsum(np.pad(points_mm, pad, mode="reflect", reflect_type="odd"), axis=1)
+    return np.asarray((sums[:, 2 * reach + 1 :] - sums[:, : -2 * reach - 1]) / (2 * reach + 1))
+
+
+Floats = NDArray[np.float32]
+
+_AT_ONCE = 64
+"""Branches whose fields are computed together: those of more fit into no processor's cache."""
+_SHALLOWEST_MM = 0.2
+
+
+class Finger:
     """Afferents of one finger under the array of a profile.
 
     Parameters
@@ -37,7 +113,18 @@ class Finger(FingerAfferents):
     True
     """
 
-    def feel(self, given: Any, seed: int = 1) -> Feeling:
+    def __init__(
+        self, profile: Profile | str, seed: int = 1, anatomy: str | Path | Anatomy = "branched"
+    ) -> None:
+        require_within(ProfileError, "seed", seed, 0, math.inf)
+        self.profile: Profile = load_profile(profile)
+        self.seed: int = seed
+        self.anatomy: Anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
+        self.populations: dict[Any, Population] = {
+            each: self._populate(each, self.anatomy.of(each)) for each in Afferent
+        }
+
+    def feel(self, given: Any, seed: int = 1) -> "Feeling":
         """Return its response to a step, a scan sequence, or a list of them.
 
         Parameters
@@ -46,4 +133,162 @@ class Finger(FingerAfferents):
         seed : int
             Of the noise from pulse to pulse.
         """
+        from smarttouch.physiology.response import feel
+
         return feel(self, given, seed)
+
+    @property
+    def reach_mm(self) -> Array:
+        """Half of the finger's width and length, mm."""
+        outer = np.abs(self.profile.electrodes.position_mm).max(axis=0)
+        return np.asarray(outer + self.anatomy.margin_mm)
+
+    @cached_property
+    def classes(self) -> NDArray[np.int8]:
+        """Class of each afferent, (A,)."""
+        count = [len(one.factor) for one in self.populations.values()]
+        return np.repeat(np.arange(len(count), dtype=np.int8), count)
+
+    @cached_property
+    def receptor_mm(self) -> Floats:
+        """Places where spikes of each afferent are perceived, (A, 2) mm."""
+        places = [one.receptor_mm for one in self.populations.values()]
+        return np.concatenate(places).astype(np.float32)
+
+    @cached_property
+    def receptor_away_mm(self) -> Array:
+        """Distance of each receptor from each electrode along the skin, (A, E) mm."""
+        places = self.profile.electrodes.position_mm
+        return np.asarray(np.linalg.norm(self.receptor_mm[:, None] - places, axis=2))
+
+    @cached_property
+    def rows(self) -> tuple[Floats, NDArray[np.intp]]:
+        """Drive (N, E) float32, 1/mA, of nodes that legal currents can fire, and starts (A,).
+
+        Drives are for 1 mA of cathodic current and the profile's pulse: 1 is the threshold. Nodes
+        of afferent i begin at ``starts[i]``; each has at least one, if only of zeros.
+        """
+        found, starts, count = [], [], 0
+        for one in self.populations.values():
+            rows, owner = self._drives(one)
+            every = np.arange(len(one.factor))
+            silent = np.setdiff1d(every, owner)
+            rows = np.vstack([rows, np.zeros((len(silent), rows.shape[1]), np.float32)])
+            owner = np.concatenate([owner, silent])
+            order = np.argsort(owner, kind="stable")
+            found.append(rows[order])
+            starts.append(count + np.searchsorted(owner[order], every))
+            count += len(rows)
+        return np.concatenate(found), np.concatenate(starts)
+
+    def _populate(self, afferent: Afferent, anatomy: ClassAnatomy) -> Population:
+        random = np.random.default_rng([self.seed, int(afferent)])
+        receptor = self._places(anatomy, random)
+        count, endings = len(receptor), anatomy.endings
+        owner = np.repeat(np.arange(count), endings)
+        spread = random.normal(0, anatomy.branch_spread_mm, (count, endings, 2))
+        spread[:, 0] = 0
+        ending = (receptor[:, None] + spread).reshape(-1, 2)
+        if anatomy.on_ridges:
+            ending[:, 1] = np.round(ending[:, 1] / self.anatomy.ridge_mm) * self.anatomy.ridge_mm
+        depth = anatomy.depth_mm or nominal.depth_mm(self.profile.skin, afferent)
+        depths = np.repeat(random.normal(depth, anatomy.depth_spread_mm, count), endings)
+        depths = np.maximum(depths, _SHALLOWEST_MM)
+        turn = np.radians(random.normal(anatomy.flat_deg, anatomy.flat_spread_deg, count))[owner]
+        lean = np.tan(np.radians(random.normal(0, anatomy.lean_deg, (count * endings, 2))))
+        joint = receptor[owner]
+        course = self._courses(anatomy, ending, joint, depths, turn, lean)
+        factor = np.exp(random.normal(0, anatomy.threshold_spread, count))
+        factor *= anatomy.threshold_factor
+        middle = ending.reshape(count, endings, 2).mean(axis=1)
+        return Population(afferent, middle, course, owner, factor, anatomy)
+
+    def _places(self, anatomy: ClassAnatomy, random: np.random.Generator) -> Array:
+        """Return places all over the finger, (A, 2) mm, at the anatomy's density."""
+        reach = self.reach_mm
+        area_cm2 = 4 * reach.prod() / 100
+        count = random.poisson(anatomy.density_per_cm2 * area_cm2)
+        place = random.uniform(-reach, reach, (count, 2))
+        beyond = place[:, 1] + reach[1] > self.anatomy.tip_mm
+        there = ~beyond | (random.random(count) < self.anatomy.beyond_tip)
+        return np.asarray(place[there])
+
+    def _courses(
+        self, anatomy: ClassAnatomy, ending: Array, joint: Array, depth: Array, turn: Array,
+        lean: Array,
+    ) -> Array:  # fmt: skip
+        """Return the corners of each branch: ending, foot, joint, end of the flat part, (B, P, 3).
+
+        If axons descend there is one corner more, below the last.
+        """
+        top = np.maximum(depth - anatomy.receptor_above_mm, _SHALLOWEST_MM)
+        plexus = np.maximum(anatomy.plexus_mm or 0.0, depth)
+        upright = (plexus - top)[:, None]
+        foot = ending + lean * upright
+        away = np.column_stack([np.cos(turn), np.sin(turn)])
+        start = joint if anatomy.endings > 1 else foot
+        flat = start + anatomy.flat_mm * away
+        corners = [(ending, top), (foot, plexus), (start, plexus), (flat, plexus)]
+        if anatomy.descent_mm:
+            corners.append((flat, plexus + anatomy.descent_mm))
+        return np.stack([np.column_stack(each) for each in corners], axis=1)
+
+    def _drives(self, population: Population) -> tuple[Floats, NDArray[np.intp]]:
+        """Return the drive at the nodes of each branch that can fire, and their afferents."""
+        driving = population.anatomy.driving(self.profile.pulse.width_us)
+        owner = population.owner
+        first = np.r_[True, np.diff(owner) > 0] if len(owner) else np.zeros(0, np.bool_)
+        found = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
+        branches = [np.zeros(0, np.intp)]
+        # The first branch goes on along the axon, the others end where they join it.
+        for which, corners in ((first, population.axon_path_mm.shape[1] - 1), (~first, 2)):
+            # As many nodes are computed of each branch as of the longest beside it.
+            order = np.argsort(axon_path_length_mm(population.axon_path_mm, corners), kind="stable")
+            indices = order[which[order]]
+            for part in np.array_split(indices, max(1, len(indices) // _AT_ONCE)):
+                if len(part):
+                    rows, branch = self._part(population, driving, part, corners)
+                    found.append(rows)
+                    branches.append(branch)
+        branch = np.concatenate(branches)
+        order = np.argsort(branch, kind="stable")
+        return np.concatenate(found)[order], owner[branch[order]]
+
+    def _part(
+        self, population: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
+    ) -> tuple[Floats, NDArray[np.intp]]:
+        """Return the drive at nodes of some branches, up to a corner, and their afferents."""
+        spacing = driving.internode_mm
+        length_mm = axon_path_length_mm(population.axon_path_mm[part], corners)
+        nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1
+        points = axon_path_points(
+            population, part, max(nodes, len(driving.near_end.T) + 4), spacing
+        )
+        drive = driving.drive(potential_mv(self.profile, points))
+        drive /= population.factor[population.owner[part]][:, None, None]
+        longest = strength(self.profile.limits.pulse_us, population.anatomy.chronaxie_us)
+        longest /= strength(self.profile.pulse.width_us, population.anatomy.chronaxie_us)
+        # Nodes beyond the end are there for their neighbors.
+        node = np.arange(drive.shape[1]) + (driving.end != "active")
+        there = node * spacing <= length_mm[:, None] + spacing
+        rows, branch = drive[there], np.repeat(part, there.sum(axis=1))
+        can = self._most(rows) * max(longest, 1.0) >= 1 - 5 * population.anatomy.noise
+        return rows[can].astype(np.float32), branch[can]
+
+    def _most(self, rows: Array) -> Array:
+        """Return the largest drive that currents within the profile's limits can have, (N,).
+
+        Currents sum to zero, each is limited, and so is the sum of all anodes.
+        """
+        limits = self.profile.limits
+        ranked = np.sort(rows, axis=1)
+        each = float(limits.current_ma)
+        total = float(limits.total_ma or np.inf)
+        share = np.clip(total - each * np.arange(rows.shape[1]), 0, each)
+        # From the highest to the lowest, then inward; beyond the middle there is nothing to gain.
+        return np.asarray(np.maximum(ranked[:, ::-1] - ranked, 0) @ share)
+
+
+def strength(width_us: Any, chronaxie_us: Any) -> Any:
+    """Return the effect of a pulse of some width, relative to an endless one (Weiss 1901)."""
+    return 1 / (1 + chronaxie_us / np.maximum(width_us, 1.0))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import CLASS_COLORS, Afferent
-from smarttouch.physiology.finger_afferents import FingerAfferents
+from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SlotCurrents, SpikeModel, Spikes
 
 
@@ -31,7 +31,7 @@ class ResponseQuality:
 
 
 def response_quality(
-    finger: FingerAfferents,
+    finger: Finger,
     counts: NDArray[np.intp],
     active: NDArray[np.bool_],
     wanted: Collection[Afferent],
@@ -70,7 +70,7 @@ def middle_90(values: Iterable[float]) -> tuple[float, float, float]:
 
 
 def response_map(
-    finger: FingerAfferents,
+    finger: Finger,
     counts: NDArray[np.intp],
     places_mm: NDArray[np.float64],
     blur_mm: float = 1.0,
@@ -97,7 +97,7 @@ def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
 class Feeling:
     """Spikes of a finger under scan sequences that follow each other."""
 
-    finger: FingerAfferents
+    finger: Finger
     spikes: tuple[Spikes, ...]  # one for each sequence
     active: NDArray[np.bool_]  # (E,) electrodes that were meant to stimulate
     # classes that were meant to fire; all for sequences without their steps
@@ -117,7 +117,7 @@ class Feeling:
         return response_quality(self.finger, self.counts, self.active, self.wanted)
 
 
-def feel(finger: FingerAfferents, given: Any, seed: int = 1) -> Feeling:
+def feel(finger: Finger, given: Any, seed: int = 1) -> Feeling:
     """Return a finger's spikes under a Step, StepResult or ScanSequence, or several in order."""
     parts = list(given) if isinstance(given, Iterable) else [given]
     steps = [getattr(each, "step", each) for each in parts]

@@ -1,26 +1,17 @@
-"""Spikes of a finger's afferents, and margins of those that a display must not fire.
+"""Spikes of a finger's afferents.
 
 In any slot few afferents are near firing. So the drives of 16 successive nodes are bounded
 together, and computed only where the bound reaches what fires.
-
-Afferents that must not fire are SAII, and the free endings of Aδ and C fibers.
-
-They are drawn as the others of a finger are, from the same anatomy and with seeds of their own.
-Free endings are a sample: each stands for the same number of its class.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.physiology.anatomy import Anatomy, Bystander, load_anatomy
-from smarttouch.physiology.finger_afferents import FingerAfferents, Population, strength
-from smarttouch.profile import Profile
+from smarttouch.physiology.finger import Finger, strength
 
 Floats = NDArray[np.float32]
 
@@ -109,7 +100,7 @@ class SpikeModel:
     that of the noise from pulse to pulse.
     """
 
-    def __init__(self, finger: FingerAfferents, seed: int = 1) -> None:
+    def __init__(self, finger: Finger, seed: int = 1) -> None:
         self.finger = finger
         anatomy = [one.anatomy for one in finger.populations.values()]
         classes = finger.classes
@@ -181,49 +172,3 @@ class SpikeModel:
         fired[near] = chosen
         self._now_us += slots.period_us
         return Spikes(fired, time_us)
-
-
-NOCICEPTORS = (Bystander.A_DELTA, Bystander.C)
-
-
-class Bystanders(FingerAfferents):
-    """Afferents of one finger that must not fire; see `FingerAfferents` for parameters."""
-
-    def __init__(
-        self, profile: Profile, seed: int = 1, anatomy: str | Path | Anatomy = "branched"
-    ) -> None:
-        self.profile: Profile = profile
-        self.seed: int = seed
-        self.anatomy: Anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
-        self.populations: dict[Any, Population] = {
-            each: self._populate(each, anatomy) for each, anatomy in self.anatomy.bystanders.items()
-        }
-
-    @cached_property
-    def model(self) -> SpikeModel:
-        """Their drives."""
-        return SpikeModel(self)
-
-
-@dataclass(frozen=True)
-class Margin:
-    """Distance of a class from firing."""
-
-    margin: float  # factor on all currents from which one of the sample fires; infinite if none can
-    fired: float  # fraction of the sample that fires in any slot
-
-
-def margins(others: Bystanders, shown: Sequence[SlotCurrents]) -> dict[Bystander, Margin]:
-    """Return the margin of each class under all of some sequences, as they are delivered."""
-    highest = np.zeros(len(others.classes), np.float32)
-    for slots in shown:
-        drive = others.model.drive(slots.current_ua, slots.width_us)
-        highest = np.maximum(highest, drive.max(axis=1, initial=0.0))
-    found = {}
-    for index, each in enumerate(others.populations):
-        mine = highest[others.classes == index]
-        most = float(mine.max(initial=0.0))
-        found[each] = Margin(
-            1 / most if most else np.inf, float((mine >= 1).sum() / max(1, mine.size))
-        )
-    return found

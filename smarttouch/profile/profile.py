@@ -155,6 +155,10 @@ def _of_another_length(key: str, numbers: int, electrodes: int, otherwise: str) 
     )
 
 
+_STILL = ("optics", "registration", "force")
+"""Calibrations of the sensor and the finger, which another array leaves as they are."""
+
+
 class Profile(Table):
     """One device on one finger."""
 
@@ -299,34 +303,30 @@ class Profile(Table):
         >>> mouse.with_electrodes([(0, 0), (2, 0), (1, 1.8)], "a triangle")
         Profile('a triangle', 3 electrodes, weighted)
         """
+        optics = self.optics.model_dump()
         if isinstance(table, GridLayout):
             layout: GridLayout | FreeLayout = table
-            optics = {
-                "magnification": table.columns * table.pitch_x_mm / self.optics.field_width_mm
-            }
+            optics["magnification"] = table.columns * table.pitch_x_mm / optics["field_width_mm"]
         else:
-            layout, optics = layout_of(table), {}
+            layout = layout_of(table)
         count = len(layout.build())
         output = self.output.model_dump() | {"masked": (), "wiring": None}
         output["impedance_kohm"] = np.max(self.output.impedance_kohm)
         felt = self.perception.model_dump()
         felt["threshold_ma"] = np.min(self.perception.threshold_ma)
-        if self.perception.comfort_ma is not None:
-            felt["comfort_ma"] = (min(self.perception.comfort_ma),) * count
         limits = self.limits.model_dump()
-        if self.limits.electrode_ma is not None:
-            limits["electrode_ma"] = (min(self.limits.electrode_ma),) * count
-        still = ("optics", "registration", "force")  # of the sensor and the finger
+        for table_of, key in ((felt, "comfort_ma"), (limits, "electrode_ma")):
+            if table_of[key] is not None:
+                table_of[key] = (min(table_of[key]),) * count
+        calibrated = {part: self.calibrated[part] for part in self.calibrated.keys() & _STILL}
         return self.model_copy(
             update={
                 "array": layout,
                 "output": output,
                 "perception": felt,
                 "limits": limits,
-                "optics": self.optics.model_dump() | optics,
-                "calibrated": {
-                    part: self.calibrated[part] for part in self.calibrated.keys() & still
-                },
+                "optics": optics,
+                "calibrated": calibrated,
                 "defaults": CommandDefaults(),
                 "title": title or f"{count} electrodes, else as {self.title}",
                 "name": "",

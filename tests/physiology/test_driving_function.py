@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import DesignError
-from smarttouch.physiology.driving_function import FIBERS, bend_operator, load_driving, passes
+from smarttouch.physiology.driving_function import FIBERS, load_driving, passes
 from smarttouch.physiology.membrane import threshold_ma, thresholds_ma
 from smarttouch.physiology.potential import disc_potential
 
@@ -68,14 +68,6 @@ def test_thresholds_of_the_cable_under_a_disc(fiber, end, width_us):
     assert error.worst < 0.35
 
 
-def test_thresholds_looked_for_at_once_are_those_of_one_by_one():
-    like = replace(FIBERS["fingertip"], end="active")
-    potentials = np.array([under_a_disc(like, depth, reach_mm=4.0) for depth in (0.7, 1.4)])
-    together = thresholds_ma(-potentials, like, 200.0, [0.5, 9.0])
-    alone = [threshold_ma(each, like, 200.0, cathodic=False, step_us=4.0) for each in potentials]
-    assert together == pytest.approx(alone, rel=0.012)
-
-
 def test_a_bare_terminal_prefers_the_anode_as_much_as_was_measured():
     """Kaczmarek 2000: cathodic over anodic thresholds of macaque RA afferents, 1.3 to 1.5."""
     like = replace(FIBERS["fingertip"], end="passive")
@@ -87,14 +79,6 @@ def test_a_bare_terminal_prefers_the_anode_as_much_as_was_measured():
     )
     by_drive = drive.max(axis=(1, 2))
     assert 1 / by_drive == pytest.approx([cathodic, anodic], rel=0.05)
-
-
-def test_the_reference_nerve_model_is_fired_by_less_than_our_trunk_fiber():
-    like = FIBERS["trunk"]
-    potential = under_a_disc(replace(like, end="through"), 0.9, reach_mm=8.0)[None, :, None]
-    ours, mrg = (load_driving(each, "through", 200.0).drive(potential).max() for each in
-                 ("trunk", "mrg"))  # fmt: skip
-    assert 0.3 < ours / mrg < 0.7
 
 
 def test_a_fit_finds_the_weights_again():
@@ -147,12 +131,6 @@ def test_an_anode_on_the_way_stops_the_spike_of_a_long_pulse(gap_mm, strong):
         assert predicted == pytest.approx(cable, rel=0.1)
         assert cable[0] / cable[1] >= 0.98 * ratio
     assert free[0] < 0.5 * cable[0]
-
-
-def test_second_differences():
-    potential = np.array([1.0, 4.0, 9.0, 16.0, 25.0])
-    assert bend_operator("through", 5) @ potential == pytest.approx([2, 2, 2])
-    assert bend_operator("active", 5) @ potential == pytest.approx([3, 2, 2, 2])
 
 
 @pytest.mark.parametrize(("end", "width_us", "about", "value"), [

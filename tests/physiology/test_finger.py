@@ -1,5 +1,7 @@
 """A finger: as dense as its anatomy, the same from the same seed, and linear in the currents."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,12 +9,16 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ProfileError
+from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import load_anatomy
-from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.driving_function import FIBERS, load_driving
+from smarttouch.physiology.finger import Finger, axon_path_points
+from smarttouch.physiology.membrane import thresholds_ma
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import load_profile
 
 from ..close import assert_close
+from ..fit_fibers import fiber_fit
 from ..raising import raises
 
 ANATOMIES = ("branched", "paper")
@@ -95,14 +101,6 @@ def test_drive_grows_with_the_current(model, seed, factor):
     assert_close(more, factor * one, rel=1e-3, abs=1e-4)
 
 
-@given(seed=st.integers(0, 2**32 - 1))
-def test_drive_of_two_patterns_together_is_at_most_the_sum(model, seed):
-    one, other = patterns(model.finger.profile, seed, 2)
-    width = np.full(3, 200)
-    drive = np.maximum(model.drive(np.array([one, other, one + other]), width), 0)
-    assert np.all(drive[:, 2] <= drive[:, 0] + drive[:, 1] + 1e-3)
-
-
 def test_nodes_that_are_left_out_are_never_fired_by_legal_currents(small, monkeypatch):
     kept = SpikeModel(Finger(small, 5, "branched"))
     with monkeypatch.context() as every:
@@ -149,6 +147,24 @@ def test_what_is_wrong_with_an_anatomy(tmp_path, small):
         Finger(small, 1, path)
 
 
-def test_a_seed_is_no_negative_number(profile):
-    with raises(ProfileError, names="seed", value=-1):
-        Finger(profile, -1)
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
+def test_thresholds_of_bent_branches_that_no_fit_has_seen(profile, bank, afferent):
+    """Courses of a branched finger, under kernels, against the cable model."""
+    one = Finger(profile, 1, "branched").populations[afferent]
+    like = replace(FIBERS["fingertip"], end="passive")
+    ending = one.axon_path_mm[:, 0, :2]
+    picked = np.flatnonzero((np.abs(ending) < 7).all(axis=1))[::40][:16]
+    points = axon_path_points(one, picked, 75, like.internode_mm)
+    potentials = []
+    fields = potential_mv(profile, points)
+    for index, (branch, potential) in enumerate(zip(picked, fields, strict=True)):
+        away = np.linalg.norm(profile.electrodes.position_mm - ending[branch], axis=1)
+        kernel = bank.kernels((Afferent.RA, Afferent.SAI)[index % 2])[away.argmin()]
+        potentials.append(potential @ kernel)
+    driving = load_driving("fingertip", "passive", 200.0)
+    drive = driving.drive(np.array(potentials)[..., None])[..., 0].max(axis=1)
+    cable = thresholds_ma(potentials, like, 200.0, 0.6 / drive)
+    error = fiber_fit.threshold_error(drive, cable)
+    assert error.cases == len(picked)
+    assert error.median < 0.1
+    assert error.worst < 0.25

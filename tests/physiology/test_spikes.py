@@ -5,12 +5,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+import smarttouch
 from smarttouch.base.afferent import Afferent
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import response_map, response_quality
-from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.physiology.response import response_quality
+from smarttouch.physiology.spikes import NodeDrives, SpikeModel
 from smarttouch.profile import load_profile
+
+from ..close import assert_close
+from ..whole import WHOLE
 
 
 @pytest.fixture(scope="module")
@@ -39,17 +45,6 @@ def test_an_axon_is_refractory_after_a_spike(finger):
     assert second.counts.max() == 1
     assert np.array_equal(first.time_us, [0, 300, 600])
     assert np.array_equal(second.time_us, 20_000 + first.time_us)
-
-
-def test_a_restarted_model_fires_as_at_first(finger):
-    model, near = SpikeModel(finger), slots(finger, current_ma=1.5)
-    first = model.fire(near)
-    model.fire(near)
-    model.reset()
-    again = model.fire(near)
-    assert first.fired.any()
-    assert np.array_equal(again.fired, first.fired)
-    assert np.array_equal(again.time_us, first.time_us)
 
 
 def test_without_refractoriness_every_slot_counts(finger):
@@ -102,11 +97,90 @@ def test_measures_of_what_was_felt(finger):
     assert np.isnan(nothing.wrong_class)
 
 
-def test_what_is_felt_is_put_where_the_receptor_is(finger):
-    counts = np.zeros(len(finger.classes), np.intp)
-    pc = int(np.flatnonzero(finger.classes == Afferent.PC)[0])
-    counts[pc] = 2
-    places = np.array([finger.receptor_mm[pc], finger.receptor_mm[pc] + 10.0])
-    felt_there = response_map(finger, counts, places)
-    assert felt_there[Afferent.PC] == pytest.approx([2, 0], abs=1e-6)
-    assert not felt_there[[Afferent.RA, Afferent.SAI]].any()
+@pytest.fixture(scope="module", params=["paper", "branched"])
+def either(request):
+    return Finger(load_profile("smarttouch-4x4"), 3, request.param)
+
+
+@pytest.fixture(scope="module")
+def drives(either):
+    return NodeDrives(*either.rows)
+
+
+def dense(rows, current_ma):
+    return np.maximum.reduceat(rows[0] @ current_ma.T, rows[1], axis=0)
+
+
+@settings(max_examples=100 if WHOLE else 10)
+@given(
+    seed=st.integers(0, 2**32 - 1), strongest_ma=st.floats(0.01, 8.0), least=st.floats(-0.5, 1.5)
+)
+def test_only_drives_below_the_least_are_left_out(either, drives, seed, strongest_ma, least):
+    random = np.random.default_rng(seed)
+    current = strongest_ma * random.normal(0, 1, (3, either.rows[0].shape[1])).astype(np.float32)
+    expected = dense(either.rows, current)
+    found, near = drives.highest_from(least, current), expected >= least
+    assert_close(drives.highest(current), expected, rel=1e-4, abs=1e-5)
+    assert_close(found[near], expected[near], rel=1e-4, abs=1e-5)
+    assert np.all(found <= expected + 1e-4 * (1 + np.abs(expected)))
+
+
+@pytest.mark.parametrize("widths", [(200,), (100, 200, 500)])
+def test_many_slots_fire_what_each_fires_alone(either, widths):
+    """Hundreds are bounded first, a few are not; slots come again, with other widths, too."""
+    random, electrodes = np.random.default_rng(1), either.rows[0].shape[1]
+    current = np.rint(random.normal(0, 1500, (150, electrodes)))[np.arange(300) // 2]
+    width = np.array(widths)[np.arange(300) % len(widths)]
+    many = SpikeModel(either).drive(current, width, firing=True)
+    model, fires = SpikeModel(either), 0
+    for first in range(0, 300, 50):
+        part = slice(first, first + 50)
+        alone = model.drive(current[part], width[part], firing=True)
+        near = alone >= 0.94
+        assert_close(many[:, part][near], alone[near], rel=1e-4)
+        assert np.all(many[:, part][~near] < 0.95)
+        fires += np.count_nonzero(near)
+    assert fires > 100
+
+
+@pytest.fixture(scope="module")
+def mouse():
+    return smarttouch.Finger(smarttouch.load_profile("electric-mouse"), seed=1, anatomy="paper")
+
+
+@pytest.fixture(scope="module")
+def steps(mouse):
+    source = smarttouch.open_source("text:TTTT", mouse.profile, speed_mm_s=30)
+    return list(smarttouch.steps(source, mouse.profile, seconds=2.5))
+
+
+def strongest(steps):
+    """Return the step of most slots among those of the highest level, which pulses open."""
+    return max(steps, key=lambda step: (step.sequence.intensity, step.sequence.slots))
+
+
+def test_steps_sequences_and_lists_of_them_give_the_same_response(mouse, steps):
+    strong = strongest(steps)
+    one, bare, several = (mouse.feel(each) for each in (strong, strong.sequence, [strong]))
+    for other in (bare, several):
+        np.testing.assert_array_equal(one.counts, other.counts)
+    assert one.counts.sum() > 0
+    assert (one.wanted, bare.wanted) == ((Afferent.RA,), tuple(Afferent))
+    np.testing.assert_array_equal(one.active, strong.tactile.activation.any(axis=0))
+    # What is too faint for a pulse is in no sequence.
+    assert not (bare.active & ~one.active).any()
+    assert bare.active.any()
+    assert bare.quality.wrong_class == 0
+    assert one.quality.spikes == one.counts.sum()
+
+
+def test_a_list_is_one_stretch_of_time(mouse, steps):
+    """Refractoriness goes on from sequence to sequence, and equal slots are computed once."""
+    feeling = mouse.feel(steps, seed=3)
+    model = SpikeModel(mouse, 3)
+    for step, spikes in zip(steps, feeling.spikes, strict=True):
+        alone = model.fire(step.sequence)
+        np.testing.assert_array_equal(spikes.time_us, alone.time_us)
+        # One product of a matrix and another differ in the last digit.
+        assert np.count_nonzero(spikes.fired != alone.fired) <= 2
+    np.testing.assert_array_equal(feeling.counts, mouse.feel(steps, seed=3).counts)
