@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Mapping
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -37,7 +38,7 @@ _ROUNDING_MM = 1.0  # by which a page may be off at the edges
 class PageMotion(HandMotion):
     """Motion of the pointer, from the middle of the texture, which the page shows as `sheet`."""
 
-    resolution_mm = 0.25  # about a pixel of the page
+    resolution_mm: float = 0.25  # about a pixel of the page
 
     def __init__(self, texture: Texture) -> None:
         super().__init__("the pointer over the page")
@@ -47,8 +48,8 @@ class PageMotion(HandMotion):
         pixel_mm = max(wide, high) / _LONGEST_PX
         shape = (max(1, round(high / pixel_mm)), max(1, round(wide / pixel_mm)))
         picture = Page(texture.draw(*corner, shape, pixel_mm), pixel_mm)
-        self.sheet = Sheet(1, picture, corner)
-        self.is_shown = False  # whether a window shows the sheet
+        self.sheet: Sheet = Sheet(1, picture, corner)
+        self.is_shown: bool = False  # whether a window shows the sheet
         self.origin_mm: tuple[float, float] = middle
         # The page's thread replaces the tuple at once, so it needs no lock.
         self._place_mm = middle
@@ -172,7 +173,7 @@ class MouseSource(StimulusSource):
     frames: int
 
     ended = "the hand has stopped"
-    settings = MappingProxyType({"scan": "points"})
+    settings: Mapping[str, Any] = MappingProxyType({"scan": "points"})
 
     def __init__(
         self,

@@ -66,11 +66,12 @@ class ProgramRows:
         orbits: Array,
         coarse: NDArray[np.intp] | None = None,
     ) -> None:
-        self._parts, self.orbits = parts, orbits
+        self._parts = parts
+        self.orbits: Array = orbits
         counts = [len(rows) if chosen is None else len(chosen) for rows, _, chosen in parts]
         self._ends = np.cumsum(counts)
-        self.coarse = np.arange(len(self)) if coarse is None else coarse
-        self.coarse_rows = self.take(self.coarse)
+        self.coarse: NDArray[np.intp] = np.arange(len(self)) if coarse is None else coarse
+        self.coarse_rows: Array = self.take(self.coarse)
 
     def __len__(self) -> int:
         return int(self._ends[-1])

@@ -89,6 +89,7 @@ Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]  # what a source
 class Images(OpticalSource):
     """Images one after another, one for each sequence; at the finger's full force."""
 
+    frames: int
     knows_force = True
     ended = "all images have been shown"
 

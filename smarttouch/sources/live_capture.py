@@ -103,6 +103,9 @@ class LiveSource(OpticalSource):
         If the device cannot be opened.
     """
 
+    frames: int
+    dropped_frames: int
+
     def __init__(
         self,
         device: ImageDevice,

@@ -211,6 +211,9 @@ class ClipSource(OpticalSource):
     """
 
     ended = "end of the clip"
+    duration_s: float | None
+    frames: int
+    dropped_frames: int
 
     def __init__(self, clip: Clip, profile: Profile, unpaced: bool) -> None:
         super().__init__(clip.title)

@@ -277,6 +277,7 @@ class PageSource(OpticalSource):
     """
 
     ended = "end of the page"
+    frames: int
     knows_force = True
 
     def __init__(
