@@ -116,7 +116,7 @@ class Document(Closing):
         require_size_mm(str(self.path), width * mm_per_pixel, height * mm_per_pixel)
         return Page(grey, mm_per_pixel)
 
-    def _render(self, sheet: "pypdfium2.PdfPage", name: str, printed: int | None) -> Page:
+    def _render(self, sheet: "pypdfium2.PdfPage", name: str, printed: int) -> Page:
         width, height = sheet.get_size()
         if not min(width, height) > 0:
             raise PageError(f"{name} has no area: the file is damaged")
@@ -236,13 +236,11 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
     return pdf
 
 
-def _flatten(sheet: "pypdfium2.PdfPage") -> int | None:
+def _flatten(sheet: "pypdfium2.PdfPage") -> int:
     """Make filled-in fields a part of a page and its text; return its characters before that."""
     import pypdfium2.raw as pdfium
 
     with contextlib.closing(sheet):
-        if not pdfium.FPDFPage_GetAnnotCount(sheet):
-            return None
         with contextlib.closing(sheet.get_textpage()) as text:
             printed: int = text.count_chars()
         pdfium.FPDFPage_Flatten(sheet, pdfium.FLAT_NORMALDISPLAY)

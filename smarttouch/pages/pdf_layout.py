@@ -11,26 +11,22 @@ from typing import TypeVar
 SPACE, MADE_SPACE = " ", "\t"
 """What stands before a word: a space of the file, or one that PDFium makes of a gap."""
 _SAME_LINE, _BESIDE = 0.3, 1.05  # distances of baselines of one line, and of lines side by side
-_WIDE, _FIGURES, _OPEN, _CERTAIN = 0.65, 0.4, 0.55, 1.2
-"""Gaps that may part columns, and numbers; that still do after some rows; and that do in two."""
-_APART = 2.5  # gap within a row that parts its lines, and distance of a running head
-_WRAPPED = 1.35  # distance of the lines of one cell; these are in sizes of the letters
-_EVEN, _FLUSH = 0.25, 0.4
-"""Differences of the gaps of justified prose, and of its ends; also in sizes."""
+_WIDE, _FIGURES, _CERTAIN, _APART = 0.65, 0.4, 1.2, 2.5
+"""Gaps that may part columns, and numbers; that part two rows alone, and words of a sentence."""
+_EVEN, _FLUSH = 0.25, 0.4  # differences of the gaps of justified prose, and of its ends
 _FARTHER, _LARGER = 1.6, 1.15
 """Distance of blocks, in usual ones of rows, and ratio of sizes of a heading and its text."""
 _EDGE = 0.125  # part of the page's height at its ends that has running heads
 _WORDY = 3.0  # mean words of a line above which a column is prose
 _FIGURE = re.compile(r"[^\w\s]*\d[\d\W]*\w?[^\w\s]*")
-_INDEX_ENTRY = re.compile(r".*[^\W\d].*\d\W*")
-_LABEL = re.compile(r".*:")
-_ITEM = re.compile(r"(?:[^\w\s]|\(?\w{1,3}[.)]) |\d+(?:\.\d+)+ \D")
-"""The mark of a list's item, or the number of a section, and what follows it."""
+_LABEL, _INDEX_ENTRY = re.compile(r".*:"), re.compile(r".*[^\W\d].*\d\W*")
+_ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
+"""The mark of a list's item, or the number of a section."""
 
 
 @dataclass(eq=False)
 class Word:
-    """Word of a PDF: its text and place in the file, and its box in points, y down."""
+    """Word of a PDF: its text, its box in points, y down, and its place in the file."""
 
     text: str
     left: float
@@ -49,67 +45,39 @@ class Word:
 
 
 Row = list[Word]
-T = TypeVar("T")
+_Span = tuple[float, float]
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """Words of a line on the page, its text, and whether it is part of a table."""
+    """Words of a line, its text, and whether it is the row of a table."""
 
     words: Row
     text: str
     is_cells: bool = False
 
 
-@dataclass(eq=False)
-class _Gap:
-    """Space that successive rows share, and how many of them have words at both sides."""
+def reading_order(words: Row, height: float) -> list[Line]:
+    """Return the lines of a page of some height. Cells of a table's row are parted by semicolons,
+    and an empty one is a hyphen; further lines of cells are rows of their own."""
+    level = split(
+        sorted(words, key=lambda word: word.y),
+        lambda above, word: word.y - above.y > _SAME_LINE * min(word.size, above.size),
+    )
+    rows = [sorted(row, key=lambda word: word.left) for row in level if row]
 
-    left: float
-    right: float
-    rows: int = 1
-    is_closed: bool = False  # by words of another row
-
-    @property
-    def middle(self) -> float:
-        return (self.left + self.right) / 2
-
-    def overlaps(self, other: "_Gap") -> bool:
-        return self.left < other.right and other.left < self.right
-
-    def without(self, words: Row) -> "_Gap":
-        """Return what words leave of it; itself, closed, if that is too little."""
-        left, right = self.left, self.right
-        for word in words:
-            if not self.is_closed and word.right > left and word.left < right:
-                if word.left - left > right - word.right:
-                    right = word.left
-                else:
-                    left = word.right
-                least = min(_OPEN * word.size, 0.75 * (self.right - self.left))
-                if right - left < max(least, _FIGURES * word.size):
-                    ends = (left, right) if left < right else (self.left, self.right)
-                    return _Gap(*ends, self.rows, True)
-        return _Gap(left, right, self.rows, self.is_closed)
-
-
-def reading_order(words: list[Word], height: float) -> list[Line]:
-    """Return the lines of a page of some height."""
-    rows = _rows(words)
-    ends = [row[0].y for row in rows]
-
-    def begins(number: int) -> bool:
+    def begins(k: int) -> bool:
         """Return whether a row follows a running head, or is a heading that follows, in the file,
         all that is above it."""
-        row, above, below = rows[number], rows[:number], rows[number + 1 :]
-        y = ends[number]
-        at_edge = ends[number - 1] < _EDGE * height or y > (1 - _EDGE) * height
-        if at_edge and y - ends[number - 1] > _APART * row[0].size:
+        row, above, below = rows[k], rows[:k], rows[k + 1 :]
+        at_edge = above[-1][0].y < _EDGE * height or row[0].y > (1 - _EDGE) * height
+        if at_edge and row[0].y - above[-1][0].y > _APART * row[0].size:
             return True
-        is_heading = below and row[0].size > _LARGER * below[0][0].size and not _gaps(row)
+        is_heading = below and row[0].size > _LARGER * below[0][0].size and len(_pieces(row)) == 1
         return bool(is_heading) and (
-            max(word.place for word in _words(above)) < row[0].place
-            <= min((word.place for word in _words(below) if word.place >= 0), default=-1)
+            max(word.place for other in above for word in other) < row[0].place
+            <= min((word.place for other in below for word in other if word.place >= 0), default=-1)
         )  # fmt: skip
 
     starts = [0, *filter(begins, range(1, len(rows))), len(rows)]
@@ -118,9 +86,9 @@ def reading_order(words: list[Word], height: float) -> list[Line]:
     ]  # fmt: skip
 
 
-def split(items: list[T], begins: Callable[[T, T], bool]) -> list[list[T]]:
+def split(items: list[_T], begins: Callable[[_T, _T], bool]) -> list[list[_T]]:
     """Return items in pieces, a new one where ``begins`` holds of an item before and its next."""
-    pieces = [items[:1]]
+    pieces = [items[:1]] if items else []
     for before, item in itertools.pairwise(items):
         if begins(before, item):
             pieces.append([])
@@ -128,7 +96,7 @@ def split(items: list[T], begins: Callable[[T, T], bool]) -> list[list[T]]:
     return pieces
 
 
-def text_of(words: Row) -> str:
+def _text_of(words: Row) -> str:
     """Return the text of words in a line, with the file's own spaces where it is in its order."""
     text = words[0].text
     for before, word in itertools.pairwise(words):
@@ -138,21 +106,6 @@ def text_of(words: Row) -> str:
     return text
 
 
-def _rows(words: list[Word]) -> list[Row]:
-    """Return the words of each baseline, from the top down, left to right."""
-    rows: list[Row] = []
-    for word in sorted(words, key=lambda word: word.y):
-        if rows and word.y - rows[-1][0].y < _SAME_LINE * min(word.size, rows[-1][0].size):
-            rows[-1].append(word)
-        else:
-            rows.append([word])
-    return [sorted(row, key=lambda word: word.left) for row in rows]
-
-
-def _words(rows: list[Row]) -> Row:
-    return [word for row in rows for word in row]
-
-
 def _ordered(rows: list[Row]) -> list[Line]:
     """Return the lines of rows, each band of them as columns, as a table, or as it is."""
     _join_justified(rows)
@@ -160,24 +113,24 @@ def _ordered(rows: list[Row]) -> list[Line]:
     lines: list[Line] = []
     waiting: list[Row] = []
     for band, gaps in _bands(rows):
-        column = _column_gap(band, gaps)
+        column = next((gap for gap in gaps if _parts_columns(band, gap, gaps)), None)
         # One of the columns may begin above the other.
-        while column and waiting and not column.without(waiting[-1]).is_closed:
+        while column and waiting and _common([column], waiting[-1]):
             band.insert(0, waiting.pop())
-        parts = _blocks(band) if column is None else [
-            _part(band, -math.inf, column.middle), _part(band, column.middle, math.inf)
-        ]  # fmt: skip
-        cells = _cell_gaps(band, gaps) if len(parts) == 1 else []
-        if len(parts) == 1 and not cells:
+        parts = _blocks(band)
+        if column:
+            parts = [_part(band, -math.inf, column[1]), _part(band, column[1])]
+        ends = _cell_ends(band) if len(parts) == 1 else []
+        if len(parts) == 1 and not ends:
             waiting += band
             continue
-        lines += [line for row in waiting for line in _plain(row)]
+        lines += _plain(waiting)
         waiting = []
-        if cells:
-            lines += _table(band, cells)
+        if ends:
+            lines += [_table_row(row, ends) for row in band]
         else:
             lines += [line for part in parts for line in _ordered(part)]
-    return lines + [line for row in waiting for line in _plain(row)]
+    return lines + _plain(waiting)
 
 
 def _join_justified(rows: list[Row]) -> None:
@@ -186,7 +139,7 @@ def _join_justified(rows: list[Row]) -> None:
         flush = _FLUSH * row[0].size
         if (
             len(row) > 1 and _are_even(row) and not _FIGURE.fullmatch(row[-1].text)
-            and (other[-1].is_joined or (len(other) > 2 and not _gaps(other)))
+            and (other[-1].is_joined or len(other) > 2) and len(_pieces(other)) == 1
             and abs(row[0].left - other[0].left) < flush
             and abs(row[-1].right - other[-1].right) < flush
         ):  # fmt: skip
@@ -194,12 +147,20 @@ def _join_justified(rows: list[Row]) -> None:
                 word.is_joined = True
 
 
-def _plain(row: Row) -> list[Line]:
-    """Return the lines of a row that is not of a table, parted at very wide gaps."""
-    pieces = split(row, lambda before, word: (
-        word.left - before.right > _APART * word.size and not word.is_joined
-    ))  # fmt: skip
-    return [Line(piece, text_of(piece)) for piece in pieces]
+def _are_even(row: Row) -> bool:
+    """Return whether the words of a row are equally far apart."""
+    widths = [word.left - before.right for before, word in itertools.pairwise(row)]
+    return max(widths) - min(widths) < _EVEN * row[0].size
+
+
+def _plain(rows: list[Row]) -> list[Line]:
+    """Return the lines of rows that are not of a table, parted at very wide gaps."""
+    pieces = (
+        piece for row in rows for piece in split(row, lambda before, word: (
+            word.left - before.right > _APART * word.size and not word.is_joined
+        ))
+    )  # fmt: skip
+    return [Line(piece, _text_of(piece)) for piece in pieces]
 
 
 def _blocks(rows: list[Row]) -> list[list[Row]]:
@@ -209,58 +170,62 @@ def _blocks(rows: list[Row]) -> list[list[Row]]:
     return split(rows, lambda above, row: row[0].y - above[0].y > far)
 
 
-def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Gap]]]:
-    """Yield successive rows that share a gap, with all of their gaps; others alone."""
+def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Span]]]:
+    """Yield successive rows that share gaps, with these; others alone."""
     band: list[Row] = []
-    gaps: list[_Gap] = []
-    for number, row in enumerate(rows):
-        around = _words(rows[max(0, number - 8) : number + 8])
-        beside = [word for word in around if abs(word.y - row[0].y) < _BESIDE * word.size]
-        own = _gaps(sorted(beside, key=lambda word: word.left))
-        after = [gap.without(row) for gap in gaps]
-        if all(gap.is_closed for gap in after):
-            if band:
-                yield band, gaps
-            band, after = [], []
-        gaps = after
-        new = [gap for gap in own if not any(gap.overlaps(other) for other in gaps)]
-        for gap in gaps:
-            gap.rows += any(gap.overlaps(other) for other in own)
-        gaps += [gap.without(_words(band)) for gap in new]
+    shared: list[_Span] = []
+    for row in rows:
+        common = _common(shared, row)
+        if band and len(common) < 3:
+            yield band, shared[1:-1]
+            band = []
+        shared = common if band else _free(_pieces(row))
         band.append(row)
     if band:
-        yield band, gaps
+        yield band, shared[1:-1]
 
 
-def _gaps(words: Row) -> list[_Gap]:
-    """Return the gaps of a row that may part columns, if it is not justified prose."""
-    pairs = list(itertools.pairwise(words))
-    letters = sum(word.text.isalpha() for word in words)
-    is_even = letters > 2 and len(words) > 3 and _are_even(words)
-    if is_even and words[1].left - words[0].right < _CERTAIN * words[0].size:
-        return []
-    gaps = []
-    right = -math.inf
-    for number, (before, word) in enumerate(pairs):
-        right = max(right, before.right)
-        is_item = number == 0 and _ITEM.match(f"{before.text} {word.text}")
-        if _is_wide(before, word, right) and not is_item:
-            gaps.append(_Gap(right, word.left))
-    return gaps
+def _common(gaps: list[_Span], row: Row) -> list[_Span]:
+    """Return what a row leaves of the gaps above it, and of the space at their sides."""
+    parted, words = _free(_pieces(row)), _free(split(row, _are_apart))
+    both = (
+        (max(gap[0], other[0]), min(gap[1], other[1]))
+        for gap in gaps for other in (words if math.isfinite(gap[1] - gap[0]) else parted)
+    )  # fmt: skip
+    return sorted(gap for gap in both if gap[1] - gap[0] > _FIGURES * row[0].size)
 
 
-def _is_wide(before: Word, word: Word, right: float) -> bool:
-    """Return whether two words may be in different columns: not at a space of the file, nor after
-    the leaders of a list of contents."""
-    width = (word.left - right) / max(before.size, word.size)
-    is_space = word.before == SPACE and word.place == before.place + 1 and width < _APART
-    are_figures = _FIGURE.fullmatch(before.text) and _FIGURE.fullmatch(word.text)
-    is_leader = not before.text.strip(".")
-    is_wide = width > (_FIGURES if are_figures else _WIDE)
-    return is_wide and not (is_space or is_leader or word.is_joined)
+def _free(pieces: list[Row]) -> list[_Span]:
+    """Return the gaps between pieces of a row, and the space before and after it."""
+    lefts = [piece[0].left for piece in pieces]
+    rights = [max(word.right for word in piece) for piece in pieces]
+    return [*zip([-math.inf, *rights], [*lefts, math.inf], strict=True)]
 
 
-def _part(band: list[Row], left: float, right: float) -> list[Row]:
+def _are_apart(before: Word, word: Word) -> bool:
+    """Return whether the file has no space between two words, or leaves far more than one."""
+    is_space = word.before == SPACE and word.place == before.place + 1
+    return not is_space or word.left - before.right > _APART * word.size
+
+
+def _pieces(row: Row) -> list[Row]:
+    """Return the words of a row parted at gaps that may be between columns: not in justified prose,
+    nor after the mark of an item or the leaders of a list of contents."""
+    letters = sum(word.text.isalpha() for word in row)
+    if letters > 2 and _are_even(row) and row[1].left - row[0].right < _CERTAIN * row[0].size:
+        return [row]
+
+    def begins(before: Word, word: Word) -> bool:
+        are_figures = _FIGURE.fullmatch(before.text) and _FIGURE.fullmatch(word.text)
+        is_item = before is row[0] and _ITEM.fullmatch(before.text) and not are_figures
+        width = (word.left - before.right) / max(before.size, word.size)
+        is_wide = width > (_FIGURES if are_figures else _WIDE) and _are_apart(before, word)
+        return is_wide and not (is_item or word.is_joined or not before.text.strip("."))
+
+    return split(row, begins)
+
+
+def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
     """Return the rows of the words between two places."""
     inside = (
         [word for word in row if left <= (word.left + word.right) / 2 < right] for row in band
@@ -268,96 +233,67 @@ def _part(band: list[Row], left: float, right: float) -> list[Row]:
     return [row for row in inside if row]
 
 
+def _parts_columns(band: list[Row], gap: _Span, gaps: list[_Span]) -> bool:
+    """Return whether a gap parts columns of text, to be read one after the other: the file does so,
+    or both columns are prose, or entries of an index."""
+    ends = [-math.inf, *(right for _, right in gaps), math.inf]
+    at = ends.index(gap[1])
+    left, right = (_part(band, *ends[k : k + 2]) for k in (at - 1, at))
+    if _are(_FIGURE, right) or _are(_LABEL, left):
+        return False
+    beside = [word for row in _part(band, gap[1]) for word in row]
+    level = sum(
+        any(abs(word.y - row[0].y) < _BESIDE * word.size for word in beside)
+        for row in _part(band, -math.inf, gap[1])
+    )
+    printed = [word for row in band for word in row if word.place >= 0]
+    sides = [word.left > gap[0] for word in sorted(printed, key=lambda word: word.place)]
+    crossings = sum(before != after for before, after in itertools.pairwise(sides))
+    alike = (_is_prose(left) and _is_prose(right)) or (
+        _are(_INDEX_ENTRY, left) and _are(_INDEX_ENTRY, right)
+    )
+    return 0 < 2 * crossings <= level or (alike and level > 2)
+
+
 def _are(pattern: re.Pattern[str], column: list[Row]) -> bool:
     """Return whether most rows of a column match a pattern."""
-    return sum(pattern.fullmatch(text_of(row)) is not None for row in column) > 0.6 * len(column)
+    return sum(pattern.fullmatch(_text_of(row)) is not None for row in column) > 0.6 * len(column)
 
 
 def _is_prose(column: list[Row]) -> bool:
-    return sum(len(text_of(row).split()) for row in column) > _WORDY * len(column)
+    return sum(len(_text_of(row).split()) for row in column) > _WORDY * len(column)
 
 
-def _column_gap(band: list[Row], gaps: list[_Gap]) -> _Gap | None:
-    """Return the gap that parts columns of text, to be read one after the other, if there is one:
-    the file does so, or both columns are prose, or entries of an index."""
-    gaps = sorted((gap for gap in gaps if not gap.is_closed), key=lambda gap: gap.left)
-    printed = [[word for word in row if word.place >= 0] for row in band]
-    in_order = sorted(_words(printed), key=lambda word: word.place)
-    ends = [-math.inf, *(gap.middle for gap in gaps), math.inf]
-    for number, gap in enumerate(gaps):
-        left, right = (_part(band, *ends[k : k + 2]) for k in (number, number + 1))
-        sides = [word.left > gap.middle for word in in_order]
-        crossings = sum(before != after for before, after in itertools.pairwise(sides))
-        beside = _words(_part(printed, gap.middle, math.inf))
-        level = sum(
-            any(abs(word.y - row[0].y) < _BESIDE * word.size for word in beside)
-            for row in _part(printed, -math.inf, gap.middle)
-        )
-        is_pair = _are(_FIGURE, right) or _are(_LABEL, left)
-        in_turn = 0 < 2 * crossings <= level and not is_pair
-        alike = (_is_prose(left) and _is_prose(right)) or (
-            _are(_INDEX_ENTRY, left) and _are(_INDEX_ENTRY, right)
-        )
-        if in_turn or (alike and gap.rows > 2):
-            return gap
-    return None
-
-
-def _cell_gaps(band: list[Row], gaps: list[_Gap]) -> list[float]:
-    """Return the places that part the cells of rows, if these are a table."""
-    least = {1: math.inf, 2: _CERTAIN * band[0][0].size}
-    gaps = [gap for gap in gaps if gap.right - gap.left > least.get(gap.rows, 0)]
-    gaps.sort(key=lambda gap: gap.left)
-    used = [k for row in band for k in _cells(row, [gap.middle for gap in gaps])]
-    middles = [gap.middle for k, gap in enumerate(gaps, 1) if used.count(k) > gap.is_closed]
-    ends = [-math.inf, *middles, math.inf]
-    prose = sum(_is_prose(_part(band, *pair)) for pair in itertools.pairwise(ends))
-    # In justified prose, words within a cell are as far apart as the cells.
-    cells = [(row, len(_cells(row, middles))) for row in band]
-    parted = [row for row, count in cells if count > 1]
-    even = sum(len(row) > count > 1 and _are_even(row) for row, count in cells)
-    return middles if prose < 2 and len(parted) > 1 and 2 * even < len(parted) else []
-
-
-def _are_even(row: Row) -> bool:
-    """Return whether the words of a row are equally far apart."""
-    widths = [word.left - before.right for before, word in itertools.pairwise(row)]
-    return max(widths) - min(widths) < _EVEN * row[0].size
-
-
-def _table(band: list[Row], middles: list[float]) -> list[Line]:
-    """Return the rows of a table: cells are parted by semicolons, an empty one is a hyphen; further
-    lines of cells add to the text of their row, and have none of their own."""
-    table: list[tuple[dict[int, str], list[Row]]] = []
-    for row in band:
-        texts = {column: text_of(words) for column, words in _cells(row, middles).items()}
-        above = table[-1][1][-1] if table else []
-        is_near = bool(above) and row[0].y - above[0].y < _WRAPPED * row[0].size
-        if is_near and 0 not in texts and not any(map(_FIGURE.fullmatch, texts.values())):
-            for column, text in texts.items():
-                table[-1][0][column] = f"{table[-1][0].get(column, '')} {text}".strip()
-            table[-1][1].append(row)
+def _cell_ends(band: list[Row]) -> list[float]:
+    """Return the places that part cells, if rows are a table: the fewest that lie in all gaps, and
+    each in two or more."""
+    pieces = [_pieces(row) for row in band]
+    gaps = sorted((gap for row in pieces for gap in _free(row)[1:-1]), key=lambda gap: gap[1])
+    shared: list[_Span] = []
+    for left, right in gaps:
+        if shared and left < shared[-1][1]:
+            shared[-1] = max(left, shared[-1][0]), shared[-1][1]
         else:
-            table.append((texts, [row]))
-    lines = []
-    for texts, rows in table:
-        cells = [words for row in rows for words in _cells(row, middles).values()]
-        covered = {
-            k for k, middle in enumerate(middles, 1)
-            if any(words[0].left < middle < words[-1].right for words in cells)
-        }  # fmt: skip
-        columns = [0] if [*texts] == [0] else range(len(middles) + 1)
-        text = "; ".join(texts.get(k, "-") for k in columns if k in texts or k not in covered)
-        lines += [Line(row, "" if number else text, True) for number, row in enumerate(rows)]
-    return lines
+            shared.append((left, right))
+    parted = [row for row, parts in zip(band, pieces, strict=True) if len(parts) > 1]
+    ends = []
+    for left, right in shared:
+        count = sum(gap[0] < (left + right) / 2 < gap[1] for gap in gaps)
+        if count > 1 and (len(parted) > 2 or right - left > _CERTAIN * band[0][0].size):
+            ends.append((left + right) / 2)
+    # In justified prose, words within a cell are as far apart as the cells.
+    even = sum(len(row) > len(_pieces(row)) and _are_even(row) for row in parted)
+    columns = (_part(band, *pair) for pair in itertools.pairwise([-math.inf, *ends, math.inf]))
+    return ends if sum(map(_is_prose, columns)) < 2 and 2 * even < len(parted) else []
 
 
-def _cells(row: Row, middles: list[float]) -> dict[int, Row]:
-    """Return the words of each column; words without a gap between them stay in one."""
-    cells: dict[int, Row] = {}
-    column = 0
-    for before, word in itertools.pairwise([row[0], *row]):
-        if word is before or _is_wide(before, word, before.right):
-            column = max(column, sum(word.left > middle for middle in middles))
-        cells.setdefault(column, []).append(word)
-    return cells
+def _table_row(row: Row, ends: list[float]) -> Line:
+    """Return a row of a table; it is a plain line if it has words in its first column alone."""
+    texts = [""] * (len(ends) + 1)
+    for piece in split(row, lambda before, word: any(
+        before.right < end < word.left > before.right + _FIGURES * word.size for end in ends
+    )):  # fmt: skip
+        column = sum(piece[0].left > end for end in ends)
+        texts[column] = f"{texts[column]} {_text_of(piece)}".strip()
+    is_cells = any(texts[1:])
+    return Line(row, "; ".join(text or "-" for text in texts) if is_cells else texts[0], is_cells)

@@ -5,6 +5,7 @@ import ctypes
 import itertools
 import math
 import re
+import statistics
 import unicodedata
 from collections import Counter
 from collections.abc import Iterator
@@ -34,10 +35,7 @@ _ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
 _BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # codes of symbol fonts
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
 _FINE = 1000.0  # parts of a point in which PDFium gives places
-_FIELDS = 10**9  # subtracted from the places of words in fields of a form
 _MOST_UNKNOWN = 0.05  # part of a text's characters that mean nothing
-_VOWELS, _VOWEL_SHARE, _FEWEST = frozenset("aeiouyæœø"), (0.22, 0.62), 40
-"""Part of Latin letters that are vowels in any language; fewest letters that show wrong codes."""
 _COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 4
 """Pixels, heights, contrast and number of the spots that may be print beside the text."""
 _FAINT = 12  # levels of contrast below which print is not seen
@@ -46,35 +44,32 @@ _MOSTLY = 0.5  # print that the text lacks, relative to it, from which the pictu
 
 def turn_of_text(sheet: "pypdfium2.PdfPage") -> int:
     """Return by how many degrees, clockwise, a page must be turned for its text to be level."""
-    counts = Counter(sign.turn_deg for sign in _signs(sheet, math.inf))
+    counts = Counter(sign.turn_deg for sign in _signs(sheet, 0))
     return max(counts, key=lambda turn_deg: counts[turn_deg], default=0) or 0
 
 
-def with_text(
-    sheet: "pypdfium2.PdfPage", page: Page, point_mm: float, printed: int | None = None
-) -> Page:
-    """Return a rendered page with its text.
-
-    ``printed`` is the number of its characters before those in fields of a form; None for all.
-    """
-    signs = list(_signs(sheet, math.inf if printed is None else printed))
+def with_text(sheet: "pypdfium2.PdfPage", page: Page, point_mm: float, printed: int) -> Page:
+    """Return a rendered page with its text; ``printed`` is the number of its characters before
+    those in fields of a form."""
+    signs = list(_signs(sheet, printed))
     turned = [sign for sign in signs if sign.turn_deg != 0]
+    words = _words([sign for sign in signs if sign.turn_deg == 0])
     if not signs:
         return page
-    if 2 * len(turned) > len(signs):
-        return _pictured(page, "most of its text is turned")
-    words = _words([sign for sign in signs if sign.turn_deg == 0])
     seen = [word for word in words if _is_seen(page, word, point_mm)]
-    is_leftward = _is_leftward(seen)
+    letters = [unicodedata.bidirectional(letter) for word in words for letter in word.text]
+    is_leftward = sum(letter in ("R", "AL") for letter in letters) > letters.count("L")
     if is_leftward:
         _mirror(seen)
     found = reading_order(seen, sheet.get_height())
     if is_leftward:
         _mirror(seen)
-    texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in found]
-    if not _makes_sense("".join(texts).replace(" ", "")):
-        return _pictured(page, "its text makes no sense")
     lines = [_text_line(line, point_mm) for line in found]
+    texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in found]
+    text = "".join(texts)
+    unknown = sum(unicodedata.category(sign)[0] == "C" or sign == "\ufffd" for sign in text)
+    if 2 * len(turned) > len(signs) or unknown > _MOST_UNKNOWN * len(text):
+        return _pictured(page, "most of its text is turned or unknown")
     others = _print_beside(page, words + turned, point_mm)
     if sum(map(_length, others)) > _MOSTLY * sum(map(_length, lines)):
         return _pictured(page, "much of its print is not in its text")
@@ -93,28 +88,7 @@ def _pictured(page: Page, reason: str) -> Page:
     return replace(page, notes=(f"{reason}, so its picture is recognized instead",))
 
 
-def _is_seen(page: Page, word: Word, point_mm: float) -> bool:
-    """Return whether a word has another color than its ground, or any contrast: scans have it."""
-    box = _box(page, word, point_mm, _X_HEIGHT, 0.0, 0.0).astype(float)
-    return not box.size or np.ptp(box) >= _FAINT or abs(box.mean() - word.grey) >= _FAINT
-
-
-def _box(
-    page: Page, word: Word, point_mm: float, above: float, below: float, beside: float
-) -> NDArray[np.uint8]:
-    """Return the pixels of a word, and around its baseline and ends, in sizes of its letters."""
-    scale, size = point_mm / page.mm_per_pixel, word.size
-    rows, columns = (
-        slice(max(0, int(low * scale)), max(0, math.ceil(high * scale)))
-        for low, high in (
-            (word.y - above * size, word.y + below * size),
-            (word.left - beside * size, word.right + beside * size),
-        )
-    )
-    return page.grey[rows, columns]
-
-
-def _signs(sheet: "pypdfium2.PdfPage", printed: float) -> Iterator[Word]:
+def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Word]:
     """Yield the characters on the visible page in the file's order."""
     import pypdfium2.raw as pdfium
 
@@ -149,9 +123,9 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: float) -> Iterator[Word]:
                 end = view(x.value + size * matrix.a, y.value + size * matrix.b)
                 angle = math.degrees(math.atan2(start[1] - end[1], end[0] - start[0]))
                 turn = round(angle / 90) % 4 * 90 if abs((angle + 45) % 90 - 45) < _LEVEL else None
-                place = k - (_FIELDS if k >= printed else 0)
                 pdfium.FPDFText_GetFillColor(layer, k, *color)
                 grey = float(np.dot(LUMA, [part.value for part in color[:3]]))
+                place = k if k < printed else -1
                 yield Word(text, left, right, start[1], size, place, before, turn, grey)
                 before = ""
 
@@ -184,7 +158,7 @@ def _words(signs: list[Word]) -> list[Word]:
             after.text, word.text = word.text + after.text, ""
     words = [word for word in words if word.text]
     for number, word in enumerate(words):
-        word.place = number - (_FIELDS if word.place < 0 else 0)
+        word.place = number if word.place >= 0 else number - len(words)
         for base in words[max(0, number - 1) : number] + words[number + 1 : number + 2]:
             raised = (base.y - word.y) / base.size
             is_near = abs(word.gap(base)) < _NEAR * base.size
@@ -208,17 +182,12 @@ def _join_spaced(words: list[Word]) -> None:
         ),
     ):
         gaps = [after.left - before.right for before, after in itertools.pairwise(run)]
-        usual = float(np.median(gaps)) if len(gaps) > 2 else math.inf
+        usual = statistics.median(gaps) if len(gaps) > 2 else math.inf
         if usual < _SPACED * run[0].size:
             for before, after in [*itertools.pairwise(run)][::-1]:
                 if after.left - before.right < _WIDER * usual:
                     before.text, before.right = before.text + after.text, after.right
                     after.text = ""
-
-
-def _is_leftward(words: list[Word]) -> bool:
-    letters = [unicodedata.bidirectional(letter) for word in words for letter in word.text]
-    return sum(letter in ("R", "AL") for letter in letters) > letters.count("L")
 
 
 def _mirror(words: list[Word]) -> None:
@@ -228,11 +197,11 @@ def _mirror(words: list[Word]) -> None:
 
 def _text_line(line: Line, point_mm: float) -> TextLine:
     words = line.words
-    size = float(np.median([word.size for word in words])) * point_mm
+    size = statistics.median(word.size for word in words) * point_mm
     return TextLine(
         left_mm=min(word.left for word in words) * point_mm,
         right_mm=max(word.right for word in words) * point_mm,
-        baseline=(float(np.median([word.y for word in words])) * point_mm,),
+        baseline=(statistics.median(word.y for word in words) * point_mm,),
         x_height_mm=_X_HEIGHT * size,
         ascent_mm=_ASCENT * size,
         descent_mm=_DESCENT * size,
@@ -244,16 +213,25 @@ def _length(line: TextLine) -> float:
     return line.right_mm - line.left_mm
 
 
-def _makes_sense(text: str) -> bool:
-    """Return whether a text is one: not empty, and not of unknown or wrong codes."""
-    unknown = sum(unicodedata.category(sign)[0] == "C" or sign == "\ufffd" for sign in text)
-    if not text or unknown > _MOST_UNKNOWN * len(text):
-        return False
-    # Accents become marks of their own.
-    plain = unicodedata.normalize("NFD", text.lower())
-    latin = [sign for sign in plain if sign.isalpha() and "LATIN" in unicodedata.name(sign, "")]
-    share = sum(sign in _VOWELS for sign in latin) / max(1, len(latin))
-    return len(latin) < _FEWEST or _VOWEL_SHARE[0] < share < _VOWEL_SHARE[1]
+def _is_seen(page: Page, word: Word, point_mm: float) -> bool:
+    """Return whether a word has another color than its ground, or any contrast: scans have it."""
+    box = _box(page, word, point_mm, _X_HEIGHT, 0.0, 0.0).astype(float)
+    return not box.size or np.ptp(box) >= _FAINT or abs(box.mean() - word.grey) >= _FAINT
+
+
+def _box(
+    page: Page, word: Word, point_mm: float, above: float, below: float, beside: float
+) -> NDArray[np.uint8]:
+    """Return the pixels of a word, and around its baseline and ends, in sizes of its letters."""
+    scale, size = point_mm / page.mm_per_pixel, word.size
+    rows, columns = (
+        slice(max(0, int(low * scale)), max(0, math.ceil(high * scale)))
+        for low, high in (
+            (word.y - above * size, word.y + below * size),
+            (word.left - beside * size, word.right + beside * size),
+        )
+    )
+    return page.grey[rows, columns]
 
 
 def _print_beside(page: Page, words: list[Word], point_mm: float) -> list[TextLine]:
