@@ -20,9 +20,7 @@ least part of its length with letters above it."""
 _TWO_LINES, _LEAST_LINE, _BESIDE = 1.7, 0.6, 1.5
 """Height of a component that may span two lines, of a line, and reach beside it, in heights."""
 _VALLEY = 0.4  # ink between two lines that touch, relative to that in either
-_FILLED, _HOLLOW = 0.15, 0.3  # least filled part of the box of a picture, most of a frame's
-_FRAME, _DRAWN = (6.0, 2.5), 0.85
-"""Least sides of a frame around text, in letter heights, and least part of a side that is drawn."""
+_FILLED = 0.15  # least filled part of the box of a picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,24 +95,6 @@ def are_pictures(components: Components, height: float) -> NDArray[np.bool_]:
     return np.asarray(
         large & (components.area > _FILLED * components.width * components.height), np.bool_
     )
-
-
-def find_frames(ink: Ink, components: Components, height: float) -> NDArray[np.float64]:
-    """Return the boxes drawn around text, (N, 4) px: left, top, right, bottom."""
-    wide, tall = components.width, components.height
-    large = (wide > _FRAME[0] * height) & (tall > _FRAME[1] * height)
-    large &= components.area < _HOLLOW * wide * tall
-    frames, edge = [], max(2, round(_THIN * height))
-    for k in np.flatnonzero(large):
-        left, top, right, bottom = (
-            int(side[k])
-            for side in (components.left, components.top, components.right, components.bottom)
-        )
-        box = ink[top:bottom, left:right]
-        sides = (box[:edge], box[-edge:], box[:, :edge].T, box[:, -edge:].T)
-        if min(side.any(axis=0).mean() for side in sides) > _DRAWN:
-            frames.append((left, top, right, bottom))
-    return np.array(frames, np.float64).reshape(-1, 4)
 
 
 def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:

@@ -3,12 +3,10 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import cv2
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
 from smarttouch.pages.baselines import Baseline, Floats, measure_row
 from smarttouch.pages.components import (
@@ -16,7 +14,6 @@ from smarttouch.pages.components import (
     Ink,
     are_pictures,
     find_components,
-    find_frames,
     find_rules,
     like_letters,
     part_lines,
@@ -25,10 +22,8 @@ from smarttouch.pages.components import (
 )
 from smarttouch.pages.ink import Paper, separate_ink
 from smarttouch.pages.page_image import Page, TextLine
-from smarttouch.pages.panels import turn_panels
 from smarttouch.pages.reading_order import reading_order
 from smarttouch.pages.rows import find_rows
-from smarttouch.pages.tesseract_layout import blocks_of_lines
 
 
 @dataclass(frozen=True)
@@ -69,15 +64,14 @@ def page_lines(
         grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
         larger = Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
         return page_lines(larger, paper.light_on_dark, leftward)
-    frames = find_frames(ink, components, height)
-    paper, panels = turn_panels(page.grey, paper, components, height, scale)
-    if panels:
-        ink = paper.ink
+    panels = _panels(paper.ink, components, height, scale)
+    if panels is not None:
+        cleaned = np.where(panels, ~paper.cleaned, paper.cleaned)
+        paper = replace(paper, ink=paper.ink ^ panels, clean=lambda: cleaned)
         for _ in range(scale.bit_length() - 1):
-            ink = _halved(ink)
-    boxes = np.concatenate([frames, np.array(panels, np.float64).reshape(-1, 4)])
-    blocks = partial(blocks_of_lines, paper.cleaned, scale, height)
-    found = _lines_in_ink(ink, height, boxes, scale * page.mm_per_pixel, leftward, blocks)
+            panels = _halved(panels)
+        ink = ink ^ panels
+    found = _lines_in_ink(ink, height, scale * page.mm_per_pixel, leftward)
     return page, paper, found
 
 
@@ -102,6 +96,42 @@ def _halved(ink: Ink) -> Ink:
     return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA) > 126)
 
 
+_LEAST_SIDES, _LEAST_BOX, _LEAST_INK = (2.5, 5.0), 0.8, 0.35
+"""Least height and width of a panel, in letter heights, part of its box that it fills, and ink."""
+_LIGHT_LETTER, _FEWEST_LETTERS = (0.5, 9.0), 4
+"""Range of its letter height, in letter heights of the page: halftones have less, windows more."""
+
+
+def _panels(ink: Ink, components: Components, height: float, scale: int) -> Ink | None:
+    """Return where dark panels with light print are, (H, W); None if there are none.
+
+    ``components`` of the ink and their usual height are ``scale`` times coarser.
+    """
+    wide, tall = components.width, components.height
+    large = (tall > _LEAST_SIDES[0] * height) & (wide > _LEAST_SIDES[1] * height)
+    found = None
+    for k in np.flatnonzero(large & (components.area > _LEAST_INK * wide * tall)):
+        rows = slice(scale * components.top[k], scale * components.bottom[k])
+        columns = slice(scale * components.left[k], scale * components.right[k])
+        dark = ink[rows, columns].view(np.uint8)
+        outlines, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        outline = max(outlines, key=cv2.contourArea)
+        filled = cv2.drawContours(np.zeros_like(dark), [outline], 0, 1, cv2.FILLED)
+        holes, labels = find_components((filled > dark).view(np.bool_))
+        usual = usual_height(holes, dark.shape) or 0.0
+        alike = np.count_nonzero((holes.height > usual / 2) & (holes.height < 2 * usual))
+        least, most = np.multiply(_LIGHT_LETTER, scale * height)
+        if (
+            cv2.contourArea(outline) > _LEAST_BOX * dark.size
+            and least < usual < most
+            and alike >= _FEWEST_LETTERS
+        ):
+            found = np.zeros_like(ink) if found is None else found
+            window = np.append(False, holes.height > most)[labels]
+            found[rows, columns] |= (filled > 0) & ~window
+    return found
+
+
 _FEW_WORDS, _TILT = 30.0, 0.012
 """Length of a line, in x-heights, below which such a tilt against its neighbors is an error."""
 _HOPELESS, _MISSES = 60, 3
@@ -117,14 +147,7 @@ _PLACES = 20  # points along a line
 _PARTS = 10  # steps in which a bend is followed
 
 
-def _lines_in_ink(
-    ink: Ink,
-    height: float,
-    boxes: Floats,
-    mm_per_pixel: float,
-    leftward: bool,
-    blocks: Callable[[Floats, Floats], NDArray[np.int_] | None],
-) -> PageLines:
+def _lines_in_ink(ink: Ink, height: float, mm_per_pixel: float, leftward: bool) -> PageLines:
     rules, dividers = find_rules(ink, height)
     ink = ink & ~rules & ~dividers
     components, labels = find_components(ink)
@@ -143,12 +166,8 @@ def _lines_in_ink(
     baselines = _with_marks(_joined(parted, baselines), components)
     x_height, ascent, descent = _sizes(baselines)
     left, right = np.array([[each.left, each.right] for each in baselines]).T
-    x = np.linspace(left, right, _PLACES, axis=1)
-    middles = np.array([each.at(x[k]) - each.x_height / 2 for k, each in enumerate(baselines)])
-    order = reading_order(
-        left, right, _levels(baselines), (ascent + descent) * x_height, boxes, leftward,
-        partial(blocks, x, middles),
-    )  # fmt: skip
+    line_height = (ascent + descent) * x_height
+    order = reading_order(left, right, _levels(baselines), line_height, leftward)
     lines = [
         _line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel, int(order.cell[k]))
         for k in order.indices

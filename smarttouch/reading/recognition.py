@@ -37,11 +37,13 @@ line, word, left, top, width, height, confidence, text."""
 STRIP_MARGIN = 0.25
 """White margin around a strip, relative to its height. Over noisy and blurred strips, 1.6 % of the
 characters were wrong with it, 3.1 % with 0.15 and 2.3 % with 0.45."""
-_STRIP_PIXELS = (32, 56)  # range of the height of lines for recognition: ascender to descender
+_STRIP_PX, _NARROWER = 32, 0.9
+"""Height of lines for recognition, ascender to descender, and factor to their width: recognition
+takes as long as a line is wide, and this costs no letters."""
 SURE = 0.6  # mean confidence below which a page is reported as poorly recognized
 _LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "uig", "urd", "yid"])
 """Tesseract's codes of languages that are read from the right."""
-_FIRST, _LONGEST = 5, 3  # first lines, and longest ones, by which a page is known to be upright
+_FIRST, _LONGEST = 5, 3  # first lines, and longest ones, by which turns are compared
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
 """Mean confidence of letters from which a page is upright, and the fewest that show it."""
 _MORE = 1.15  # factor by which more must be recognized after a turn for it to be kept
@@ -197,15 +199,19 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
     if page.lines:
         ink = separate_ink(page.grey, options.light_on_dark)
         return PreparedPage(page, ink.cleaned, page.lines, ink.light_on_dark, (), page.words)
-    if shows_dots(page.grey):
-        raise PageError(
-            f"page {number} shows Braille dots, and pictures of Braille are not read: give a text "
-            "or a .brf file, or leave the page out as in ?pages=1-3"
-        )
     prepared, turn_deg = _turned(page, 0, options), 0
     # Without Tesseract a page stays as it is.
     with contextlib.suppress(ReadingError):
-        prepared, turn_deg = _most_legible(page, prepared, options)
+        _recognize(prepared, range(len(prepared.lines)), options)
+    legible, letters = _legible(prepared.known.values())
+    if letters < _FEWEST_LETTERS or legible < _UPRIGHT * letters:
+        if shows_dots(page.grey):
+            raise PageError(
+                f"page {number} shows Braille dots, and pictures of Braille are not read: give a "
+                "text or a .brf file, or leave the page out as in ?pages=1-3"
+            )
+        with contextlib.suppress(ReadingError):
+            prepared, turn_deg = _most_legible(page, prepared, options)
     notes = list(prepared.notes)
     if turn_deg:
         notes.insert(0, f"it was turned by {turn_deg}° to be upright")
@@ -217,20 +223,12 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
 def _most_legible(
     page: Page, prepared: PreparedPage, options: RecognitionOptions
 ) -> tuple[PreparedPage, int]:
-    """Return a page turned so that most of it is recognized, and that turn in degrees, clockwise.
-
-    A few of its lines are read, as part of the page. Only where they are hardly legible, all turns
-    are tried.
-    """
-    _sample(prepared, options)
-    most, letters = _legible(prepared)
-    best = prepared, 0
-    if letters >= _FEWEST_LETTERS and most >= _UPRIGHT * letters:
-        return best
+    """Return a page turned so that most of a few of its lines is recognized, and that turn in
+    degrees, clockwise."""
+    best, most = (prepared, 0), _sampled(prepared, options)
     for turn_deg in (90, 180, 270):
         candidate = _turned(page, turn_deg, options)
-        _sample(candidate, options)
-        legible, _ = _legible(candidate)
+        legible = _sampled(candidate, options)
         if legible > _MORE * most:
             best, most = (candidate, turn_deg), legible
     return best
@@ -242,47 +240,45 @@ def _turned(page: Page, turn_deg: int, options: RecognitionOptions) -> PreparedP
     return prepare_page(page, options.light_on_dark, leftward=leftward)
 
 
-def _sample(prepared: PreparedPage, options: RecognitionOptions) -> None:
-    """Recognize a few lines of a page."""
+def _sampled(prepared: PreparedPage, options: RecognitionOptions) -> float:
+    """Return how much of a few lines of a page is legible."""
     lines = prepared.lines
     longest = sorted(range(len(lines)), key=lambda k: lines[k].left_mm - lines[k].right_mm)
     sample = sorted({*range(min(_FIRST, len(lines))), *longest[:_LONGEST]})
     _recognize(prepared, sample, options)
+    return _legible(prepared.known[k] for k in sample)[0]
 
 
-def _recognize(prepared: PreparedPage, indices: list[int], options: RecognitionOptions) -> None:
-    """Recognize lines of a page, by one call."""
-    strips = [_strip(prepared, index) for index in indices]
-    read = recognize_lines(strips, options.languages)
-    prepared.known.update(zip(indices, read, strict=True))
+def _recognize(prepared: PreparedPage, indices: Iterable[int], options: RecognitionOptions) -> None:
+    """Recognize the lines of a page that are not known yet, by one call."""
+    unknown = [k for k in indices if k not in prepared.known]
+    read = recognize_lines([_strip(prepared, k) for k in unknown], options.languages)
+    prepared.known.update(zip(unknown, read, strict=True))
 
 
 def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
-    """Return a line for recognition, as fine as the page if that is fine enough."""
-    line_px = round(prepared.lines[index].height_mm / prepared.page.mm_per_pixel)
-    return prepared.strip(index, min(max(line_px, _STRIP_PIXELS[0]), _STRIP_PIXELS[1]))
+    strip = prepared.strip(index, _STRIP_PX)
+    size = (max(1, round(_NARROWER * strip.shape[1])), _STRIP_PX)
+    return np.asarray(cv2.resize(strip, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _legible(prepared: PreparedPage) -> tuple[float, int]:
+def _legible(read: Iterable[Read]) -> tuple[float, int]:
     """Return the number of recognized letters, each counted by its confidence, and their number."""
-    known = prepared.known.values()
+    known = list(read)
     return sum(len(text) * sure for text, sure in known), sum(len(text) for text, _ in known)
 
 
 def recognized_lines(
     prepared: PreparedPage, options: RecognitionOptions, note: Note
 ) -> Iterator[tuple[int, str]]:
-    """Yield numbers and texts of the lines of a page; the first of them early."""
+    """Yield numbers and texts of the lines of a page."""
     if prepared.words:
         yield from enumerate(prepared.words)
         return
-    known = prepared.known
+    _recognize(prepared, range(len(prepared.lines)), options)
     for index in range(len(prepared.lines)):
-        if index not in known:
-            waiting = [each for each in range(len(prepared.lines)) if each not in known]
-            _recognize(prepared, waiting, options)
-        yield index, known[index][0]
-    legible, letters = _legible(prepared)
+        yield index, prepared.known[index][0]
+    legible, letters = _legible(prepared.known.values())
     sure = legible / max(1, letters)
     if sure < SURE:
         note(
