@@ -58,7 +58,7 @@ class DocumentOptions(OptionGroup):
         """Return the document, and its options: these, and those that follow its name."""
         from smarttouch.base.url_options import joined_options, read_options
         from smarttouch.pages.document import password_of
-        from smarttouch.pages.file_kinds import FileKind, file_kind
+        from smarttouch.pages.text_file import FileKind, file_kind
         from smarttouch.reading.recognition import RecognitionOptions
 
         source = source.removeprefix("page:")

@@ -51,7 +51,7 @@ def simulate_page(
     from smarttouch.base.terminal import print_table
     from smarttouch.imaging.array_window import profile_for_reading, rows_of
     from smarttouch.kernels.bank import load_bank
-    from smarttouch.pages.file_kinds import read_plain_text
+    from smarttouch.pages.text_file import read_plain_text
     from smarttouch.profile import load_profile
     from smarttouch.reading.legibility import LineDelivery, legibility_of_shapes
     from smarttouch.reading.letter_shapes import Shapes

@@ -27,12 +27,8 @@ from smarttouch.instruments.textures import (
     Texture,
     TextureSampler,
 )
-from smarttouch.pages.page_image import (
-    check_scale_options,
-    open_image,
-    read_grey,
-    require_size_mm,
-)
+from smarttouch.pages.grey_image import open_image
+from smarttouch.pages.page_image import check_scale_options, read_grey, require_size_mm
 from smarttouch.pages.prepared_page import print_text
 
 LETTER_MM = 12.0  # height of printed letters: wide enough strokes for electrodes 2 mm apart

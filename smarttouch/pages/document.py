@@ -13,13 +13,12 @@ import numpy as np
 from smarttouch.base.errors import PageError
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file, read_text, unreadable
 from smarttouch.base.stopping import Closing
+from smarttouch.pages.grey_image import open_image, page_frames
 from smarttouch.pages.page_image import (
     INCH_MM,
     LARGEST_MM,
     Page,
     check_scale_options,
-    open_image,
-    page_frames,
     read_grey,
     require_pixels,
     require_size_mm,
@@ -87,16 +86,16 @@ class Document(Closing):
 
         name = f"page {index + 1} of {self.path}"
         try:
-            printed = _flatten(self._pdf[index])
+            with contextlib.closing(self._pdf[index]) as sheet:
+                printed = _flatten(sheet)
             with contextlib.closing(self._pdf[index]) as sheet:
                 rotation = sheet.get_rotation()
-                turn_deg = turn_of_text(sheet)
-                sheet.set_rotation((rotation + turn_deg) % 360)
-                page = self._render(sheet, name, printed)
-                if turn_deg and page.notes and not page.lines:
-                    # The turned text is a stamp on a picture.
-                    sheet.set_rotation(rotation)
-                    page = self._render(sheet, name, printed)
+                # The only text of a scan may be a turned stamp.
+                for turn_deg in (turn_of_text(sheet), 0):
+                    sheet.set_rotation((rotation + turn_deg) % 360)
+                    page = self._pdf_page(sheet, name, printed)
+                    if page.lines or turn_deg == 0:
+                        break
                 return page
         # PDFium has no rotation of a page whose description is damaged.
         except (pypdfium2.PdfiumError, KeyError):
@@ -116,7 +115,7 @@ class Document(Closing):
         require_size_mm(str(self.path), width * mm_per_pixel, height * mm_per_pixel)
         return Page(grey, mm_per_pixel)
 
-    def _render(self, sheet: "pypdfium2.PdfPage", name: str, printed: int) -> Page:
+    def _pdf_page(self, sheet: "pypdfium2.PdfPage", name: str, printed: int) -> Page:
         width, height = sheet.get_size()
         if not min(width, height) > 0:
             raise PageError(f"{name} has no area: the file is damaged")
@@ -240,11 +239,10 @@ def _flatten(sheet: "pypdfium2.PdfPage") -> int:
     """Make filled-in fields a part of a page and its text; return its characters before that."""
     import pypdfium2.raw as pdfium
 
-    with contextlib.closing(sheet):
-        with contextlib.closing(sheet.get_textpage()) as text:
-            printed: int = text.count_chars()
-        pdfium.FPDFPage_Flatten(sheet, pdfium.FLAT_NORMALDISPLAY)
-        return printed
+    with contextlib.closing(sheet.get_textpage()) as text:
+        printed: int = text.count_chars()
+    pdfium.FPDFPage_Flatten(sheet, pdfium.FLAT_NORMALDISPLAY)
+    return printed
 
 
 def _absent(number: int, count: int) -> str:

@@ -1,39 +1,25 @@
-"""Pages: image files with a physical scale."""
+"""Pages of a document: grey levels with a physical scale, and lines of text."""
 
-import struct
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from smarttouch.base.errors import PageError
-from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
-from smarttouch.pages.grey_image import ORIENTATION, read_pixels, to_grey
+from smarttouch.pages.grey_image import MOST_PIXELS, ORIENTATION, read_pixels, to_grey
 
-MOST_PIXELS = 100_000_000
 FEWEST_PIXELS = 8  # least side of a page
-LARGEST_MM = 2000.0
-SMALLEST_MM = 2.0
+LARGEST_MM, SMALLEST_MM = 2000.0, 2.0
 INCH_MM = 25.4
-IMAGE = "a readable image: give a PNG, JPEG or TIFF"
-_SCALE = "dpi or page_width_mm"
 _LEAST_BELIEVED_DPI = 50.0
 """Lowest plausible resolution; files state less (1 or 72 by default) where it is unknown."""
-_EVEN = 1.02  # ratio of resolutions across and down below which they are equal
-_MOST_UNEVEN = 4.0
-"""Largest plausible ratio: the coarsest kind of fax has 2.1; more is an error of the file."""
-_SUBFILE, _NO_PAGE = 254, 1 | 4  # tag of a TIFF; bits of reduced images and masks
-_OLD_SUBFILE, _REDUCED = 255, 2
-_DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
-"""Exceptions that Pillow raises on damaged files."""
+_EVEN, _MOST_UNEVEN = 1.02, 4.0
+"""Ratio of resolutions across and down below which they are equal, and the largest plausible one:
+the coarsest kind of fax has 2.1; more is an error of the file."""
 
 
 def curve_at(
@@ -95,13 +81,13 @@ class TextLine:
 class Page:
     """Page as grey levels, (H, W) uint8, bright is white, with its scale.
 
-    A PDF also brings its lines in reading order, with the text of each, empty for a further line of
-    a table's row, and notes on what is left out. Without lines the picture is to be recognized.
+    A PDF also brings its lines in reading order, with the text of each, and notes on what is left
+    out. Without lines the picture is to be recognized.
     """
 
     grey: NDArray[np.uint8]
     mm_per_pixel: float
-    lines: tuple["TextLine", ...] = ()
+    lines: tuple[TextLine, ...] = ()
     words: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -121,42 +107,6 @@ def check_scale_options(
     for name, value in (("dpi", dpi), (width, width_mm)):
         if value is not None and not 0 < value < float("inf"):
             raise PageError(f"{name} {value:g} must be above 0")
-
-
-@contextmanager
-def open_image(path: Path, kind: str = IMAGE) -> Iterator[Image.Image]:
-    """Open an image file; any exception of Pillow, here or inside, becomes a PageError."""
-    try:
-        with warnings.catch_warnings():
-            # Sizes are checked later; damage is raised, or does no harm.
-            warnings.filterwarnings("ignore", module=r"PIL\.")
-            # Opened here: Pillow 13 maps a path to memory, and reads rotated TIFFs wrongly.
-            with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file, Image.open(file) as image:
-                yield image
-    except Image.DecompressionBombError:
-        message = f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
-        raise PageError(message) from None
-    except UnidentifiedImageError:
-        raise PageError(f"{path} is not {kind}") from None
-    except _DAMAGES as error:
-        raise PageError(f"{path} cannot be read: {error}") from None
-
-
-def page_frames(image: Image.Image) -> list[int]:
-    """Return the frames of an open image that are pages.
-
-    Thumbnails, coarser copies and masks of a TIFF are not, nor are the frames of an animation.
-    """
-    if image.format != "TIFF":
-        return [0]
-    frames = range(getattr(image, "n_frames", 1))
-    pages = []
-    for frame in frames:
-        image.seek(frame)
-        tags: Any = getattr(image, "tag_v2", {})
-        if not (tags.get(_SUBFILE, 0) & _NO_PAGE or tags.get(_OLD_SUBFILE) == _REDUCED):
-            pages.append(frame)
-    return pages or list(frames)
 
 
 def read_grey(
@@ -181,29 +131,6 @@ def read_grey(
     return grey, INCH_MM / dpi if dpi else None
 
 
-def require_pixels(name: str, width: int, height: int) -> None:
-    """Raise a PageError if a page has too many or too few pixels."""
-    if width * height > MOST_PIXELS:
-        raise PageError(
-            f"{name} has {width} x {height} pixels, above the limit of "
-            f"{MOST_PIXELS // 10**6} megapixels: make it smaller first"
-        )
-    if min(width, height) < FEWEST_PIXELS:
-        raise PageError(
-            f"{name} has {width} x {height} pixels: a page needs at least "
-            f"{FEWEST_PIXELS} x {FEWEST_PIXELS}"
-        )
-
-
-def require_size_mm(name: str, width_mm: float, height_mm: float, options: str = _SCALE) -> None:
-    """Raise a PageError if a page is larger or smaller than paper can be."""
-    if max(width_mm, height_mm) > LARGEST_MM or min(width_mm, height_mm) < SMALLEST_MM:
-        raise PageError(
-            f"{name} would be {width_mm:.4g} x {height_mm:.4g} mm: give a {options} "
-            f"that makes it {SMALLEST_MM:g} to {LARGEST_MM:g} mm"
-        )
-
-
 def _stated_dpi(image: Image.Image) -> tuple[float, float]:
     """Return pixels per inch across and down the upright page; 0 if implausible."""
     stated = image.info.get("dpi")
@@ -212,3 +139,23 @@ def _stated_dpi(image: Image.Image) -> tuple[float, float]:
     if not _LEAST_BELIEVED_DPI <= low <= high <= _MOST_UNEVEN * low or 72 in (low, high):
         return 0.0, 0.0
     return (down, across) if image.getexif().get(ORIENTATION, 1) >= 5 else (across, down)
+
+
+def require_pixels(name: str, width: int, height: int) -> None:
+    """Raise a PageError if a page has too many or too few pixels."""
+    if width * height > MOST_PIXELS or min(width, height) < FEWEST_PIXELS:
+        raise PageError(
+            f"{name} has {width} x {height} pixels: a page needs at least {FEWEST_PIXELS} x "
+            f"{FEWEST_PIXELS}, and at most {MOST_PIXELS // 10**6} megapixels"
+        )
+
+
+def require_size_mm(
+    name: str, width_mm: float, height_mm: float, options: str = "dpi or page_width_mm"
+) -> None:
+    """Raise a PageError if a page is larger or smaller than paper can be."""
+    if max(width_mm, height_mm) > LARGEST_MM or min(width_mm, height_mm) < SMALLEST_MM:
+        raise PageError(
+            f"{name} would be {width_mm:.4g} x {height_mm:.4g} mm: give a {options} "
+            f"that makes it {SMALLEST_MM:g} to {LARGEST_MM:g} mm"
+        )

@@ -19,7 +19,7 @@ _FARTHER, _LARGER = 1.6, 1.15
 _EDGE = 0.125  # part of the page's height at its ends that has running heads
 _WORDY = 3.0  # mean words of a line above which a column is prose
 _FIGURE = re.compile(r"[^\w\s]*\d[\d\W]*\w?[^\w\s]*")
-_LABEL, _INDEX_ENTRY = re.compile(r".*:"), re.compile(r".*[^\W\d].*\d\W*")
+_LABEL = re.compile(r".*:")
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
 """The mark of a list's item, or the number of a section."""
 
@@ -114,12 +114,9 @@ def _ordered(rows: list[Row]) -> list[Line]:
     waiting: list[Row] = []
     for band, gaps in _bands(rows):
         column = next((gap for gap in gaps if _parts_columns(band, gap, gaps)), None)
-        # One of the columns may begin above the other.
-        while column and waiting and _common([column], waiting[-1]):
-            band.insert(0, waiting.pop())
-        parts = _blocks(band)
-        if column:
-            parts = [_part(band, -math.inf, column[1]), _part(band, column[1])]
+        parts = _blocks(band) if column is None else [
+            _part(band, -math.inf, column[1]), _part(band, column[1])
+        ]  # fmt: skip
         ends = _cell_ends(band) if len(parts) == 1 else []
         if len(parts) == 1 and not ends:
             waiting += band
@@ -210,7 +207,7 @@ def _are_apart(before: Word, word: Word) -> bool:
 
 def _pieces(row: Row) -> list[Row]:
     """Return the words of a row parted at gaps that may be between columns: not in justified prose,
-    nor after the mark of an item or the leaders of a list of contents."""
+    nor after the mark of an item."""
     letters = sum(word.text.isalpha() for word in row)
     if letters > 2 and _are_even(row) and row[1].left - row[0].right < _CERTAIN * row[0].size:
         return [row]
@@ -220,7 +217,7 @@ def _pieces(row: Row) -> list[Row]:
         is_item = before is row[0] and _ITEM.fullmatch(before.text) and not are_figures
         width = (word.left - before.right) / max(before.size, word.size)
         is_wide = width > (_FIGURES if are_figures else _WIDE) and _are_apart(before, word)
-        return is_wide and not (is_item or word.is_joined or not before.text.strip("."))
+        return is_wide and not (is_item or word.is_joined)
 
     return split(row, begins)
 
@@ -235,7 +232,7 @@ def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
 
 def _parts_columns(band: list[Row], gap: _Span, gaps: list[_Span]) -> bool:
     """Return whether a gap parts columns of text, to be read one after the other: the file does so,
-    or both columns are prose, or entries of an index."""
+    or both columns are prose."""
     ends = [-math.inf, *(right for _, right in gaps), math.inf]
     at = ends.index(gap[1])
     left, right = (_part(band, *ends[k : k + 2]) for k in (at - 1, at))
@@ -249,10 +246,8 @@ def _parts_columns(band: list[Row], gap: _Span, gaps: list[_Span]) -> bool:
     printed = [word for row in band for word in row if word.place >= 0]
     sides = [word.left > gap[0] for word in sorted(printed, key=lambda word: word.place)]
     crossings = sum(before != after for before, after in itertools.pairwise(sides))
-    alike = (_is_prose(left) and _is_prose(right)) or (
-        _are(_INDEX_ENTRY, left) and _are(_INDEX_ENTRY, right)
-    )
-    return 0 < 2 * crossings <= level or (alike and level > 2)
+    are_prose = _is_prose(left) and _is_prose(right) and level > 2
+    return 0 < 2 * crossings <= level or are_prose
 
 
 def _are(pattern: re.Pattern[str], column: list[Row]) -> bool:
@@ -267,24 +262,19 @@ def _is_prose(column: list[Row]) -> bool:
 def _cell_ends(band: list[Row]) -> list[float]:
     """Return the places that part cells, if rows are a table: the fewest that lie in all gaps, and
     each in two or more."""
-    pieces = [_pieces(row) for row in band]
-    gaps = sorted((gap for row in pieces for gap in _free(row)[1:-1]), key=lambda gap: gap[1])
+    gaps = sorted(
+        (gap for row in band for gap in _free(_pieces(row))[1:-1]), key=lambda gap: gap[1]
+    )
     shared: list[_Span] = []
     for left, right in gaps:
         if shared and left < shared[-1][1]:
             shared[-1] = max(left, shared[-1][0]), shared[-1][1]
         else:
             shared.append((left, right))
-    parted = [row for row, parts in zip(band, pieces, strict=True) if len(parts) > 1]
-    ends = []
-    for left, right in shared:
-        count = sum(gap[0] < (left + right) / 2 < gap[1] for gap in gaps)
-        if count > 1 and (len(parted) > 2 or right - left > _CERTAIN * band[0][0].size):
-            ends.append((left + right) / 2)
-    # In justified prose, words within a cell are as far apart as the cells.
-    even = sum(len(row) > len(_pieces(row)) and _are_even(row) for row in parted)
+    middles = ((left + right) / 2 for left, right in shared)
+    ends = [end for end in middles if sum(left < end < right for left, right in gaps) > 1]
     columns = (_part(band, *pair) for pair in itertools.pairwise([-math.inf, *ends, math.inf]))
-    return ends if sum(map(_is_prose, columns)) < 2 and 2 * even < len(parted) else []
+    return ends if sum(map(_is_prose, columns)) < 2 else []
 
 
 def _table_row(row: Row, ends: list[float]) -> Line:

@@ -9,10 +9,9 @@ from joblib import Parallel, delayed
 
 from smarttouch.base.errors import ReadingError
 from smarttouch.pages.document import open_document, parse_pages
-from smarttouch.pages.file_kinds import FileKind, file_kind, read_plain_text
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.pandoc_text import read_pandoc_text
 from smarttouch.pages.prepared_page import PreparedPage, prepare_text
+from smarttouch.pages.text_file import FileKind, file_kind, read_document_text, read_plain_text
 from smarttouch.reading.paragraphs import PrintedLine, paragraphs, printed_lines, without_heads
 from smarttouch.reading.recognition import (
     Note,
@@ -56,7 +55,7 @@ class ReadingMaterial:
         if self.kind is FileKind.TEXT:
             return read_plain_text(Path(self.name))
         if self.kind is FileKind.STRUCTURED:
-            return read_pandoc_text(Path(self.name), self.note)
+            return read_document_text(Path(self.name), self.note)
         return None
 
     def pages(self) -> Iterator[tuple[int, Page]]:

@@ -14,12 +14,11 @@ from smarttouch.base.errors import PageError, SourceError, require_within
 from smarttouch.base.files import read_text
 from smarttouch.base.tables import read_csv
 from smarttouch.pages.document import open_document, password_of
-from smarttouch.pages.file_kinds import FileKind, file_kind
 from smarttouch.pages.ink import is_light_on_dark, reduced, separate_ink
 from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page, TextLine
-from smarttouch.pages.pandoc_text import read_pandoc_text
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
+from smarttouch.pages.text_file import FileKind, file_kind, read_document_text
 from smarttouch.pages.text_lines import find_lines
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
@@ -236,7 +235,7 @@ def load_or_guess(
     """
     kind = file_kind(path) if path.is_file() else None
     if kind is FileKind.STRUCTURED:
-        return print_text(read_pandoc_text(path, note)), ""
+        return print_text(read_document_text(path, note)), ""
     text = kind is FileKind.TEXT and path.suffix.lower() == ".txt"
     if text and dpi is None and width_mm is None:
         return print_text(read_text(path, PageError).strip()), ""

@@ -107,9 +107,6 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; Gas; 
      [*LEFT, "E = mc", "(1)", "is the rule.", *RIGHT]),
     ([*columns(["apple, 7", "bread, 12", "door, 3", "mill, 9", "oven, 4", "pear, 31"])],
      ["apple, 7", "bread, 12", "door, 3", "mill, 9", "oven, 4", "pear, 31"]),
-    ([*columns(["apple, 7", "bread, 12", "door, 3", "mill, 9", "oven, 4", "pear, 31"],
-               by_rows=True)],
-     ["apple, 7", "bread, 12", "door, 3", "mill, 9", "oven, 4", "pear, 31"]),
     ([(40, 240, "What was paid for the house this year"), *table(*GRID)],
      ["What was paid for the house this year", *ROWS]),
     # A table in the left one of two columns.
@@ -132,7 +129,7 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; Gas; 
      ["1. a pencil", "2. a cup"]),
 ], ids=["italics", "condensed", "spaced", "letters", "powers", "footnotes", "initial", "hyphens",
         "bullets", "columns", "columns by rows", "columns offset", "equation", "index",
-        "index by rows", "table", "table in a column", "cells of lines", "narrow table",
+        "table", "table in a column", "cells of lines", "narrow table",
         "labels", "turned", "outside", "marks of items"])  # fmt: skip
 def test_text_is_read_as_it_is_seen(tmp_path, content, words):
     assert load(pdf(tmp_path / "a.pdf", *content)).words == tuple(words)
