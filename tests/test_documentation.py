@@ -1,5 +1,6 @@
 """README and docs: their Python runs, their commands exist, those of the first hour run too."""
 
+import ast
 import os
 import re
 import shlex
@@ -142,6 +143,21 @@ def test_the_page_on_architecture_names_what_there_is():
     named = set(re.findall(r"`((?:smarttouch|tests|examples|firmware|docs)/[\w/.-]+)`", page))
     assert len(named) > 30
     assert sorted(each for each in named if not (ROOT / each).exists()) == []
+
+
+def test_the_path_of_a_frame_is_as_short_as_the_page_says():
+    page = (ROOT / "docs/explanation/architecture.md").read_text("utf-8")
+    lines = 0
+    for path, names in re.findall(r"^\| `(smarttouch/[\w/]+\.py)`: (.*?) \|", page, re.MULTILINE):
+        tops = [top for top in ast.parse((ROOT / path).read_text("utf-8")).body
+                if hasattr(top, "name")]  # fmt: skip
+        found = {top.name: top for top in tops} | {
+            f"{top.name}.{part.name}": part
+            for top in tops for part in top.body if hasattr(part, "name")
+        }  # fmt: skip
+        for name in re.findall(r"`([\w.]+)`", names):
+            lines += found[name].end_lineno - found[name].lineno + 1
+    assert 400 < lines < 700
 
 
 def test_the_gallery_has_each_program_in_a_section():
