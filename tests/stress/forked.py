@@ -1,8 +1,7 @@
 """Hosts and emulated boards as forks of one process that has imported everything.
 
 A program that is started takes a second of processor time; a fork of one that has begun
-takes a hundredth. `Emulated` writes down, by the board's own clock, when a signal was sent
-to its host and when its last pulse began.
+takes a hundredth. `Emulated` notes when its last pulse began.
 """
 
 import contextlib
@@ -23,7 +22,7 @@ from smarttouch.base.posix import prioritized
 from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.cli import main
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
-from smarttouch.emulator.firmware import DeliveryLog, Firmware
+from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.server import Server
@@ -33,124 +32,68 @@ KINDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 FLOWS_UA = 20
 ALONE_S = 0.3
 """A board that goes on without its host shows it within that time."""
-"""Its real-time priority: above those of loop and watchdog."""
-AWAY_NS = 10_000_000
-"""A board that did not look at its line for so long notes that: it was kept waiting."""
-_PAGE = struct.Struct("<qqqqqq")
-_NEVER = -1
+_PAGE = struct.Struct("<qqqq")
 
 
-class _Noted(Firmware):
-    """A firmware whose last pulse, and the time of a flag, are kept in shared memory."""
+class _Shared(DeliveryLog):
+    """Books of which four numbers are in shared memory: when the last pulse began, by the machine's
+    clock, how many there were, whether the board drives, and how often something was wrong."""
 
-    def __init__(self, firmware, page, trace):
-        self.firmware, self.books, self._page, self._trace = firmware, firmware.books, page, trace
-        self._enter, self.books.enter = self.books.enter, self._note_pulse
-        self._looked_ns = time.monotonic_ns()
+    def __init__(self, electrodes, page):
+        super().__init__(electrodes)
+        self.last_ns, self.page = 0, page
 
-    @property
-    def busy(self):
-        return self.firmware.busy
+    def keep(self, number, width_us, current_ua):
+        if abs(current_ua).max(initial=0) >= FLOWS_UA:
+            self.last_ns = time.monotonic_ns()
 
-    def feed(self, data, now_ns):
-        self._look(now_ns)
-        # What was due before these bytes is not of them.
-        answer = self.firmware.advance(now_ns)
-        # By the machine's clock: the board's stands still while this process is kept waiting.
-        self._trace.write(struct.pack("<qi", time.monotonic_ns(), -1))
-        answer += self.firmware.feed(data, now_ns)
-        self._state()
-        return answer
-
-    def advance(self, now_ns):
-        self._look(now_ns)
-        answer = self.firmware.advance(now_ns)
-        self._state()
-        return answer
-
-    def hang_up(self, now_ns):
-        self.firmware.hang_up(now_ns)
-        self._state()
-
-    def zero(self, reason, now_ns):
-        self.firmware.zero(reason, now_ns)
-        self._state()
-
-    def _look(self, now_ns):
-        looked_ns, self._looked_ns = self._looked_ns, time.monotonic_ns()
-        if self._looked_ns - looked_ns > AWAY_NS:
-            self._trace.write(struct.pack("<qi", self._looked_ns, -2))
-        flag, at_ns, *rest = _PAGE.unpack(self._page[: _PAGE.size])
-        if flag and at_ns == _NEVER:
-            self._page[: _PAGE.size] = _PAGE.pack(flag, now_ns, *rest)
-
-    def _state(self):
-        values = list(_PAGE.unpack(self._page[: _PAGE.size]))
-        values[4] = self.books.state == "driving"
-        values[5] = self.books.unsafe + self.books.violations
-        # The flag is the other process's.
-        self._page[8 : _PAGE.size] = _PAGE.pack(*values)[8:]
-
-    def _note_pulse(self, number, slot, site, delivered, width_us, residual_uc, time_us, **more):
-        self._enter(number, slot, site, delivered, width_us, residual_uc, time_us, **more)
-        peak_ua = int(abs(delivered.current_ua).max(initial=0))
-        if peak_ua < FLOWS_UA:
-            return
-        pulses = _PAGE.unpack(self._page[: _PAGE.size])[3] + 1
-        self._page[16:32] = struct.pack("<qq", int(1000 * time_us), pulses)
-        self._trace.write(struct.pack("<qi", time.monotonic_ns(), peak_ua))
+    def __setattr__(self, name, value):
+        super().__setattr__(name, value)
+        if name in ("state", "unsafe", "violations", "last_ns") and "page" in vars(self):
+            driving, wrong = self.state == "driving", self.unsafe + self.violations
+            self.page[: _PAGE.size] = _PAGE.pack(self.last_ns, self.pulses, driving, wrong)
 
 
 class Emulated:
     """A board in a fork, on a line of its own."""
 
-    def __init__(self, kind, trace=None):
-        self.kind = kind
+    def __init__(self, kind):
+        self.kind, self._flag_ns = kind, None
         self._page = mmap.mmap(-1, mmap.PAGESIZE)
-        self._page[: _PAGE.size] = _PAGE.pack(0, _NEVER, _NEVER, 0, 0, 0)
         line = PtyLine()
         self.url = f"{kind}:{line.name}"
         self.process = os.fork()
         if self.process == 0:
-            run_and_exit(lambda: self._serve(line, trace))
+            run_and_exit(lambda: self._serve(line))
         line.close()
 
-    def _serve(self, line, trace):
+    def _serve(self, line):
         quiet(out=os.devnull)
-        books = DeliveryLog(KINDS[self.kind])
+        books = _Shared(KINDS[self.kind], self._page)
         firmware = {
             "link": lambda: LinkFirmware("weighted", books),
             "kajimoto61": lambda: Kajimoto61Firmware(books),
             "etactilekit": lambda: ETactileKitFirmware(books),
         }[self.kind]()
         # A board is kept waiting by nothing: before the hosts, where that is allowed.
-        with Path(trace or os.devnull).open("wb") as file, prioritized():
-            Server(_Noted(firmware, self._page, file), line).serve(60.0)
-
-    @property
-    def pulses(self):
-        """Number of pulses delivered until now."""
-        return _PAGE.unpack(self._page[: _PAGE.size])[3]
+        with prioritized():
+            Server(firmware, line).serve(60.0)
 
     def flag(self):
-        """Write down when it is, by the board's clock."""
-        self._page[:8] = struct.pack("<q", 1)
+        """Note when it is."""
+        self._flag_ns = time.monotonic_ns()
 
     def ended(self):
-        """Leave it alone for a while, switch it off, and return what was noted."""
+        """Leave it alone for a while, and return what was noted; then switch it off."""
         time.sleep(ALONE_S)
+        pulse_ns, pulses, driving, wrong = _PAGE.unpack(self._page[: _PAGE.size])
         os.kill(self.process, signal.SIGTERM)
         os.waitpid(self.process, 0)
-        _, flag_ns, pulse_ns, pulses, keys_and_signals, wrong = _PAGE.unpack(
-            self._page[: _PAGE.size]
-        )
         self._page.close()
+        late_ms = (pulse_ns - self._flag_ns) / 1e6 if pulses else None
         return {
-            "pulses": pulses,
-            "driving": bool(keys_and_signals),
-            "wrong": wrong,
-            "zero_after_ms": (pulse_ns - flag_ns) / 1e6 if pulses and flag_ns != _NEVER else None,
-        }
+            "pulses": pulses, "driving": bool(driving), "wrong": wrong, "zero_after_ms": late_ms,
+        }  # fmt: skip
 
 
 def start_host(arguments, state, *, out=os.devnull, terminal=None, delay_s=0.0):
