@@ -3,7 +3,6 @@
 import time
 
 import joblib
-import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Afferent
@@ -74,33 +73,6 @@ def test_whole_bank_against_linprog(row, quick, square, whole_programme, changed
         },
     )
     assert apart < 1e-6
-
-
-@pytest.mark.timeout(1800)
-def test_chosen_sites_of_a_large_array(row, quick, square):
-    side = 6 if quick else 32
-    profile = square(side)
-    chosen = {"corner": 0, "middle": side // 2 * (side + 1), "edge": side // 2}
-    for afferent in (Afferent.RA, Afferent.SAI):
-        start = time.perf_counter()
-        problem = Problem(profile, afferent)
-        rows = time.perf_counter() - start
-        for name, site in chosen.items():
-            start = time.perf_counter()
-            kernel = design_kernel(problem, site)
-            row(
-                f"Single sites of {side} × {side}",
-                {
-                    "class": afferent.name,
-                    "site": name,
-                    "s": f"{time.perf_counter() - start:.1f}",
-                    "rows": len(problem.other),
-                    "rows built in, s": f"{rows:.1f}",
-                    "worst other": f"{kernel.off_target:.4f}",
-                    "spill": f"{kernel.spill:.3f}",
-                },
-            )
-            assert np.abs(kernel.weights.sum()) < 1e-9
 
 
 @pytest.mark.timeout(0)

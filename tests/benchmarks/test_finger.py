@@ -45,17 +45,6 @@ def test_drive_of_a_frame(benchmark, quick, bank, anatomy, times, slots, known):
     benchmark.pedantic(model.drive, setup=frame, rounds=20)
 
 
-@pytest.mark.parametrize("slots", SLOTS)
-@pytest.mark.parametrize("anatomy", ["paper", "branched"])
-def test_the_product_alone(benchmark, quick, anatomy, slots):
-    """Currents times the rows of 1,200 afferents, and nothing else: no new frame is faster."""
-    if quick and slots != SLOTS[1]:
-        pytest.skip("one frame only")
-    rows, _ = a_finger(anatomy, TIMES[1]).rows
-    current = np.random.default_rng(1).random((rows.shape[1], slots), np.float32)
-    benchmark.pedantic(np.matmul, (rows, current), rounds=20)
-
-
 @cache
 def a_finger(anatomy, times):
     """Return a finger, drawn once."""

@@ -1,4 +1,4 @@
-"""Large arrays, and several displays in one program: what grows, and what of it is there.
+"""Large arrays: what grows, and what of it is there.
 
 Run with::
 
@@ -8,11 +8,9 @@ Banks are designed in processes of their own, whose largest memory is measured.
 """
 
 import json
-import statistics
 import subprocess
 import sys
 import textwrap
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -126,45 +124,3 @@ def test_what_a_bank_of_a_large_array_takes(row, quick):
             },
         )
         assert 0 < worst["RA"] < 1
-
-
-def in_threads(count, seconds):
-    """Return the rate of each of some displays of 64 electrodes, a thread each."""
-    rates = [0.0] * count
-
-    def drive(index):
-        with st.open_display("memory:") as display:
-            source = st.open_source("text:Hello world", display.profile)
-            found = st.run(source, display, seconds=seconds, rate_hz=50.0, force="fixed:0.9")
-            rates[index] = found.figures["rate_hz"]
-
-    threads = [threading.Thread(target=drive, args=[index]) for index in range(count)]
-    for each in threads:
-        each.start()
-    for each in threads:
-        each.join()
-    return rates
-
-
-def in_processes(count, seconds, folder):
-    command = [PROGRAM, "live", "text:Hello world", "--board", "memory:", "--set", "rate_hz=50"]
-    command += ["--seconds", f"{seconds:g}", "--json"]
-    files = [folder / f"{index}.json" for index in range(count)]
-    running = [subprocess.Popen([*command, str(each)]) for each in files]
-    assert [each.wait() for each in running] == [0] * count
-    return [json.loads(each.read_text())["rate_hz"] for each in files]
-
-
-@pytest.mark.timeout(0)
-def test_several_displays(row, quick, tmp_path):
-    for count in (2,) if quick else (1, 2, 5, 10):
-        seconds = 1.5 if quick else 10
-        cells = {"displays": count}
-        for way, rates in (
-            ("threads of one program", in_threads(count, seconds)),
-            ("a process each", in_processes(count, seconds, tmp_path)),
-        ):
-            cells[f"{way}: Hz, median"] = f"{statistics.median(rates):.1f}"
-            cells[f"{way}: least"] = f"{min(rates):.1f}"
-            assert min(rates) > 0
-        row("Displays of 64 electrodes, 50 sequences a second asked of each", cells)
