@@ -17,13 +17,11 @@ import matplotlib.pyplot as plt
 
 import smarttouch as st
 from smarttouch.lab import (
-    About,
-    ExperimentOptions,
-    Shape,
-    TrialTiming,
+    Setup,
+    Subject,
     discrimination_figure,
     judge_answers,
-    new_experiment,
+    make_observer,
     open_experiment,
     read_table,
     usual_model,
@@ -32,19 +30,13 @@ from smarttouch.lab import (
 profile = st.load_profile("concentric")
 
 
-def sit(folder, standards_hz, repetitions):
+def sit(folder, standards, repetitions):
     """Let the simulated observer sit the experiment; return its file."""
-    options = ExperimentOptions(
-        standards=standards_hz, repetitions=repetitions, train_s=0.5, seed=1
-    )
-    made = new_experiment("frequency", profile, options)
+    setup = Setup(profile, standards=standards, repetitions=repetitions, train_s=0.5, seed=1)
     path = Path(folder) / "frequency-RA.csv"
-    about = About("frequency-RA", made.method, "S1", "", 1)
-    timing = TrialTiming(patience_s=10.0)
-    with open_experiment(made, profile, timing, about, path) as sitting:
-        source = sitting.source()
-        observer = sitting.subject(source, "model", 1)
-        st.run(source, st.open_display("simulated:", profile), seed=1, listeners=[observer])
+    with open_experiment("frequency", setup, path, "S1") as sitting:
+        source = sitting.source(Subject(make_observer("model", profile, 1, finger=2)))
+        st.run(source, st.open_display("simulated:", profile), seed=1)
     return path
 
 
@@ -52,8 +44,8 @@ def sit(folder, standards_hz, repetitions):
 # Each answer is a row of a CSV file; `fit` finds the thresholds, or reports in a sentence why there
 # are none.
 with tempfile.TemporaryDirectory() as folder:
-    table = read_table(sit(folder, (30.0,), 8))
-model = usual_model(table.answers, Shape.NORMAL, None, None, None, 0.1)
+    table = read_table(sit(folder, "30", 8))
+model = usual_model(table.answers)
 findings = [judge_answers(each, model) for each in table.answers]
 for found in findings:
     print(found.answers.standard, "Hz:", found.verdict or "has a threshold")

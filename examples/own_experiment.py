@@ -2,8 +2,8 @@
 An experiment of your own
 =========================
 
-In which of two intervals had the bar a gap? A task makes a trial of each condition, a procedure
-chooses the conditions, and the terminal, the file of answers and the fit come with it. The
+In which of two intervals had the bar a gap? An experiment is a generator: it yields a trial, gets
+its answer and chooses the next. The terminal, the file of answers and the fit come with it. The
 command ``smarttouch experiment run own_experiment.py --subject S1`` runs this file as it stands.
 """
 
@@ -14,34 +14,25 @@ from tempfile import mkdtemp
 
 import numpy as np
 
-from smarttouch.lab import Design, Experiment, constant_stimuli, in_two_intervals
+from smarttouch.lab import Experiment, ask, in_two_intervals
 
 
-class GapTask:
+def gaps(setup):
     """A whole bar in one interval, one with a gap in the other."""
+    x_mm, y_mm = setup.profile.electrodes.position_mm.T
+    row = y_mm == y_mm[setup.place]
 
-    def __init__(self, stimuli):
-        self.stimuli = stimuli
-        self.x_mm, y_mm = stimuli.profile.electrodes.position_mm.T
-        self.row = y_mm == y_mm[stimuli.middle]
+    def bar(gap_mm):
+        return setup.train(np.flatnonzero(row & (abs(x_mm) > gap_mm / 2)), 50)
 
-    def bar(self, gap_mm):
-        return self.stimuli.train(np.flatnonzero(self.row & (abs(self.x_mm) > gap_mm / 2)), 50)
+    def trial(condition):
+        gap, whole = bar(condition.comparison), bar(0)
+        return in_two_intervals(condition, gap, whole, "gap", "which had a gap?", "mm")
 
-    def trial(self, condition):
-        gap, whole = self.bar(condition.comparison), self.bar(0)
-        words = f"gap of {condition.comparison:g} mm"
-        return in_two_intervals(condition, gap, whole, "gap", "which had a gap?", words, "mm")
+    yield from ask(setup.constant([(0, gap_mm) for gap_mm in (2, 6, 10)]), trial)
 
 
-def make(stimuli, options, method):
-    """Return the task, and gaps of 2 to 10 mm, ten times each if nothing else is asked for."""
-    pairs = [(0, gap_mm) for gap_mm in (2, 6, 10)]
-    procedure = constant_stimuli(pairs, options.repetitions or 10, seed=options.seed)
-    return Design(GapTask(stimuli), procedure, method)
-
-
-experiment = Experiment("which had a gap: width, mm", make)
+experiment = Experiment("which had a gap: width, mm", gaps)
 
 # %%
 # Somebody who guesses sits it on a simulated board; with a person it is the same command without

@@ -4,36 +4,30 @@ from smarttouch.base.afferent import CLASS_COLORS as CLASS_COLORS
 from smarttouch.base.files import data_folder as data_folder
 from smarttouch.braille.code_tables import open_table as open_table
 from smarttouch.braille.page_layout import lay_out as lay_out
-from smarttouch.experiments.fitting.answer_figures import (
+from smarttouch.experiments.answer_figures import (
     discrimination_figure as discrimination_figure,
 )
-from smarttouch.experiments.fitting.answers import read_table as read_table
-from smarttouch.experiments.fitting.answers import usual_model as usual_model
-from smarttouch.experiments.fitting.findings import judge_answers as judge_answers
-from smarttouch.experiments.fitting.psychometric import Shape as Shape
-from smarttouch.experiments.psychophysics.catalog import Design as Design
-from smarttouch.experiments.psychophysics.catalog import Experiment as Experiment
-from smarttouch.experiments.psychophysics.catalog import ExperimentOptions as ExperimentOptions
-from smarttouch.experiments.psychophysics.catalog import new_experiment as new_experiment
-from smarttouch.experiments.psychophysics.experiment_session import (
-    open_experiment as open_experiment,
-)
-from smarttouch.experiments.psychophysics.procedures import Condition as Condition
-from smarttouch.experiments.psychophysics.procedures import Procedure as Procedure
-from smarttouch.experiments.psychophysics.procedures import constant_stimuli as constant_stimuli
-from smarttouch.experiments.psychophysics.tasks import in_two_intervals as in_two_intervals
-from smarttouch.experiments.psychophysics.trial_rows import About as About
-from smarttouch.experiments.psychophysics.trials import Stimuli as Stimuli
-from smarttouch.experiments.psychophysics.trials import Task as Task
-from smarttouch.experiments.psychophysics.trials import Train as Train
-from smarttouch.experiments.psychophysics.trials import Trial as Trial
-from smarttouch.experiments.psychophysics.trials import TrialTiming as TrialTiming
+from smarttouch.experiments.answers import read_table as read_table
+from smarttouch.experiments.answers import usual_model as usual_model
+from smarttouch.experiments.catalog import Experiment as Experiment
+from smarttouch.experiments.experiment_session import open_experiment as open_experiment
+from smarttouch.experiments.findings import judge_answers as judge_answers
+from smarttouch.experiments.observers import Subject as Subject
+from smarttouch.experiments.observers import make_observer as make_observer
+from smarttouch.experiments.procedures import Condition as Condition
+from smarttouch.experiments.procedures import constant_stimuli as constant_stimuli
 from smarttouch.experiments.study_plan import Study as Study
 from smarttouch.experiments.study_run import STUDY_NAMES as STUDY_NAMES
 from smarttouch.experiments.study_run import run_study as run_study
 from smarttouch.experiments.study_run import study_figure as study_figure
 from smarttouch.experiments.study_run import study_sums as study_sums
 from smarttouch.experiments.study_run import study_table as study_table
+from smarttouch.experiments.trials import Answer as Answer
+from smarttouch.experiments.trials import Setup as Setup
+from smarttouch.experiments.trials import Train as Train
+from smarttouch.experiments.trials import Trial as Trial
+from smarttouch.experiments.trials import ask as ask
+from smarttouch.experiments.trials import in_two_intervals as in_two_intervals
 from smarttouch.imaging.array_window import profile_for_reading as profile_for_reading
 from smarttouch.imaging.array_window import reading_force_n as reading_force_n
 from smarttouch.instruments.color_mix import ColorSource as ColorSource

@@ -17,6 +17,7 @@ OPTIONS = {
     "--dot-pitch-mm": "give --size-mm, the side of the target",
     "--finger": "give --set finger=[ANATOMY:]SEED",
     "--frames": "leave it out; 16 frames are averaged",
+    "--function": "leave it out; the curve is the cumulative normal, as in the paper",
     "--help-all": "--help prints all options",
     "--lapse": "leave it out; a tenth of the answers may be lapses",
     "--light-on-dark": "give --set light_on_dark",

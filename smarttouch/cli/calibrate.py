@@ -21,7 +21,7 @@ from smarttouch.cli.options import (
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board
 
 if TYPE_CHECKING:
-    from smarttouch.experiments.calibration.profile_file import ProfileFile
+    from smarttouch.experiments.profile_file import ProfileFile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ class CalibrationOptions(OptionGroup):
     def file(self, part: str, simulated: bool, board_url: str = "simulated:") -> "ProfileFile":
         """Return the profile file that a calibration reads and writes."""
         from smarttouch.boards.open import default_profile
-        from smarttouch.experiments.calibration.profile_file import file_to_calibrate
+        from smarttouch.experiments.profile_file import file_to_calibrate
 
         if self.output is None:
             raise CalibrationError("give a file FILE.toml for what is measured")
@@ -49,7 +49,7 @@ class CalibrationOptions(OptionGroup):
 
 def weights_laid(listed: Sequence[float] | None) -> Iterator[float]:
     """Yield the grams that a user lays on a load cell: those listed, or those typed in."""
-    from smarttouch.experiments.calibration.force_curve import parse_grams
+    from smarttouch.experiments.force_curve import parse_grams
 
     for grams in listed or ():
         _answer(f"{grams:g} g on the cell, at rest. Then press Enter")
@@ -114,7 +114,7 @@ def optics(
     simulate: _Simulate = False,
 ) -> None:
     """Measure dark level and gain of every pixel, covered and on blank white paper."""
-    from smarttouch.experiments.calibration import sensor_optics
+    from smarttouch.experiments import sensor_optics
 
     file = calibration.file("optics", simulate)
     if simulate:
@@ -151,12 +151,12 @@ def registration(
     simulate: _Simulate = False,
 ) -> None:
     """Find each electrode's position in the sensor's image with a printed target."""
-    from smarttouch.experiments.calibration.page_registration import (
+    from smarttouch.experiments.page_registration import (
         bench_view,
         register,
         target_for,
     )
-    from smarttouch.experiments.calibration.sensor_optics import images_of
+    from smarttouch.experiments.sensor_optics import images_of
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources.preprocess import mean_image
 
@@ -205,8 +205,8 @@ def force(
     simulate: _Simulate = False,
 ) -> None:
     """Measure the load cell's curve with known weights; one given twice shows hysteresis."""
-    from smarttouch.experiments.calibration.force_curve import fit_curve, parse_grams, weigh_on
-    from smarttouch.experiments.calibration.sensor_optics import weigh_simulated
+    from smarttouch.experiments.force_curve import fit_curve, parse_grams, weigh_on
+    from smarttouch.experiments.sensor_optics import weigh_simulated
 
     require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)
     listed = None if weights is None else parse_grams(weights)
@@ -242,7 +242,7 @@ def thresholds(
 ) -> None:
     """Measure at each electrode the weakest current felt and the strongest comfortable one."""
     from smarttouch.boards.open import default_profile
-    from smarttouch.experiments.calibration.thresholds import ThresholdProcedure
+    from smarttouch.experiments.thresholds import ThresholdProcedure
     from smarttouch.profile.profile import require_driven
     from smarttouch.views.keys_and_signals import keyboard_listener
 
@@ -276,7 +276,7 @@ def contact(
     ] = 5,
 ) -> None:
     """Find the electrodes that touch the skin, by repeated measurements of their impedance."""
-    from smarttouch.experiments.calibration.contact import (
+    from smarttouch.experiments.contact import (
         judge_contact,
         measure_contact,
     )

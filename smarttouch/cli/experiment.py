@@ -1,16 +1,15 @@
 """``smarttouch experiment``: psychophysics with pulses, and ``experiment fit`` of its answers."""
 
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from smarttouch.base import terminal
-from smarttouch.base.errors import ExperimentError, choice_of, require_within
+from smarttouch.base.errors import ExperimentError, choice_of
 from smarttouch.cli.options import (
     ClassOption,
     Commands,
@@ -20,45 +19,24 @@ from smarttouch.cli.options import (
     argument,
     option,
     parse_afferent,
-    read_form,
     require_answers,
     takes_options,
 )
 from smarttouch.views.keys_and_signals import drives_a_board
 
 if TYPE_CHECKING:
-    from smarttouch.experiments.fitting.answers import AnswerTable
-    from smarttouch.experiments.fitting.findings import Finding
-    from smarttouch.experiments.fitting.psychometric import Guess
+    from smarttouch.experiments.answers import AnswerTable
+    from smarttouch.experiments.findings import Finding
+    from smarttouch.experiments.psychometric import Guess
 
 _ANATOMY = "paper"
-_PATIENCE_S = 10.0  # for the current of a trial, where nobody is there who could press harder
+_FINGER = 2  # full RA pulses of the concentric electrode reach no afferent of the first
 _FREE_HZ = 50.0  # rate to begin with
 
 
 experiment: Commands = Commands(
     help="Run psychophysical experiments, and fit the answers.", no_args_is_help=True
 )
-
-
-@dataclass(frozen=True)
-class _Parts:
-    """Options that follow the name of an experiment."""
-
-    procedure: str | None = None
-    standards: str | None = None
-    repetitions: int | None = None
-    trials: int | None = None
-    two_intervals: bool = False
-    site: int | None = None
-    train_s: float | None = None
-    gap_s: float = 0.5
-    answer_s: float = 10.0
-
-    def __post_init__(self) -> None:
-        for name in ("repetitions", "trials"):
-            if (count := getattr(self, name)) is not None:
-                require_within(ExperimentError, name, count, 1, math.inf)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,39 +89,48 @@ def run_listed(
     if text is None:
         _list_all()
         return
-    name, parts = read_form(_Parts, text, ExperimentError)
+    name, options = _options_of(text)
+    if rate_hz is not None:
+        options["rate_hz"] = rate_hz
     if name == "free":
-        _run_free(run, who, mode, parts, rate_hz)
+        _run_free(run, who, mode, options)
     else:
-        _run_trials(run, who, name, parts, mode, rate_hz)
+        _run_trials(run, who, name, mode, options)
+
+
+def _options_of(text: str) -> tuple[str, dict[str, Any]]:
+    """Return the name of an experiment, and the options that follow it."""
+    from smarttouch.base.url_options import options_of, read_options
+    from smarttouch.experiments.trials import Setup
+
+    others = ("rate_hz", "seed")
+    name, given = read_options(Setup, text, ExperimentError, others)
+    if "?" in name:
+        known = ", ".join(sorted(options_of(Setup, others)))
+        raise ExperimentError(f"{name!r} has an option that there is not: choose {known}")
+    return name, given
 
 
 def _list_all() -> None:
-    from smarttouch.experiments.psychophysics.catalog import CATALOG, EXPERIMENTS, find_experiment
+    from smarttouch.experiments.catalog import CATALOG, EXPERIMENTS, find_experiment
 
     for name in (*CATALOG, *EXPERIMENTS.plug_ins):
         entry = find_experiment(name)
-        typer.echo(f"{name:13} {entry.about} [{', '.join(entry.methods)}]")
+        typer.echo(f"{name:13} {entry.about} [{', '.join(entry.procedures)}]")
     typer.echo(f"{'free':13} turn amplitude, rate and mode by hand")
 
 
 def _run_trials(
-    run: RunOptions,
-    who: _Participant,
-    name: str,
-    parts: _Parts,
-    mode: str,
-    rate_hz: float | None,
+    run: RunOptions, who: _Participant, name: str, mode: str, options: dict[str, Any]
 ) -> None:
     """Run an experiment of trials from the first without an answer."""
     from smarttouch.base.afferent import Afferent
-    from smarttouch.experiments.psychophysics import experiment_session as sessions
-    from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
-    from smarttouch.experiments.psychophysics.trial_rows import About
-    from smarttouch.experiments.psychophysics.trials import TrialTiming
+    from smarttouch.experiments import experiment_session as sessions
+    from smarttouch.experiments.observers import Subject, make_observer
+    from smarttouch.experiments.trials import Setup
     from smarttouch.views.screen import BlindScreen
 
-    simulate = who.simulate
+    simulate, subject = who.simulate, None
     if simulate is not None:
         choice_of("simulate", simulate, ("model", "random", "first", "silent"))
     require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
@@ -151,53 +138,39 @@ def _run_trials(
     if name == "frequency" and afferent is Afferent.RA and run.takes_usual_profile:
         # The electrode of the paper's own experiment (III-C).
         run = replace(run, profile="concentric")
-    chosen = run.load_profile()
-    named = f"{Path(name).stem}-{afferent.name}"
-    stem, order = sessions.session_name(named, who.subject, who.session)
-    options = ExperimentOptions(
-        afferent, parts.procedure, sessions.parse_standards(parts.standards), parts.repetitions,
-        parts.trials, parts.site, parts.train_s, rate_hz, parts.two_intervals, order,
-    )  # fmt: skip
-    made = new_experiment(name, chosen, options)
-    patience_s = None if simulate is None else _PATIENCE_S
-    timing = TrialTiming(parts.gap_s, parts.answer_s or None, made.again, patience_s)
-    about = About(named, made.method, who.name, who.session, order)
+    setup = Setup(run.load_profile(), afferent, **options)
+    stem, setup.seed = sessions.session_name(
+        sessions.experiment_name(name, setup), who.subject, who.session
+    )
     path = who.output or Path(f"{stem}.csv")
     config = run.config(
-        afferent.name, scan="points", seed=order, subject=who.subject, note=who.session,
+        afferent.name, scan="points", seed=setup.seed, subject=who.subject, note=who.session,
         paced=simulate is None,
     )  # fmt: skip
-    with sessions.open_experiment(made, chosen, timing, about, path) as sitting:
-        if run.record is not None and sitting.session.resumed:
+    with sessions.open_experiment(name, setup, path, who.name, who.session) as sitting:
+        if run.record is not None and sitting.resumed:
             run = replace(run, record=sessions.numbered(run.record))
         for line in sitting.before(simulate == "model"):
             typer.echo(line)
         try:
-            if not sitting.session.over:
-                source, listeners = sitting.source(), []
+            if not sitting.over:
                 if simulate is not None:
-                    anatomy, finger = run.finger(_ANATOMY)
-                    listeners = [sitting.subject(source, simulate, config.seed, finger, anatomy)]
-                run.start(
-                    source, chosen, config, screen=BlindScreen, keys=source.keys,
-                    listeners=listeners,
-                )  # fmt: skip
+                    anatomy, finger = run.finger(_ANATOMY, _FINGER)
+                    seed = setup.seed + sitting.resumed
+                    subject = Subject(make_observer(simulate, setup.profile, seed, finger, anatomy))
+                source = sitting.source(subject)
+                run.start(source, setup.profile, config, screen=BlindScreen, keys=source.keys)
         finally:
             for line in sitting.after():
                 typer.echo(line)
 
 
-def _run_free(
-    run: RunOptions, who: _Participant, mode: str, parts: _Parts, rate_hz: float | None
-) -> None:
+def _run_free(run: RunOptions, who: _Participant, mode: str, options: dict[str, Any]) -> None:
     """Let a user turn the current by hand, up to the device's own limit (paper, III-A)."""
     from smarttouch.base.afferent import Mode
-    from smarttouch.experiments.psychophysics.experiment_session import numbered
-    from smarttouch.experiments.psychophysics.free_stimulation import (
-        FreeSource,
-        raise_to_device_limits,
-    )
-    from smarttouch.experiments.psychophysics.trials import Stimuli
+    from smarttouch.experiments.experiment_session import numbered
+    from smarttouch.experiments.free_stimulation import FreeSource, raise_to_device_limits
+    from smarttouch.experiments.trials import Setup
     from smarttouch.imaging.array_window import reading_force_n
     from smarttouch.kernels.bank import load_bank
     from smarttouch.views.progress import bank_progress
@@ -220,9 +193,8 @@ def _run_free(
         offered = sorted(load_bank(profile, progress).weights)
     first = choice_of("mode", mode, [each.name for each in offered])
     classes = sorted(offered, key=lambda each: each.name != first)
-    site = Stimuli(profile, classes[0], 1.0).middle if parts.site is None else parts.site
-    rate = _FREE_HZ if rate_hz is None else rate_hz
-    source = FreeSource(profile, classes, site, rate, reading_force_n(profile))
+    setup = Setup(profile, classes[0], **{"rate_hz": _FREE_HZ} | options)
+    source = FreeSource(profile, classes, setup.place, setup.pulse_hz, reading_force_n(profile))
     source.url = "experiment:free"
     config = run.config(Mode.COLOR, scan="points")
     run.start(source, profile, config, keys=source.keys, keys_help=source.keys_help)
@@ -236,9 +208,6 @@ def fit(
     ],
     x: Annotated[str, option("Name the column of what was compared.", "COLUMN")] = "comparison",
     y: Annotated[str, option("Name the column of answers: 1, 0 or empty.", "COLUMN")] = "success",
-    function: Annotated[
-        str, option("Choose the curve: normal, logistic or weibull.", "NAME")
-    ] = "normal",
     guess: Annotated[
         str | None,
         option("Set the share of successes by guessing: a number, equal (to lapses) or free.", "G"),
@@ -256,24 +225,22 @@ def fit(
     its name.
     """
     from smarttouch.base.files import require_folder, write_json
-    from smarttouch.experiments.fitting.answer_figures import discrimination_figure
-    from smarttouch.experiments.fitting.answers import read_table, usual_model
-    from smarttouch.experiments.fitting.findings import as_figures, judge_answers
-    from smarttouch.experiments.fitting.psychometric import Shape
+    from smarttouch.experiments.answer_figures import discrimination_figure
+    from smarttouch.experiments.answers import read_table, usual_model
+    from smarttouch.experiments.findings import as_figures, judge_answers
     from smarttouch.views import figure_style
 
     require_folder(json_file)
     require_folder(plot)
     if plot is not None:
         figure_style.require_drawable(plot)
-    shape = choice_of("function", function, Shape)
     guessed = None if guess is None else _parse_guess(guess)
     found: list[tuple[AnswerTable, list[Finding]]] = []
     for path in files:
         table = read_table(path, x, y)
         if sum(each.stem == path.stem for each in files) > 1:
             table = replace(table, name=str(path))
-        model = usual_model(table.answers, shape, guessed, at=at)
+        model = usual_model(table.answers, guessed, at)
         found.append((table, [judge_answers(each, model) for each in table.answers]))
     _print(found)
     if json_file is not None:
@@ -294,7 +261,7 @@ def _parse_guess(text: str) -> "Guess":
 
 
 def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
-    from smarttouch.experiments.fitting.findings import threshold_rows
+    from smarttouch.experiments.findings import threshold_rows
 
     console = terminal.console(highlight=False)
     for table, findings in found:

@@ -253,11 +253,11 @@ class RunOptions(OptionGroup):
         """WAV file or sound card of a vibrator that drives PC."""
         return self._set("vibrators")
 
-    def finger(self, usual: str = "branched") -> tuple[str, int]:
+    def finger(self, usual: str = "branched", seed: int = 1) -> tuple[str, int]:
         """Return anatomy and seed of the simulated finger."""
         text = self._set("finger") or usual
-        anatomy, _, seed = text.rpartition(":")
-        return (anatomy or usual, int(seed)) if seed.isdecimal() else (text, 1)
+        anatomy, _, given = text.rpartition(":")
+        return (anatomy or usual, int(given)) if given.isdecimal() else (text, seed)
 
     def _outputs(self) -> "Iterator[Listener]":
         """Yield a listener for each output that is wanted."""

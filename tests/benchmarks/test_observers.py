@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.experiments.psychophysics.observers import SimulatedObserver
-from smarttouch.experiments.psychophysics.perceived_spikes import FrequencySense, Interval, Nerve
+from smarttouch.experiments.observers import SimulatedObserver
+from smarttouch.experiments.perceived_spikes import FrequencySense, Interval, Nerve
 
 from ..experiments.psychophysics.weber import weber_fraction
 

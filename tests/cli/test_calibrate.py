@@ -17,10 +17,9 @@ from typer.testing import CliRunner
 from smarttouch.base.errors import BoardError, CalibrationError, ProfileError, SourceError
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.emulator.firmware import read_state
-from smarttouch.experiments.calibration.page_registration import View, target_for
-from smarttouch.experiments.calibration.sensor_optics import SimulatedPatch
-from smarttouch.experiments.calibration.threshold_procedures import measuring_profile
-from smarttouch.experiments.calibration.threshold_session import simulated_finger
+from smarttouch.experiments.page_registration import View, target_for
+from smarttouch.experiments.sensor_optics import SimulatedPatch
+from smarttouch.experiments.thresholds import measuring_profile, simulated_finger
 from smarttouch.profile import load_profile
 from smarttouch.sources.preprocess import FlatField
 
@@ -180,7 +179,7 @@ def test_thresholds_of_a_simulated_subject(run, tmp_path):
     assert threshold[9] != 1.2
     assert {*threshold[:9], *threshold[10:]} == {1.2}
     assert {*comfort[:9], *comfort[10:]} == {2.4}
-    assert not (tmp_path / "mine.thresholds.jsonl").exists()
+    assert not (tmp_path / "mine.thresholds.csv").exists()
 
 
 @pytest.mark.skipif(not WHOLE, reason="long: with SMARTTOUCH_WHOLE=1, as in .ci/run")

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from smarttouch.base.errors import CalibrationError, SourceError
 from smarttouch.base.files import data_folder
-from smarttouch.experiments.calibration.sensor_optics import SimulatedPatch
+from smarttouch.experiments.sensor_optics import SimulatedPatch
 from smarttouch.pages.document import open_document
 from smarttouch.sources.preprocess import FlatField, FramePreprocessor, page_per_pixel
 from smarttouch.sources.virtual_finger import PageSource

@@ -7,7 +7,7 @@ import pytest
 
 from smarttouch.base.errors import CalibrationError, LineLostError
 from smarttouch.boards.reports import Impedance
-from smarttouch.experiments.calibration.contact import (
+from smarttouch.experiments.contact import (
     MOST_LOSSES,
     judge_contact,
     measure_contact,

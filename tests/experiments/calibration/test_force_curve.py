@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import CalibrationError
-from smarttouch.experiments.calibration.force_curve import STANDARD_GRAVITY, fit_curve, weigh
-from smarttouch.experiments.calibration.sensor_optics import SimulatedCell
+from smarttouch.experiments.force_curve import STANDARD_GRAVITY, fit_curve, weigh
+from smarttouch.experiments.sensor_optics import SimulatedCell
 
 from ...raising import raises
 from ...whole import WHOLE

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.errors import CalibrationError, ProfileError
 from smarttouch.base.files import data_folder
-from smarttouch.experiments.calibration.profile_file import ProfileFile, file_to_calibrate
+from smarttouch.experiments.profile_file import ProfileFile, file_to_calibrate
 from smarttouch.profile import list_profiles, load_profile
 
 from ...raising import raises

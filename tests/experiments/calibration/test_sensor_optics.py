@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import CalibrationError
-from smarttouch.experiments.calibration.sensor_optics import (
+from smarttouch.experiments.sensor_optics import (
     MOST_UNEVEN,
     SimulatedPatch,
     collect_images,
@@ -81,7 +81,7 @@ def test_each_image_once_and_none_that_is_stale():
 def test_a_sensor_that_gives_nothing(monkeypatch):
     with raises(CalibrationError, names="frames", value="no frames"):
         collect_images(Listed(np.empty((0, 2, 2), np.uint8)), 3)
-    monkeypatch.setattr("smarttouch.experiments.calibration.sensor_optics.SILENCE_S", 0.05)
+    monkeypatch.setattr("smarttouch.experiments.sensor_optics.SILENCE_S", 0.05)
     with raises(CalibrationError, names="frames", value=2, allowed=3):
         collect_images(Listed(images(2), end=False), 3)
 

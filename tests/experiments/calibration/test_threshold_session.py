@@ -1,6 +1,7 @@
 """A session drives a board within its limits, keeps what is done, and stops at once."""
 
 import contextlib
+import re
 
 import numpy as np
 import pytest
@@ -8,27 +9,22 @@ import pytest
 from smarttouch.base.errors import CalibrationError, ExperimentError, LineLostError
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.open import MemoryDriver
-from smarttouch.experiments.calibration.profile_file import file_to_calibrate
-from smarttouch.experiments.calibration.threshold_procedures import (
-    TICK_S,
+from smarttouch.experiments.profile_file import file_to_calibrate
+from smarttouch.experiments.thresholds import (
+    STOP_KEYS,
+    Progress,
+    ThresholdProcedure,
     Thresholds,
     ceiling_ma,
-    measuring_profile,
-    slew_ma_s,
-)
-from smarttouch.experiments.calibration.threshold_session import (
-    Progress,
-    ThresholdSession,
-    simulated_finger,
-)
-from smarttouch.experiments.calibration.thresholds import (
-    STOP_KEYS,
-    ThresholdProcedure,
     filled,
+    measuring_profile,
     sentence,
+    simulated_finger,
+    slew_ma_s,
+    threshold_trials,
 )
-from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
-from smarttouch.experiments.psychophysics.trials import TrialTiming
+from smarttouch.experiments.trial_source import MOST_SPOILED, TrialSource
+from smarttouch.experiments.trials import STEP_S
 from smarttouch.kernels.bank import single_bank
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.running.config import RunConfig
@@ -44,14 +40,14 @@ from .subject import SimulatedSubject
 
 
 @pytest.fixture
-def begun():
+def begun(tmp_path):
     """Return a beginner of sessions' progress, one after another: the one before has ended."""
     open_ones = []
 
-    def begin(path, settings):
+    def begin():
         for each in open_ones:
             each.close()
-        open_ones.append(Progress(path, settings))
+        open_ones.append(Progress(tmp_path / "p.csv", ABOUT))
         return open_ones[-1]
 
     yield begin
@@ -64,20 +60,14 @@ class Finger(Listener):
 
     def __init__(self, source, subjects):
         super().__init__()
-        self.source, self.subjects, self.asked = source, subjects, None
+        self.source, self.subjects = source, subjects
 
     def step(self, result):
-        source, asking = self.source, self.source.asking
-        if source.rising is not None:
-            site = source.rising.condition.index
-            level_ma = level_of(result.sequence)
-            if self.subjects[site].presses(level_ma, result.sequence.period_us / 1e6):
-                source.press("x")
-        elif asking is not None and asking is not self.asked:
-            condition = asking.condition
-            felt = self.subjects[condition.index].says_felt(condition.comparison, 0.8)
-            source.press("y" if felt else "n")
-        self.asked = asking
+        asked = re.search(r"electrode (\d+)", self.source.title)
+        if asked and self.subjects[int(asked[1])].presses(
+            level_of(result.sequence), result.sequence.period_us / 1e6
+        ):
+            self.source.press("x")
 
 
 def level_of(sequence):
@@ -105,14 +95,9 @@ def display_of(profile, kind=Unpaced):
 
 def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **options):
     """Run a session in simulated time; return the electrodes that were shown."""
-    shown, measuring = [], display.profile
-    session = ThresholdSession(
-        profile, display.board, sites, progress,
-        show=lambda site, _found: shown.append(site), **options,
-    )  # fmt: skip
-    timing = TrialTiming(answer_s=None, again=False, patience_s=10.0, most_spoiled=3)
-    source = ExperimentSource(session, measuring, timing)
-    source._simulated = True
+    shown = []
+    trials = threshold_trials(profile, display.board, sites, progress, shown.append, **options)
+    source = TrialSource(trials, display.profile, "thresholds")
     Runner(
         source,
         display,
@@ -125,7 +110,7 @@ def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **o
 
 
 def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile, tmp_path, begun):
-    progress, display = begun(tmp_path / "p.json", {}), display_of(profile)
+    progress, display = begun(), display_of(profile)
     wanted = [3, 9]
     run(display, profile, subjects(profile), wanted, progress, repeats=1)
     last_ma, last_ns, sites = 0.0, 0, set()
@@ -147,11 +132,11 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile
 
 def test_runs_begin_at_zero_however_long_the_pause(profile, tmp_path, begun):
     display = display_of(profile)
-    run(display, profile, subjects(profile), [0], begun(tmp_path / "p.json", {}))
+    run(display, profile, subjects(profile), [0], begun())
     levels = np.array([level_of(each) for each in display.board.driver.sequences])
     starts = levels[1:][(levels[:-1] == 0) & (levels[1:] > 0)]
     assert len(starts) >= 3
-    assert starts.max() <= slew_ma_s(display.profile, 0) * 2 * TICK_S
+    assert starts.max() <= slew_ma_s(display.profile, 0) * 2 * STEP_S
 
 
 @pytest.mark.parametrize("name", sample(list_profiles(), 5))
@@ -159,7 +144,7 @@ def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path
     """Nothing is ever felt: the current goes up to the ceiling, and every proof holds."""
     profile = load_profile(name)
     display, site = display_of(profile), len(profile.electrodes) - 1
-    progress = begun(tmp_path / "p.json", {})
+    progress = begun()
     run(display, profile, silent(profile), [site], progress, repeats=1)
     strongest_ma = max(level_of(each) for each in display.board.driver.sequences)
     assert strongest_ma == pytest.approx(ceiling_ma(profile, site, display.board), abs=1.1e-3)
@@ -190,12 +175,12 @@ def test_single_electrodes_keep_their_own_limit(profile, changed, tmp_path, begu
     own[5] = 2.4
     limited = changed(profile, {"limits.electrode_ma": own})
     display = display_of(limited)
-    run(display, limited, silent(limited), [5], begun(tmp_path / "p.json", {}))
+    run(display, limited, silent(limited), [5], begun())
     assert max(level_of(each) for each in display.board.driver.sequences) == 2.4
 
 
 def test_an_interrupted_session_goes_on_where_it_was(profile, tmp_path, begun):
-    first, stop = begun(tmp_path / "p.json", {"repeats": 1}), StopRequest()
+    first, stop = begun(), StopRequest()
 
     def stop_after_two(_result):
         if len(first.found) >= 2:
@@ -204,11 +189,12 @@ def test_an_interrupted_session_goes_on_where_it_was(profile, tmp_path, begun):
     stopping = [OnStep(stop_after_two)]
     run(display_of(profile), profile, subjects(profile), range(3), first, stop, stopping, repeats=1)
     assert list(first.found) == [0, 1]
-    again = begun(tmp_path / "p.json", {"repeats": 1})
+    again = begun()
     assert again.found == first.found
     second = display_of(profile)
     shown = run(second, profile, subjects(profile), range(3), again, repeats=1)
-    assert shown == [2]
+    assert len(shown) == 1
+    assert shown[0].startswith("electrode 2: threshold ")
     assert {int(s) for each in second.board.driver.sequences for s in each.site} == {2}
 
 
@@ -220,7 +206,7 @@ def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, tmp_path, begun
         if level_of(result.sequence) > 0.8:
             stop.ask("enough")
 
-    progress = begun(tmp_path / "p.json", {})
+    progress = begun()
     run(display, profile, subjects(profile), [0], progress, stop, [OnStep(stop_at_a_level)])
     assert level_of(sent[-1].sequence) > 0.8
     assert len(display.board.driver.sequences) == len(sent)
@@ -241,7 +227,7 @@ class Losing(Unpaced):
 
 
 def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun):
-    progress, display = begun(tmp_path / "p.json", {}), display_of(profile, Losing)
+    progress, display = begun(), display_of(profile, Losing)
     display.board.driver.at = lost = [300, 700]
     run(display, profile, subjects(profile), [0], progress, repeats=1)
     sequences = display.board.driver.sequences
@@ -253,9 +239,9 @@ def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun):
 
 
 def test_a_board_that_is_lost_all_the_time(profile, tmp_path, begun):
-    display, progress = display_of(profile, Losing), begun(tmp_path / "p.json", {})
-    display.board.driver.at = range(0, 5000, 200)
-    with raises(ExperimentError, names="trial", value=4, allowed=3):
+    display, progress = display_of(profile, Losing), begun()
+    display.board.driver.at = range(0, 20_000, 200)
+    with raises(ExperimentError, names="trial", value=MOST_SPOILED + 1, allowed=MOST_SPOILED):
         run(display, profile, subjects(profile), [0], progress)
     assert display.board._stopped.is_set()
     assert not progress.found
@@ -308,7 +294,11 @@ def test_a_person_is_instructed_and_stops(procedure, key):
     with raises(CalibrationError, value=1):
         measured(procedure(), press)
     assert "2.50 mA" in said[0]
-    assert len(said) == 2
+    assert [line for line in said if line.startswith("electrode")] == said[-1:]
+
+
+ABOUT = {"profile": "mouse", "electrodes": 64, "board": "emulator", "pulse_us": 200, "repeats": 3,
+         "simulate": 0}  # fmt: skip
 
 
 def found(threshold=1.0, comfort=2.0):
@@ -330,47 +320,38 @@ def test_what_was_not_measured_stays_as_it_was(profile, changed):
         filled(profile, {1: found(np.nan, np.nan)})
 
 
-def test_progress_is_read_back_and_its_settings_count(tmp_path, begun):
-    path = tmp_path / "p.json"
-    kept = begun(path, {"repeats": 3, "board": "emulator:"})
-    kept.keep(4, found())
-    kept.keep(1, found(np.nan, np.nan))
-    again = begun(path, {"repeats": 3, "board": "emulator:"})
-    assert again.found[4] == kept.found[4]
-    assert not again.found[1].felt
-    with raises(CalibrationError, names="repeats", value=(3, 5)):
-        begun(path, {"repeats": 5, "board": "emulator:"})
-    again.forget()
-    path.write_bytes(b'{}\n[4, {"thresh')
-    assert begun(path, {}).found == {}
-
-
-def test_two_programs_do_not_go_on_with_one_session(tmp_path):
-    path = tmp_path / "p.json"
-    with Progress(path, {}) as mine:
+def test_progress_is_read_back_and_its_settings_count(tmp_path):
+    path = tmp_path / "p.csv"
+    with Progress(path, ABOUT) as mine:
         mine.keep(4, found())
-        with raises(CalibrationError, value=path):
-            Progress(path, {})
-    assert [each.name for each in tmp_path.iterdir()] == ["p.json"]
-    with Progress(path, {}) as again:
-        assert list(again.found) == [4]
-        again.forget()
+        mine.keep(1, found(np.nan, np.nan))
+        with raises((CalibrationError, ExperimentError), value=path):
+            Progress(path, ABOUT)
+    with Progress(path, ABOUT) as again:
+        assert again.found[4] == mine.found[4]
+        assert not again.found[1].felt
+    with raises(ExperimentError, names="repeats", value=(3, 5)):
+        Progress(path, ABOUT | {"repeats": 5})
+    path.write_bytes(path.read_bytes()[:-20])
+    with Progress(path, ABOUT) as cut:
+        assert list(cut.found) == [4]
+        cut.forget()
+    with Progress(path, ABOUT):
+        assert path.exists()
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        "[]", "{}", "null\n", "1\n", "{}\n[]\n", '{}\n["a", 1]\n', "\ud800\n",
-        '{}\n[1, {"threshold_ma": 1}]\n',
-        '{}\n[1, {"threshold_ma":3,"comfort_ma":2,"spread":0,"runs":1,"false_presses":0}]\n',
-    ],
-)  # fmt: skip
-def test_progress_that_is_none(tmp_path, begun, content):
-    path = tmp_path / "p.json"
-    path.write_bytes(content.encode("utf-8", "surrogatepass"))
-    with raises(CalibrationError, value=path):
-        begun(path, {})
+@pytest.mark.parametrize("content", [
+    "a note", "{head}a note\n", "{head}mouse,64,emulator,200,3,0,4,3,2,0,1,0,1\n",
+])  # fmt: skip
+def test_progress_that_is_none(tmp_path, content):
+    path = tmp_path / "p.csv"
+    with Progress(path, ABOUT) as mine:
+        mine.keep(4, found())
+    head = path.read_text("utf-8").splitlines(keepends=True)[0]
+    path.write_text(content.replace("{head}", head), "utf-8")
+    with raises((CalibrationError, ExperimentError), value=path):
+        Progress(path, ABOUT)
 
 
 def test_a_simulated_finger_stays_below_the_ceiling(profile):

@@ -8,11 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.experiments.calibration.threshold_procedures import (
-    MOST_HURRIED,
-    TICK_S,
-    AscendingLimits,
-)
+from smarttouch.experiments.thresholds import MOST_HURRIED, AscendingLimits
+from smarttouch.experiments.trials import STEP_S
 
 from ...whole import sample
 from .subject import SimulatedSubject
@@ -21,13 +18,32 @@ CEILING_MA = 5.0
 FINGERS = int(os.environ.get("SMARTTOUCH_FINGERS", "40"))
 
 
+class Rising:
+    """Steps of ascending limits, one by one."""
+
+    def __init__(self, ceiling_ma=CEILING_MA, expected_ma=1.2, **options):
+        self.ceiling_ma = ceiling_ma
+        self.course = AscendingLimits(ceiling_ma, expected_ma, **options).course()
+        self.found = None
+        self.task, self.level_ma = next(self.course)
+
+    def answer(self, pressed):
+        try:
+            self.task, self.level_ma = self.course.send(bool(pressed))
+            assert 0 <= self.level_ma <= self.ceiling_ma
+        except StopIteration as end:
+            self.found = end.value
+
+    def until(self, level_ma):
+        while self.level_ma < level_ma:
+            self.answer(False)
+
+
 def rise(subject, ceiling_ma=CEILING_MA, **options):
-    procedure = AscendingLimits(ceiling_ma, 1.2, **options)
-    while not procedure.done:
-        level = procedure.next()
-        assert 0 <= level <= ceiling_ma
-        procedure.answer(subject.presses(level, TICK_S))
-    return procedure.result()
+    rising = Rising(ceiling_ma, **options)
+    while rising.found is None:
+        rising.answer(subject.presses(rising.level_ma, STEP_S))
+    return rising.found
 
 
 KINDS = {
@@ -58,7 +74,7 @@ def test_bias_and_spread_over_many_subjects(kind):
 
 
 def test_a_subject_without_noise_is_found_to_a_step():
-    subject = SimulatedSubject(1.3, 2.0, slope=1e-6, guess=0, lapse=0, look_s=TICK_S)
+    subject = SimulatedSubject(1.3, 2.0, slope=1e-6, guess=0, lapse=0, look_s=STEP_S)
     found = rise(subject)
     assert found.threshold_ma == pytest.approx(1.3, abs=0.06)
     assert found.comfort_ma == pytest.approx(2.0, abs=0.06)
@@ -85,49 +101,48 @@ def test_runs_that_differ_are_made_again():
 
 
 def test_rises_from_zero_in_small_steps_no_faster_than_allowed():
-    procedure = AscendingLimits(5.0, 1.2, fastest_ma_s=0.5)
+    rising = Rising(fastest_ma_s=0.5)
     before, starts = 0.0, 0
-    while len(procedure.runs) < 2:
-        level = procedure.next()
-        assert level - before <= 0.5 * TICK_S + 1e-12
-        starts += before == 0 < level
-        before = level
-        procedure.answer(level >= (2.0 if procedure.felt else 1.0))
-    assert starts >= 2
+    while rising.found is None:
+        assert rising.level_ma - before <= 0.5 * STEP_S + 1e-12
+        starts += before == 0 < rising.level_ma
+        before = rising.level_ma
+        rising.answer(rising.level_ma >= (2.0 if rising.task == "enough" else 1.0))
+    assert starts == rising.found.runs == 3
 
 
-def until(procedure, level_ma):
-    while procedure.next() < level_ma:
-        procedure.answer(False)
+def test_a_run_whose_current_was_lost_begins_again_at_zero():
+    rising = Rising()
+    rising.until(1.0)
+    assert rising.course.send(None) == ("felt", 0.0)
 
 
 def test_keys_without_current_are_counted_and_restart_the_pause():
-    procedure = AscendingLimits(5.0, 1.2)
+    rising = Rising(repeats=1)
     for _ in range(200):
-        assert procedure.next() == 0
-        procedure.answer(True)
-    assert procedure.false_presses == 200
-    until(procedure, 1.0)
+        assert rising.level_ma == 0
+        rising.answer(True)
+    rising.until(1e-9)
     # Nobody reacts within a step of the first current.
-    fresh = AscendingLimits(5.0, 1.2)
-    until(fresh, 1e-9)
-    fresh.answer(True)
-    assert fresh.false_presses == 1
-    assert fresh.next() == 0
+    rising.answer(True)
+    assert rising.level_ma == 0
+    for level_ma in (1.0, 2.0):
+        rising.until(level_ma)
+        rising.answer(True)
+    assert (rising.found.runs, rising.found.false_presses) == (1, 201)
 
 
 def test_a_key_held_down_ends_the_run_at_zero_and_is_believed_in_the_end():
     """It may be a current that hurts: nothing more flows, and it is not asked for ever."""
-    procedure = AscendingLimits(5.0, 1.2, repeats=1)
+    rising = Rising(repeats=1)
     for run in range(MOST_HURRIED + 1):
-        until(procedure, 1.0)
-        procedure.answer(True)
-        procedure.next()
-        procedure.answer(True)
+        rising.until(1.0)
+        rising.answer(True)
+        rising.answer(True)
         if run < MOST_HURRIED:
-            assert procedure.next() == 0
-    assert procedure.done
-    assert not procedure.result().usable
+            assert rising.level_ma == 0
+    assert rising.found is not None
+    assert not rising.found.usable
 
 
 @given(
@@ -138,15 +153,12 @@ def test_a_key_held_down_ends_the_run_at_zero_and_is_believed_in_the_end():
 )
 def test_whatever_is_pressed_it_ends_within_the_ceiling(ceiling, expected, share, seed):
     random = np.random.default_rng(seed)
-    procedure = AscendingLimits(ceiling, expected, seed=seed)
+    rising = Rising(ceiling, expected, seed=seed)
     for _ in range(20_000):
-        if procedure.done:
+        if rising.found is not None:
             break
-        level = procedure.next()
-        assert 0 <= level <= ceiling
         # Whoever presses all the time never lets a run begin.
-        procedure.answer(level > 0 and bool(random.random() < share))
-    assert procedure.done or share > 0.02
-    found = procedure.result()
-    if procedure.done and found.felt:
-        assert 0 < found.threshold_ma <= found.comfort_ma <= ceiling
+        rising.answer(rising.level_ma > 0 and random.random() < share)
+    assert rising.found is not None or share > 0.02
+    if rising.found is not None and rising.found.felt:
+        assert 0 < rising.found.threshold_ma <= rising.found.comfort_ma <= ceiling

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from smarttouch.experiments.fitting.answer_figures import binomial_interval, discrimination_figure
-from smarttouch.experiments.fitting.answers import Counts
+from smarttouch.experiments.answer_figures import binomial_interval, discrimination_figure
+from smarttouch.experiments.psychometric import Counts
 from smarttouch.views.figure_style import save
 
 from ...said import numbers_in

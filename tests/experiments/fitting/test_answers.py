@@ -1,15 +1,13 @@
 """Answers from our files and from those of others."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.fitting.answers import read_table
+from smarttouch.experiments.answers import read_table
 
 from ...raising import raises
-from ..psychophysics.test_trial_rows import ROW, written
+from ..psychophysics.test_answer_file import ROW, written
 
 
 def file(tmp_path, text):
@@ -20,7 +18,7 @@ def file(tmp_path, text):
 
 def test_our_own(tmp_path):
     rows = [
-        dataclasses.replace(ROW, standard=standard, success=success, comparison_interval=interval)
+        ROW | {"standard": standard, "success": success, "comparison_interval": interval}
         for standard in (45.0, 30.0)
         for success, interval in ((True, 1), (False, 2), (None, 1))
     ]
@@ -35,7 +33,7 @@ def test_our_own(tmp_path):
         assert each.alternatives == 2
         assert (each.presented, each.answered) == (3, 2)
         # Judged higher in the first, not judged higher in the second: the first both times.
-        assert (each.compared, each.chose_first) == (2, 2)
+        assert each.chosen() == (2, 0)
         assert [part.tolist() for part in each.counts()] == [[39], [2], [1]]
 
 

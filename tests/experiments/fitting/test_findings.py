@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.experiments.fitting.answers import Answers, usual_model
-from smarttouch.experiments.fitting.findings import POOR, judge_answers
-from smarttouch.experiments.fitting.psychometric import Model, Shape
-from smarttouch.experiments.psychophysics.procedures import constant_stimuli, ratio_pairs
+from smarttouch.experiments.answers import Answers, usual_model
+from smarttouch.experiments.findings import POOR, judge_answers
+from smarttouch.experiments.procedures import constant_stimuli, ratio_pairs
+from smarttouch.experiments.psychometric import Model
 
 from ..psychophysics.simulated import Subject, answer_all, as_answers, ask_all, of_counts
 
@@ -181,6 +181,4 @@ def test_which_model():
     assert usual_model([of_counts([1, 2], [1, 1], [0, 1])]) == Model(guess=0.0)
     assert usual_model([of_counts([0, 2], [1, 1], [0, 1])]) == Model(guess="free")
     assert usual_model([of_counts([1, 2], [1, 1], [0, 1], alternatives=26)]).guess == 1 / 26
-    chosen = usual_model([frequency], Shape.WEIBULL, 0.5, None, 0.8, 0.02)
-    assert chosen == Model(Shape.WEIBULL, True, 0.5, 0.8, 0.02)
-    assert not usual_model([frequency], logarithmic=False).logarithmic
+    assert usual_model([frequency], 0.5, 0.8) == Model(guess=0.5, at=0.8)

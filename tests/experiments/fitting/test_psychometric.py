@@ -1,4 +1,4 @@
-"""Psychometric functions: shapes, where their thresholds are, and the posterior of answers."""
+"""Psychometric functions: where their thresholds are, and the posterior of answers."""
 
 import math
 from dataclasses import replace
@@ -7,19 +7,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.fitting.answers import Counts
-from smarttouch.experiments.fitting.fit import fit
-from smarttouch.experiments.fitting.psychometric import Model, Parameters, Shape
+from smarttouch.experiments.psychometric import Counts, Model, Parameters, fit
 
 from ...raising import raises
 from ..psychophysics.simulated import Subject
 
 MODELS = [
-    Model(), Model(Shape.LOGISTIC), Model(Shape.WEIBULL, guess=0.5), Model(guess=0.0, at=0.75),
-    Model(guess="free"), Model(Shape.LOGISTIC, logarithmic=False, guess=0.04),
+    Model(), Model(guess=0.5), Model(guess=0.0, at=0.75), Model(guess="free"),
+    Model(guess=0.04, logarithmic=False),
 ]  # fmt: skip
 STIMULUS = 30 * 2 ** (np.arange(-9, 10, 2) / 9)
 
@@ -61,34 +59,18 @@ def test_unit_is_of_no_account_on_a_logarithmic_axis(counts, factor):
 
 
 def test_two_points_by_hand():
-    """Logits of 1/4 and 3/4 are -+ ln 3: the middle lies between, the scale is 1 / ln 3."""
-    model = Model(Shape.LOGISTIC, logarithmic=False, guess=0.0, most_lapses=0.0)
+    """Quantiles of 1/4 and 3/4 are -+ z: the middle lies between, the spread is 1 / z."""
+    z = norm.ppf(0.75)
+    model = Model(guess=0.0, logarithmic=False, most_lapses=0.0)
     found = fit(counts_of([0, 2], [2000, 2000], [500, 1500]), model)
     assert found.bounded(0.5).value == pytest.approx(1.0, abs=0.01)
-    assert found.parameters.spread[0] == pytest.approx(1 / math.log(3), rel=0.01)
+    assert found.parameters.spread[0] == pytest.approx(1 / z, rel=0.01)
     assert found.bounded(0.75).value == pytest.approx(2.0, abs=0.02)
     assert found(np.array([0.0, 1.0, 2.0])) == pytest.approx([0.25, 0.5, 0.75], abs=0.01)
-    # The deviation of a logit is 1 / sqrt(n p q), and that of the middle half their difference's.
-    deviation = math.sqrt(2 / (2000 * 0.25 * 0.75)) / 2 / math.log(3)
+    # The deviation of such a quantile, and that of the middle from the mean of two.
+    deviation = math.sqrt(0.25 * 0.75 / 2000) / norm.pdf(z) / math.sqrt(2) / z
     half = (found.bounded(0.5).high - found.bounded(0.5).low) / 2
     assert half == pytest.approx(1.96 * deviation, rel=0.05)
-
-
-@pytest.mark.parametrize("shape", Shape)
-def test_shapes(shape):
-    assert shape.rise(np.zeros(1))[0] == pytest.approx(0.5)
-    for each in (0.1, 0.5, 0.9):
-        assert shape.rise(np.array([shape.inverse(each)]))[0] == pytest.approx(each)
-
-
-def test_weibull_is_weibull():
-    """1 - exp(-(x / scale)^power), put through its median."""
-    scale, power = 3.0, 2.5
-    median = scale * math.log(2) ** (1 / power)
-    x = np.array([0.5, 2.0, 3.0, 5.0])
-    model = Model(Shape.WEIBULL, guess=0.0)
-    likely = model.probability(model.axis(x), parameters_of(math.log(median), 1 / power, 0.0, 0.0))
-    assert likely[0] == pytest.approx(1 - np.exp(-((x / scale) ** power)))
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -141,12 +123,11 @@ def test_goodness():
 
 
 @pytest.mark.parametrize(("arguments", "value"), [
-    ({"shape": Shape.WEIBULL, "logarithmic": False}, "Weibull"),
     ({"guess": 1.0}, 1.0),
     ({"guess": -0.1}, -0.1),
     ({"guess": 0.5, "at": 0.4}, 0.4),
     ({"at": 1.0}, 1.0),
-    ({"most_lapses": 0.5}, 0.5),
+    ({"guess": 0.5, "most_lapses": 0.3}, 0.5),
 ])  # fmt: skip
 def test_contradictions(arguments, value):
     with raises(ExperimentError, value=value):

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.experiments.fitting.answers import usual_model
-from smarttouch.experiments.fitting.findings import judge_answers
-from smarttouch.experiments.psychophysics.procedures import (
+from smarttouch.experiments.answers import usual_model
+from smarttouch.experiments.findings import judge_answers
+from smarttouch.experiments.procedures import (
     constant_stimuli,
     quest_plus,
     ratio_pairs,

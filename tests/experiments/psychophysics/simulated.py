@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from smarttouch.experiments.fitting.answers import Answers
+from smarttouch.experiments.answers import Answers
 
 
 @dataclass(frozen=True)

@@ -4,20 +4,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from smarttouch.base.afferent import Mode
 from smarttouch.base.stopping import StopRequest
-from smarttouch.experiments.psychophysics.experiment_session import TrialSession
-from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
-from smarttouch.experiments.psychophysics.simulated_subject import Subject
-from smarttouch.experiments.psychophysics.trial_rows import About, RowFile
-from smarttouch.experiments.psychophysics.trials import TrialTiming
+from smarttouch.experiments.experiment_session import open_experiment
+from smarttouch.experiments.observers import Subject
+from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
-from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.inputs import Controls
 from smarttouch.running.runner import Runner
 from smarttouch.running.step import OnEvent, OnStep
-
-DATE = "2026-01-01T00:00:00+00:00"
 
 
 @dataclass
@@ -40,48 +35,42 @@ class Perfect:
 class Sat:
     """Result of a run."""
 
-    source: ExperimentSource
-    session: TrialSession
+    source: TrialSource
+    rows: list
+    over: bool
+    resumed: int
     told: list
     figures: dict
 
+    def events(self, start):
+        """Return the events that begin so."""
+        return [words for _, words in self.told if words.startswith(start)]
 
-def sit(
-    made,
-    profile,
-    bank,
-    path,
-    observer,
-    *,
-    stop_after=None,
-    experiment="frequency-RA",
-    course=None,
-    watch=None,
-    controls=None,
-):
+
+def sit(name, setup, bank, path, observer, *, stop_after=None, watch=None, controls=None):
     """Run an experiment; stop it before the answer of a trial is written if asked to."""
     stop, told = StopRequest(), []
-    about = About(experiment, made.method, "p1", "s1", 0)
-    display = Display("simulated:", profile)
-    with RowFile(path, about) as file:
-        session = TrialSession(made, file, DATE)
-        source = ExperimentSource(session, profile, course or TrialTiming())
-        controls = controls or Controls(ControlState(Mode.RA))
+    with open_experiment(name, setup, path, "p1", "s1") as sitting:
+        source = sitting.source(Subject(observer))
 
         def observe(sent):
             if watch is not None:
                 watch(sent, source, controls)
-            if stop_after is not None and session.done >= stop_after and source.playing:
+            playing = source.title.endswith(("first", "second", "feel"))
+            if stop_after is not None and len(sitting.file.rows) >= stop_after and playing:
                 stop.ask("killed")
 
-        events = OnEvent(lambda event: told.append((event.time_ns, str(event))))
         statistics = Runner(
             source,
-            display,
-            RunConfig(mode=Mode.RA, scan="points"),
-            listeners=[Subject(source, observer), OnStep(observe), events],
+            Display("simulated:", setup.profile),
+            RunConfig(scan="points"),
+            listeners=[
+                OnStep(observe),
+                OnEvent(lambda event: told.append((event.time_ns, str(event)))),
+            ],
             stop=stop,
             load_kernels=lambda _profile: bank,
-            controls=lambda _state, _modes: controls,
+            controls=Controls if controls is None else lambda _state, _modes: controls,
         ).run()
-    return Sat(source, session, told, statistics.figures)
+        return Sat(source, sitting.file.rows, sitting.over, sitting.resumed, told,
+                   statistics.figures)  # fmt: skip

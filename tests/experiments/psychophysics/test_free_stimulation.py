@@ -7,7 +7,7 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ExperimentError
 from smarttouch.base.events import Marked, Note
 from smarttouch.emulator.emulated_boards import SimulatedDriver
-from smarttouch.experiments.psychophysics.free_stimulation import (
+from smarttouch.experiments.free_stimulation import (
     FreeSource,
     raise_to_device_limits,
 )

@@ -11,19 +11,25 @@ from scipy.special import ndtr
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.psychophysics.observers import (
+from smarttouch.experiments.answer_file import read_rows
+from smarttouch.experiments.observers import (
     GRATING_LIMIT_MM,
     BlindObserver,
     Interval,
     KnownObserver,
     SimulatedObserver,
+    Subject,
+    interval_of,
+    make_observer,
 )
-from smarttouch.experiments.psychophysics.perceived_spikes import FrequencySense, Nerve
+from smarttouch.experiments.perceived_spikes import FrequencySense, Nerve
+from smarttouch.experiments.trials import Setup
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.vibration_thresholds import sensitivity
 
 from ...raising import raises
-from ...whole import sample
+from ...whole import WHOLE, sample
+from .sitting import sit
 from .weber import weber_fraction
 
 RA, SAI, PC = Afferent
@@ -317,3 +323,89 @@ class TestUselessSubjects:
         counts = [answers.count(each) for each in "ABCD"]
         assert min(counts) > 150
         assert max(counts) < 250
+
+
+@given(st.lists(st.tuples(st.integers(1, 5), st.integers(0, 4)), min_size=1, max_size=6))
+def test_slots_of_an_interval_keep_their_times(parts):
+    """Sequences of an interval and of others, mixed, with any number of slots."""
+    number, starts, expected, time_ns = [], {}, [], 5_000_000
+    for index, (slots, kind) in enumerate(parts, start=1):
+        number += [index] * slots
+        if kind:
+            starts[index] = (time_ns, 100)
+            expected += [(time_ns, slot) for slot in range(slots)]
+        time_ns += 20_000_000
+    width_us = np.full(len(number), 200, np.float32)
+    current_ua = np.arange(len(number), dtype=np.int16)[:, None].repeat(2, axis=1)
+    felt = interval_of((np.array(number, np.uint32), width_us, current_ua), starts)
+    begin_ns = min((time_ns for time_ns, _ in starts.values()), default=0)
+    assert felt.time_s == pytest.approx(
+        [(at_ns - begin_ns) / 1e9 + slot * 300e-6 for at_ns, slot in expected]
+    )
+    assert len(felt.width_us) == len(felt.current_ua) == len(expected)
+    assert np.isin(current_ua[:, 0], felt.current_ua[:, 0]).tolist() == [
+        each in starts for each in number
+    ]
+
+
+def test_an_interval_of_silence_is_empty():
+    nothing = (np.zeros(0, np.uint32), np.zeros(0, np.float32), np.zeros((0, 4), np.int16))
+    felt = interval_of(nothing, {3: (0, 0), 4: (20, 0)})
+    assert felt.time_s.shape == (0,)
+    assert felt.current_ua.shape == (0, 4)
+
+
+def test_observers_by_name(profile):
+    for kind in ("random", "first", "silent"):
+        assert make_observer(kind, profile, 3) == BlindObserver(kind, 3)
+    assert isinstance(make_observer("model", profile, 0), SimulatedObserver)
+
+
+def test_two_looks_make_a_choice(observer, train):
+    subject = observer(lapse=0.0, guess=0.0)
+    weak, strong = train(50, level=0.05), train(50)
+    assert subject.respond("felt", [strong, weak], ("1", "2")) == "1"
+    assert subject.respond("felt", [weak, strong], ("1", "2")) == "2"
+    tossed = [subject.respond("felt", [NOTHING, NOTHING], ("1", "2")) for _ in range(40)]
+    assert 8 < tossed.count("1") < 32
+
+
+def test_a_subject_presses_after_its_reaction_and_forgets_what_is_over():
+    class Says:
+        def respond(self, task, intervals, alternatives):
+            asked.append(task)
+            return "y"
+
+    asked, subject = [], Subject(Says(), look_s=0.2, reaction_s=0.3)
+    pressed = [
+        step
+        for step in range(40)
+        if subject.presses("felt", step / 20, float(step < 12 or step > 20), lambda: NOTHING)
+    ]
+    # Looks at 0, .5 and, .2 s after the silence to 1 s, at 1.2 s.
+    assert pressed == [6, 30]
+    assert set(asked) == {"felt"}
+
+
+EXPERIMENTS = ["detection", "localization", "discomfort"]
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS if WHOLE else EXPERIMENTS[2:])
+def test_the_model_sits_every_experiment(profile, bank, tmp_path, name):
+    setup = Setup(profile, repetitions=2, train_s=1.0 if name == "discomfort" else 0.1)
+    path = tmp_path / "rows.csv"
+    sat = sit(name, setup, bank, path, make_observer("model", profile, 1))
+    rows = read_rows(path)
+    assert sat.over
+    assert all(row["response"] for row in rows)
+    easy = sorted(rows, key=lambda row: abs(row["comparison"]))[-2:]
+    if name != "discomfort":
+        assert all(row["response"] == row["target"] for row in easy)
+
+
+def test_the_model_finds_detection_in_two_intervals(profile, bank, tmp_path):
+    setup = Setup(profile, repetitions=3, train_s=0.1, two_intervals=True)
+    sit("detection", setup, bank, tmp_path / "rows.csv", make_observer("model", profile, 1))
+    rows = sorted(read_rows(tmp_path / "rows.csv"), key=lambda row: row["comparison"])
+    assert sum(row["success"] for row in rows[-6:]) >= 5
+    assert sum(row["success"] for row in rows[:9]) <= 8

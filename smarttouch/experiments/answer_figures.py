@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from smarttouch.experiments.fitting.answers import AnswerTable
-from smarttouch.experiments.fitting.findings import Finding
+from smarttouch.experiments.answers import AnswerTable
+from smarttouch.experiments.findings import Finding
 from smarttouch.views.figure_style import GREY, SERIES_COLORS, new_figure, plain
 
 if TYPE_CHECKING:

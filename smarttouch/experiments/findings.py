@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from smarttouch.experiments.fitting.answers import Answers, Array, Counts
-from smarttouch.experiments.fitting.fit import Bounded, Fit, fit
-from smarttouch.experiments.fitting.psychometric import Model
+from smarttouch.experiments.answers import Answers
+from smarttouch.experiments.psychometric import Array, Bounded, Counts, Fit, Model, fit
 
 FEWEST_ANSWERS = 15
 MOST_UNANSWERED = 0.5
@@ -46,7 +45,9 @@ class Finding:
     @property
     def said(self) -> str:
         """Name of a success: *judged higher*, *felt* or *right*."""
-        return what_was_said(self.answers, self.model)
+        if self.model.guess == "equal":
+            return "judged higher" if self.standard else "judged more"
+        return "felt" if self.model.guess in ("free", 0) else "right"
 
     @cached_property
     def counts(self) -> Counts:
@@ -142,7 +143,7 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
     counts = answers.counts()
     low, high = float(counts.stimulus[0]), float(counts.stimulus[-1])
     total, successes = int(counts.n.sum()), int(counts.k.sum())
-    said = what_was_said(answers, model)
+    said = Finding(answers, model, None).said
     if successes == total:
         return none("always", f"always {said}, {total} times: a threshold lies below {low:.4g}", -1)
     if successes == 0:
@@ -185,19 +186,12 @@ def _unusable(answers: Answers) -> tuple[str, str] | None:
     if answered < FEWEST_ANSWERS:
         why = f"{answered} answers are too few: at least {FEWEST_ANSWERS} are needed"
         return "too few", why
-    compared, first = answers.compared, answers.chose_first
-    if compared >= FEWEST_ANSWERS and max(first, compared - first) > SAME_INTERVAL * compared:
-        same, word = max((first, "first"), (compared - first, "second"))
-        why = f"the {word} interval was chosen {same} of {compared} times, whatever came in it"
-        return "one interval", why
+    chosen = answers.chosen()
+    if sum(chosen) >= FEWEST_ANSWERS and max(chosen) > SAME_INTERVAL * sum(chosen):
+        word = "first" if chosen[0] > chosen[1] else "second"
+        words = f"{max(chosen)} of {sum(chosen)} times, whatever came in it"
+        return "one interval", f"the {word} interval was chosen {words}"
     return None
-
-
-def what_was_said(answers: Answers, model: Model) -> str:
-    """Return the name of a success: *judged higher*, *felt* or *right*."""
-    if model.guess == "equal":
-        return "judged higher" if answers.standard else "judged more"
-    return "felt" if model.guess in ("free", 0) else "right"
 
 
 def _chance_of_flat(found: Fit, share: float) -> float:
@@ -238,7 +232,6 @@ def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
             "standard": each.answers.standard or None,
             "presented": each.answers.presented,
             "answered": each.answers.answered,
-            "function": each.model.shape.value,
             "logarithmic": each.model.logarithmic,
             "at": each.model.share,
             **{name: _ends(getattr(each, name)) for name in _BOUNDED},

@@ -3,25 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.fitting.answer_cells import read_cells
-from smarttouch.experiments.fitting.psychometric import MOST_LAPSES, Guess, Model, Shape
-
-Array = NDArray[np.float64]
-
-
-class Counts(NamedTuple):
-    """Number of trials and successes at each comparison."""
-
-    stimulus: Array  # (K,): rising
-    # n, k: (K,), answers and successes
-    n: Array
-    k: Array
+from smarttouch.experiments.answer_file import read_cells
+from smarttouch.experiments.psychometric import Array, Counts, Guess, Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,16 +33,11 @@ class Answers:
         """Number of trials with an answer."""
         return int(np.isfinite(self.success).sum())
 
-    @property
-    def chose_first(self) -> int:
-        """Number of answers for the first interval."""
-        chosen = np.where(self.success == 1, self.interval, 3 - self.interval)
-        return int((chosen[self._two] == 1).sum())
-
-    @property
-    def compared(self) -> int:
-        """Number of answers for one of two intervals."""
-        return int(self._two.sum())
+    def chosen(self) -> tuple[int, int]:
+        """Return the number of answers for the first of two intervals, and for the second."""
+        two = np.isfinite(self.success) & (self.interval > 0)
+        chosen = np.where(self.success == 1, self.interval, 3 - self.interval)[two]
+        return int((chosen == 1).sum()), int((chosen == 2).sum())
 
     def counts(self) -> Counts:
         """Return trials and successes at each comparison; trials without an answer are left out."""
@@ -65,21 +48,13 @@ class Answers:
         np.add.at(k, which, self.success[given])
         return Counts(stimulus, n, k)
 
-    @property
-    def _two(self) -> NDArray[np.bool_]:
-        return np.asarray(np.isfinite(self.success) & (self.interval > 0))
-
 
 def usual_model(
     all_answers: Sequence[Answers],  # to all standards
-    # shape, at, most_lapses: as for `Model`
-    shape: Shape = Shape.NORMAL,
     # if None: with a standard, or comparisons on both sides of 0, *equal*; else one of the
     # alternatives; else of *felt*, free if some trials showed nothing, and 0 if none did
     guess: Guess | None = None,
-    logarithmic: bool | None = None,  # if None: unless a comparison is negative
-    at: float | None = None,
-    most_lapses: float = MOST_LAPSES,
+    at: float | None = None,  # as for `Model`
 ) -> Model:
     """Return the model that belongs to the answers of one experiment."""
     stimulus = np.concatenate([each.comparison for each in all_answers])
@@ -92,7 +67,7 @@ def usual_model(
             guess = 1 / alternatives
         else:
             guess = "free" if (stimulus == 0).any() else 0.0
-    return Model(shape, not signed if logarithmic is None else logarithmic, guess, at, most_lapses)
+    return Model(guess, at, logarithmic=not signed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +128,4 @@ def _alternatives(lines: list[dict[str, str]]) -> int:
         return 2
     said = {cells.get("response", "") for cells in lines}
     shown = {cells.get("target", "") for cells in lines} if said - {""} else set()
-    if said - {""} <= {"y", "n"}:
-        return 0
-    return max(2, len(said | shown - {""}))
+    return 0 if said - {""} <= {"y", "n"} else max(2, len(said | shown - {""}))

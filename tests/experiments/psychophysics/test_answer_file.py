@@ -1,6 +1,5 @@
 """Rows come back as they were written, whatever happens to the program in between."""
 
-import dataclasses
 import os
 import re
 
@@ -10,35 +9,30 @@ from hypothesis import strategies as st
 
 from smarttouch.base.errors import ExperimentError
 from smarttouch.base.version import __version__
-from smarttouch.experiments.fitting.answers import read_table
-from smarttouch.experiments.psychophysics.trial_rows import (
-    COLUMNS,
-    About,
-    RowFile,
-    TrialRow,
-    read_rows,
-)
+from smarttouch.experiments.answer_file import COLUMNS, AnswerFile, read_rows
+from smarttouch.experiments.answers import read_table
 
 from ...raising import raises
 
-ABOUT = About("frequency", "constant", "p1", "1", 7)
-ROW = TrialRow(
+ABOUT = {"experiment": "frequency", "procedure": "constant", "participant": "p1", "session": "1",
+         "seed": 7}  # fmt: skip
+ROW = dict(zip(COLUMNS, (
     0, 3, 3, 12, "frequency", "constant", 30.0, 39.0, 2, "Hz", "2", "1", False, 0.84, 61.5, 0.7,
     "p1", "1", "2026-01-02 10:00", 7, 200.0, __version__,
-)  # fmt: skip
+), strict=True))  # fmt: skip
 
 _words = st.text(st.characters(blacklist_categories=("Cs", "Cc")), max_size=8)
 _numbers = st.floats(allow_nan=False, allow_infinity=False)
-_rows = st.builds(
-    dataclasses.replace, st.just(ROW), number=st.integers(0, 10**6), standard=st.none() | _numbers,
-    comparison=_numbers, comparison_interval=st.sampled_from([None, 1, 2]), target=_words,
-    response=_words, success=st.sampled_from([None, True, False]), rt=st.none() | _numbers,
-    time_s=_numbers, frame_rate_hz=st.none() | _numbers,
-)  # fmt: skip
+_rows = st.fixed_dictionaries({
+    "thisN": st.integers(0, 10**6), "standard": st.none() | _numbers, "comparison": _numbers,
+    "comparison_interval": st.sampled_from([None, 1, 2]), "target": _words, "response": _words,
+    "success": st.sampled_from([None, True, False]), "rt": st.none() | _numbers,
+    "time_s": _numbers, "frameRate": st.none() | _numbers,
+}).map(lambda some: ROW | some)  # fmt: skip
 
 
 def written(path, rows):
-    with RowFile(path, ABOUT) as file:
+    with AnswerFile(path, ABOUT) as file:
         for row in rows:
             file.append(row)
     return path
@@ -72,7 +66,7 @@ def test_cut_anywhere_loses_the_cut_line_alone(tmp_path_factory, rows, data):
     whole = path.read_bytes()
     cut = whole[: data.draw(st.integers(0, len(whole)))]
     path.write_bytes(cut)
-    with RowFile(path, ABOUT) as file:
+    with AnswerFile(path, ABOUT) as file:
         kept = len(file.rows)
         # A line of which only the end is missing is whole.
         assert kept in {max(cut.count(b"\n") - 1, 0), cut.count(b"\n")}
@@ -101,7 +95,7 @@ def test_what_a_spreadsheet_saves_is_read_and_continued(tmp_path, name):
     table[1:] = [[*cells[:-1], __version__] for cells in table[1:]]
     text = line_end.join(delimiter.join(cells) for cells in table) + line_end * ended
     path.write_bytes(text.encode())
-    with RowFile(path, ABOUT) as file:
+    with AnswerFile(path, ABOUT) as file:
         assert file.rows == [ROW, ROW]
         file.append(ROW)
     assert read_rows(path) == [ROW] * 3
@@ -115,10 +109,10 @@ def test_what_a_spreadsheet_saves_is_read_and_continued(tmp_path, name):
 ])  # fmt: skip
 def test_nothing_that_others_wrote_is_removed(tmp_path, content):
     path = tmp_path / "a.csv"
-    path.write_text(content.replace("{head}", ",".join(COLUMNS.values())))
+    path.write_text(content.replace("{head}", ",".join(COLUMNS)))
     before = path.read_bytes()
     with pytest.raises(ExperimentError, match=re.escape(str(path))):
-        RowFile(path, ABOUT)
+        AnswerFile(path, ABOUT)
     assert path.read_bytes() == before
 
 
@@ -129,7 +123,7 @@ def test_each_row_is_on_disk_before_append_returns(tmp_path, monkeypatch):
         os, "fsync", lambda file: (real(file), synced.append(path.read_bytes().count(b"\n")))
     )
     path = tmp_path / "a.csv"
-    with RowFile(path, ABOUT) as file:
+    with AnswerFile(path, ABOUT) as file:
         for count in range(3):
             file.append(ROW)
             assert synced[-1] == count + 2
@@ -142,18 +136,12 @@ def test_each_row_is_on_disk_before_append_returns(tmp_path, monkeypatch):
 def test_no_other_session_goes_on(tmp_path, name, wanted):
     path = written(tmp_path / "a.csv", [ROW])
     before = path.read_bytes()
-    about, has = dataclasses.replace(ABOUT, **{name: wanted}), getattr(ABOUT, name)
-    with raises(ExperimentError, names=name, value=has, allowed=wanted):
-        RowFile(path, about)
+    with raises(ExperimentError, names=name, value=ABOUT[name], allowed=wanted):
+        AnswerFile(path, ABOUT | {name: wanted})
     assert path.read_bytes() == before
     # Whoever is refused leaves the file free.
-    with RowFile(path, ABOUT) as file:
+    with AnswerFile(path, ABOUT) as file:
         assert file.rows == [ROW]
-    with (
-        RowFile(tmp_path / "b.csv", about) as file,
-        raises(ExperimentError, names=name, value=has, allowed=wanted),
-    ):
-        file.append(ROW)
 
 
 @pytest.mark.parametrize(("column", "cell"), [
@@ -163,7 +151,7 @@ def test_a_bad_line_is_named(tmp_path, column, cell):
     path = written(tmp_path / "a.csv", [ROW, ROW])
     lines = path.read_bytes().split(b"\n")
     cells = lines[2].split(b",")
-    cells[list(COLUMNS.values()).index(column)] = cell
+    cells[list(COLUMNS).index(column)] = cell
     path.write_bytes(b"\n".join([*lines[:2], b",".join(cells), b""]))
     with raises(ExperimentError, names=column) as caught:
         read_rows(path)
@@ -185,22 +173,22 @@ def test_where_there_is_no_file_and_none_can_be(tmp_path):
         read_rows(tmp_path / "none.csv")
     for path in (tmp_path / "a.txt", tmp_path / "none" / "a.csv"):
         with raises(ExperimentError, names="file", value=path):
-            RowFile(path, ABOUT)
+            AnswerFile(path, ABOUT)
 
 
 @pytest.mark.parametrize("change", [{"level": float("nan")}, {"target": "a\nb"}])
 def test_what_no_cell_can_hold(tmp_path, change):
     path = written(tmp_path / "a.csv", [ROW])
     (name,) = change
-    with RowFile(path, ABOUT) as file, raises(ExperimentError, names=name):
-        file.append(dataclasses.replace(ROW, **change))
+    with AnswerFile(path, ABOUT) as file, raises(ExperimentError, names=name):
+        file.append(ROW | change)
     assert read_rows(path) == [ROW]
 
 
 def test_nobody_else_writes_a_file_meanwhile(tmp_path):
     path = written(tmp_path / "a.csv", [ROW])
-    with RowFile(path, ABOUT) as file:
+    with AnswerFile(path, ABOUT) as file:
         file.append(ROW)
         with raises(ExperimentError, names="file", value=path):
-            RowFile(path, ABOUT)
+            AnswerFile(path, ABOUT)
     assert read_rows(path) == [ROW, ROW]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.fitting.psychometric import Array, Model, Parameters
+from smarttouch.experiments.psychometric import Array, Model, Parameters
 
 
 @dataclass(frozen=True)
@@ -21,23 +21,20 @@ class Condition:
     """Stimulus of one trial."""
 
     standard: float  # standard; 0 if there is none
-    comparison: float
+    comparison: float  # NaN where it is the result of the trial
     # in which interval the comparison comes, 1 or 2; 0 where there are no two intervals
-    comparison_interval: int
+    comparison_interval: int = 0
     # repetition, trial, index: PsychoPy's thisRepN, thisTrialN and thisIndex: which repetition of
     # all conditions, which trial of it, and which of the conditions
-    repetition: int
-    index: int
+    repetition: int = 0
+    index: int = 0
     trial: int = 0
 
 
 Procedure = Generator[Condition, bool | None, None]
 
-
-def repeats(count: int) -> Procedure:
-    """Repeat a trial whose comparison is not a number but the result of the trial."""
-    for repetition in range(count):
-        yield Condition(0.0, math.nan, 0, repetition, 0)
+CONSTANT, STAIRCASE, QUESTPLUS, LIMITS = "constant", "staircase", "questplus", "limits"
+ADAPTIVE = (CONSTANT, STAIRCASE, QUESTPLUS)
 
 
 def interleave(procedures: Sequence[Procedure], seed: int = 0) -> Procedure:
@@ -112,26 +109,22 @@ def constant_stimuli(
     interval = random.permuted(balanced, axis=1) * two_intervals
     plan = [
         Condition(
-            standard=float(pairs[index][0]),
-            comparison=float(pairs[index][1]),
-            comparison_interval=int(interval[index, repetition]),
-            repetition=repetition,
-            index=int(index),
-            trial=trial,
+            float(pairs[index][0]), float(pairs[index][1]), int(interval[index, repetition]),
+            repetition, int(index), trial,
         )
         for repetition in range(repetitions)
         for trial, index in enumerate(random.permutation(len(pairs)))
-    ]
-    return _ask_all(plan)
+    ]  # fmt: skip
 
+    def trials() -> Procedure:
+        missed = []
+        for condition in plan:
+            if (yield condition) is None:
+                missed.append(condition)
+        for condition in missed:
+            yield condition
 
-def _ask_all(plan: list[Condition]) -> Procedure:
-    missed = []
-    for condition in plan:
-        if (yield condition) is None:
-            missed.append(condition)
-    for condition in missed:
-        yield condition
+    return trials()
 
 
 def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
@@ -144,6 +137,7 @@ def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
 
 _COARSE_FACTOR, _COARSE_REVERSALS = 2.0, 2
 """Factor of steps until the second reversal (our own choice)."""
+_REVERSALS = 14  # that end a staircase
 _PINNED_TRIALS = 4
 """Answers in a row toward the end of the range, after which the threshold lies beyond it."""
 
@@ -156,8 +150,6 @@ def weighted_staircase(
     step: float,  # down, once it is fine, as a part of the comparison
     standard: float = 0.0,  # standard; 0 if there is none
     target: float = 0.75,  # share of successes that is looked for
-    # reversals, most_trials: limits, the first of which ends it
-    reversals: int = 14,
     most_trials: int = 80,
     two_intervals: bool = True,  # whether standard and comparison come one after the other
     seed: int = 0,  # of the interval in which the comparison comes
@@ -180,26 +172,25 @@ def weighted_staircase(
         )
     intervals = _intervals(two_intervals, seed)
 
-    def steps() -> Procedure:
+    def trials() -> Procedure:
         level, low, high = math.log(start), math.log(lowest), math.log(highest)
         turns, pinned, rising = 0, 0, None
-        shown: Condition | None = None
+        interval = next(intervals)
         for trial in range(most_trials):
-            if shown is None:
-                shown = Condition(standard, math.exp(level), next(intervals), trial, 0)
-            success = yield replace(shown, repetition=trial)
+            success = yield Condition(standard, math.exp(level), interval, trial)
             if success is None:
                 continue
+            interval = next(intervals)
             turns += rising is not None and rising == success
-            shown, rising = None, not success
+            rising = not success
             down = math.log1p(step) * (_COARSE_FACTOR if turns < _COARSE_REVERSALS else 1)
             wanted = level - down if success else level + down * target / (1 - target)
             pinned = pinned + 1 if wanted < low or wanted > high else 0
             level = min(max(wanted, low), high)
-            if turns >= reversals or pinned >= _PINNED_TRIALS:
+            if turns >= _REVERSALS or pinned >= _PINNED_TRIALS:
                 return
 
-    return steps()
+    return trials()
 
 
 _STIMULI, _THRESHOLDS, _SLOPES = 41, 61, 9
@@ -243,8 +234,7 @@ def quest_plus(
         posterior = np.full(len(middle), 1 / len(middle))
         for trial in range(most_trials):
             place = int((_entropy(likely @ posterior) - unsure @ posterior).argmax())
-            comparison = math.exp(places[place])
-            success = yield Condition(standard, comparison, next(intervals), trial, 0)
+            success = yield Condition(standard, math.exp(places[place]), next(intervals), trial)
             if success is not None:
                 posterior = posterior * (likely[place] if success else 1 - likely[place])
                 posterior /= posterior.sum()
@@ -258,57 +248,24 @@ def _entropy(likely: Array) -> Array:
     return np.asarray(-(likely * np.log(likely) + (1 - likely) * np.log1p(-likely)))
 
 
-_NARROWEST_RATIO = 1.01
-_START_RATIO = 1.6  # first ratio of a staircase: clearly faster (our own choice)
-_STEP = 0.03
-"""Step of a staircase of frequencies: a quarter of the mechanical threshold of about 20 % is 5 %.
-"""
-_DETECTION_STEP = 0.05
-_DETECTION_RANGE = (0.3, 3.0)  # range of detection, as parts of the profile's threshold
-
-
-def frequency_procedure(
-    method: str, standards: Sequence[float], highest_hz: float, trials: int | None, seed: int
+def adaptive(
+    method: str,  # STAIRCASE or QUESTPLUS
+    # start, step: of a staircase
+    start: float,
+    step: float,
+    # lowest, highest: range of stimuli
+    lowest: float,
+    highest: float,
+    standard: float = 0.0,
+    trials: int | None = None,
+    two_intervals: bool = True,
+    seed: int = 0,
 ) -> Procedure:
-    """Return a staircase or QUEST+ of each standard, mixed at random.
-
-    Comparisons are faster than the standard: the upper threshold is looked for.
-    """
-    procedures = []
-    for index, standard in enumerate(standards):
-        low, high = _NARROWEST_RATIO * standard, min(WIDEST_RATIO * standard, highest_hz)
-        if high <= low:
-            raise ExperimentError(
-                f"nothing can be faster than a standard of {standard:g} Hz within the profile's "
-                f"limit of {highest_hz:g} Hz: give lower standards"
-            )
-        order = seed + 1000 * index
-        if method == "staircase":
-            first = min(_START_RATIO * standard, high)
-            made = weighted_staircase(
-                first, low, high, _STEP, standard, most_trials=trials or 80, seed=order
-            )
-        else:
-            made = quest_plus(low, high, 0.5, standard, trials or 60, seed=order)
-        procedures.append(made)
-    return interleave(procedures, seed)
-
-
-def detection_procedure(
-    method: str,
-    threshold_ma: float,
-    full_ma: float,
-    two_intervals: bool,
-    trials: int | None,
-    seed: int,
-) -> Procedure:
-    """Return a staircase or QUEST+ of current, up to the strongest comfortable one."""
-    low = _DETECTION_RANGE[0] * threshold_ma
-    high = min(_DETECTION_RANGE[1] * threshold_ma, full_ma)
-    if method == "staircase":
+    """Return a staircase or QUEST+ over a range of stimuli."""
+    if method == STAIRCASE:
         return weighted_staircase(
-            min(1.5 * threshold_ma, high), low, high, _DETECTION_STEP, most_trials=trials or 80,
+            min(start, highest), lowest, highest, step, standard, most_trials=trials or 80,
             two_intervals=two_intervals, seed=seed,
         )  # fmt: skip
     guess = 0.5 if two_intervals else 0.0
-    return quest_plus(low, high, guess, 0.0, trials or 60, two_intervals, seed)
+    return quest_plus(lowest, highest, guess, standard, trials or 60, two_intervals, seed)

@@ -1,25 +1,33 @@
-"""Fit of a psychometric function: one posterior on a grid gives estimates and intervals.
+"""Psychometric functions: the probability that a stimulus is judged higher, felt, or named; and
+their fit.
 
-As Kuss, Jäkel and Wichmann (Journal of Vision 5(5):8, 2005) do with chains. Each function of the
-grid is weighed by its likelihood, so that an estimate is within its interval, and both rise with
-the share that is asked for. No randomness: the same answers give the same fit.
+``p = guess + (1 - guess - lapse) F((x - middle) / spread)``, F the cumulative normal of the paper,
+x a stimulus or its natural logarithm, as in Wichmann and Hill (Perception & Psychophysics 63, 2001,
+Eq. 1).
+
+One posterior on a grid gives estimates and intervals, as Kuss, Jäkel and Wichmann (Journal of
+Vision 5(5):8, 2005) do with chains. Each function of the grid is weighed by its likelihood, so that
+an estimate is within its interval, and both rise with the share that is asked for. No randomness:
+the same answers give the same fit.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import chdtrc, ndtr, ndtri
 
-from smarttouch.experiments.fitting.answers import Counts
-from smarttouch.experiments.fitting.psychometric import (
-    MOST_GUESSES,
-    Array,
-    Model,
-    Parameters,
-    log_likelihood,
-)
+from smarttouch.base.errors import ExperimentError
 
+Array = NDArray[np.float64]
+Guess = float | Literal["equal", "free"]
+
+MOST_LAPSES = 0.1
+"""Largest lapse rate: share of answers independent of the stimulus (our own choice)."""
+MOST_GUESSES = 0.5
+"""Largest guess rate: share of *felt* without a stimulus, where it is not known beforehand."""
 QUANTILES = (0.5, 0.025, 0.975)
 """Quantiles of the posterior: the estimate, and the ends of its interval of 95 %."""
 _MIDDLES, _SPREADS, _LAPSES, _GUESSES = 151, 21, 5, 6
@@ -35,12 +43,105 @@ _BY_LEVEL = 4
 deviance is uninformative (McCullagh and Nelder, *Generalized Linear Models*, 1989, sec. 4.4.5)."""
 
 
+class Counts(NamedTuple):
+    """Number of trials and successes at each comparison."""
+
+    stimulus: Array  # (K,): rising
+    # n, k: (K,), answers and successes
+    n: Array
+    k: Array
+
+
+class Parameters(NamedTuple):
+    """Parameters, each one number or (G,) of many functions."""
+
+    middle: Array  # where F is a half, on the model's axis: a logarithm if that is logarithmic
+    spread: Array  # standard deviation of F on that axis
+    # lapse, guess: shares
+    lapse: Array
+    guess: Array
+
+
 class Bounded(NamedTuple):
     """A figure and its credible interval; an end that is not determined is infinite."""
 
     value: float
     low: float
     high: float
+
+
+@dataclass(frozen=True)
+class Model:
+    """A family of psychometric functions, rising with the stimulus."""
+
+    # lower asymptote: known (0.5 of two intervals, 1/m of m letters, 0), equal to the lapses
+    # (*which was higher*, where the comparison is both lower and higher than the standard), or free
+    # up to `MOST_GUESSES` (*felt*, with trials that show nothing)
+    guess: Guess = "equal"
+    # share of answers that defines the threshold, apart from lapses, and from guesses if these are
+    # free; None: 0.75 where asymptotes are equal (Section III.C of the paper), else halfway between
+    # guess and 1
+    at: float | None = None
+    logarithmic: bool = True  # whether F is one of the stimulus' logarithm
+    most_lapses: float = MOST_LAPSES  # upper bound
+
+    def __post_init__(self) -> None:
+        floor = 0.0 if isinstance(self.guess, str) else self.guess
+        if not 0 <= floor < 1 - 2 * self.most_lapses:
+            raise ExperimentError(
+                f"a guess rate of {floor:g} leaves no room for answers: give 0 to below "
+                f"{1 - 2 * self.most_lapses:g}"
+            )
+        if self.at is not None and not floor < self.at < 1:
+            raise ExperimentError(
+                f"the threshold cannot be at {self.at:g} of the answers: give a share between "
+                f"{floor:g} and 1"
+            )
+
+    @property
+    def level(self) -> float:
+        """F at the threshold."""
+        if isinstance(self.guess, str):
+            return self.at or (0.75 if self.guess == "equal" else 0.5)
+        return 0.5 if self.at is None else (self.at - self.guess) / (1 - self.guess)
+
+    @property
+    def share(self) -> float:
+        """Share of answers at the threshold, apart from lapses (and guesses, if free)."""
+        if isinstance(self.guess, str):
+            return self.level
+        return self.guess + (1 - self.guess) * self.level
+
+    def axis(self, stimulus: ArrayLike) -> Array:
+        """Return the place of stimuli on the axis; a stimulus of zero may be at minus infinity."""
+        given = np.asarray(stimulus, np.float64)
+        if not self.logarithmic:
+            return given
+        if (given < 0).any():
+            raise ExperimentError(f"{given.min():g} has no logarithm: fit it on a linear axis")
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(given))
+
+    def stimulus(self, place: ArrayLike) -> Array:
+        """Return the stimuli at places on the axis."""
+        return np.asarray(np.exp(place) if self.logarithmic else place, np.float64)
+
+    def place(self, part: float, parameters: Parameters) -> Array:
+        """Return the place on the axis at which F equals the given part of 1."""
+        return np.asarray(parameters.middle + ndtri(part) * parameters.spread)
+
+    def probability(self, x: Array, parameters: Parameters) -> Array:
+        """Return the probability of a success, (G, K), at places on the axis, (K,)."""
+        middle, spread, lapse, guess = (np.asarray(each)[..., None] for each in parameters)
+        return np.asarray(guess + (1 - guess - lapse) * ndtr((x - middle) / spread))
+
+
+def log_likelihood(likely: Array, n: Array, k: Array) -> Array:
+    """Return the logarithm of the likelihood, (...,), of k successes in n trials, (..., K), that
+    have these probabilities."""
+    # Away from 0 and 1, so that any answer has a finite one.
+    likely = np.clip(likely, 1e-9, 1 - 1e-9)
+    return np.asarray(np.log(likely) @ k + np.log1p(-likely) @ (n - k))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +165,9 @@ class Fit:
         """Mean of the functions, (1,) each, moved to the median of their threshold."""
         _, spread, lapse, guess = self.functions
         spread = np.exp([self.weights @ np.log(spread)])
-        aside = self.model.shape.inverse(self.model.level) * spread
-        place = self._quantiles(self.model.level)[0]
-        return Parameters(
-            place - aside, spread, *(np.array([self.weights @ each]) for each in (lapse, guess))
-        )
+        middle = self._quantiles(self.model.level)[0] - ndtri(self.model.level) * spread
+        others = (np.array([self.weights @ each]) for each in (lapse, guess))
+        return Parameters(middle, spread, *others)
 
     @property
     def deviance(self) -> float:
@@ -89,8 +188,6 @@ class Fit:
         The deviance is chi squared, with as many degrees of freedom as there are comparisons
         beyond the parameters.
         """
-        from scipy.special import chdtrc
-
         free = len(self.counts.n) - (4 if self.model.guess == "free" else 3)
         if free < 1 or self.counts.n.min() < _BY_LEVEL:
             return None
@@ -124,15 +221,16 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
     lapses and, if they are free, all guesses are equally likely.
     """
     x = model.axis(counts.stimulus)
-    ends = _ends(model.axis([*counts.stimulus, standard or counts.stimulus[-1]]))
-    first, last = ends
+    finite = model.axis([*counts.stimulus, standard or counts.stimulus[-1]])
+    finite = finite[np.isfinite(finite)]
+    first, last = float(finite.min()), float(finite.max())
     span = (last - first) or 1.0
     middles = np.linspace(first - span, last + span, _MIDDLES)
     spreads = np.linspace(np.log(span * _NARROWEST), np.log(span * _WIDEST), _SPREADS)
     for _ in range(2):  # the second time where the first has found any weight
         functions = _grid(model, middles, np.exp(spreads))
         likely = log_likelihood(model.probability(x, functions), counts.n, counts.k)
-        found = Fit(model, counts, ends, functions, likely)
+        found = Fit(model, counts, (first, last), functions, likely)
         weights = found.weights.reshape(_MIDDLES, _SPREADS, -1)
         middles = _inner(middles, weights.sum(axis=(1, 2)))
         spreads = _inner(spreads, weights.sum(axis=(0, 2)))
@@ -144,11 +242,6 @@ def _inner(places: Array, weights: Array) -> Array:
     some = np.flatnonzero(weights > _NOTHING)
     low, high = places[max(some[0] - 1, 0)], places[min(some[-1] + 1, len(places) - 1)]
     return np.linspace(low, high, len(places))
-
-
-def _ends(x: Array) -> tuple[float, float]:
-    finite = x[np.isfinite(x)]
-    return float(finite.min()), float(finite.max())
 
 
 def _grid(model: Model, middles: Array, spreads: Array) -> Parameters:

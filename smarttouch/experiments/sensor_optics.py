@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import CalibrationError
-from smarttouch.experiments.calibration.force_curve import STANDARD_GRAVITY, Weighing, weigh
+from smarttouch.experiments.force_curve import STANDARD_GRAVITY, Weighing, weigh
 from smarttouch.profile import Profile
 from smarttouch.sources import open_source
 from smarttouch.sources.preprocess import FlatField, mean_image

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -12,15 +13,37 @@ from scipy.special import ndtr, ndtri
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.psychophysics.perceived_spikes import FrequencySense, Interval, Nerve
-from smarttouch.kernels.bank import KernelBank
+from smarttouch.emulator.emulated_boards import Pulses
+from smarttouch.experiments.perceived_spikes import FrequencySense, Interval, Nerve
+from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile
 from smarttouch.running.delivered import strength
 
 __all__ = [
-    "BlindObserver", "Interval", "KnownObserver", "Observer", "SimulatedObserver", "chance_of_yes",
+    "BlindObserver", "Interval", "KnownObserver", "Observer", "SimulatedObserver", "Starts",
+    "Subject", "chance_of_yes", "interval_of", "make_observer",
 ]  # fmt: skip
+
+_YES_OR_NO = ("felt", "enough")
+GRATING_LIMIT_MM = 0.94
+"""Finest grooves whose direction a fingertip identifies (Van Boven and Johnson, Neurology 44,
+1994). Ours: places are discriminated as well as grooves, in 75 % of trials."""
+_LOOK_S = 0.25  # interval of an observer's decisions while a current rises (our own choice)
+
+
+class Observer(Protocol):
+    """Observer that answers trials."""
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        """Return one of the alternatives, or None for no answer.
+
+        Tasks are ``faster`` (which interval: 1 or 2), ``felt`` and ``enough`` (y or n), ``side``
+        (of the second point: l or r).
+        """
+        ...
 
 
 @dataclass
@@ -74,26 +97,6 @@ def chance_of_yes(above: float, task: str, guess: float, lapse: float) -> float:
     """
     guess = guess if task == "felt" else 0.0
     return guess + (1 - guess - lapse) * float(ndtr(above))
-
-
-_YES_OR_NO = ("felt", "enough")
-GRATING_LIMIT_MM = 0.94
-"""Finest grooves whose direction a fingertip identifies (Van Boven and Johnson, Neurology 44,
-1994). Ours: places are discriminated as well as grooves, in 75 % of trials."""
-
-
-class Observer(Protocol):
-    """Observer that answers trials."""
-
-    def respond(
-        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
-    ) -> str | None:
-        """Return one of the alternatives, or None for no answer.
-
-        Tasks are ``faster`` (which interval: 1 or 2), ``felt`` and ``enough`` (y or n), ``side``
-        (of the second point: l or r).
-        """
-        ...
 
 
 @dataclass
@@ -152,9 +155,18 @@ class SimulatedObserver:
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
     ) -> str | None:
-        """Return the answer to a trial."""
+        """Return the answer to a trial.
+
+        If it was felt in both of two intervals or in none, a coin is tossed: so does a threshold
+        that is either passed or not (high-threshold theory, Green and Swets, Signal Detection
+        Theory and Psychophysics, 1966, chapter 5).
+        """
         if task in _YES_OR_NO:
-            return "y" if self._random.random() < self._chance_of(task, intervals) else "n"
+            yes = [self._random.random() < self._chance_of(task, each) for each in intervals]
+            if len(yes) == 1:
+                return "y" if yes[0] else "n"
+            tossed = int(self._random.integers(len(yes)))
+            return alternatives[yes.index(True) if sum(yes) == 1 else tossed]
         if task not in self._judges:
             raise ExperimentError(
                 f"the simulated observer has no answer to {task!r}: it can answer "
@@ -205,10 +217,9 @@ class SimulatedObserver:
             np.rint(current_ua).astype(np.int16),
         )
 
-    def _chance_of(self, task: str, intervals: Sequence[Interval]) -> float:
-        """Return the probability of a yes to what fires the most afferents in a slot."""
-        most = max((self._nerve.of(each).per_slot for each in intervals), default=0.0)
-        return self.chance_felt(most, task)
+    def _chance_of(self, task: str, interval: Interval) -> float:
+        """Return the probability of a yes to what fires so many afferents in a slot."""
+        return self.chance_felt(self._nerve.of(interval).per_slot, task)
 
     def _faster(self, intervals: Sequence[Interval]) -> str | None:
         felt = [self._nerve.of(each) for each in intervals]
@@ -226,3 +237,69 @@ class SimulatedObserver:
 
     def _larger(self, values: NDArray[np.float64], spread: float) -> str:
         return str(1 + int((values + spread * self._random.standard_normal(len(values))).argmax()))
+
+
+def make_observer(
+    kind: str,
+    profile: Profile,  # profile of the finger whose spikes the model judges
+    seed: int,  # of its noise
+    finger: int = 1,  # seed of the model's finger
+    anatomy: str | Path = "paper",  # of the model's finger
+) -> Observer:
+    """Return the observer of a kind: ``model``; or ``random``, ``first`` or ``silent``, for
+    checks."""
+    if kind != "model":
+        return BlindObserver(kind, seed)
+    return SimulatedObserver(Finger(profile, finger, anatomy), load_bank(profile), seed)
+
+
+Starts = dict[int, tuple[int, int]]
+"""When each sequence of an interval began, ns, and the discharge after each of its slots, µs; by
+its number."""
+
+
+def interval_of(pulses: Pulses, starts: Starts) -> Interval:
+    """Return the pulses that the sequences of one interval delivered, from
+    `SimulatedDriver.take_pulses`."""
+    number, width_us, current_ua = pulses
+    mine = np.isin(number, list(starts))
+    number, width_us, current_ua = number[mine], width_us[mine], current_ua[mine]
+    begin_ns = min((time_ns for time_ns, _ in starts.values()), default=0)
+    at = np.array([starts[each] for each in number.tolist()], np.int64).reshape(-1, 2)
+    taken_us = width_us.astype(np.float64) + at[:, 1]
+    before_us = np.cumsum(taken_us) - taken_us
+    first = np.flatnonzero(np.diff(number.astype(np.int64), prepend=-1))
+    within_us = before_us - np.repeat(before_us[first], np.diff(np.append(first, len(number))))
+    return Interval((at[:, 0] - begin_ns) / 1e9 + within_us / 1e6, width_us, current_ua)
+
+
+@dataclass
+class Subject:
+    """Subject who answers in place of a person."""
+
+    observer: Observer
+    look_s: float = _LOOK_S  # interval of its decisions while a current rises
+    reaction_s: float = 0.0  # from such a decision to the key
+    _look_at_s: float = field(default=0.0, init=False)
+    _key_at_s: float | None = field(default=None, init=False)
+
+    def presses(
+        self, task: str, now_s: float, current_ma: float, felt: Callable[[], Interval]
+    ) -> bool:
+        """Return whether a key is pressed in a step of a rising current.
+
+        ``felt`` returns what was delivered since its last call. Where nothing flows, what was felt
+        before counts no more.
+        """
+        if current_ma == 0:
+            felt()
+            self._key_at_s, self._look_at_s = None, now_s + self.look_s
+        elif self._key_at_s is None and now_s >= self._look_at_s:
+            self._look_at_s = now_s + self.look_s
+            if self.observer.respond(task, [felt()], ("y", "n")) == "y":
+                self._key_at_s = now_s + self.reaction_s
+        if self._key_at_s is None or now_s < self._key_at_s:
+            return False
+        felt()
+        self._key_at_s, self._look_at_s = None, now_s + self.look_s
+        return True

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import CalibrationError
-from smarttouch.experiments.psychophysics.procedures import middle_and_spread
+from smarttouch.experiments.procedures import middle_and_spread
 from smarttouch.profile import ForceLaw
 from smarttouch.sources.force import open_cell
 

@@ -9,6 +9,7 @@ import numpy as np
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError, require_within
 from smarttouch.base.events import Marked, Note
+from smarttouch.experiments.thresholds import measuring_profile
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import require_driven
 from smarttouch.running.step import Listener, StepResult
@@ -19,13 +20,7 @@ SLOWEST_HZ, STEP_HZ = 10.0, 5.0  # lowest pulse rate (paper, III-B.1), and its s
 
 def raise_to_device_limits(profile: Profile) -> Profile:
     """Return a profile whose strongest current is the device's limit (paper: 2.0 mA)."""
-    limits, count = profile.limits, len(profile.electrodes)
-    by_charge_ma = 1000 * limits.charge_uc / profile.pulse.width_us
-    rounded_ma = min(by_charge_ma, profile.total_ma) - count / 2000  # for rounding to µA
-    limits_ma = limits.electrode_ma or (limits.current_ma,) * count
-    most_ma = [float(min(limits.current_ma, rounded_ma, limit)) for limit in limits_ma]
-    perception = profile.perception.model_dump() | {"comfort_ma": most_ma}
-    return Profile.model_validate({**profile.model_dump(), "perception": perception})
+    return measuring_profile(profile, spare_ma=len(profile.electrodes) / 2000)
 
 
 class FreeSource(StimulusSource, Listener):
@@ -33,6 +28,7 @@ class FreeSource(StimulusSource, Listener):
 
     keys_help = "← → rate    [ ] site    1 to 9 mark    "
     knows_force = True
+    frames: int
 
     def __init__(
         self, profile: Profile, classes: list[Afferent], site: int, rate_hz: float, force_n: float

@@ -1,0 +1,324 @@
+"""Experiments by name or file: the paper's own, and those of users and other packages.
+
+What fails in those of a user's file or of another package is one sentence."""
+
+import math
+import runpy
+import traceback
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ExperimentError, SmartTouchError
+from smarttouch.base.files import require_file
+from smarttouch.base.registry import Registry
+from smarttouch.experiments.procedures import (
+    ADAPTIVE,
+    CONSTANT,
+    LIMITS,
+    STANDARDS_HZ,
+    WIDEST_RATIO,
+    Condition,
+    Procedure,
+    adaptive,
+    interleave,
+    ratio_pairs,
+)
+from smarttouch.experiments.trials import (
+    LEFT_OR_RIGHT,
+    STEP_S,
+    Course,
+    Setup,
+    Train,
+    Trial,
+    Trials,
+    ask,
+    in_two_intervals,
+)
+
+_MOST_BYTES = 10_000_000
+PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
+"""Standards of PC: those of RA, and the two at which the paper's thresholds change (Fig. 18)."""
+_NARROWEST_RATIO, _START_RATIO = 1.01, 1.6  # comparisons of a staircase: least, and first
+_STEP = 0.03
+"""Step of a staircase of frequencies: a quarter of the mechanical threshold of about 20 % is 5 %.
+"""
+LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
+"""Levels of the detection experiment, as parts of the profile's threshold (our own choice)."""
+_DETECTION_STEP = 0.05
+_DETECTION_RANGE = (0.3, 3.0)  # range of detection, as parts of the profile's threshold
+_FARTHEST = 4  # most steps of distance to each side of a point
+_DISCOMFORTS = 5
+_SLOWER = 2.0
+"""Factor by which the rise of current is slower than the profile's ramp, in `discomfort`."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One experiment: what it asks, and the generator of its trials."""
+
+    about: str  # in one line
+    trials: Callable[[Setup], Trials]
+    procedures: tuple[str, ...] = (CONSTANT,)  # that make sense, the usual one first
+    train_s: float = 0.5  # default length of a train
+    in_ma: bool = False  # whether it counts in milliamperes
+
+
+def frequency(setup: Setup) -> Trials:
+    """Ask which of two trains of the same length is faster (paper, Section III.C)."""
+    is_pc = setup.afferent is Afferent.PC
+    standards = setup.standards_hz or (PC_STANDARDS_HZ if is_pc else STANDARDS_HZ)
+    highest_hz = setup.profile.limits.rate_hz
+    if is_pc:
+        setup.notes.append(
+            f"PC is stimulated by {setup.profile.name or 'this profile'}'s own PC kernel: the "
+            "paper's large electrode (Fig. 17) has no printed size"
+        )
+
+    def trial(condition: Condition) -> Trial:
+        standard, comparison = condition.standard, condition.comparison
+        at = condition.comparison_interval
+        own, other = (setup.train([setup.place], each) for each in (comparison, standard))
+        target = "" if comparison == standard else str(at if comparison > standard else 3 - at)
+        return in_two_intervals(
+            condition, own, other, "faster", "which was faster?", "Hz", target=target
+        )
+
+    if setup.is_constant:
+        pairs = ratio_pairs(standards, highest=highest_hz)
+        if left_out := len(ratio_pairs(standards)) - len(pairs):
+            setup.notes.append(
+                f"{left_out} comparisons above the profile's limit of {highest_hz:g} Hz are not "
+                "offered"
+            )
+        procedure = setup.constant(pairs)
+    else:
+        procedure = _faster(setup, standards, highest_hz)
+    yield from ask(procedure, trial)
+
+
+def _faster(setup: Setup, standards: tuple[float, ...], highest_hz: float) -> Procedure:
+    """Return an adaptive procedure of each standard, mixed at random: the upper threshold is
+    looked for."""
+    procedures = []
+    for index, standard in enumerate(standards):
+        low, high = _NARROWEST_RATIO * standard, min(WIDEST_RATIO * standard, highest_hz)
+        if high <= low:
+            raise ExperimentError(
+                f"nothing can be faster than a standard of {standard:g} Hz within the profile's "
+                f"limit of {highest_hz:g} Hz: give lower standards"
+            )
+        procedures.append(
+            adaptive(
+                setup.procedure, _START_RATIO * standard, _STEP, low, high, standard,
+                setup.trials, seed=setup.seed + 1000 * index,
+            )
+        )  # fmt: skip
+    return interleave(procedures, setup.seed)
+
+
+def detection(setup: Setup) -> Trials:
+    """Ask whether anything is felt; or, in two intervals, in which.
+
+    A condition is the current of the strongest electrode of the site's kernel, mA; at 0 nothing
+    flows.
+    """
+    two, (threshold_ma, full_ma) = setup.two_intervals, _currents_ma(setup)
+    train = setup.train([setup.place], setup.pulse_hz)
+
+    def trial(condition: Condition) -> Trial:
+        current_ma = condition.comparison
+        shown = replace(train, level=min(1.0, current_ma / full_ma)) if current_ma else train
+        if two:
+            return in_two_intervals(
+                condition, shown, shown.blank(), "felt", "in which did you feel it?", "mA",
+                exact=True,
+            )  # fmt: skip
+        return Trial(
+            condition, (shown if current_ma else train.blank(),), "felt", "did you feel it? y or n",
+            "mA", target="y" if current_ma else "n", exact=True,
+        )  # fmt: skip
+
+    if setup.is_constant:
+        levels = sorted({min(round(threshold_ma * each, 3), full_ma) for each in LEVELS})
+        pairs = [(0.0, each) for each in (levels if two else [0.0, *levels])]
+        procedure = setup.constant(pairs, two)
+    else:
+        low, high = (threshold_ma * each for each in _DETECTION_RANGE)
+        procedure = adaptive(
+            setup.procedure, 1.5 * threshold_ma, _DETECTION_STEP, low, min(high, full_ma), 0.0,
+            setup.trials, two, setup.seed,
+        )  # fmt: skip
+    yield from ask(procedure, trial)
+
+
+def _currents_ma(setup: Setup) -> tuple[float, float]:
+    """Return threshold and comfortable maximum of the site."""
+    profile, site = setup.profile, setup.place
+    return float(profile.threshold_ma[site]), float(profile.full_ma[site])
+
+
+def discomfort(setup: Setup) -> Trials:
+    """Ask when a current is enough that rises evenly to the strongest of the profile."""
+    slowest_s = _SLOWER * setup.profile.limits.ramp_s
+    if setup.train_s is not None and setup.train_s < slowest_s:
+        raise ExperimentError(
+            f"a current that reaches discomfort in {setup.train_s:g} s comes too suddenly: let "
+            f"trains last {slowest_s:g} s or more"
+        )
+    train = setup.train([setup.place], setup.pulse_hz)
+    setup.total = setup.repetitions or _DISCOMFORTS
+    for repetition in range(setup.total):
+        yield Trial(
+            Condition(0.0, math.nan, repetition=repetition), (train,), "enough",
+            "press Enter when it is enough", "mA", exact=True,
+            answers={"\n": "y", "\r": "y", "y": "y", "n": "n"},
+            course=_rising(train, _currents_ma(setup)[1]),
+        )  # fmt: skip
+
+
+def _rising(train: Train, full_ma: float) -> Course:
+    """Rise to a current in the time of a train; return y with the first key, n without."""
+    steps = round(train.seconds / STEP_S)
+    pressed: bool | None = None
+    while pressed is None:
+        for step in range(1, steps + 1):
+            pressed = yield "enough", full_ma * step / steps
+            if pressed or pressed is None:
+                break
+    return "y" if pressed else "n"
+
+
+def localization(setup: Setup) -> Trials:
+    """Ask whether the second point was left or right of the first, by an offset in mm."""
+    site, place_mm = setup.place, setup.profile.electrodes.position_mm
+    driven = setup.profile.driven
+    beside = {
+        round(float(right_mm), 3): int(other)
+        for other, (right_mm, down_mm) in zip(driven, place_mm[driven] - place_mm[site],
+                                              strict=True)
+        if abs(down_mm) < 1e-3 < abs(right_mm)
+    }  # fmt: skip
+    far_mm = sorted({abs(each) for each in beside if -each in beside})[:_FARTHEST]
+    if not far_mm:
+        raise ExperimentError(
+            f"site {site} has no neighbors as far left as right: choose one in the middle of a row"
+        )
+
+    def trial(condition: Condition) -> Trial:
+        right_mm = condition.comparison
+        points = (site, beside[right_mm])
+        return Trial(
+            condition, tuple(setup.train([each], setup.pulse_hz) for each in points), "side",
+            "was the second left or right? arrow keys", "mm", answers=LEFT_OR_RIGHT,
+            success="r", target="r" if right_mm > 0 else "l",
+        )  # fmt: skip
+
+    pairs = [(0.0, sign * each) for each in far_mm for sign in (-1, 1)]
+    yield from ask(setup.constant(pairs, two_intervals=False), trial)
+
+
+CATALOG = {
+    "frequency": Experiment("which of two is faster (paper, III-C)", frequency, ADAPTIVE, 1.0),
+    "detection": Experiment(
+        "is it felt: threshold current, mA", detection, ADAPTIVE, in_ma=True
+    ),
+    "discomfort": Experiment(
+        "when is a rising current enough, mA", discomfort, (LIMITS,), 10.0, in_ma=True
+    ),
+    "localization": Experiment("was the second left or right: distance, mm", localization),
+}  # fmt: skip
+"""The package's own experiments by name."""
+
+EXPERIMENTS = Registry("smarttouch.experiments", Experiment, ExperimentError, {})
+"""Entry points of other packages; each names an `Experiment`."""
+
+
+def find_experiment(name: str) -> Experiment:
+    """Return an experiment by its name in the catalog, by its file, or of another package."""
+    if name in CATALOG:
+        return CATALOG[name]
+    if name.endswith(".py"):
+        return _experiment_of_file(name)
+    known = [*CATALOG, *EXPERIMENTS.plug_ins]
+    if name not in known:
+        raise ExperimentError(
+            f"there is no experiment {name!r}: choose {' or '.join(known)}, or give a file of "
+            "your own, as in mine.py"
+        )
+    found: Experiment = EXPERIMENTS.load(name)
+    EXPERIMENTS.require_kind(found, name)
+    return found
+
+
+def _experiment_of_file(name: str) -> Experiment:
+    require_file(Path(name), ExperimentError, _MOST_BYTES)
+    try:
+        found = runpy.run_path(name)
+    except Exception as error:
+        raise _failure(name, error) from error
+    made = {id(each): each for each in found.values() if isinstance(each, Experiment)}
+    if len(made) != 1:
+        raise ExperimentError(
+            f"{name} has {len(made) or 'no'} Experiment{'s' * (len(made) > 1)}: make one, as in "
+            "experiment = Experiment('what it asks', trials)"
+        )
+    return next(iter(made.values()))
+
+
+def trials_of(name: str, setup: Setup) -> tuple[Setup, Trials]:
+    """Return an experiment's trials, and the setup with what was not chosen filled in."""
+    entry = find_experiment(name)
+    procedure = setup.procedure or entry.procedures[0]
+    if procedure not in entry.procedures:
+        choices = " or ".join(entry.procedures)
+        raise ExperimentError(
+            f"the procedure {procedure!r} is not for {name}: choose {choices}"
+        )  # fmt: skip
+    if entry.in_ma and setup.profile.pulse.carrier == "width":
+        raise ExperimentError(
+            f"{name} counts in mA, and intensity changes the width of this profile's pulses: set "
+            "pulse.carrier = 'height'"
+        )
+    setup = replace(setup, procedure=procedure, train_s=setup.train_s or entry.train_s)
+    return setup, entry.trials(setup) if name in CATALOG else _checked(name, entry, setup)
+
+
+def _checked(name: str, entry: Experiment, setup: Setup) -> Trials:
+    """Yield the trials of an experiment; what fails in it is an ExperimentError."""
+    answer = None
+    try:
+        trials = entry.trials(setup)
+        if not isinstance(trials, Generator):
+            raise ExperimentError(
+                f"{name}: its trials are a {type(trials).__name__}: give a generator function, "
+                "which yields each Trial and gets its Answer"
+            )
+        while True:
+            try:
+                trial = next(trials) if answer is None else trials.send(answer)
+            except StopIteration:
+                return
+            if not isinstance(trial, Trial):
+                raise ExperimentError(
+                    f"{name} yields a {type(trial).__name__}: it must yield a Trial"
+                )
+            answer = yield trial
+    except SmartTouchError:
+        raise
+    except Exception as error:
+        raise _failure(name, error) from error
+
+
+def _failure(name: str, error: Exception) -> ExperimentError:
+    """Return what failed in code outside of this package, with its line, in a sentence."""
+    own, line = str(Path(__file__).parents[1]), ""
+    if isinstance(error, SyntaxError):
+        line = f" in line {error.lineno}"
+    for each in traceback.extract_tb(error.__traceback__):
+        if not each.filename.startswith((own, "<frozen")):
+            line = f" in line {each.lineno}"
+    return ExperimentError(f"{name} fails{line}: {type(error).__name__}: {error}")

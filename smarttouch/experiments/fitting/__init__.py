@@ -1,1 +1,0 @@
-"""Fits of psychometric functions: thresholds, their intervals, and reasons why there is none."""

@@ -1,1 +1,0 @@
-"""Experiments: trials, the procedures that choose them, and simulated observers."""

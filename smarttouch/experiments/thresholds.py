@@ -1,0 +1,451 @@
+"""Threshold and comfort of each electrode of one board on one finger, by a current that rises."""
+
+import math
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import CalibrationError
+from smarttouch.base.events import Advice, BoardRestarted, Event, FingerLifted
+from smarttouch.base.stopping import StopRequest
+from smarttouch.boards.board import Board
+from smarttouch.experiments.answer_file import NUMBER, OPTIONAL, WORDS, AnswerFile, Value
+from smarttouch.experiments.observers import KnownObserver, Subject
+from smarttouch.experiments.procedures import Condition, middle_and_spread
+from smarttouch.experiments.profile_file import ProfileFile
+from smarttouch.experiments.trial_source import TrialSource
+from smarttouch.experiments.trials import STEP_S, Course, Setup, Trial, Trials
+from smarttouch.kernels.bank import single_bank
+from smarttouch.profile import Profile
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import Display
+from smarttouch.running.runner import Runner
+from smarttouch.running.step import Listener, StepResult
+from smarttouch.stimulation.safety_limits import LONGEST_RAMP_S
+
+RISE_S = 6.0  # time of the first run from zero to the expected threshold
+REACTION_S = 0.35  # reaction time from feeling to the key; the level so long before the key counts
+PAUSE_S = (1.0, 2.0)
+"""Pause at zero before a run, of random length, so that time does not reveal the level."""
+START_SHARE = (0.4, 0.7)  # later runs rise fast to a random part of the threshold found before
+LEAP = 10  # factor by which they rise faster there
+CEILING_S = 1.0  # time at the ceiling before a run is given up
+MOST_APART = 1.4  # largest over smallest threshold of the runs above which more runs are made
+EXTRA_RUNS = 2
+HURRIED_S = 0.8
+"""Time after the first key within which a second one is a held key, or a current that hurts."""
+MOST_HURRIED = 2  # times that such runs are repeated before they are accepted
+LEAST_ROOM = 1.05  # least ratio of comfort to threshold that leaves a usable range
+STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
+"""Keys that end it at once; the empty one is a terminal that is gone."""
+_SLOWER = 0.98  # part of the largest slope at which a current rises
+_LOOK_S = 0.5  # between two decisions of the simulated subject
+_REACTION, _HURRIED, _CEILING = (
+    round(each / STEP_S) for each in (REACTION_S, HURRIED_S, CEILING_S)
+)
+
+
+def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
+    """Return a profile that reaches above the comfort of one, up to what its device may give.
+
+    Current, charge, pulse, rate, duty, sums and single electrodes stay limited as they are, and
+    so does the rise in mA a second. ``spare_ma`` is left of charge and sums for rounding.
+    """
+    full_ma, ramp_s = float(profile.full_ma.max()), profile.limits.ramp_s
+    most_ma = min(_strongest_ma(profile, spare_ma), full_ma * LONGEST_RAMP_S / ramp_s)
+    own = profile.limits.electrode_ma or (most_ma,) * len(profile.electrodes)
+    ceilings_ma = [_whole_ua(min(most_ma, each)) for each in own]
+    perception = profile.perception.model_dump() | {"comfort_ma": ceilings_ma}
+    # Never faster, where single electrodes keep the ceilings below what was comfortable.
+    slower = ramp_s * max(1.0, max(ceilings_ma) / full_ma)
+    limits = profile.limits.model_dump() | {"ramp_s": min(LONGEST_RAMP_S, slower)}
+    return Profile.model_validate(
+        {**profile.model_dump(), "perception": perception, "limits": limits}
+    )
+
+
+def ceiling_ma(profile: Profile, site: int, board: Board) -> float:
+    """Return the largest current of an electrode, mA: whole microamperes."""
+    own = profile.limits.electrode_ma or [math.inf] * (site + 1)
+    return _whole_ua(min(_strongest_ma(profile), own[site], board.capabilities.max_current_ma))
+
+
+def slew_ma_s(profile: Profile, site: int) -> float:
+    """Return the largest slope of an electrode's current, mA/s."""
+    return float(profile.full_ma[site]) / profile.limits.ramp_s
+
+
+def _strongest_ma(profile: Profile, spare_ma: float = 0.0) -> float:
+    limits = profile.limits
+    by_charge_ma = 1000 * limits.charge_uc / profile.pulse.width_us
+    return min(limits.current_ma, min(by_charge_ma, profile.total_ma) - spare_ma)
+
+
+def _whole_ua(current_ma: float) -> float:
+    return math.floor(1000 * current_ma + 1e-6) / 1000
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Thresholds of one electrode."""
+
+    # threshold_ma, comfort_ma: medians of the runs. NaN if it was not felt up to the ceiling; the
+    # ceiling where it was never enough.
+    threshold_ma: float
+    comfort_ma: float
+    spread: float  # of the runs' thresholds, robust standard deviation over their median
+    runs: int
+    false_presses: int  # keys while no current flowed
+
+    @property
+    def felt(self) -> bool:
+        return bool(np.isfinite(self.threshold_ma))
+
+    @property
+    def usable(self) -> bool:
+        """True if comfort is far enough above the threshold."""
+        return self.felt and self.comfort_ma >= LEAST_ROOM * self.threshold_ma
+
+    def __str__(self) -> str:
+        if not self.felt:
+            return "not felt up to the ceiling"
+        room = "" if self.usable else " (no room between them: not used)"
+        return (
+            f"threshold {self.threshold_ma:.2f} mA, comfortable to {self.comfort_ma:.2f} mA{room}"
+        )
+
+
+@dataclass
+class AscendingLimits:
+    """Ascending limits at one electrode: in each run the first key means *felt*, the second
+    *strong enough*."""
+
+    ceiling_ma: float  # never exceeded
+    expected_ma: float  # expected threshold; sets the slope of the current
+    repeats: int = 3  # runs, if they agree
+    fastest_ma_s: float = float("inf")  # the current rises no faster, whatever is expected
+    seed: int | tuple[int, ...] = 0  # of pauses and starts
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+        fastest_ma = self.fastest_ma_s * STEP_S
+        wanted_ma = min(self.expected_ma, self.ceiling_ma) * STEP_S / RISE_S
+        self._step_ma = min(wanted_ma, fastest_ma)
+        self._leap_ma = min(LEAP * wanted_ma, fastest_ma)
+        self._runs: list[tuple[float, float]] = []  # threshold and comfort; NaN if not reached
+        self._false_presses = self._hurried = 0
+
+    def course(self) -> Course:
+        """Yield the question and the current of each step, see `Course`; return `Thresholds`."""
+        while not self._is_done():
+            run = yield from self._rise()
+            if run is not None:
+                self._runs.append(run)
+        threshold, comfort = np.array(self._runs).T
+        if np.isnan(threshold).any():
+            return Thresholds(np.nan, np.nan, np.nan, len(self._runs), self._false_presses)
+        middle, spread = middle_and_spread(threshold)
+        return Thresholds(
+            middle, float(np.median(comfort)), spread / middle, len(self._runs), self._false_presses
+        )
+
+    def _is_done(self) -> bool:
+        found = [threshold_ma for threshold_ma, _ in self._runs]
+        if found and math.isnan(found[-1]):
+            return True
+        if len(found) < self.repeats:
+            return False
+        apart = len(found) > 1 and max(found) > MOST_APART * min(found)
+        return not apart or len(found) >= self.repeats + EXTRA_RUNS
+
+    def _rise(self) -> Generator[tuple[str, float], bool | None, tuple[float, float] | None]:
+        """Yield the steps of one run from zero; return None if it has to begin again."""
+        pause, levels, threshold_ma, felt_at = self._draw_pause(), [0.0], math.nan, 0
+        share = self._random.uniform(*START_SHARE) if self._runs else 0.0
+        start_ma = share * min((each for each, _ in self._runs), default=0.0)
+        while pause > 0:
+            pressed = yield "felt", 0.0
+            if pressed is None:
+                return None
+            self._false_presses += pressed
+            pause = self._draw_pause() if pressed else pause - 1
+        while True:
+            rise_ma = self._leap_ma if levels[-1] < start_ma else self._step_ma
+            levels.append(min(levels[-1] + rise_ma, self.ceiling_ma))
+            pressed = yield "enough" if felt_at else "felt", levels[-1]
+            steps = len(levels) - 1
+            if pressed is None:
+                return None
+            if pressed and (steps <= _REACTION or self._is_hurried(steps, felt_at)):
+                # Nobody reacts so fast: such a key was for something else.
+                self._false_presses += steps <= _REACTION
+                return None
+            if pressed and felt_at:
+                return threshold_ma, levels[-1 - _REACTION]
+            if pressed:
+                threshold_ma, felt_at = levels[-1 - _REACTION], steps
+            elif steps > _CEILING and levels[-1 - _CEILING] >= self.ceiling_ma:
+                # Levels never fall in a run: it has long been at the ceiling.
+                return threshold_ma, self.ceiling_ma if felt_at else math.nan
+
+    def _is_hurried(self, steps: int, felt_at: int) -> bool:
+        """Return whether a second key is one that is held, or comes too soon; count it."""
+        hurried = felt_at > 0 and steps - felt_at < _HURRIED and self._hurried < MOST_HURRIED
+        self._hurried += hurried
+        return hurried
+
+    def _draw_pause(self) -> int:
+        return round(self._random.uniform(*PAUSE_S) / STEP_S)
+
+
+_ABOUT = {"profile": WORDS, "electrodes": NUMBER, "board": WORDS, "pulse_us": NUMBER,
+          "repeats": NUMBER, "simulate": NUMBER}  # fmt: skip
+_COLUMNS = {
+    **_ABOUT, "electrode": NUMBER, "threshold_ma": OPTIONAL, "comfort_ma": OPTIONAL,
+    "spread": OPTIONAL, "runs": NUMBER, "false_presses": NUMBER, "version": WORDS,
+}  # fmt: skip
+_RESULTS = tuple(each.name for each in fields(Thresholds))
+
+
+class Progress(AnswerFile):
+    """Results of a threshold session until now, by electrode, in a file beside the profile to be
+    written, each on disk before `keep` returns.
+
+    They count only where ``about`` is the same. Until it is closed no other session can continue
+    the same file. Without results the file is removed when it is closed.
+    """
+
+    def __init__(self, path: Path, about: Mapping[str, Value]) -> None:
+        super().__init__(path, about, _COLUMNS)
+        self.found: dict[int, Thresholds] = {}
+        for row in self.rows:
+            threshold_ma, comfort_ma, spread, runs, false_presses = (
+                math.nan if row[each] is None else float(row[each] or 0.0) for each in _RESULTS
+            )
+            if not (math.isnan(threshold_ma) or 0 < threshold_ma <= comfort_ma):
+                super().close()
+                raise CalibrationError(
+                    f"{path} has a threshold of {threshold_ma:g} mA and a comfort of "
+                    f"{comfort_ma:g} mA: correct the line, or remove the file to start over"
+                )
+            self.found[int(row["electrode"] or 0)] = Thresholds(
+                threshold_ma, comfort_ma, spread, int(runs), int(false_presses)
+            )
+
+    def close(self) -> None:
+        """Close the file, and remove it if it has no results."""
+        if not self.found:
+            self.forget()
+        super().close()
+
+    def keep(self, site: int, found: Thresholds) -> None:
+        """Add the result of an electrode."""
+        values = asdict(found)
+        self.append({"electrode": site} | {
+            name: None if math.isnan(value) else value for name, value in values.items()
+        })  # fmt: skip
+        self.found[site] = found
+
+    def forget(self) -> None:
+        """Remove the file once the profile has the results."""
+        self.path.unlink(missing_ok=True)
+
+
+def threshold_trials(
+    profile: Profile,  # to be measured
+    board: Board,  # its own largest current counts too, from when it is open
+    sites: Sequence[int],
+    progress: Progress,  # keeps each electrode once it is done; those that it has are left out
+    say: Callable[[str], None],  # shows a line
+    *,
+    repeats: int = 3,  # of the rising current
+    seed: int = 0,  # of all that is drawn
+) -> Trials:
+    """Measure one electrode after the other; a second attempt is made if one is implausible."""
+    measuring = measuring_profile(profile)
+    # At two pulses a train begins.
+    setup = Setup(measuring, Afferent.RA, train_s=max(0.8, 2 / measuring.pulse.rate_hz))
+    for site in sites:
+        if site in progress.found:
+            continue
+        for attempt in (0, 1):
+            rising = AscendingLimits(
+                ceiling_ma(profile, site, board), float(profile.threshold_ma[site]), repeats,
+                _SLOWER * slew_ma_s(measuring, site), (seed, site, attempt),
+            )  # fmt: skip
+            answer = yield Trial(
+                Condition(0.0, math.nan, index=site), (setup.train([site], setup.pulse_hz),),
+                "felt",
+                f"electrode {site}: a key when you feel it, again when it is strong enough", "mA",
+                exact=True, course=rising.course(),
+            )  # fmt: skip
+            found: Thresholds = answer.found
+            if found.usable or not found.felt:
+                break
+        progress.keep(site, found)
+        say(f"electrode {site}: {found}")
+
+
+def simulated_finger(
+    profile: Profile, measuring: Profile, ceilings_ma: Sequence[float], seed: int
+) -> KnownObserver:
+    """Return an observer with electrodes that differ, none above its ceiling."""
+    random = np.random.default_rng(seed)
+    threshold_ma, enough_ma = [], []
+    for usual_ma, top_ma in zip(profile.threshold_ma.tolist(), ceilings_ma, strict=True):
+        delivered_ma = min(usual_ma * float(np.exp(0.2 * random.standard_normal())), 0.6 * top_ma)
+        threshold_ma.append(delivered_ma)
+        enough_ma.append(min(delivered_ma * random.uniform(1.5, 2.2), 0.95 * top_ma))
+    return KnownObserver(
+        measuring, np.array(threshold_ma, np.float32), np.array(enough_ma, np.float32), seed,
+        guess=0.005, lapse=0.03,
+    )  # fmt: skip
+
+
+Found = Mapping[int, Thresholds]
+Keys = Callable[[Callable[[str], None]], AbstractContextManager[None]]
+"""Hands every key to a function while a block runs; an empty one is a terminal that is gone."""
+
+
+def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
+    """Return thresholds and comfortable maxima of all electrodes, mA.
+
+    Electrodes not measured, not felt, or without room between the two keep their values.
+    """
+    usable = {site: each for site, each in found.items() if each.usable}
+    if not usable:
+        raise CalibrationError(
+            "no electrode was felt and then strong enough: check contact with "
+            "'smarttouch calibrate contact', and explain the task"
+        )
+    threshold, comfort = profile.threshold_ma.astype(float), profile.full_ma.astype(float)
+    for site, each in usable.items():
+        threshold[site], comfort[site] = each.threshold_ma, each.comfort_ma
+    # Down, so that no rounding takes comfort above a limit; what was single precision, to it.
+    return (
+        [round(float(each), 3) for each in threshold],
+        [math.floor(1000 * float(each) + 1e-3) / 1000 for each in comfort],
+    )
+
+
+def sentence(found: Found) -> str:
+    """Return the sentence for the profile."""
+    usable = [each for each in found.values() if each.usable]
+    threshold = np.array([each.threshold_ma for each in usable])
+    comfort = np.array([each.comfort_ma for each in usable])
+    spread = float(np.median([each.spread for each in usable]))
+    kept = sorted(site for site, each in found.items() if not each.usable)
+    return (
+        f"{len(usable)} electrodes by rising current, threshold {np.median(threshold):.2f} mA "
+        f"({threshold.min():.2f} to {threshold.max():.2f}), comfortable up to "
+        f"{np.median(comfort):.2f} mA ({comfort.min():.2f} to {comfort.max():.2f}), spread of a "
+        f"threshold {spread:.1%}, {sum(each.runs for each in found.values())} runs, "
+        f"{sum(each.false_presses for each in found.values())} false presses"
+        + (f"; not usable, kept as they were: {kept}" if kept else "")
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThresholdProcedure:
+    """Measurement of thresholds: its board, its electrodes and its method."""
+
+    start: str  # profile that the file began as
+    file: ProfileFile  # where it goes
+    board_url: str
+    sites: Sequence[int]
+    # repeats, seed: see `threshold_trials`
+    repeats: int = 3
+    seed: int = 0
+    # a simulated subject answers, on the board ``simulated:``, without waiting
+    simulate: bool = False
+
+    def progress(self) -> Progress:
+        """Return the results of an earlier session with the same settings."""
+        profile = self.file.profile
+        return Progress(
+            self.file.beside("thresholds.csv"),
+            {
+                "profile": self.start, "electrodes": len(profile.electrodes),
+                "board": self.board_url.partition(":")[0], "pulse_us": profile.pulse.width_us,
+                "repeats": self.repeats, "simulate": int(self.simulate),
+            },
+        )  # fmt: skip
+
+    def measure(
+        self,
+        progress: Progress,  # keeps each once it is done
+        keys: Keys,
+        say: Callable[[str], None],  # shows a line
+        stop: StopRequest,
+        force: str | None = None,  # URL of the finger's force; see `Runner`
+    ) -> None:
+        """Measure electrode after electrode: any key answers, and some end it at once."""
+        profile, measuring = self.file.profile, measuring_profile(self.file.profile)
+        subject = None
+        if self.simulate:
+            tops_ma = [float(each) for each in measuring.full_ma]
+            finger = simulated_finger(profile, measuring, tops_ma, self.seed)
+            subject = Subject(finger, _LOOK_S, REACTION_S)
+        # A simulated subject feels simulated currents, and does not wait.
+        display = Display("simulated:" if self.simulate else self.board_url, measuring)
+        trials = threshold_trials(
+            profile, display.board, self.sites, progress, say, repeats=self.repeats, seed=self.seed
+        )
+        source = TrialSource(trials, measuring, "thresholds", subject=subject)
+
+        def on_key(key: str) -> None:
+            if key in STOP_KEYS:
+                stop.ask(f"key {key!r}")
+            else:
+                source.press(key)
+
+        if not self.simulate:
+            say(
+                f"Current rises to {measuring.full_ma.max():.2f} mA at most. Press a key when you "
+                "feel it, and again when it is strong enough; q or Esc stops at once."
+            )
+        config = RunConfig(scan="points", intensity=1.0, seed=self.seed)
+        with keys(on_key):
+            Runner(
+                source, display, config, force=force, stop=stop, load_kernels=single_bank,
+                listeners=[] if self.simulate else [_Prompts(source, say)],
+            ).run()  # fmt: skip
+        if set(self.sites) - set(progress.found):
+            raise self.stopped(progress)
+
+    def stopped(self, progress: Progress) -> CalibrationError:
+        """Return the error of a procedure that was stopped."""
+        left = len(set(self.sites) - set(progress.found))
+        return CalibrationError(
+            f"stopped, all electrodes are off: {left} of {len(self.sites)} electrodes are left, "
+            "the same command goes on there"
+        )
+
+    def put_down(self, progress: Progress) -> str:
+        """Set the results in the profile's file, not written yet; return them in a sentence."""
+        threshold_ma, comfort_ma = filled(self.file.profile, progress.found)
+        self.file.set("perception.threshold_ma", threshold_ma)
+        self.file.set("perception.comfort_ma", comfort_ma)
+        return sentence(progress.found)
+
+
+class _Prompts(Listener):
+    """Shows a person what is asked or missing, and what the board's user should know."""
+
+    def __init__(self, source: TrialSource, say: Callable[[str], None]) -> None:
+        super().__init__()
+        self._source, self._say, self._shown = source, say, ""
+
+    def step(self, result: StepResult) -> None:
+        asked = self._source.title.partition(": ")[2]
+        if asked and asked != self._shown:
+            self._say(asked)
+        self._shown = asked
+
+    def event(self, event: Event) -> None:
+        if isinstance(event, Advice | BoardRestarted | FingerLifted):
+            self._say(str(event))

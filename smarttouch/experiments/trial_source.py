@@ -1,0 +1,306 @@
+"""An experiment as a program: the pulses of its trials, and questions in between."""
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from smarttouch.base.errors import ExperimentError, LevelNotReachedError
+from smarttouch.base.events import TrialEvent
+from smarttouch.emulator.emulated_boards import SimulatedDriver
+from smarttouch.experiments.observers import Interval, Starts, Subject, interval_of
+from smarttouch.experiments.trials import STEP_S, Answer, Train, Trial, Trials
+from smarttouch.profile import Profile
+from smarttouch.running.program import SILENT_US, STEADY, Level, Program, Shown
+from smarttouch.running.step import RunContext, StepResult
+from smarttouch.stimulation.ramp import FIRST_NS, MOST_STEP_NS
+
+PAUSE_S = 0.5  # least time between an answer and the next trial
+PATIENCE_S = 10.0  # for the current of a trial, where nobody is there who could press harder
+MOST_SPOILED = 10  # times that one trial's current may be lost
+AGAIN = "r"  # key that repeats a trial
+_SPOILED = 0.5
+"""Part of the requested intensity below which current was lost within an interval. A key moves it
+by less; where milliamperes count, nothing may."""
+_NUMBERS = ("first", "second")
+
+
+class TrialSource(Program):
+    """Source that presents trial after trial, and sends each answer to their generator.
+
+    Each begins when the intensity is there that the user has chosen; one whose current is lost
+    within an interval (paused, finger lifted, board gone) is presented again. A subject answers in
+    place of a person.
+    """
+
+    fixed_mode = True
+    ended = "the experiment is over"
+
+    def __init__(
+        self,
+        trials: Trials,
+        profile: Profile,
+        title: str,
+        *,
+        done: int = 0,  # trials of earlier runs
+        total: int | None = None,  # trials; None if it depends on the answers
+        gap_s: float = 0.5,  # between two intervals
+        answer_s: float = 0.0,  # time limit for an answer; 0 for none
+        subject: Subject | None = None,
+    ) -> None:
+        super().__init__(profile, title)
+        self._trials, self._name, self._done = trials, title, done
+        self._of = "" if total is None else f" of {total}"
+        self._gap_s, self._answer_s, self._subject = gap_s, answer_s or math.inf, subject
+        self.patience_s: float = math.inf if subject is None else PATIENCE_S
+        self._pressed: deque[tuple[str, int]] = deque()
+        self._starts: list[Starts] | None = None  # of a trial's intervals, while one is shown
+        self._wanted: tuple[str, float] | None = None  # newest step of a trial's course
+
+    @property
+    def keys(self) -> Mapping[str, Callable[[], None]]:
+        """Keys of all answers, and the key that repeats a trial."""
+        named = "12ynr\n\r" + "".join(map(chr, range(ord("A"), ord("Z") + 1)))
+        return {key: partial(self.press, key) for key in (*named, "left", "right")}
+
+    def press(self, key: str) -> None:
+        """Take a key; from any thread."""
+        self._pressed.append((key, self.time_ns()))
+
+    def start(self, run: RunContext) -> None:
+        super().start(run)
+        if self._subject is not None and not isinstance(run.board.driver, SimulatedDriver):
+            raise ExperimentError(
+                "a simulated subject responds to simulated currents only: choose the board "
+                "simulated:"
+            )
+
+    def step(self, result: StepResult) -> None:
+        """Note how the last stimulus was sent."""
+        super().step(result)
+        if self._starts is None:
+            return
+        asked_us, sequence = result.step.asked_us, result.sequence
+        if sequence.period_us != asked_us and not self.notes:
+            self.notes.append(
+                f"pulses were requested at {1e6 / asked_us:.4g} Hz and sent at "
+                f"{sequence.rate_hz:.4g} Hz: this board or so many sites cannot do all frequencies"
+            )
+        if self._subject is not None and result.number is not None:
+            discharge_us = int(sequence.discharge_us[0]) if sequence.slots else 0
+            self._starts[-1][result.number] = (sequence.time_ns, discharge_us)
+
+    def note_opening(self) -> None:
+        """Show what is missing for a trial to begin."""
+        self._say(self._missing)
+
+    def program(self) -> None:
+        """Present all trials."""
+        trial = next(self._trials, None)
+        while trial is not None:
+            self._tell("trial", f": {trial.words}")
+            answer, spoiled = None, 0
+            while answer is None:
+                try:
+                    answer = self._attempt(trial)
+                except LevelNotReachedError as lost:
+                    spoiled += 1
+                    self._tell("trial", " again: current was lost")
+                    if spoiled > MOST_SPOILED:
+                        raise ExperimentError(
+                            f"current was lost {spoiled} times in one trial, and {MOST_SPOILED} "
+                            "times are allowed: check the board's line, and keep the finger on the "
+                            "electrodes"
+                        ) from lost
+                finally:
+                    self._starts = None
+            self._tell("response", f": {_words(answer)}")
+            self._done += 1
+            try:
+                trial = self._trials.send(answer)
+            except StopIteration:
+                trial = None
+        self.title = f"{self._name}: over"
+
+    def _attempt(self, trial: Trial) -> Answer | None:
+        """Present a trial and ask; return None if it is to be felt again."""
+        self._say("")
+        self.wait(PAUSE_S)
+        felt: list[Starts] = []
+        if trial.course is not None:
+            return self._attempt_course(trial)
+        train = trial.intervals[0]
+        self._open(partial(self.rise, train.level, train.activation, trial.exact))
+        for index, train in enumerate(trial.intervals):
+            if index:
+                self.wait(self._gap_s)
+            self._say("feel" if len(trial.intervals) == 1 else _NUMBERS[index])
+            felt.append({})
+            self._starts = felt
+            self._present(trial, train, train.level, train.seconds)
+            self._starts = None
+        # Keys are dropped until the last pulse.
+        self._pressed.clear()
+        return self._ask(trial) if self._subject is None else self._decided(trial, felt)
+
+    def _open(self, opened: Callable[[], float]) -> None:
+        """Open a level until nothing is left to open, with a pause without current after it."""
+        try:
+            while opened():
+                self._say("")
+                self.wait(PAUSE_S)
+        except LevelNotReachedError:
+            raise ExperimentError(
+                f"no trial could begin for {self.patience_s:g} s, and nobody is there to "
+                f"{self._missing}: give more --intensity or --force"
+            ) from None
+
+    def _present(self, trial: Trial, train: Train, level: Level, seconds: float) -> Shown:
+        activation = train.activation * (not train.is_blank)
+        return self.show(
+            activation, seconds, level, rate_hz=train.rate_hz, opens=0, exact=trial.exact,
+            least=STEADY if trial.exact else _SPOILED,
+        )  # fmt: skip
+
+    def _attempt_course(self, trial: Trial) -> Answer:
+        """Make the current follow the keys from zero, no faster than the ramp."""
+        course, (train,) = trial.course, trial.intervals
+        assert course is not None
+        # It rises by itself; only force and the user's level must be there.
+        self._open(self._wait_for_force)
+        full_ma = float(self._profile.full_ma[train.activation.any(axis=0)].min())
+        level, before_ns, due_ns = 0.0, 0, round(STEP_S * 1e9)
+        found: object = None
+        self._wanted = self._wanted or next(course)
+        self._say(trial.question)
+        self._pressed.clear()
+        self._starts = [{}]
+        if self._subject is not None:
+            self._subject.presses("", 0.0, 0.0, self._felt)
+
+        def follow(since_s: float) -> float | None:
+            nonlocal level, before_ns, due_ns, found
+            since_ns = round(since_s * 1e9)
+            while since_ns >= due_ns and self._wanted is not None:
+                due_ns += round(STEP_S * 1e9)
+                try:
+                    self._wanted = course.send(self._is_pressed(since_s, *self._wanted))
+                except StopIteration as end:
+                    self._wanted, found = None, end.value
+            if self._wanted is None:
+                return None
+            # From zero by the first step that currents take.
+            risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
+            most = level + risen_ns / 1e9 / self._profile.limits.ramp_s
+            level, before_ns = min(1.0, self._wanted[1] / full_ma, most), since_ns
+            return level
+
+        try:
+            shown = self._present(trial, train, follow, math.inf)
+        except LevelNotReachedError:
+            self._wanted = course.send(None)
+            raise
+        self._starts = None
+        self.wait(SILENT_US / 1e6)
+        response = found if isinstance(found, str) else ""
+        return self._answer(trial, response, None, shown.current_ma, found)
+
+    def _wait_for_force(self) -> float:
+        """Wait until a current can follow the keys; return 0."""
+
+        def is_ready() -> bool:
+            ready = self.gate * self.user_level >= STEADY
+            if not ready:
+                self.note_opening()
+            return ready
+
+        self.wait(self.patience_s, is_ready)
+        if not is_ready():
+            raise LevelNotReachedError("")
+        return 0.0
+
+    def _is_pressed(self, since_s: float, task: str, current_ma: float) -> bool:
+        """Return whether a key was pressed in a step of a rising current."""
+        if self._subject is not None:
+            return self._subject.presses(task, since_s, current_ma, self._felt)
+        pressed = bool(self._pressed)
+        self._pressed.clear()
+        return pressed
+
+    def _felt(self) -> Interval:
+        """Return what has been delivered of a rising current since the last call."""
+        (starts,) = self._starts or [{}]
+        self._starts = [{}]
+        return self._delivered([starts])[0]
+
+    def _delivered(self, felt: list[Starts]) -> list[Interval]:
+        driver = self._context.board.driver
+        assert isinstance(driver, SimulatedDriver)
+        pulses = driver.take_pulses()
+        return [interval_of(pulses, starts) for starts in felt]
+
+    def _decided(self, trial: Trial, felt: list[Starts]) -> Answer:
+        """Return the answer of a subject, who is given all pulses that the board has delivered."""
+        assert self._subject is not None
+        self.wait(SILENT_US / 1e6)
+        intervals = self._delivered(felt)
+        response = self._subject.observer.respond(trial.task, intervals, trial.alternatives)
+        if response is None:
+            return self._answer(trial, "", None)
+        return self._answer(trial, response, 0.0)
+
+    def _ask(self, trial: Trial) -> Answer | None:
+        """Wait for a key; return None if the trial is to be felt again."""
+        self._say(trial.question + (f", {AGAIN} again" if not trial.exact else ""))
+        asked_ns, keys = self.now_ns, [*trial.answers] + [AGAIN] * (not trial.exact)
+
+        def is_answered() -> bool:
+            while self._pressed and self._pressed[0][0] not in keys:
+                self._pressed.popleft()
+            return bool(self._pressed)
+
+        self.wait(self._answer_s, is_answered)
+        if not is_answered():
+            return self._answer(trial, "", None)
+        key, pressed_ns = self._pressed.popleft()
+        if key == AGAIN:
+            self._tell("trial", " felt again")
+            return None
+        return self._answer(trial, trial.answers[key], max(0, pressed_ns - asked_ns) / 1e9)
+
+    def _answer(
+        self,
+        trial: Trial,
+        response: str,
+        rt_s: float | None,
+        reached: float | None = None,
+        found: object = None,
+    ) -> Answer:
+        success = response == trial.success if response else None
+        return Answer(
+            response, success, rt_s, self.now_ns / 1e9, self.user_level, reached, found
+        )  # fmt: skip
+
+    @property
+    def _missing(self) -> str:
+        if self.gate == 0:
+            return "press the finger on the electrodes"
+        if self.user_level == 0:
+            return "raise the intensity with +"
+        return "press firmly, and raise the intensity to the full with +"
+
+    def _tell(self, what: str, words: str) -> None:
+        """Emit an event of the current trial."""
+        self.emit(TrialEvent(self.now_ns, f"{what} {self._done + 1}{words}"))
+
+    def _say(self, words: str) -> None:
+        self.title: str = f"{self._name}, trial {self._done + 1}{self._of}" + (
+            f": {words}" if words else ""
+        )
+
+
+def _words(answer: Answer) -> str:
+    words = answer.response or "none"
+    if answer.rt_s is not None:
+        words += f" after {answer.rt_s:.2f} s"
+    return words if answer.reached is None else f"{words} at {answer.reached:.3f} mA"

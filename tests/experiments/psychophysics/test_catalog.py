@@ -1,0 +1,272 @@
+"""Every experiment shows what its conditions name; one of a file or another package runs as ours.
+
+What is wrong in one is one sentence.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ExperimentError
+from smarttouch.experiments.catalog import CATALOG, find_experiment, trials_of
+from smarttouch.experiments.trials import Answer, Setup
+from smarttouch.profile import load_profile
+
+from ...installed import install
+from ...raising import raises
+from .sitting import sit
+
+EXAMPLE = Path(__file__).parents[3] / "examples/own_experiment.py"
+MOUSE = load_profile("electric-mouse")
+
+
+def begun(name, profile=MOUSE, afferent=Afferent.RA, **options):
+    """Return the setup of an experiment, and all of its trials, answered right."""
+    setup, trials = trials_of(name, Setup(profile, afferent, **options))
+    shown, answer = [], None
+    while True:
+        try:
+            shown.append(next(trials) if answer is None else trials.send(answer))
+        except StopIteration:
+            return setup, shown
+        answer = Answer(shown[-1].success, True)
+
+
+def sites(train, afferent=Afferent.RA):
+    return np.flatnonzero(train.activation[afferent]).tolist()
+
+
+def test_the_paper_s_frequencies():
+    setup, trials = begun("frequency")
+    assert len(trials) == setup.total == 500
+    assert {each.condition.standard for each in trials} == {15, 30, 45, 60, 75}
+    ratios = {round(each.condition.comparison / each.condition.standard, 2) for each in trials}
+    assert (min(ratios), max(ratios)) == (0.5, 2.0)
+    assert setup.notes == []
+    for trial in trials[:40]:
+        condition, comparison = (
+            trial.condition,
+            trial.intervals[trial.condition.comparison_interval - 1],
+        )
+        assert comparison.rate_hz == pytest.approx(condition.comparison, rel=1e-4)
+        assert comparison.pulses == round(condition.comparison)
+        faster = 1 + int(np.argmax([each.rate_hz for each in trial.intervals]))
+        assert trial.target == str(faster)
+        assert trial.success == str(condition.comparison_interval)
+        assert {tuple(sites(each)) for each in trial.intervals} == {(27,)}
+        assert f"standard {condition.standard:g} Hz, comparison" in trial.words
+
+
+def test_comparisons_above_the_limit_are_left_out_with_a_note(changed):
+    setup, trials = begun("frequency", afferent=Afferent.PC)
+    standards = {each.condition.standard for each in trials}
+    assert standards == {15, 30, 45, 60, 75, 90, 100}
+    assert max(each.condition.comparison for each in trials) <= 200
+    assert sites(trials[0].intervals[0], Afferent.PC) == [27]
+    assert "PC kernel" in setup.notes[0]
+    slow = changed(MOUSE, {"limits.rate_hz": 100.0})
+    setup, trials = begun("frequency", slow, repetitions=1, standards="75")
+    (note,) = setup.notes
+    assert "3 " in note
+    assert "100 Hz" in note
+    assert max(each.condition.comparison for each in trials) <= 100
+
+
+@pytest.mark.parametrize("procedure", ["staircase", "questplus"])
+def test_adaptive_frequencies_are_above_their_standards_and_mixed(procedure):
+    _, trials = begun("frequency", procedure=procedure, standards="30,75", trials=8)
+    shown = [each.condition for each in trials]
+    assert {each.standard for each in shown} == {30, 75}
+    assert all(1 < each.comparison / each.standard <= 2 for each in shown)
+    order = [each.standard for each in shown]
+    assert order != sorted(order)
+
+
+def test_detection_has_blanks_and_counts_in_milliamperes():
+    _, trials = begun("detection", site=9, train_s=0.5)
+    assert sum(each.condition.comparison == 0 for each in trials) == 10
+    for trial in trials:
+        (train,), current_ma = trial.intervals, trial.condition.comparison
+        assert (sites(train), trial.success, trial.exact) == ([9], "y", True)
+        assert train.is_blank == (current_ma == 0)
+        assert trial.target == ("y" if current_ma else "n")
+        if current_ma:
+            assert train.level * MOUSE.full_ma[9] == pytest.approx(current_ma)
+
+
+def test_detection_in_two_intervals_has_a_blank_of_the_same_level():
+    _, trials = begun("detection", two_intervals=True)
+    for trial in trials:
+        own = trial.condition.comparison_interval - 1
+        assert [each.is_blank for each in trial.intervals] == [own == 1, own == 0]
+        first, second = trial.intervals
+        assert (first.level, first.pulses) == (second.level, second.pulses)
+        assert trial.target == str(own + 1)
+
+
+@pytest.mark.parametrize("procedure", ["constant", "staircase", "questplus"])
+def test_no_level_is_above_the_strongest(changed, procedure):
+    tight = changed(MOUSE, {"perception.comfort_ratio": 1.05})
+    for trial in begun("detection", tight, procedure=procedure, trials=20)[1]:
+        assert trial.condition.comparison <= tight.full_ma.max() + 1e-6
+        assert all(train.level <= 1 for train in trial.intervals)
+
+
+def test_discomfort_rises_evenly_to_the_profile_s_own_ceiling_and_begins_again():
+    _, (trial, *others) = begun("discomfort", repetitions=3)
+    assert len(others) == 2
+    assert math.isnan(trial.condition.comparison)
+    course = trial.course
+    steps = [next(course), course.send(False), course.send(None)]
+    assert steps == [
+        ("enough", pytest.approx(MOUSE.full_ma[27] * each / 200)) for each in (1, 2, 1)
+    ]
+    steps += [course.send(False) for _ in range(199)]
+    assert steps[-1] == ("enough", pytest.approx(MOUSE.full_ma[27]))
+    with pytest.raises(StopIteration) as end:
+        course.send(False)
+    assert end.value.value == "n"
+    next(others[0].course)
+    with pytest.raises(StopIteration) as end:
+        others[0].course.send(True)
+    assert end.value.value == "y"
+
+
+def test_the_second_point_is_as_far_right_as_stated():
+    _, trials = begun("localization")
+    assert {each.condition.comparison for each in trials} == {-6, -4, -2, 2, 4, 6}
+    for trial in trials:
+        right_mm = trial.condition.comparison
+        (first,), (second,) = map(sites, trial.intervals)
+        moved_mm = MOUSE.electrodes.position_mm[second] - MOUSE.electrodes.position_mm[first]
+        assert moved_mm == pytest.approx((right_mm, 0))
+        assert (trial.target, trial.success) == ("r" if right_mm > 0 else "l", "r")
+
+
+def test_every_experiment_has_a_question_and_answers():
+    for name in CATALOG:
+        trial = begun(name)[1][0]
+        assert trial.question
+        assert trial.words
+        assert trial.success in trial.alternatives
+
+
+@pytest.mark.parametrize(("name", "options", "value", "allowed"), [
+    ("hearing", {}, "hearing", tuple(CATALOG)),
+    ("localization", {"procedure": "staircase"}, "staircase", ("constant",)),
+    ("frequency", {"site": 64}, 64, None),
+    ("frequency", {"standards": "300"}, None, 200),
+    ("frequency", {"standards": "30,x"}, "30,x", None),
+    ("frequency", {"standards": "200", "procedure": "staircase"}, 200, 200),
+    ("frequency", {"train_s": 0.0}, 0, (0, 60)),
+    ("frequency", {"train_s": math.nan}, None, (0, 60)),
+    ("frequency", {"train_s": 0.05}, 1, 2),
+    ("frequency", {"repetitions": 0}, 0, 1),
+    ("frequency", {"gap_s": -1.0}, -1, (0, 60)),
+    ("frequency", {"answer_s": 1e9}, 1e9, 3600),
+    ("detection", {"rate_hz": 201.0}, 201, (0, 200)),
+    ("localization", {"site": 0}, 0, None),
+    ("discomfort", {"train_s": 0.9}, 0.9, 1),
+])  # fmt: skip
+def test_what_cannot_be_asked_for(name, options, value, allowed):
+    with raises(ExperimentError, value=value, allowed=allowed):
+        begun(name, **options)
+
+
+@pytest.mark.parametrize("name", ["detection", "discomfort"])
+def test_where_width_carries_intensity_nothing_counts_in_milliamperes(changed, name):
+    with raises(ExperimentError, names="pulse.carrier", allowed=("height",)):
+        begun(name, changed(MOUSE, {"pulse.carrier": "width"}))
+
+
+@given(st.floats(4, 200))
+def test_a_train_is_as_fast_and_as_long_as_asked(rate_hz):
+    train = Setup(MOUSE, train_s=0.5).train([3], rate_hz)
+    assert abs(train.period_us - 1e6 / rate_hz) <= 0.5
+    assert abs(train.seconds - 0.5) <= train.period_us / 1e6
+    assert train.pulses >= 2
+    assert sites(train) == [3]
+    assert not train.activation[[Afferent.SAI, Afferent.PC]].any()
+
+
+def test_sites_are_whole_numbers_and_activations_are_not(changed):
+    setup = Setup(MOUSE)
+    on = np.zeros(64, bool)
+    on[[3, 5]] = True
+    for where in ([3, 5], np.array([3, 5]), on, on.astype(np.float32)):
+        assert sites(setup.train(where, 50)) == [3, 5]
+    with raises(ExperimentError, value="(6,)"):
+        setup.train(np.zeros(6), 50)
+    assert np.hypot(*MOUSE.electrodes.position_mm[setup.place]) < 1.5
+    without = Setup(changed(MOUSE, {"output.masked": (setup.place,)}))
+    assert np.hypot(*MOUSE.electrodes.position_mm[without.place]) < 1.5
+    assert without.place != setup.place
+
+
+class Counts:
+    """Answers that the interval with fewer pulses had the gap."""
+
+    def respond(self, task, intervals, alternatives):
+        return alternatives[int(np.argmin([len(each.time_s) for each in intervals]))]
+
+
+def test_a_file_is_an_experiment(tmp_path, bank):
+    setup = Setup(MOUSE, repetitions=1, seed=4)
+    sat = sit(str(EXAMPLE), setup, bank, tmp_path / "rows.csv", Counts())
+    rows = [(row["unit"], row["comparison"], row["success"]) for row in sat.rows]
+    assert sorted(rows) == [("mm", gap_mm, True) for gap_mm in (2, 6, 10)]
+    assert sat.figures["emulator_violations"] == 0
+
+
+def test_another_package_has_one(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    points = {"smarttouch.experiments": {"gap": "their_gap:experiment", "other": "their_gap:gaps"}}
+    install(tmp_path, "theirs", points, {"their_gap": EXAMPLE.read_text("utf-8")})
+    assert find_experiment("gap").about == "which had a gap: width, mm"
+    assert len(begun("gap", repetitions=3)[1]) == 9
+    with raises(ExperimentError, value="Experiment", names="other"):
+        find_experiment("other")
+    install(tmp_path, "more", points, {})
+    with raises(ExperimentError, value="more and theirs", names="experiment"):
+        find_experiment("gap")
+
+
+FILE = """
+from smarttouch.lab import Experiment, Trial
+def mine(setup):
+    {trials}
+{experiment}
+"""
+GOOD = {"trials": "yield None", "experiment": "mine = Experiment('what is it', mine)"}
+
+
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"experiment": ""}, ["no Experiment"]),
+    ({"experiment": "a, b = (Experiment('what', mine) for _ in 'ab')"}, ["2 Experiments"]),
+    ({"experiment": "1 / 0"}, ["line 5", "ZeroDivisionError"]),
+    ({"experiment": "1 +"}, ["line 5", "SyntaxError"]),
+    ({"trials": "return [1]"}, ["list", "generator"]),
+    ({"trials": "1 / 0; yield"}, ["line 4", "ZeroDivisionError"]),
+    ({"trials": "yield from setup.constant([])"}, ["0 conditions"]),
+    ({}, ["NoneType", "Trial"]),
+    ({"trials": "yield setup.gap"}, ["line 4", "AttributeError", "gap"]),
+])  # fmt: skip
+def test_what_is_wrong_in_it_is_one_sentence(tmp_path, changes, words):
+    path = tmp_path / "mine.py"
+    path.write_text(FILE.format(**GOOD | changes), encoding="utf-8")
+    with pytest.raises(ExperimentError) as error:
+        begun(str(path))
+    assert all(each in str(error.value) for each in words)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["gap", "gap.py", "."])
+def test_one_that_is_not_there(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with raises(ExperimentError, value=name):
+        begun(name)

@@ -1,0 +1,305 @@
+"""Trials reach the skin as they are asked for, or are presented again."""
+
+import re
+import threading
+import time
+from itertools import groupby
+
+import numpy as np
+import pytest
+
+from smarttouch.base.errors import ExperimentError
+from smarttouch.experiments.answer_file import read_rows
+from smarttouch.experiments.catalog import trials_of
+from smarttouch.experiments.observers import BlindObserver, Subject
+from smarttouch.experiments.trial_source import AGAIN, TrialSource
+from smarttouch.experiments.trials import Setup
+from smarttouch.kernels.bank import load_bank
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import Display
+from smarttouch.running.inputs import Controls, ControlState, Mode
+from smarttouch.running.runner import Runner
+
+from ...played import played
+from ...raising import raises
+from .sitting import Perfect, sit
+
+FEW = {"repetitions": 1, "standards": "30", "train_s": 0.15}
+DETECTION = {"repetitions": 1, "train_s": 0.1}
+
+
+@pytest.fixture
+def take(profile, bank, tmp_path):
+    """Return a runner of an experiment, to what came of it and its rows."""
+
+    def run_it(observer, options=FEW, name="frequency", **how):
+        path = tmp_path / "rows.csv"
+        sat = sit(name, Setup(profile, **options), bank, path, observer, **how)
+        return sat, read_rows(path)
+
+    return run_it
+
+
+def is_playing(source, trial, words):
+    return re.fullmatch(rf".*, trial {trial}( of \d+)?: {words}", source.title) is not None
+
+
+def test_trains_have_the_asked_frequency_to_the_microsecond(profile, take):
+    """Ten comparisons with a standard; times and pulses by the board's account."""
+    observer = Perfect()
+    sat, rows = take(observer, {"repetitions": 1, "standards": "60", "train_s": 0.27})
+    assert len(rows) == len(observer.felt) == 10
+    for row, (_, intervals) in zip(rows, observer.felt, strict=True):
+        order = (row["comparison"], row["standard"])
+        for hz, felt in zip(order if row["comparison_interval"] == 1 else order[::-1], intervals,
+                            strict=True):  # fmt: skip
+            assert len(felt.time_s) == round(0.27 * hz)
+            assert np.diff(felt.time_s) * 1e6 == pytest.approx(round(1e6 / hz), abs=1e-3)
+            # The kernel of the middle, at full strength in every pulse.
+            strongest = np.abs(felt.current_ua).max(axis=1) / 1000
+            assert strongest == pytest.approx(profile.full_ma[27], abs=0.005)
+            assert felt.width_us == pytest.approx(200)
+            assert felt.time_s[0] == 0
+    assert sat.figures["emulator_violations"] == 0
+    assert sat.source.notes == []
+    assert not [words for words in sat.events("trial") if "again" in words]
+
+
+def test_before_a_trial_intensity_is_there_and_between_intervals_silence(profile, take):
+    """The level is opened by pulses of threshold; those of trials come at full intensity."""
+    steps = []
+    take(
+        Perfect(), FEW | {"gap_s": 0.333},
+        watch=lambda sent, source, _: steps.append((source.title, sent.step.sequence)),
+    )  # fmt: skip
+    assert steps[0][1].intensity == 0
+    parts = [(title, [each for _, each in of]) for title, of in groupby(steps, lambda one: one[0])]
+    opening_ma, ends_ns = [], {}
+    for title, sequences in parts:
+        if title.endswith(("first", "second")):
+            assert {each.intensity for each in sequences if each.slots} == {1.0}
+            assert sequences[0].time_ns >= 1e9
+            ends_ns[title] = sequences[-1].time_ns + 1000 * sequences[-1].period_us
+        else:
+            opening_ma += [np.abs(each.current_ua).max(initial=0) / 1000 for each in sequences]
+        if title.endswith("second"):
+            first_ns = ends_ns[title.replace("second", "first")]
+            # The silence is still called by the interval before it.
+            assert (sequences[0].time_ns - first_ns) == pytest.approx(0, abs=1000)
+    assert 0 < max(opening_ma) <= 1.02 * profile.threshold_ma[27]
+
+
+@pytest.mark.parametrize("how", ["pause", "silence"])
+def test_a_trial_whose_current_was_lost_is_presented_again(take, how):
+    done = []
+
+    def watch(sent, source, controls):
+        if is_playing(source, 3, "second") and not done:
+            done.append(sent)
+            controls.toggle_pause() if how == "pause" else controls.silence()
+        elif done and "intensity" in source.title and controls.state(0).current_level == 0:
+            controls.toggle_pause() if how == "pause" else controls.change_level(1)
+
+    observer = Perfect()
+    sat, rows = take(observer, watch=watch, controls=Controls(ControlState(Mode.RA)))
+    assert len(rows) == len(observer.felt) == 10
+    assert all(row["response"] == row["target"] for row in rows)
+    presented = [words.split()[1].rstrip(":") for words in sat.events("trial ")]
+    assert presented == ["1", "2", "3", "3", *map(str, range(4, 11))]
+    assert sat.events("trial 3 ") == ["trial 3 again: current was lost"]
+
+
+def test_the_user_sets_the_amplitude_and_rows_have_it(profile, take):
+    def watch(_, source, controls):
+        if is_playing(source, 5, "first"):
+            controls.change_level(-0.01)
+
+    observer = Perfect()
+    _, rows = take(observer, watch=watch, controls=Controls(ControlState(Mode.RA)))
+    levels = [row["level"] for row in rows]
+    assert levels[:4] == [1.0] * 4
+    assert levels[4] == levels[-1] < 1
+    last = np.abs(observer.felt[-1][1][0].current_ua).max() / 1000
+    assert last == pytest.approx(levels[-1] * profile.full_ma[27], abs=0.005)
+
+
+def test_currents_that_count_wait_for_full_intensity_and_no_key_changes_one(take):
+    """Detection at half the user's own level would be another current."""
+    titles, lowered = [], []
+
+    def watch(sent, source, controls):
+        titles.append(source.title)
+        if is_playing(source, 4, "feel") and not lowered:
+            lowered.append(controls.change_level(-0.05))
+        elif "+" in source.title and sent.step.sequence.time_ns > 2e9:
+            controls.change_level(0.5)
+
+    observer = Perfect()
+    controls = Controls(ControlState(Mode.RA, 0.5))
+    sat, rows = take(observer, DETECTION, "detection", watch=watch, controls=controls)
+    # The key that raises intensity is shown as long as it is missing.
+    assert next("+" in title for title in titles if title.count(":"))
+    assert sat.events("trial 4 ") == ["trial 4 again: current was lost"]
+    assert {row["level"] for row in rows} == {1.0}
+    for row, (_, (felt,)) in zip(rows, observer.felt, strict=True):
+        strongest_ma = np.abs(felt.current_ua).max(initial=0) / 1000
+        # Whole microamperes of 64 electrodes are balanced by the strongest.
+        assert strongest_ma == pytest.approx(row["comparison"], abs=0.02)
+        assert row["success"] == (row["comparison"] > 0)
+
+
+def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(take):
+    with raises(ExperimentError, names="trial", value=10):
+        take(Perfect(), controls=Controls(ControlState(Mode.RA, 0.0)))
+
+
+def test_nobody_answers(take):
+    """Every trial comes again once, at the end."""
+    sat, rows = take(BlindObserver("silent"))
+    assert len(rows) == 20
+    assert {(row["response"], row["success"], row["rt"]) for row in rows} == {("", None, None)}
+    assert sat.events("response 2:") == ["response 2: none"]
+
+
+@pytest.fixture
+def present(profile, bank):
+    """Return a function that runs one trial, whose keys another presses at each step."""
+
+    def run_it(press, name="frequency", train_s=0.1, url="simulated:", **timing):
+        answers, results = [], []
+        _, trials = trials_of(name, Setup(profile, train_s=train_s))
+
+        def one():
+            answers.append((yield next(trials)))
+
+        source = TrialSource(one(), profile, "try", total=1, **timing)
+
+        def step(result):
+            results.append(result)
+            assert len(results) < 5000
+            press(source, result.input.time_ns)
+
+        Runner(
+            source, Display(url, profile), RunConfig(scan="points"), listeners=[step],
+            load_kernels=lambda _profile: bank,
+        ).run()  # fmt: skip
+        (answer,) = answers
+        return answer, results
+
+    return run_it
+
+
+def is_asking(source):
+    return "1 or 2" in source.title
+
+
+def test_keys_before_the_question_do_not_count_nor_those_that_are_no_answer(present):
+    early, began_ns = [], []
+
+    def press(source, time_ns):
+        if source.title.endswith("second") and not early:
+            early.append(source.keys["1"]())
+        if is_asking(source):
+            assert source.title.endswith(f"1 or 2, {AGAIN} again")
+            began_ns.append(time_ns)
+            source.keys["y"]()
+            if time_ns >= began_ns[0] + 10**9:
+                source.keys["right"]()
+
+    answer, _ = present(press, answer_s=5.0)
+    assert answer.response == "2"
+    assert answer.rt_s == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_trial_is_felt_again_on_request(present):
+    asked = []
+
+    def press(source, _):
+        if is_asking(source):
+            asked.append(source.keys["1" if asked else "r"]())
+
+    answer, results = present(press, answer_s=5.0)
+    assert answer.response == "1"
+    numbers = [each.input.number for each in results if each.tactile.activation.max() == 1]
+    # Two intervals twice, each pattern with a number of its own and as many pulses.
+    counts = [numbers.count(each) for each in dict.fromkeys(numbers)]
+    assert len(counts) == 4
+    assert counts[:2] == counts[2:]
+    assert numbers == sorted(numbers)
+
+
+def test_where_currents_count_a_trial_comes_once(present):
+    asked = []
+
+    def press(source, _):
+        if source.title.endswith("did you feel it? y or n"):
+            asked.append(source.title)
+            source.keys["r" if len(asked) < 20 else "y"]()
+
+    answer, results = present(press, "detection")
+    assert answer.response == "y"
+    numbers = [each.input.number for each in results if each.tactile.activation.max() == 1]
+    assert len(set(numbers)) <= 1
+
+
+def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(present):
+    asked_s, pressed_s = [], []
+
+    def key(source):
+        pressed_s.append(time.monotonic())
+        source.press("1")
+
+    def press(source, _):
+        if is_asking(source) and not asked_s:
+            asked_s.append(time.monotonic())
+            threading.Timer(0.107, key, [source]).start()
+
+    answer, _ = present(press, url="memory:", answer_s=5.0)
+    assert answer.rt_s == pytest.approx(pressed_s[0] - asked_s[0], abs=0.05)
+    # Frames are 20 ms apart.
+    assert answer.rt_s % 0.02 > 1e-6
+
+
+def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, present):
+    levels = []
+
+    def press(source, _):
+        if source.title.endswith("it is enough"):
+            levels.append(source.title)
+            if len(levels) == 20:
+                source.keys["\n"]()
+
+    answer, results = present(press, "discomfort", 2.0)
+    level = max(each.tactile.level for each in results if each.tactile.activation.max() == 1)
+    assert 0 < level < 1
+    assert (answer.response, answer.rt_s, answer.level) == ("y", None, 1.0)
+    assert answer.time_s == pytest.approx(results[-1].input.time_ns / 1e9, abs=0.1)
+    assert answer.reached == pytest.approx(level * profile.full_ma[27], abs=0.02)
+
+
+def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, take):
+    sat, rows = take(BlindObserver("silent"), {"repetitions": 2, "train_s": 1.0}, "discomfort")
+    full_ma = profile.full_ma[27]
+    assert [row["response"] for row in rows] == ["n", "n"]
+    assert [row["comparison"] for row in rows] == pytest.approx([full_ma] * 2, abs=0.005)
+    assert sat.figures["max_current_ma"] == pytest.approx(full_ma, abs=0.01)
+
+
+def test_a_board_that_cannot_keep_a_frequency_is_noted(changed, profile, tmp_path):
+    """A profile whose slots take longer than the period asked for."""
+    slow = changed(profile, {"pulse.discharge_us": 5000})
+    setup = Setup(slow, repetitions=1, train_s=0.1, rate_hz=200)
+    sat = sit("localization", setup, load_bank(slow), tmp_path / "rows.csv", BlindObserver("first"))
+    (note,) = sat.source.notes
+    asked_hz, sent_hz = map(float, re.findall(r"([\d.]+) Hz", note))
+    assert asked_hz == 200
+    assert sent_hz < 200
+
+
+def test_only_simulated_boards_have_simulated_subjects(profile, bank):
+    _, trials = trials_of("frequency", Setup(profile))
+    source = TrialSource(trials, profile, "try", subject=Subject(BlindObserver("first")))
+    display = Display(played(profile), profile)
+    runner = Runner(source, display, RunConfig(), load_kernels=lambda _profile: bank)
+    with raises(ExperimentError, names="board", allowed=("simulated:",)):
+        runner.run()
