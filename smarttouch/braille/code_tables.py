@@ -11,7 +11,6 @@ from smarttouch.base.errors import BrailleError
 from smarttouch.braille import louis
 from smarttouch.braille.cells import BLANK, is_cell, require_cells
 from smarttouch.braille.grade1 import Grade1
-from smarttouch.braille.kana import Kana
 from smarttouch.braille.louis import LouisCode
 from smarttouch.braille.plain_forms import QUIET, plain_forms
 
@@ -26,7 +25,7 @@ _TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")  # tag of a language, with its coun
 MISSING_NOTE = f"liblouis is not installed: English grade 1 only; for others: {louis.INSTALL}"
 
 
-BrailleCode = Grade1 | Kana | LouisCode
+BrailleCode = Grade1 | LouisCode
 """Code that translates one line at a time; `goes_back` if it translates cells back, too."""
 
 
@@ -100,7 +99,7 @@ class BrailleTable:
     def to_text(self, cells: str) -> str:
         """Return cells as text, line by line; a cell without meaning stays as it is."""
         code = self.code
-        if isinstance(code, Kana) or not code.goes_back:
+        if not code.goes_back:
             raise BrailleError(
                 f"table {self.name} translates texts into cells only: choose another table to "
                 "translate back"
@@ -146,15 +145,14 @@ class _EnglishLouis(LouisCode):
 
 class _Known(NamedTuple):
     title: str
-    file: str | None  # file of liblouis; None if it is built in
+    file: str  # of liblouis
     goes_back: bool
-    built_in: Callable[[], BrailleCode] | None = None
 
 
 # Back-translation was measured on a thousand sentences each: de-2 and en-gb-2 restore none, or one
 # in thirty; de-0 and de-1 all but brackets, and numbers after a colon.
 _KNOWN = {
-    "en-1": _Known("English (UEB), uncontracted", "en-ueb-g1.ctb", True, Grade1),
+    "en-1": _Known("English (UEB), uncontracted", "en-ueb-g1.ctb", True),
     "en-2": _Known("English (UEB), contracted", "en-ueb-g2.ctb", True),
     "en-us-2": _Known("English, United States before 2016, contracted", "en-us-g2.ctb", True),
     "en-gb-2": _Known("English, Britain before 2015, contracted", "en-GB-g2.ctb", False),
@@ -163,7 +161,6 @@ _KNOWN = {
     "de-2": _Known("German, Kurzschrift", "de-g2.ctb", False),
     "fr-1": _Known("French, uncontracted", "fr-bfu-comp6.utb", True),
     "fr-2": _Known("French, contracted", "fr-bfu-g2.ctb", True),
-    "ja": _Known("Japanese, kana", None, False, Kana),
 }
 
 
@@ -190,12 +187,12 @@ def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
             f"unknown table {name!r}: choose one of {', '.join(_KNOWN)}, or give the tag of a "
             "language (pt), or the file name of a table of liblouis"
         )
-    if known.file is not None and louis.has_table(known.file):
-        code = _EnglishLouis if known.built_in is Grade1 else LouisCode
+    if louis.has_table(known.file):
+        code = _EnglishLouis if name == DEFAULT_TABLE else LouisCode
         return BrailleTable(name, code(known.file, known.goes_back))
-    if known.built_in is None:
+    if name != DEFAULT_TABLE:
         raise BrailleError(f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}")
-    return BrailleTable(name, known.built_in(), MISSING_NOTE if known.file else None)
+    return BrailleTable(name, Grade1(), MISSING_NOTE)
 
 
 def _tidy(text: str, code: BrailleCode) -> str:
@@ -204,9 +201,7 @@ def _tidy(text: str, code: BrailleCode) -> str:
     Marks are composed with their letter where one character is both, and otherwise left in
     their order: Unicode's normal forms would reorder Arabic marks and decompose Punjabi letters.
     """
-    # Half-width kana have separate voice marks.
-    whole = re.sub(r"[ｦ-ﾟ]+", lambda found: unicodedata.normalize("NFKC", found[0]), text)
-    plain = re.sub(r"[^\S\n]", " ", whole.replace("\r\n", "\n"))
+    plain = re.sub(r"[^\S\n]", " ", text.replace("\r\n", "\n"))
     visible = "".join(
         each for each in plain if unicodedata.category(each) != "Cf" or each in louis.JOINERS
     )

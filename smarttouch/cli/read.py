@@ -285,7 +285,7 @@ def _print_tables() -> None:
         ("name", "language", "what it is"),
         note=f"Or any table file of liblouis {version}, or the tag of a language, such as pt."
         if version
-        else f"liblouis is not here: of these only en-1 and ja work. For all: {louis.INSTALL}",
+        else f"liblouis is not here: of these only en-1 works. For all: {louis.INSTALL}",
         left=3,
     )
 
