@@ -1,13 +1,9 @@
-"""Pictures of what the skin received, below what the finger passed over: a page, or a mosaic of the
-source's frames.
-"""
+"""Pictures of what the skin received, below the page that the finger passed over."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,10 +15,10 @@ from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import write_bytes
 from smarttouch.imaging.line_picture import Floats, Raster, as_ink
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.pages.page_image import INCH_MM, Page
+from smarttouch.pages.page_image import INCH_MM
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import in_color
-from smarttouch.profile import Optics, Profile
+from smarttouch.profile import Profile
 from smarttouch.running.delivered import (
     FIELD_MM,
     MOST_SLOTS,
@@ -31,89 +27,7 @@ from smarttouch.running.delivered import (
     delivered_spikes,
 )
 from smarttouch.running.step import StepResult
-from smarttouch.sources.source_contract import Input, Pose
-
-PIXEL_MM = 0.1
-LARGEST_PIXELS = 40_000_000  # largest page; frames farther away are left out
-_BLOCK = 256  # least growth of the canvas, in pixels
-
-
-class Mosaic:
-    """Average of frames at their poses; grows as the source moves."""
-
-    def __init__(self, optics: Optics) -> None:
-        self._optics = optics
-        self._sum = np.zeros((0, 0), np.float32)
-        self._count = np.zeros((0, 0), np.float32)
-        self._first = self._end = np.zeros(2, np.intp)  # row and column, in pixels of a page
-        self._number: int | None = None
-
-    def add(self, given: Input) -> None:
-        """Add an image, unless it is stale or was added before."""
-        if given.number == self._number or given.stale or given.image is None:
-            return
-        self._number = given.number
-        optics, pose = self._optics, given.pose
-        # A warp samples points, so a frame finer than the page is averaged down first.
-        wide, high = (
-            round(each / PIXEL_MM) for each in (optics.field_width_mm, optics.field_height_mm)
-        )
-        image: NDArray[Any] = given.image
-        if image.shape[1] > wide and image.shape[0] > high:
-            image = cv2.resize(image, (wide, high), interpolation=cv2.INTER_AREA)
-        height, width = image.shape
-        turn = pose.angle_rad - math.radians(optics.rotation_deg)
-        cos, sin = math.cos(turn), math.sin(turn)
-        half = math.hypot(optics.field_width_mm, optics.field_height_mm) / 2 / PIXEL_MM
-        left, top = (math.floor(center / PIXEL_MM - half) for center in (pose.x_mm, pose.y_mm))
-        side = 2 * math.ceil(half) + 2
-        if not self._reach(top, left, side):
-            return
-        # Pixels of the frame become pixels of a tile of the page.
-        scale_x = optics.field_width_mm / width / PIXEL_MM
-        scale_y = optics.field_height_mm / height / PIXEL_MM
-        turned = np.array([[cos * scale_x, -sin * scale_y], [sin * scale_x, cos * scale_y]])
-        middle = np.array([pose.x_mm / PIXEL_MM - left, pose.y_mm / PIXEL_MM - top]) - 0.5
-        shift = middle - turned @ [(width - 1) / 2, (height - 1) / 2]
-        to_tile = np.column_stack([turned, shift])
-        size = (side, side)
-        tile = cv2.warpAffine(image, to_tile, size, borderMode=cv2.BORDER_REPLICATE)
-        seen = cv2.warpAffine(np.ones_like(image), to_tile, size, flags=cv2.INTER_NEAREST)
-        row, column = np.array([top, left]) - self._first
-        place = (slice(row, row + side), slice(column, column + side))
-        self._sum[place] += tile * seen
-        self._count[place] += seen
-
-    def _reach(self, top: int, left: int, side: int) -> bool:
-        """Grow the canvas so that a tile lies on it; return whether it does."""
-        start = np.array([top, left])
-        if not self._sum.size:
-            self._first = self._end = start
-        first = np.where(start < self._first, np.minimum(start, self._first - _BLOCK), self._first)
-        end = np.where(
-            start + side > self._end, np.maximum(start + side, self._end + _BLOCK), self._end
-        )
-        if np.prod(end - first) > LARGEST_PIXELS:
-            return False
-        borders = np.column_stack([self._first - first, end - self._end])
-        if borders.any():
-            self._sum, self._count = (np.pad(each, borders) for each in (self._sum, self._count))
-            self._first, self._end = first, end
-        return True
-
-    def page(self) -> tuple[Page, tuple[float, float]]:
-        """Return the page and the place of its top left corner, (x, y) mm; raise if no frame was
-        seen."""
-        rows, columns = (np.flatnonzero(self._count.any(axis=axis)) for axis in (1, 0))
-        if not len(rows):
-            raise SmartTouchError("the source gave no images of a page: there is nothing to draw")
-        area = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-        count = self._count[area]
-        paper = np.full_like(count, 226.0)
-        grey: NDArray[np.float32] = np.divide(self._sum[area], count, out=paper, where=count > 0)
-        top, left = (np.add(self._first, (rows[0], columns[0])) * PIXEL_MM).tolist()
-        return Page(np.rint(grey).astype(np.uint8), PIXEL_MM), (left, top)
-
+from smarttouch.sources.source_contract import Pose, Sheet
 
 FINEST_MM = 0.1
 _WIDTH = (900, 1400)  # pixels that a picture is drawn wide at least, and at most
@@ -352,35 +266,53 @@ def _draw_classes(
 
 
 class PageDrawing(DeliveredDrawing):
-    """Shows the mean response at every place of a page, a mosaic of the frames if it is not
-    given."""
+    """Shows the mean response at every place of the pages or lines that lay under the finger.
+
+    ``sheet`` returns the one that lies there now; without any, the touch is shown alone.
+    """
 
     def __init__(
-        self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...], page: Page | None
+        self,
+        profile: Profile,
+        bank: KernelBank,
+        afferents: tuple[Afferent, ...],
+        sheet: Callable[[], Sheet | None] = lambda: None,
     ) -> None:
         super().__init__(profile, bank, afferents, profile.optics.magnification)
-        self._page = page
-        self._mosaic = Mosaic(profile.optics) if page is None else None
-        self._seen = False
+        self._sheet, self._sheets = sheet, dict[int, Sheet]()
 
     def watch(self, sent: StepResult) -> None:
-        """Record the pose of a step, and its frame if the page is not known."""
+        """Record the pose of a step, and what lies under the finger."""
         super().watch(sent)
-        if self._mosaic is not None and sent.number in self.poses:
-            self._mosaic.add(sent.input)
-            self._seen |= sent.input.image is not None
+        if (sheet := self._sheet()) is not None:
+            self._sheets[sheet.number] = sheet
 
     def under(self) -> Under:
-        """Return the whole page; if nothing was seen, the area that the electrodes touched."""
-        title, page, corner_mm = "The page, as it lies under the finger", self._page, (0.0, 0.0)
-        if self._mosaic is not None and not self._seen and self.poses:
-            places_mm = np.concatenate([self.places_mm(each) for each in self.poses.values()])
-            corner = places_mm.min(axis=0) - self._cell_mm
-            wide, high = np.ptp(places_mm, axis=0) + 2 * np.array(self._cell_mm)
-            return "", (float(corner[0]), float(corner[1])), (float(wide), float(high)), None
-        if self._mosaic is not None:
-            title = "The frames that passed under the finger, put together"
-            page, corner_mm = self._mosaic.page()
-        assert page is not None
-        grey = page.grey
-        return title, corner_mm, page.size_mm, lambda _shape, _pixel_mm: grey
+        """Return all pages and lines; without any, the area that the electrodes touched."""
+        if not (self._sheets or self.poses):
+            raise SmartTouchError("nothing was delivered to a finger: there is nothing to draw")
+        places_mm = [self.places_mm(each) for each in self.poses.values()]
+        margin_mm = np.array(self._cell_mm)
+        if self._sheets:
+            corners = [np.array(each.corner_mm) for each in self._sheets.values()]
+            ends = [each.page.size_mm + np.array(each.corner_mm) for each in self._sheets.values()]
+            places_mm, margin_mm = [np.array([*corners, *ends])], np.zeros(2)
+        every = np.concatenate(places_mm)
+        left_mm, top_mm = (every.min(axis=0) - margin_mm).tolist()
+        wide_mm, high_mm = (np.ptp(every, axis=0) + 2 * margin_mm).tolist()
+
+        def draw(shape: tuple[int, int], pixel_mm: float) -> Grey:
+            drawn = np.full(shape, 255, np.uint8)
+            for sheet in self._sheets.values():
+                (x_mm, y_mm), page = sheet.corner_mm, sheet.page
+                top, left = round((y_mm - top_mm) / pixel_mm), round((x_mm - left_mm) / pixel_mm)
+                space = drawn[top:, left:]
+                wide, high = (max(1, round(each / pixel_mm)) for each in page.size_mm)
+                size = min(wide, space.shape[1]), min(high, space.shape[0])
+                space[: size[1], : size[0]] = cv2.resize(
+                    page.grey, size, None, 0, 0, cv2.INTER_AREA
+                )
+            return drawn
+
+        title = "What lay under the finger"
+        return title, (left_mm, top_mm), (wide_mm, high_mm), draw if self._sheets else None

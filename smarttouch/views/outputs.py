@@ -47,8 +47,7 @@ class DeliveredPicture(Listener):
             from smarttouch.views.delivered_drawing import PageDrawing
 
             afferents = run.controls.state(0).mode.afferents
-            page = getattr(run.source, "page", None)
-            self._drawing = PageDrawing(run.profile, run.bank, afferents, page)
+            self._drawing = PageDrawing(run.profile, run.bank, afferents, lambda: run.source.sheet)
 
     def step(self, result: StepResult) -> None:
         """Store the place of the finger."""

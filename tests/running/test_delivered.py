@@ -10,7 +10,7 @@ import smarttouch as st
 from smarttouch.pages.page_image import Page
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.running.delivered import DeliveredSlots, delivered_spikes
-from smarttouch.sources.source_contract import Pose
+from smarttouch.sources.source_contract import Pose, Sheet
 from smarttouch.views.delivered_drawing import PageDrawing, SpikeMap
 
 from ..views.test_delivered_drawing import at
@@ -90,7 +90,7 @@ def test_the_picture_has_a_panel_in_color(profile, bank, finger, pulse, tmp_path
     sizes = {}
     for name, given in (("with", finger), ("without", None)):
         page = Page(np.full((200, 300), 255, np.uint8), 0.1)
-        drawing = PageDrawing(profile, bank, (SAI,), page)
+        drawing = PageDrawing(profile, bank, (SAI,), lambda page=page: Sheet(0, page))
         drawing.watch(at(1, 12.0, 9.0))
         drawing.watch(replace(at(2, 13.0, 9.0)))
         numbers, width = np.array([1, 2], np.uint32), np.full(2, 200, np.float32)

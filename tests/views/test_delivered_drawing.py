@@ -10,7 +10,7 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.pages.page_image import Page
 from smarttouch.running.step import Step, StepResult
-from smarttouch.sources.source_contract import Frame, Pose, Stimulus
+from smarttouch.sources.source_contract import Frame, Pose, Sheet
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.views.delivered_drawing import PageDrawing
 
@@ -24,9 +24,8 @@ AREA = ((0.0, 0.0), (200, 300), 0.1)
 def drawing(profile, make_bank):
     """An array whose receptors answer only to anodic current of their own electrode."""
     own = -np.eye(64, dtype=np.float32)
-    return PageDrawing(
-        profile, make_bank(own, own), (Afferent.RA,), Page(np.full((200, 300), 255, np.uint8), 0.1)
-    )
+    sheet = Sheet(0, Page(np.full((200, 300), 255, np.uint8), 0.1))
+    return PageDrawing(profile, make_bank(own, own), (Afferent.RA,), lambda: sheet)
 
 
 def at(number, x, y, angle=0.0, intensity=1.0):
@@ -121,23 +120,32 @@ def test_off_the_page_is_left_out(drawing):
 
 
 def test_where_nothing_was_seen_the_touch_is_drawn_alone(profile, make_bank, tmp_path):
-    own, sheets = -np.eye(64, dtype=np.float32), []
-    for image in (None, np.zeros((2, 2), np.uint8)):
-        drawing = PageDrawing(profile, make_bank(own, own), (Afferent.RA,), None)
-        result = at(1, 12.0, 9.0)
-        stimulus = Stimulus(
-            np.zeros((3, 64), np.float32), 1, 1.0, 20_000, pose=Pose(12, 9), image=image
-        )
-        drawing.watch(replace(result, step=replace(result.step, input=stimulus)))
-        deliver(drawing, [1], slot(0, -2400))
-        assert drawing.picture(*AREA).min() == 0
-        drawing.save(tmp_path / "felt.png")
-        with Image.open(tmp_path / "felt.png") as sheet:
-            sheets.append(sheet.height / sheet.width)
-    assert sheets[0] < 1.3 < sheets[1]
+    own = -np.eye(64, dtype=np.float32)
+    drawing = PageDrawing(profile, make_bank(own, own), (Afferent.RA,))
+    drawing.watch(at(1, 12.0, 9.0))
+    deliver(drawing, [1], slot(0, -2400))
+    assert drawing.picture(*AREA).min() == 0
+    drawing.save(tmp_path / "felt.png")
+    with Image.open(tmp_path / "felt.png") as sheet:
+        assert sheet.height / sheet.width < 1.3
+
+
+def test_lines_that_were_read_are_drawn_one_below_the_other(profile, make_bank):
+    own, line = -np.eye(64, dtype=np.float32), np.full((40, 100), 255, np.uint8)
+    line[:, 50:] = 0
+    sheets = iter([Sheet(0, Page(line, 0.1), (0.0, -2.0)), Sheet(1, Page(line, 0.1), (0.0, 8.0))])
+    drawing = PageDrawing(profile, make_bank(own, own), (Afferent.RA,), lambda: next(sheets))
+    for number, y_mm in enumerate((0.0, 10.0)):
+        drawing.watch(at(number, 5.0, y_mm))
+    _, corner_mm, size_mm, draw = drawing.under()
+    assert (corner_mm, size_mm) == ((0.0, -2.0), (10.0, 14.0))
+    drawn = draw((70, 50), 0.2)
+    assert [drawn[row, 40] for row in (10, 35, 60)] == [0, 255, 0]
+    assert drawn[:, :20].min() == 255
 
 
 def test_save(drawing, tmp_path):
+    drawing.watch(at(1, 12.0, 9.0))
     deliver(drawing, [], np.empty((0, 64), np.int16))
     drawing.save(tmp_path / "felt.png")
     with Image.open(tmp_path / "felt.png") as sheet:
