@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from smarttouch.base.errors import ReadingError
+from smarttouch.base.errors import PageError, ReadingError
+from smarttouch.braille.dot_detection import shows_dots
 from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import PreparedPage, prepare_page
@@ -191,7 +192,7 @@ def _is_ideographic(sign: str) -> bool:
 def upright_page(number: int, page: Page, options: RecognitionOptions, note: Note) -> PreparedPage:
     """Return a page straight and upright, ink on white paper, its lines in reading order.
 
-    A page that brings its text is so already.
+    A page that brings its text is so already. A picture of Braille is refused.
     """
     for words in page.notes:
         note(f"page {number}: {words}")

@@ -18,9 +18,11 @@ from smarttouch.base.errors import (
     ReadingError,
     SmartTouchError,
 )
+from smarttouch.braille.code_tables import open_table
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.running.recording import RecordedRun
 
+from ..braille.drawn_dots import draw_dots
 from .conftest import panels, refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
@@ -101,6 +103,14 @@ def test_without_tesseract_the_error_says_how_to_install_it(program_here, page_f
 ])  # fmt: skip
 def test_bad_input_is_one_sentence(program_here, page_file, arguments, wrong):
     wrong(refused(program_here(f"read {arguments} --board simulated:")))
+
+
+def test_a_picture_of_braille_is_refused_and_shown_by_live(program_here, figures_of, tmp_path):
+    cells = open_table("en-1").to_cells("Raised\ndots of\na page").split("\n")
+    Image.fromarray(draw_dots(cells)).save(tmp_path / "dots.png", dpi=(150, 150))
+    for command in ("read", "read --as braille", "braille", "simulate page"):
+        says(PageError, "page 1", "Braille", ".brf")(refused(program_here(command, "dots.png")))
+    assert figures_of("live page:dots.png --set paced=no --seconds 1")["slots"] > 0
 
 
 def lines_of(path):
