@@ -62,33 +62,7 @@ __all__ = [
 ]  # fmt: skip
 
 if not TYPE_CHECKING:  # else any name would be one to a type checker
-    _WHERE = {
-        "base.afferent": "Afferent",
-        "base.errors": "BoardError LevelNotReachedError ProfileError SafetyError SmartTouchError "
-        "SourceError",
-        "base.tactile_image": "TactileImage",
-        "boards.board": "Board",
-        "boards.driver": "Driver",
-        "kernels.bank": "load_kernels",
-        "kernels.switched_design": "design_kernel",
-        "physiology.finger": "Finger",
-        "profile": "Profile list_profiles load_profile",
-        "running.config": "RunConfig",
-        "running.display": "Display Session open_display show_together",
-        "running.runner": "replay run steps",
-        "running.program": "Shown",
-        "running.recording": "RecordedRun load_recording",
-        "running.recorder": "Recorder",
-        "running.run_statistics": "RunStatistics",
-        "running.step": "Listener StepResult",
-        "sources": "open_source",
-        "sources.source_contract": "Frame OpticalSource Stimulus StimulusSource",
-        "stimulation.safety_gate": "SafetyLimits",
-        "stimulation.scan_sequence": "ScanSequence",
-        "views.outputs": "DeliveredPicture",
-        "views.vibrator": "Vibrator",
-    }
-    __getattr__ = lazy_names(__name__, _WHERE)
+    __getattr__ = lazy_names(__name__)
 
 
 def __dir__() -> list[str]:

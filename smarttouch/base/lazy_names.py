@@ -1,21 +1,34 @@
 """Imports at first use: names of a package, and modules of extras."""
 
+import ast
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from smarttouch.base.errors import SmartTouchError
 
 
-def lazy_names(package: str, where: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a package, by the names that each module of the project has."""
-    module_of = {name: module for module, names in where.items() for name in names.split()}
+def lazy_names(package: str) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a package: it imports what a type checker imports there.
+
+    That is all in the blocks ``if TYPE_CHECKING:`` of the package's source.
+    """
+    source = Path(str(sys.modules[package].__file__)).read_text("utf-8")
+    blocks = [each for each in ast.parse(source).body if isinstance(each, ast.If)]
+    module_of = {
+        name.name: str(each.module)
+        for block in blocks
+        for each in block.body
+        if isinstance(each, ast.ImportFrom)
+        for name in each.names
+    }
 
     def find(name: str) -> Any:
         if name not in module_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(import_module(f"smarttouch.{module_of[name]}"), name)
+        value = getattr(import_module(module_of[name]), name)
         setattr(sys.modules[package], name, value)
         return value
 

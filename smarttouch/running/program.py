@@ -247,37 +247,47 @@ class Program(Source, Listener):
             ramped_s = self._rise(opens, checked, exact) if opens else 0.0
             if ramped_s:
                 self.emit(Note(self.now_ns, f"a pattern waited {ramped_s:.2f} s for its level"))
-            self._count += 1
-            begun_ns, clock_ns, first = self.now_ns, time.monotonic_ns(), None
-            sequences, pulses, intensity, current_ma = 0, 0, 1.0, 0.0
-            while (since_s := (self.now_ns - begun_ns) / 1e9) < seconds:
-                part = level(since_s) if callable(level) else level
-                if part is None:
-                    break
-                require_within(SmartTouchError, "level", part, 0, 1)
-                result = self._send(self._stimulus(checked, period_us, part))
-                first = result.number if first is None else first
-                sequence = result.sequence
-                sequences, pulses = sequences + 1, pulses + sequence.slots
-                intensity = min(intensity, sequence.intensity)
-                if sequence.slots:
-                    current_ma = float(np.abs(sequence.current_ua).max()) / 1000
-                asked = self._requested(exact)
-                lost = result.number is None or result.step.restarted or (asked == 0 and not exact)
-                if lost or sequence.intensity < least * asked:
-                    raise LevelNotReachedError(
-                        f"its level was lost after {sequences} sequences: the finger was lifted, "
-                        "the session paused, or the board lost"
-                    )
+            shown = self._play(checked, seconds, level, period_us, least, exact)
+        return replace(shown, ramped_s=ramped_s)
+
+    def _play(
+        self,
+        pattern: NDArray[np.float32] | Frame,
+        seconds: float,
+        level: Level,
+        period_us: int | None,
+        least: float,
+        exact: bool,
+    ) -> Shown:
+        """Send a pattern whose level is open for some time; return how it was shown."""
+        self._count += 1
+        begun_ns, clock_ns, first = self.now_ns, time.monotonic_ns(), None
+        sequences, pulses, intensity, current_ma = 0, 0, 1.0, 0.0
+        while (since_s := (self.now_ns - begun_ns) / 1e9) < seconds:
+            part = level(since_s) if callable(level) else level
+            if part is None:
+                break
+            require_within(SmartTouchError, "level", part, 0, 1)
+            result = self._send(self._stimulus(pattern, period_us, part))
+            first, sequence = result.number if first is None else first, result.sequence
+            sequences, pulses = sequences + 1, pulses + sequence.slots
+            intensity = min(intensity, sequence.intensity)
+            if sequence.slots:
+                current_ma = float(np.abs(sequence.current_ua).max()) / 1000
+            asked = self._requested(exact)
+            lost = result.number is None or result.step.restarted or (asked == 0 and not exact)
+            if lost or sequence.intensity < least * asked:
+                raise LevelNotReachedError(
+                    f"its level was lost after {sequences} sequences: the finger was lifted, the "
+                    "session paused, or the board lost"
+                )
         board, board_us = self._context.board, None
         if first is not None and (start := board.start_of(first)) is not None:
             board_us = start.board_us
             if not board.simulated_time:
                 # The board's clock may run while the machine sleeps, the program's does not.
                 clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start.time_ns)
-        return Shown(
-            begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, ramped_s
-        )
+        return Shown(begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, 0.0)
 
     def wait(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
         """Let no current flow for some time, simulated where the board's is; what is put waits.

@@ -15,11 +15,4 @@ __all__ = [
 ]  # fmt: skip
 
 if not TYPE_CHECKING:  # pytest loads a plug-in from here before it can rewrite what it asserts
-    __getattr__ = lazy_names(
-        __name__,
-        {
-            "base.wire.device_lines": "PtyLine TcpLine",
-            "testing.driver_contract": "DriverContract SentPulse ZERO",
-            "testing.source_contracts": "ForceContract SourceContract StimulusContract",
-        },
-    )
+    __getattr__ = lazy_names(__name__)
