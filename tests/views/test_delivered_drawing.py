@@ -53,31 +53,23 @@ def darkest(picture):
     return columns.mean() * 0.1, rows.mean() * 0.1
 
 
-def test_a_pulse_is_drawn_where_the_electrode_was(drawing):
-    drawing.watch(at(1, 12.0, 9.0))
+@pytest.mark.parametrize(("angle", "side"), [(0.0, -1), (np.pi / 2, 1)])
+def test_a_pulse_is_drawn_where_the_electrode_was(drawing, angle, side):
+    drawing.watch(at(1, 12.0, 9.0, angle))
     deliver(drawing, [1], slot(0))
-    assert darkest(drawing.picture(*AREA)) == pytest.approx(
-        (12.0 - 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11
-    )
+    expected = pytest.approx((12.0 + side * 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11)
+    assert darkest(drawing.picture(*AREA)) == expected
 
 
-def test_the_array_turns_with_the_finger(drawing):
-    drawing.watch(at(1, 12.0, 9.0, angle=np.pi / 2))
-    deliver(drawing, [1], slot(0))
-    assert darkest(drawing.picture(*AREA)) == pytest.approx(
-        (12.0 + 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11
-    )
-
-
-def test_ra_does_not_respond_to_cathodic_current(drawing):
-    drawing.watch(at(1, 12.0, 9.0))
-    deliver(drawing, [1], slot(0, 2000))
-    assert drawing.picture(*AREA).min() == 255
-
-
-def test_below_threshold_nothing_is_felt(drawing):
-    drawing.watch(at(1, 12.0, 9.0))
-    deliver(drawing, [1], slot(0, -1200))
+@pytest.mark.parametrize(("current_ua", "x_mm", "number"), [
+    (2000, 12.0, 1),  # cathodic: RA does not answer
+    (-1200, 12.0, 1),  # below threshold
+    (-2000, -50.0, 1),  # off the page
+    (-2000, 12.0, 2),  # of another sequence
+])  # fmt: skip
+def test_what_is_not_felt_there_is_not_drawn(drawing, current_ua, x_mm, number):
+    drawing.watch(at(1, x_mm, 9.0))
+    deliver(drawing, [number], slot(0, current_ua))
     assert drawing.picture(*AREA).min() == 255
 
 
@@ -105,18 +97,6 @@ def test_a_sequence_that_was_lost_with_the_board_is_not_drawn(drawing):
     deliver(drawing, [1], slot(0, -2400))
     # Nor does it make what was felt there paler.
     assert drawing.picture(*AREA).min() == 0
-
-
-def test_nothing_delivered_nothing_drawn(drawing):
-    drawing.watch(at(1, 12.0, 9.0))
-    deliver(drawing, [], np.empty((0, 64), np.int16))
-    assert drawing.picture(*AREA).min() == 255
-
-
-def test_off_the_page_is_left_out(drawing):
-    drawing.watch(at(1, -50.0, 900.0))
-    deliver(drawing, [1], slot(0))
-    assert drawing.picture(*AREA).min() == 255
 
 
 def test_where_nothing_was_seen_the_touch_is_drawn_alone(profile, make_bank, tmp_path):

@@ -128,17 +128,6 @@ def test_a_page_is_sent_the_run(running):
         assert receive(socket, "update")["state"]["events"] == []
 
 
-def test_stop_from_a_page_ends_the_run(running):
-    with running() as run, connect(run) as first, connect(run) as second:
-        receive(first, "hello")
-        first.send("steer")
-        second.send("stop")
-        assert receive(second, "ended") == {
-            "type": "ended", "reason": "the window", "failed": False
-        }  # fmt: skip
-        assert run.ended() == "the window"
-
-
 def test_a_page_does_not_show_a_failed_run_as_being_at_zero(running):
     with running() as run, connect(run) as socket:
         run.window.event(RunFailed(0, "lift the finger"))
@@ -188,17 +177,6 @@ def test_current_is_zero_when_the_page_that_steers_hangs(running, monkeypatch):
         assert run.state().paused
 
 
-def test_with_a_keyboard_a_page_may_leave(running):
-    with running(alone=False) as run:
-        with connect(run) as socket:
-            receive(socket, "hello")
-            socket.send("do less")
-            until(lambda: run.state().level < 1)
-        until(lambda: run.window.pages == 0)
-        assert run.window.steering.page is None
-        assert not run.state().paused
-
-
 def test_a_page_that_reads_nothing_holds_nobody_up(running):
     with running() as run, connect(run), connect(run) as reader:
         receive(reader, "hello")
@@ -224,13 +202,6 @@ def test_a_hundred_pages_come_and_go(running):
         until(lambda: run.window.pages == 0)
         assert not run.state().paused
     assert run.runner.statistics.ended == "the test"
-
-
-def test_keys_of_the_source_are_pressed(running):
-    with running() as run, connect(run) as socket:
-        assert receive(socket, "hello")["keys"] == ["x"]
-        socket.send("do key:x")
-        until(lambda: run.source.pressed)
 
 
 def test_what_would_reveal_the_answer_is_not_sent(running):

@@ -82,13 +82,6 @@ def test_one_page_steers_until_it_leaves():
     assert (window_pages.page, controls.state(0).current_level) == (2, level)
 
 
-def test_anyone_stops():
-    window_pages, _, stop, _ = make()
-    window_pages.steer(1)
-    window_pages.stop()
-    assert stop.event.is_set()
-
-
 @pytest.mark.parametrize("alone", [True, False])
 def test_a_page_that_falls_silent_steers_no_longer(now_s, alone):
     steer, controls, _, _ = make(alone)
@@ -104,10 +97,6 @@ def test_a_page_that_falls_silent_steers_no_longer(now_s, alone):
     steer.look_after()
     assert steer.page is None
     assert controls.state(0).paused is alone
-
-
-def test_silence_ends_soon_enough():
-    assert window_pages.LOST_S < 1
 
 
 def test_nobody_is_missed_who_never_steered(now_s):
