@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from smarttouch.sources.source_contract import Frame, OpticalSource, Stimulus, StimulusSource
     from smarttouch.stimulation.safety_gate import SafetyLimits
     from smarttouch.stimulation.scan_sequence import ScanSequence
-    from smarttouch.views.outputs import DeliveredPicture
+    from smarttouch.views.delivered_drawing import DeliveredPicture
     from smarttouch.views.vibrator import Vibrator
 
 __all__ = [

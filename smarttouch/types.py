@@ -78,6 +78,7 @@ from smarttouch.running.inputs import Controls as Controls
 from smarttouch.running.inputs import ControlState as ControlState
 from smarttouch.running.program import Pattern as Pattern
 from smarttouch.running.recording import RunArrays as RunArrays
+from smarttouch.running.recording_format import RecordedStep as RecordedStep
 from smarttouch.running.run_statistics import LatencyHistogram as LatencyHistogram
 from smarttouch.running.runner import Listeners as Listeners
 from smarttouch.running.step import FirstPulse as FirstPulse

@@ -262,7 +262,7 @@ class RunOptions(OptionGroup):
     def _outputs(self) -> "Iterator[Listener]":
         """Yield a listener for each output that is wanted."""
         if self.felt is not None:
-            from smarttouch.views.outputs import DeliveredPicture
+            from smarttouch.views.delivered_drawing import DeliveredPicture
 
             anatomy, seed = self.finger()
             yield DeliveredPicture(self.felt, seed, anatomy)
@@ -294,6 +294,7 @@ class RunOptions(OptionGroup):
         run_in_terminal(
             source, display, config, [*self._outputs(), *listeners], force=self.force,
             json_file=self.json_file, files=self.files, window=self.window,
+            draws=self.felt is not None,
             plain=profile.defaults.plain if self.plain is None else self.plain, **more,
         )  # fmt: skip
 

@@ -28,7 +28,6 @@ from smarttouch.views.keys_and_signals import (
     ending_in_order,
     keyboard_listener,
 )
-from smarttouch.views.outputs import DeliveredPicture
 from smarttouch.views.progress import bank_progress
 from smarttouch.views.screen import BlindScreen, Screen
 
@@ -57,15 +56,15 @@ def run_in_terminal(
     files: Sequence[Path] = (),
     window: bool = False,
     plain: bool = False,
+    draws: bool = False,
 ) -> None:
     """Run a source on a display until it ends or the user ends it, and print a summary. Arguments
     are those of `Runner`; ``keys`` are functions of further keys, and ``keys_help`` describes them
     on the screen. A window shows the end until its pages are closed. ``json_file`` gets the figures
-    of the run; ``files`` are all that it writes."""
+    of the run; ``files`` are all that it writes. One that ``draws`` may take longer to its end."""
     stop = command_stop()
     shown = screen(display.url, keys_help, plain)
     typed = sys.stdin.isatty()
-    drawn = any(isinstance(each, DeliveredPicture) for each in listeners)
     with contextlib.ExitStack() as closing:
         page = None
         if window:
@@ -86,7 +85,7 @@ def run_in_terminal(
                 _Within(partial(_keyboard, stop, keys or {})),
                 *listeners,
                 # Until here, with no board open, a signal ends the program anywhere.
-                _Within(lambda _run: ending_in_order(DRAWN_WITHIN_S if drawn else None)),
+                _Within(lambda _run: ending_in_order(DRAWN_WITHIN_S if draws else None)),
             ],
             stop=stop,
             load_kernels=_load_kernels,

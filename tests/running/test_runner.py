@@ -18,7 +18,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.runner import Runner
 from smarttouch.sources.force import open_force
 from smarttouch.types import ForceSource, Mode
-from smarttouch.views.outputs import DeliveredPicture
+from smarttouch.views.delivered_drawing import DeliveredPicture
 
 from ..raising import raises
 
