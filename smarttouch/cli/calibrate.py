@@ -34,7 +34,9 @@ class CalibrationOptions(OptionGroup):
         bool, option("Measure again what the profile already has.", None, "--overwrite")
     ] = False
 
-    def file(self, part: str, simulated: bool, board_url: str = "simulated:") -> "ProfileFile":
+    def file(
+        self, part: str, simulated: bool = False, board_url: str = "simulated:"
+    ) -> "ProfileFile":
         """Return the profile file that a calibration reads and writes."""
         from smarttouch.boards.open import default_profile
         from smarttouch.experiments.profile_file import file_to_calibrate
@@ -73,7 +75,7 @@ def finish(
     file: "ProfileFile",
     what: str,
     found: str,
-    simulated: bool,
+    simulated: bool = False,
     others: dict[Path, bytes] | None = None,
 ) -> None:
     """Write the profile; print what was found and the paths."""
@@ -111,31 +113,24 @@ def optics(
     white: Annotated[
         str | None, option("Take frames of white paper from this source.", "URL")
     ] = None,
-    simulate: _Simulate = False,
 ) -> None:
     """Measure dark level and gain of every pixel, covered and on blank white paper."""
     from smarttouch.experiments import sensor_optics
 
-    file = calibration.file("optics", simulate)
-    if simulate:
-        of = file.profile.optics
-        patch = sensor_optics.SimulatedPatch((of.sensor_rows, of.sensor_columns), dead=2, hot=1)
-        seen = [patch.images(_FRAMES, light=light) for light in (False, True)]
-    else:
-        sources = (dark or source, white or source)
-        if None in sources:
-            raise CalibrationError("give --source, or --dark and --white, or --simulate")
-        asked = ("Cover the sensor: no light.", "Put it on blank white paper, in its usual light.")
-        seen = []
-        for url, question in zip(sources, asked, strict=True):
-            assert url is not None
-            if url == source:
-                _answer(f"{question} Then press Enter")
-            seen.append(sensor_optics.images_of(url, file.profile, _FRAMES, corrected=False))
+    file = calibration.file("optics")
+    sources = [each for each in (dark or source, white or source) if each is not None]
+    if len(sources) < 2:
+        raise CalibrationError("give --source, or --dark and --white")
+    asked = ("Cover the sensor: no light.", "Put it on blank white paper, in its usual light.")
+    seen = []
+    for url, question in zip(sources, asked, strict=True):
+        if url == source:
+            _answer(f"{question} Then press Enter")
+        seen.append(sensor_optics.images_of(url, file.profile, _FRAMES, corrected=False))
     found = sensor_optics.measure_optics(*seen)
     field_file = file.beside("flat-field.npz")
     file.set("optics.flat_field", field_file.name)
-    finish(file, "optics", found.sentence(), simulate, {field_file: found.field.to_bytes()})
+    finish(file, "optics", found.sentence(), others={field_file: found.field.to_bytes()})
 
 
 @calibrate.command()
@@ -148,14 +143,9 @@ def registration(
         float | None,
         option("Set the side of the target; it suits the sensor's field otherwise.", "MM"),
     ] = None,
-    simulate: _Simulate = False,
 ) -> None:
     """Find each electrode's position in the sensor's image with a printed target."""
-    from smarttouch.experiments.page_registration import (
-        bench_view,
-        register,
-        target_for,
-    )
+    from smarttouch.experiments.page_registration import register, target_for
     from smarttouch.experiments.sensor_optics import images_of
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources.preprocess import mean_image
@@ -169,25 +159,22 @@ def registration(
             raise CalibrationError(message)
         made.draw(target)
         typer.echo(f"{target}: {made.side_mm:g} mm across; print it at 100 %, black on white.")
-    if output is None and target is not None and source is None and not simulate:
+    if output is None and target is not None and source is None:
         return
-    file = calibration.file("registration", simulate)
-    if simulate:
-        image = bench_view(made, file.profile.optics)
-    elif source is None:
-        raise CalibrationError("give --source or --simulate")
-    else:
-        _answer(
-            "Lay the target under the sensor, its text on top, its middle under the array's. Then "
-            "press Enter"
-        )
-        mean = mean_image(images_of(source, file.profile, _FRAMES, corrected=True))
-        image = mean.round().astype("uint8")
+    file = calibration.file("registration")
+    if source is None:
+        raise CalibrationError("give --source")
+    _answer(
+        "Lay the target under the sensor, its text on top, its middle under the array's. Then "
+        "press Enter"
+    )
+    mean = mean_image(images_of(source, file.profile, _FRAMES, corrected=True))
+    image = mean.round().astype("uint8")
     found = register(image, file.profile, made)
     file.set("optics.homography", [float(f"{each:.12g}") for each in found.homography.ravel()])
     file.set("optics.sensor_columns", found.shape[1])
     file.set("optics.sensor_rows", found.shape[0])
-    finish(file, "registration", found.sentence(), simulate)
+    finish(file, "registration", found.sentence())
 
 
 @calibrate.command()
@@ -202,24 +189,18 @@ def force(
         option("List the weights in grams, in order; you are asked otherwise.", "G,G,..."),
     ] = None,
     seconds: Annotated[float, option("Read each weight for this time.", "S")] = 2.0,
-    simulate: _Simulate = False,
 ) -> None:
     """Measure the load cell's curve with known weights; one given twice shows hysteresis."""
     from smarttouch.experiments.force_curve import fit_curve, parse_grams, weigh_on
-    from smarttouch.experiments.sensor_optics import weigh_simulated
 
     require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)
     listed = None if weights is None else parse_grams(weights)
-    file = calibration.file("force", simulate)
-    if simulate:
-        weighings = weigh_simulated(listed, seconds)
-    elif cell is None:
-        raise CalibrationError("give --cell hx711:PORT or --cell loadcell:PORT, or --simulate")
-    else:
-        weighings = weigh_on(cell, weights_laid(listed), seconds)
-    found = fit_curve(weighings, file.profile.force)
+    file = calibration.file("force")
+    if cell is None:
+        raise CalibrationError("give --cell hx711:PORT or --cell loadcell:PORT")
+    found = fit_curve(weigh_on(cell, weights_laid(listed), seconds), file.profile.force)
     file.set("force.curve", found.curve)
-    finish(file, "force", found.sentence(), simulate)
+    finish(file, "force", found.sentence())
 
 
 @calibrate.command()

@@ -156,8 +156,8 @@ BASES = {
     "devices test": "devices test emulator: --profile line-7 --seconds 0.05",
     "calibrate scale": "calibrate scale emulator: --volts 1 --ohm 1000",
     "devices show": "devices show text:i --seconds 0.1",
-    "calibrate registration": "calibrate registration --simulate --output mine.toml --overwrite",
-    "calibrate force": "calibrate force --simulate --output mine.toml --overwrite",
+    "calibrate registration": "calibrate registration --target target.png --overwrite",
+    "calibrate force": "calibrate force --cell loadcell:none --output mine.toml --overwrite",
     "calibrate thresholds": (
         f"calibrate thresholds --simulate {SMALL} --electrodes 0 --repeats 1 --output felt.toml "
         "--overwrite"

@@ -17,13 +17,13 @@ from typer.testing import CliRunner
 from smarttouch.base.errors import BoardError, CalibrationError, ProfileError, SourceError
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.emulator.firmware import read_state
-from smarttouch.experiments.page_registration import View, target_for
-from smarttouch.experiments.sensor_optics import SimulatedPatch
+from smarttouch.experiments.page_registration import target_for
 from smarttouch.experiments.thresholds import measuring_profile, simulated_finger
 from smarttouch.profile import load_profile
 from smarttouch.sources.preprocess import FlatField
 
 from ..boards.fresh import fresh_state, until
+from ..experiments.calibration.simulated_sensors import SimulatedPatch, View
 from ..forks import Forked, emulator
 from ..whole import WHOLE
 from .conftest import PRESSED, says
@@ -64,36 +64,29 @@ def save(folder, images):
         Image.fromarray(image).save(folder / f"{number:03}.png")
 
 
-def test_one_profile_for_all(run, tmp_path):
-    for what in ("optics", "registration", "force"):
-        shown = done(run(what, "--output", "mine.toml", "--simulate"))
-        profile = load_profile(tmp_path / "mine.toml")
-        assert profile.calibrated[what].found.startswith("simulated: ")
-        assert profile.calibrated[what].found in " ".join(shown.split())
-    assert set(profile.calibrated) == {"optics", "registration", "force"}
-    assert FlatField.load(profile.optics.flat_field).gain.shape == (64, 64)
-    assert profile.optics.homography is not None
-    assert profile.force.curve is not None
-    # Never measured again without being told to.
-    before = (tmp_path / "mine.toml").read_bytes()
-    wrong()(run("force --simulate --output mine.toml").exception)
-    assert (tmp_path / "mine.toml").read_bytes() == before
-    done(run("force --simulate --output mine.toml --overwrite"))
-
-
-def test_optics_from_folders(run, tmp_path):
-    patch = SimulatedPatch((32, 40), dead=2)
+def test_one_profile_for_all(run, tmp_path, profile):
+    patch = SimulatedPatch(dead=2)
     save(tmp_path / "dark", patch.images(6, light=False))
     save(tmp_path / "white", patch.images(6, light=True))
+    view = View(zoom=0.85).render(target_for(profile), profile.optics, (64, 64))
+    save(tmp_path / "seen", [view])
     optics = "optics --dark frames:dark --white frames:white --output mine.toml"
     shown = done(run(optics))
     assert "2 dead" in shown
-    field = FlatField.load(load_profile(tmp_path / "mine.toml").optics.flat_field)
-    assert field.gain.shape == (32, 40)
+    mine = load_profile(tmp_path / "mine.toml")
+    assert mine.calibrated["optics"].found in " ".join(shown.split())
+    field_before = FlatField.load(mine.optics.flat_field).gain
+    assert field_before.shape == (64, 64)
+    done(run("registration --source frames:seen --output mine.toml", typed="\n"))
+    mine = load_profile(tmp_path / "mine.toml")
+    assert set(mine.calibrated) == {"optics", "registration"}
+    assert mine.optics.homography is not None
     assert {each.name for each in tmp_path.glob("mine*")} == {"mine.flat-field.npz", "mine.toml"}
-    # A sensor that is calibrated again is seen as it is, without its old flat field.
-    field_before = field.gain.copy()
-    done(run(f"{optics} --profile mine.toml --overwrite"))
+    # Never measured again without being told to, and then without its old flat field.
+    before = (tmp_path / "mine.toml").read_bytes()
+    wrong()(run(optics).exception)
+    assert (tmp_path / "mine.toml").read_bytes() == before
+    done(run(f"{optics} --overwrite"))
     assert FlatField.load(tmp_path / "mine.flat-field.npz").gain == pytest.approx(field_before)
 
 
@@ -242,7 +235,7 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
     ("optics --source frames:none", says(SourceError, " none:")),
     ("registration", wrong()),
     ("force", wrong("hx711:PORT")),
-    ("force --simulate --weights 0,a", wrong(value="0,a")),
+    ("force --cell loadcell:none --weights 0,a", wrong(value="0,a")),
     ("thresholds", wrong()),
     ("thresholds --electrodes 64", wrong(value="64", allowed=63)),
     ("thresholds --simulate --board link:/dev/null", wrong(value="link:/dev/null")),
@@ -255,6 +248,6 @@ def test_what_cannot_be_is_one_sentence(run, tmp_path, arguments, check):
 
 
 def test_what_is_measured_needs_a_place(run):
-    wrong()(run("registration --simulate").exception)
-    nowhere = run("force --simulate --output none/mine.toml")
+    wrong()(run("registration --source frames:none").exception)
+    nowhere = run("force --cell loadcell:none --output none/mine.toml")
     wrong("none/mine.toml")(nowhere.exception)

@@ -141,7 +141,10 @@ COMMANDS = {
         ("experiment", "run", "frequency?standards=30&train_s=0.15&repetitions=1&gap_s=0.1",
          "--simulate", "model", "--output", "a.csv"),
     ),
-    "profile": (("calibrate", "optics", "--simulate", "--output", "mine.toml"),),
+    "profile": (
+        ("calibrate", "thresholds", "--simulate", "--profile", "smarttouch-4x4", "--electrodes",
+         "0", "--repeats", "1", "--output", "mine.toml"),
+    ),
 }  # fmt: skip
 
 

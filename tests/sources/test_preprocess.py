@@ -11,11 +11,11 @@ from hypothesis.extra import numpy as hnp
 
 from smarttouch.base.errors import CalibrationError, SourceError
 from smarttouch.base.files import data_folder
-from smarttouch.experiments.sensor_optics import SimulatedPatch
 from smarttouch.pages.document import open_document
 from smarttouch.sources.preprocess import FlatField, FramePreprocessor, page_per_pixel
 from smarttouch.sources.virtual_finger import PageSource
 
+from ..experiments.calibration.simulated_sensors import SimulatedPatch
 from ..raising import raises
 
 FIELD_MM = 5.0

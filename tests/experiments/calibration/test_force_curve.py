@@ -7,10 +7,10 @@ import pytest
 
 from smarttouch.base.errors import CalibrationError
 from smarttouch.experiments.force_curve import STANDARD_GRAVITY, fit_curve, weigh
-from smarttouch.experiments.sensor_optics import SimulatedCell
 
 from ...raising import raises
 from ...whole import WHOLE
+from .simulated_sensors import SimulatedCell
 
 UP_AND_DOWN = (0, 20, 50, 75, 100, 75, 50, 20, 0)
 UP = (0, 20, 50, 75, 100)

@@ -8,14 +8,14 @@ from smarttouch.base.errors import CalibrationError
 from smarttouch.experiments.page_registration import (
     MODULES,
     PageTarget,
-    View,
     apply,
-    bench_view,
     register,
     target_for,
 )
 from smarttouch.imaging.registration import Registration
 from smarttouch.profile import list_profiles, load_profile
+
+from .simulated_sensors import View
 
 TENTH = 0.1
 COARSEST, COARSE, FINE = (32, 32), (64, 64), (480, 640)
@@ -109,8 +109,8 @@ def test_every_sensor_that_is_fine_enough_has_a_target(name):
     profile = load_profile(name)
     optics, target = profile.optics, target_for(profile)
     shape = optics.sensor_rows, optics.sensor_columns
-    found = register(bench_view(target, optics), profile, target)
     view = View(tilt_deg=12, toward_deg=40, turn_deg=5, offset_mm=(0.1, -0.05), zoom=0.9)
+    found = register(view.render(target, optics, shape), profile, target)
     assert true_error(found, profile, view, shape).max() < TENTH
 
 

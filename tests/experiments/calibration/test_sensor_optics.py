@@ -6,7 +6,6 @@ import pytest
 from smarttouch.base.errors import CalibrationError
 from smarttouch.experiments.sensor_optics import (
     MOST_UNEVEN,
-    SimulatedPatch,
     collect_images,
     measure_optics,
     uncorrected,
@@ -14,6 +13,7 @@ from smarttouch.experiments.sensor_optics import (
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 
 from ...raising import raises
+from .simulated_sensors import SimulatedPatch
 
 
 def found(patch, frames=16):

@@ -1,0 +1,163 @@
+"""Simulated sensors of known properties: a load cell, a patch of pixels, a camera over the page."""
+
+import math
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from smarttouch.experiments.force_curve import STANDARD_GRAVITY
+from smarttouch.experiments.page_registration import picture
+
+
+@dataclass
+class SimulatedCell:
+    """Simulated load cell."""
+
+    # counts_per_n, zero: scale and offset of an ideal cell
+    counts_per_n: float = 4.1e5
+    zero: float = 83_000.0
+    bend: float = 0.0  # deficit of the reading at full force, as a part; at half, a quarter of that
+    # lag of the reading on the way down, at half of the heaviest weight it has carried
+    hysteresis_n: float = 0.0
+    noise_n: float = 0.002  # of a single reading
+    garbage: float = 0.0  # part of the readings that are far off
+    missing: float = 0.0  # part of the readings that are NaN
+    full_n: float = 1.0
+    seed: int = 0
+    rate_hz: float = 80.0
+    grams: float = 0.0  # weight on it; set by `put`
+    _most_n: float = field(default=0.0, init=False)
+
+    def __post_init__(self):
+        self._random = np.random.default_rng(self.seed)
+
+    def put(self, grams):
+        """Put a weight on it."""
+        self.grams = grams
+        self._most_n = max(self._most_n, self._force_n)
+
+    @property
+    def _force_n(self):
+        return self.grams / 1000 * STANDARD_GRAVITY
+
+    def collect(self, seconds):
+        """Return the readings of a duration, at once."""
+        force_n, random = self._force_n, self._random
+        count = round(seconds * self.rate_hz)
+        if force_n < self._most_n:
+            part = force_n / self._most_n
+            force_n += 4 * part * (1 - part) * self.hysteresis_n
+        seen_n = force_n * (1 - self.bend * force_n / self.full_n)
+        readings = seen_n + self.noise_n * random.standard_normal(count)
+        readings = self.zero + self.counts_per_n * readings
+        wild = random.random(count) < self.garbage
+        readings[wild] = random.uniform(-(2**23), 2**23, int(wild.sum()))
+        readings[random.random(count) < self.missing] = np.nan
+        return np.rint(readings)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedPatch:
+    """Simulated sensor patch: uneven light, pixels of varied gain and dark level, some
+    broken.
+    """
+
+    shape: tuple[int, int] = (64, 64)
+    shade: float = 0.3
+    own_gain: float = 0.05
+    own_dark: float = 2.0
+    noise_levels: float = 2.0
+    dead: int = 0
+    hot: int = 0
+    level: float = 190.0
+    seed: int = 0
+
+    def images(self, count, *, light):
+        """Return images of blank paper, or in the dark."""
+        return self.see(np.full(self.shape, 1.0 if light else 0.0), count)
+
+    def see(self, scene, count: int = 1):
+        """Return the image of a scene, (H, W) from 0 (no light) to 1 (white)."""
+        fixed = np.random.default_rng(self.seed)
+        y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in self.shape), indexing="ij")
+        gain = 1 + 0.1 * x - self.shade / 2 * (x * x + y * y)
+        gain *= 1 + self.own_gain * fixed.standard_normal(self.shape)
+        dark = 14 + self.own_dark * fixed.standard_normal(self.shape)
+        broken = fixed.permutation(gain.size)
+        gain.ravel()[broken[: self.dead]] = 0.02
+        dark.ravel()[broken[self.dead : self.dead + self.hot]] += 120
+        fresh = np.random.default_rng((self.seed, count, int(1e6 * scene.mean())))
+        return [
+            np.clip(
+                np.rint(
+                    dark
+                    + self.level * gain * scene
+                    + self.noise_levels * fresh.standard_normal(self.shape)
+                ),
+                0,
+                255,
+            ).astype(np.uint8)
+            for _ in range(count)
+        ]
+
+
+_SAMPLES = 4  # rays per pixel and axis
+_INK_LEVEL = 0.15  # reflectance of black print
+
+
+@dataclass(frozen=True)
+class View:
+    """Pose of a camera over the page."""
+
+    # tilt_deg, toward_deg: between the line of sight and the page's normal, and which way it leans
+    tilt_deg: float = 0.0
+    toward_deg: float = 0.0
+    turn_deg: float = 0.0  # about the line of sight
+    offset_mm: tuple[float, float] = (0.0, 0.0)  # place on the page at the middle of the image
+    # from the page, along the line of sight; perspective grows as it falls
+    distance_mm: float = 30.0
+    zoom: float = 1.0  # pixels per millimeter, as a part of the profile's
+    # blur_px, noise_levels: of the optics and of the sensor, standard deviations
+    blur_px: float = 0.5
+    noise_levels: float = 2.0
+    uneven: float = 0.3  # by how much of itself the light varies over the image
+    seed: int = 0  # of the noise, and of where the light comes from
+
+    def homography(self, optics, shape):
+        """Return the map from page to pixels: a pinhole camera over a plane."""
+        rows, columns = shape
+        scale = self.zoom * min(columns / optics.field_width_mm, rows / optics.field_height_mm)
+        focal = scale * self.distance_mm
+        lens = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]])
+        axis = np.radians(self.toward_deg)
+        lean = np.array([np.cos(axis), np.sin(axis), 0.0]) * math.radians(self.tilt_deg)
+        tilt, _ = cv2.Rodrigues(lean)
+        turn, _ = cv2.Rodrigues(np.array([0.0, 0.0, math.radians(self.turn_deg)]))
+        attitude = np.asarray(tilt @ turn, np.float64)
+        x_mm, y_mm = self.offset_mm
+        away = np.array([0, 0, self.distance_mm]) - attitude @ np.array([x_mm, y_mm, 0.0])
+        seen = lens @ np.column_stack([attitude[:, :2], away])
+        return np.asarray(seen / seen[2, 2])
+
+    def render(self, target, optics, shape):
+        """Return the camera's image of the target."""
+        random = np.random.default_rng(self.seed)
+        rows, columns = shape
+        half = (_SAMPLES - 1) / 2
+        fine = np.array([[_SAMPLES, 0, half], [0, _SAMPLES, half], [0, 0, 1]])
+        seen = fine @ self.homography(optics, shape) @ target.to_mm
+        size = columns * _SAMPLES, rows * _SAMPLES
+        rays = cv2.warpPerspective(picture(), seen, size, borderValue=(255,))
+        paper = cv2.resize(rays, (columns, rows), interpolation=cv2.INTER_AREA) / 255
+        reflected = _INK_LEVEL + (1 - _INK_LEVEL) * paper
+        blurred = cv2.GaussianBlur(reflected, (0, 0), max(self.blur_px, 1e-3))
+        image = 190 * np.asarray(blurred, np.float64) * self._light(random, shape)
+        image += self.noise_levels * random.standard_normal(shape)
+        return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+    def _light(self, random, shape):
+        y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in shape), indexing="ij")
+        angle = random.uniform(0, 2 * np.pi)
+        slope = np.cos(angle) * x + np.sin(angle) * y
+        return np.asarray(1 + self.uneven * (0.5 * slope - 0.25 * (x * x + y * y)))
