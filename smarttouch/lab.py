@@ -4,13 +4,13 @@ from smarttouch.base.afferent import CLASS_COLORS as CLASS_COLORS
 from smarttouch.base.files import data_folder as data_folder
 from smarttouch.braille.code_tables import open_table as open_table
 from smarttouch.braille.page_layout import lay_out as lay_out
-from smarttouch.experiments.answer_figures import (
-    discrimination_figure as discrimination_figure,
-)
 from smarttouch.experiments.answers import read_table as read_table
 from smarttouch.experiments.answers import usual_model as usual_model
 from smarttouch.experiments.catalog import Experiment as Experiment
 from smarttouch.experiments.experiment_session import open_experiment as open_experiment
+from smarttouch.experiments.findings import (
+    discrimination_figure as discrimination_figure,
+)
 from smarttouch.experiments.findings import judge_answers as judge_answers
 from smarttouch.experiments.observers import Subject as Subject
 from smarttouch.experiments.observers import make_observer as make_observer

@@ -145,8 +145,7 @@ def registration(
     ] = None,
 ) -> None:
     """Find each electrode's position in the sensor's image with a printed target."""
-    from smarttouch.experiments.page_registration import register, target_for
-    from smarttouch.experiments.sensor_optics import images_of
+    from smarttouch.experiments.sensor_optics import images_of, register, target_for
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources.preprocess import mean_image
 

@@ -50,7 +50,7 @@ class _Participant(OptionGroup):
     ] = None
     simulate: Annotated[
         str | None,
-        option("Let a simulated participant answer: model, random, first or silent.", "WHO"),
+        option("Let a simulated participant answer: model or random.", "WHO"),
     ] = None
 
     @property
@@ -132,7 +132,7 @@ def _run_trials(
 
     simulate, subject = who.simulate, None
     if simulate is not None:
-        choice_of("simulate", simulate, ("model", "random", "first", "silent"))
+        choice_of("simulate", simulate, ("model", "random"))
     require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
     afferent = parse_afferent(mode)
     if name == "frequency" and afferent is Afferent.RA and run.takes_usual_profile:
@@ -225,9 +225,8 @@ def fit(
     its name.
     """
     from smarttouch.base.files import require_folder, write_json
-    from smarttouch.experiments.answer_figures import discrimination_figure
     from smarttouch.experiments.answers import read_table, usual_model
-    from smarttouch.experiments.findings import as_figures, judge_answers
+    from smarttouch.experiments.findings import as_figures, discrimination_figure, judge_answers
     from smarttouch.views import figure_style
 
     require_folder(json_file)

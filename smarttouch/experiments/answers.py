@@ -1,6 +1,15 @@
-"""Answers to be fitted, and their reader from CSV files."""
+"""Answers: their CSV file, a row for each trial in PsychoPy's layout, and what is fitted to them.
 
-from collections.abc import Sequence
+Each row is on disk at once. A file is read and continued as it was written, or as a spreadsheet has
+saved it.
+"""
+
+import csv
+import io
+import math
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,8 +17,261 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.answer_file import read_cells
+from smarttouch.base.files import (
+    MOST_TABLE_BYTES,
+    decoded,
+    open_alone,
+    read_bytes,
+    require_file,
+    unwritable,
+)
+from smarttouch.base.stopping import Closing
+from smarttouch.base.tables import finite
+from smarttouch.base.version import __version__
 from smarttouch.experiments.psychometric import Array, Counts, Guess, Model
+
+WORDS, NUMBER, OPTIONAL, ANSWER = "words", "number", "optional number", "answer"
+"""Kinds of columns; cells of the last two may be empty."""
+COLUMNS = {
+    # which repetition of all conditions, which trial of it, trial of all, which condition; from 0
+    "thisRepN": NUMBER, "thisTrialN": NUMBER, "thisN": NUMBER, "thisIndex": NUMBER,
+    "experiment": WORDS, "procedure": WORDS,
+    "standard": OPTIONAL,  # empty if there is none
+    "comparison": NUMBER,  # level, frequency or distance
+    "comparison_interval": OPTIONAL,  # 1 or 2; empty where there are no two intervals
+    "unit": WORDS,  # of standard and comparison: Hz, mA, mm
+    "target": WORDS, "response": WORDS,  # stimulus and response; an empty response is none
+    "success": ANSWER,  # 1 for judged higher, felt, or right, 0 for not; empty if no answer came
+    "rt": OPTIONAL,  # from the end of the stimulus to the answer, s
+    "time_s": NUMBER, "level": NUMBER,  # of the run; amplitude that the user had chosen, 0 to 1
+    "participant": WORDS, "session": WORDS, "date": WORDS,  # when the session began
+    "seed": NUMBER, "frameRate": OPTIONAL, "version": WORDS,
+}  # fmt: skip
+"""Kind of each column of an experiment."""
+Value = str | float | None
+Row = dict[str, Value]
+"""Values of a row by their columns."""
+
+_BOM = "\N{ZERO WIDTH NO-BREAK SPACE}".encode()
+"""Byte order mark by which spreadsheets detect UTF-8."""
+_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+_YES = {"1", "1.0", "true", "yes", "y", "correct"}
+_NO = {"0", "0.0", "false", "no", "n", "incorrect", "wrong"}
+_NONE = {"", "nan", "na", "n/a", "none"}
+_SPREADSHEET = "a spreadsheet may have changed it: correct it, or delete the line"
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How cells, numbers and lines end in a file."""
+
+    delimiter: str = ","
+    comma: bool = False  # whether numbers have a decimal comma
+    line_end: str = "\n"
+
+    def line(self, values: Iterable[tuple[str, Value]]) -> bytes:
+        """Return a line of the file, in UTF-8, from columns and their values."""
+        line = io.StringIO(newline="")
+        writer = csv.writer(line, delimiter=self.delimiter, lineterminator=self.line_end)
+        writer.writerow([self._cell(*each) for each in values])
+        return line.getvalue().encode()
+
+    def _cell(self, column: str, value: Value) -> str:
+        if value is None:
+            return ""
+        if isinstance(value, str):
+            if "\n" in value or "\r" in value:
+                raise ExperimentError(f"{column} {value!r} has a line break: leave it out")
+            return value
+        if not math.isfinite(value):
+            raise ExperimentError(f"{column} is {value}, which no trial can be: give a number")
+        # What comes from numpy would be written with its type's name.
+        text = repr(float(value)) if isinstance(value, float) else str(int(value))
+        return text.replace(".", ",") if self.comma else text
+
+
+@dataclass(frozen=True)
+class AnswerCells:
+    """Cells of the lines below the first, by the names of their columns."""
+
+    path: Path
+    head: tuple[str, ...]
+    lines: list[tuple[int, dict[str, str]]]  # number in the file, cells
+    dialect: Dialect
+    ended: bool  # whether the last line has its end
+    cut: bool  # whether a last line without an end and with too few cells was left out
+
+    def number(self, line: int, column: str) -> float:
+        """Return the number in a cell of the line of this index."""
+        value = finite(self.lines[line][1][column])
+        if math.isnan(value):
+            raise self._wrong(line, column, "a number")
+        return value
+
+    def success(self, line: int, column: str) -> float:
+        """Return 1, 0, or NaN for no answer, of a cell of the line of this index."""
+        word = self.lines[line][1][column].strip().lower()
+        if word not in _YES | _NO | _NONE:
+            raise self._wrong(line, column, "1 or 0")
+        return math.nan if word in _NONE else float(word in _YES)
+
+    def rows(self, columns: Mapping[str, str]) -> list[Row]:
+        """Return all lines as rows that this program has written, by the kinds of columns."""
+        for column in columns:
+            if column not in self.head:
+                raise ExperimentError(
+                    f"{self.path} has no column {column} in its first line: give a file of answers"
+                )
+        return [
+            {column: self._value(line, column, kind) for column, kind in columns.items()}
+            for line in range(len(self.lines))
+        ]
+
+    def _value(self, line: int, column: str, kind: str) -> Value:
+        cell = self.lines[line][1][column]
+        if kind == WORDS:
+            return cell
+        if kind in (OPTIONAL, ANSWER) and not cell.strip():
+            return None
+        return bool(self.success(line, column)) if kind == ANSWER else self.number(line, column)
+
+    def _wrong(self, line: int, column: str, needed: str) -> ExperimentError:
+        number, cells = self.lines[line]
+        return ExperimentError(
+            f"{self.path}, line {number}: {column} is {cells[column]!r}, not {needed}; "
+            f"{_SPREADSHEET}"
+        )
+
+
+def read_cells(path: Path) -> AnswerCells:
+    """Read a file of answers; raises an ExperimentError if it is none."""
+    return parse_cells(read_bytes(path, ExperimentError), path)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Return the trials of a file; a line that was cut off at its end is dropped."""
+    return read_cells(path).rows(COLUMNS)
+
+
+def parse_cells(data: bytes, path: Path) -> AnswerCells:
+    """Return the cells in the content of a file.
+
+    Comma, semicolon or tab separate the cells; between semicolons and tabs a decimal comma is one.
+    Lines end by any line break. A last line without one was cut off if it has too few cells.
+    """
+    end = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
+    first = data.split(b"\n", 1)[0].split(b"\r", 1)[0].decode(errors="replace")
+    delimiter = max((",", ";", "\t"), key=first.count)
+    last = next(csv.reader([data[end:].decode(errors="replace")], delimiter=delimiter), [])
+    cut = 0 < len(last) <= first.count(delimiter) and end > 0
+    text = decoded(data[:end] if cut else data, path, ExperimentError)
+    try:
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        rows = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
+    except csv.Error as failure:
+        raise ExperimentError(
+            f"{path} is no CSV file ({failure}): save it as one in UTF-8"
+        ) from None
+    if not rows:
+        raise ExperimentError(f"{path} is empty: give a file of answers")
+    head = tuple(map(str.strip, rows.pop(0)[1]))
+    lines = []
+    for number, row in rows:
+        if len(row) < len(head) or any(map(str.strip, row[len(head) :])):
+            raise ExperimentError(
+                f"{path}, line {number}: {len(row)} cells, not {len(head)} as in the first line; "
+                f"{_SPREADSHEET}"
+            )
+        lines.append((number, dict(zip(head, row, strict=False))))
+    comma = False
+    for _, cells in lines if delimiter != "," else ():
+        for name, cell in cells.items():
+            if _COMMA.fullmatch(cell.strip()):
+                cells[name], comma = cell.replace(",", "."), True
+    line_end = "\r\n" if "\r\n" in text else "\r" if "\r" in text and "\n" not in text else "\n"
+    return AnswerCells(
+        path, head, lines, Dialect(delimiter, comma, line_end), end == len(data), cut
+    )
+
+
+class AnswerFile(Closing):
+    """CSV file that rows are added to, each on disk before `append` returns.
+
+    ``about`` is the same in all rows. An existing file is continued in its own dialect if it has
+    the same. Of its content only a line that this program began and could not end is removed. As
+    long as it is open no other run can write to it.
+    """
+
+    def __init__(
+        self, path: Path, about: Mapping[str, Value], columns: Mapping[str, str] = COLUMNS
+    ) -> None:
+        self.path: Path = path
+        self.rows: list[Row] = []
+        self._about, self._columns = about, columns
+        self._dialect = Dialect()
+        if path.suffix.lower() != ".csv":
+            raise ExperimentError(f"answers go into a .csv file, not {path}: give such a name")
+        if path.exists():
+            require_file(path, ExperimentError, MOST_TABLE_BYTES)
+        self._file = open_alone(path, ExperimentError)
+        try:
+            self._begin(read_bytes(path, ExperimentError))
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _begin(self, data: bytes) -> None:
+        """Read existing lines, and go to where the next belongs."""
+        head = _BOM + self._dialect.line((each, each) for each in self._columns)
+        if head.startswith(data) and data != head:
+            self._write(head, 0)
+            return
+        cells = parse_cells(data, self.path)
+        self.rows, self._dialect = cells.rows(self._columns), cells.dialect
+        for row in self.rows[:1] + self.rows[-1:]:
+            self._require_same(row)
+        begun = cells.cut
+        if self.rows and not cells.ended and not cells.cut:
+            last = str(self.rows[-1]["version"])
+            begun = last != __version__ and __version__.startswith(last)
+            del self.rows[len(self.rows) - begun :]
+        if begun and not data.startswith(head):
+            raise ExperimentError(
+                f"{self.path} ends in a line that is not whole: complete or delete it"
+            )
+        end = data.rfind(b"\n") + 1 if begun else len(data)
+        self._write(b"" if cells.ended or begun else self._dialect.line_end.encode(), end)
+
+    def append(self, row: Row) -> None:
+        """Add one trial; what identifies the file and the version need not be given."""
+        row = {**dict.fromkeys(self._columns), "version": __version__, **self._about, **row}
+        self._write(self._dialect.line((each, row[each]) for each in self._columns), self._end)
+        self.rows.append(row)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _write(self, data: bytes, at: int) -> None:
+        """Write at a place; what a failed write left beyond it is removed."""
+        try:
+            if self._file.seek(0, os.SEEK_END) > at:
+                self._file.truncate(at)
+            self._file.seek(at)
+            self._file.write(data)
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise unwritable(ExperimentError, self.path, error) from None
+        self._end = at + len(data)
+
+    def _require_same(self, row: Row) -> None:
+        for name, value in self._about.items():
+            if row[name] != value:
+                raise ExperimentError(
+                    f"{self.path} has {name} {row[name]!r}, not {value!r} (unless a spreadsheet "
+                    "has changed it): give another file, or remove it"
+                )
 
 
 @dataclass(frozen=True, eq=False)

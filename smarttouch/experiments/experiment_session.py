@@ -10,12 +10,10 @@ from itertools import count
 from pathlib import Path
 
 from smarttouch.base.errors import ExperimentError, SmartTouchError
-from smarttouch.experiments.answer_file import AnswerFile, Row, Value
-from smarttouch.experiments.answers import read_table, usual_model
+from smarttouch.experiments.answers import AnswerFile, Row, Value, read_table, usual_model
 from smarttouch.experiments.catalog import trials_of
 from smarttouch.experiments.findings import in_words, judge_answers
-from smarttouch.experiments.observers import Subject
-from smarttouch.experiments.perceived_spikes import FITTED
+from smarttouch.experiments.observers import FITTED, Subject
 from smarttouch.experiments.procedures import LIMITS, middle_and_spread
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import Answer, Setup, Trial, Trials

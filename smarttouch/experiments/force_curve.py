@@ -1,4 +1,4 @@
-"""A load cell's curve from known weights."""
+"""A load cell's line from known weights."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -13,15 +13,9 @@ from smarttouch.experiments.procedures import middle_and_spread
 from smarttouch.profile import ForceLaw
 from smarttouch.sources.force import open_cell
 
-FEWEST_FOR_BEND = 4  # fewest distinct weights for a quadratic
-
-
 STANDARD_GRAVITY = 9.80665  # m/s²
 FEWEST_READINGS = 5
 MOST_MISSING = 0.5  # largest part of missing readings
-BEND_WORTH = 0.7
-"""Largest error of a quadratic, relative to a line's."""
-BEND_LEAST = 0.002  # error, as a part of full force, below which a line is good enough
 MOST_RESIDUAL = 0.05  # largest rms residual, as a part of full force
 MOST_DRIFT = 0.03  # largest drift, as a part of full force, while one weight lies on the cell
 LEAST_REACH = 0.5  # least heaviest weight, as a part of full force
@@ -50,37 +44,58 @@ class Weighing:
 
 @dataclass(frozen=True)
 class ForceFound:
-    """A curve, and its errors."""
+    """A line from readings to forces, and its errors."""
 
-    curve: tuple[float, ...]  # coefficients of a polynomial, lowest first: reading to N
-    zero: float  # reading without a weight, by the curve
-    slope_n: float  # N for one count, at the middle of the range
-    residual_n: float  # root of the mean square
-    worst_n: float
-    noise_n: float  # of a single reading
-    # largest difference between two weighings of one weight; NaN if none came twice
-    hysteresis_n: float
+    curve: tuple[float, float]  # N at a reading of 0, and N for one count
     full_n: float  # full force, the reference of percentages
     weighings: tuple[Weighing, ...]
 
+    @property
+    def slope_n(self) -> float:
+        """N for one count."""
+        return self.curve[1]
+
+    @property
+    def zero(self) -> float:
+        """Reading without a weight."""
+        return -self.curve[0] / self.slope_n
+
     def force_n(self, reading: float) -> float:
-        """Return the force of a reading by the curve."""
-        return float(np.polynomial.polynomial.polyval(reading, self.curve))
+        """Return the force of a reading."""
+        return self.curve[0] + self.slope_n * reading
+
+    @property
+    def off_n(self) -> NDArray[np.float64]:
+        """Error of the line at each weighing."""
+        return np.array([self.force_n(each.reading) - each.force_n for each in self.weighings])
+
+    @property
+    def residual_n(self) -> float:
+        """Root of the mean square error."""
+        return float(np.sqrt(np.mean(self.off_n**2)))
+
+    @property
+    def noise_n(self) -> float:
+        """Noise of a single reading."""
+        return float(np.median([each.spread for each in self.weighings])) * abs(self.slope_n)
+
+    @property
+    def hysteresis_n(self) -> float:
+        """Largest difference between two weighings of one weight; NaN if none came twice."""
+        grams = np.array([each.grams for each in self.weighings])
+        twice = [self.off_n[grams == each] for each in np.unique(grams)]
+        return max((float(np.ptp(each)) for each in twice if len(each) > 1), default=math.nan)
 
     def sentence(self) -> str:
         """Return the sentence for the profile."""
-        kind = "line" if len(self.curve) == 2 else "parabola"
         grams = [each.grams for each in self.weighings]
-        twice = (
-            ""
-            if np.isnan(self.hysteresis_n)
-            else f", hysteresis {self.hysteresis_n:.4f} N ({self.hysteresis_n / self.full_n:.1%})"
-        )
+        twice = f", hysteresis {self.hysteresis_n:.4f} N ({self.hysteresis_n / self.full_n:.1%})"
         return (
-            f"{kind} through {len(grams)} weighings from {min(grams):g} to {max(grams):g} g, zero "
+            f"line through {len(grams)} weighings from {min(grams):g} to {max(grams):g} g, zero "
             f"at {self.zero:.6g}, {self.slope_n:.4g} N a count, residual rms "
             f"{self.residual_n:.4f} N ({self.residual_n / self.full_n:.2%} of full force), worst "
-            f"{self.worst_n:.4f} N, noise {self.noise_n:.4f} N{twice}"
+            f"{np.abs(self.off_n).max():.4f} N, noise {self.noise_n:.4f} N"
+            + ("" if math.isnan(self.hysteresis_n) else twice)
         )
 
 
@@ -118,60 +133,34 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
 
 
 def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
-    """Fit a line, or a parabola where that is clearly better, to weighings of three weights or
-    more.
+    """Fit a line to weighings of three weights or more.
 
     One weight given twice, on the way up and on the way down, gives the hysteresis. Residuals are
     judged by the law's full force.
     """
     grams = np.array([each.grams for each in weighings])
     reading = np.array([each.reading for each in weighings])
-    force = np.array([each.force_n for each in weighings])
     _require_weights(grams, law)
     _require_answer(weighings, grams, reading)
-    polynomial, line_n = _fit(reading, force, 1)
-    if len(np.unique(grams)) >= FEWEST_FOR_BEND and line_n > BEND_LEAST * law.full_n:
-        bent, bend_n = _fit(reading, force, 2)
-        if bend_n < BEND_WORTH * line_n and _goes_one_way(bent, reading):
-            polynomial = bent
-    residual = polynomial(reading) - force
-    middle = (reading.min() + reading.max()) / 2
-    slope_n = float(polynomial.deriv()(middle))
-    roots = polynomial.roots()
-    real = roots[np.isreal(roots)].real
-    apart = [np.ptp(polynomial(reading[grams == each])) for each in np.unique(grams)]
-    twice = len(grams) > len(apart)
-    found = ForceFound(
-        tuple(float(f"{each:.9g}") for each in polynomial.coef),
-        float(real[np.abs(real - middle).argmin()]) if len(real) else math.nan,
-        slope_n,
-        float(np.sqrt(np.mean(residual**2))),
-        float(np.abs(residual).max()),
-        float(np.median([each.spread for each in weighings])) * abs(slope_n),
-        float(max(apart)) if twice else math.nan,
-        law.full_n,
-        tuple(weighings),
-    )
-    _require_good(found)
-    return found
-
-
-def _fit(
-    reading: NDArray[np.float64], force: NDArray[np.float64], degree: int
-) -> tuple[np.polynomial.Polynomial, float]:
-    """Return a polynomial, and its rms error, N, for the degrees of freedom that are left."""
     # Fitted about the mean, as raw counts are large.
-    found = np.polynomial.Polynomial.fit(reading, force, degree).convert()
-    found = np.polynomial.Polynomial(np.resize([*found.coef, 0, 0], degree + 1))
-    free = max(1, len(reading) - degree - 1)
-    return found, float(np.sqrt(((found(reading) - force) ** 2).sum() / free))
-
-
-def _goes_one_way(polynomial: np.polynomial.Polynomial, reading: NDArray[np.float64]) -> bool:
-    """Return whether a curve goes in one direction over and a little beyond the readings."""
-    spare = 0.25 * np.ptp(reading)
-    ends = polynomial.deriv()(np.array([reading.min() - spare, reading.max() + spare]))
-    return bool(ends[0] * ends[1] > 0)
+    forces = [each.force_n for each in weighings]
+    zero_n, slope_n = np.polynomial.Polynomial.fit(reading, forces, 1).convert().coef
+    curve = float(f"{zero_n:.9g}"), float(f"{slope_n:.9g}")
+    found = ForceFound(curve, law.full_n, tuple(weighings))
+    if found.residual_n > MOST_RESIDUAL * law.full_n:
+        worst = weighings[int(np.abs(found.off_n).argmax())]
+        raise CalibrationError(
+            f"the line misses the weights by {found.residual_n:.3f} N rms, above "
+            f"{MOST_RESIDUAL:.0%} of full force, {law.full_n:g} N: weigh {worst.grams:g} g again"
+        )
+    restless = max(weighings, key=lambda each: abs(each.drift))
+    drift_n = abs(restless.drift * found.slope_n)
+    if drift_n > MOST_DRIFT * law.full_n:
+        raise CalibrationError(
+            f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "
+            "wait until it settles, and weigh again"
+        )
+    return found
 
 
 def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
@@ -202,29 +191,10 @@ def _require_answer(
             f"{noise:.6g} by themselves: is the cell connected, and the weight on it?"
         )
     mean = np.array([reading[grams == each].mean() for each in np.unique(grams)])
-    steps = np.diff(mean)
-    turned = steps * np.sign(mean[-1] - mean[0]) <= 0
+    turned = np.diff(mean) * np.sign(mean[-1] - mean[0]) <= 0
     if turned.any():
         first, second = np.unique(grams)[[turned.argmax(), turned.argmax() + 1]]
         raise CalibrationError(
             f"the reading does not change in one direction from {first:g} to {second:g} g: weigh "
             "again, each weight alone and at rest"
-        )
-
-
-def _require_good(found: ForceFound) -> None:
-    if found.residual_n > MOST_RESIDUAL * found.full_n:
-        worst = max(
-            found.weighings, key=lambda each: abs(found.force_n(each.reading) - each.force_n)
-        )
-        raise CalibrationError(
-            f"the curve misses the weights by {found.residual_n:.3f} N rms, above "
-            f"{MOST_RESIDUAL:.0%} of full force, {found.full_n:g} N: weigh {worst.grams:g} g again"
-        )
-    restless = max(found.weighings, key=lambda each: abs(each.drift))
-    drift_n = abs(restless.drift * found.slope_n)
-    if drift_n > MOST_DRIFT * found.full_n:
-        raise CalibrationError(
-            f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "
-            "wait until it settles, and weigh again"
         )

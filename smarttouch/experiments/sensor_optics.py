@@ -1,13 +1,23 @@
-"""White and dark reference of a sensor from collected images."""
+"""A sensor's white and dark reference, and the place of the electrodes in its image.
+
+The place is found by a printed target.
+"""
 
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 
-from smarttouch.base.errors import CalibrationError
+from smarttouch.base.errors import CalibrationError, require_within
+from smarttouch.base.files import write_bytes
 from smarttouch.profile import Profile
 from smarttouch.sources import open_source
 from smarttouch.sources.preprocess import FlatField, mean_image
@@ -129,3 +139,221 @@ def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
 def _uneven(levels: NDArray[np.float64], field: FlatField) -> float:
     good = levels[field.gain > 0]
     return float(good.std() / good.mean())
+
+
+Matrix = NDArray[np.floating[Any]]
+Gray = NDArray[np.integer[Any] | np.floating[Any]]
+
+MARKERS = 3  # in a row of the target
+MODULES = 7 * MARKERS - 1  # across the target: 6 for each marker and one between two
+FIELD_SHARE = 1.5  # side of the target, as a part of the field: it need not be laid exactly
+FEWEST_PIXELS = 24  # fewest pixels a side; with fewer, no marker is recognized
+LEAST_CORRELATION = 0.8  # of the image with the target; 0.9 and more where it lies flat
+MOST_OUTSIDE = 0.25  # largest part of the electrodes outside the image
+DOTS_PER_MM = 50  # of the print
+_SIZES_MM = (1.0, 200.0)
+_MARGIN_MM = 8.0
+_WORKING_SIDE = 240  # pixels of the shorter side at which markers are detected
+_MODULE_PX, _QUIET = 12, 2  # pixels of a module in `picture`, and modules of white around it
+
+
+@dataclass(frozen=True)
+class PageTarget:
+    """Square of ArUco markers on paper; its middle is laid under the middle of the array."""
+
+    module_mm: float
+
+    @property
+    def side_mm(self) -> float:
+        return MODULES * self.module_mm
+
+    @property
+    def to_mm(self) -> Matrix:
+        """Map, (3, 3), from pixels of `picture` to millimeters around the middle."""
+        scale = self.module_mm / _MODULE_PX
+        middle = (MODULES + 2 * _QUIET) / 2 * self.module_mm
+        return np.array([[scale, 0, scale / 2 - middle], [0, scale, scale / 2 - middle], [0, 0, 1]])
+
+    def draw(self, path: Path) -> None:
+        """Write the target as a PNG file with its resolution."""
+        margin, side = round(_MARGIN_MM * DOTS_PER_MM), round(self.side_mm * DOTS_PER_MM)
+        image = Image.new("L", (side + 2 * margin,) * 2, 255)
+        image.paste(Image.fromarray(_board().generateImage((side, side))), (margin, margin))
+        text = f"SmartTouch, this side up: print at 100 %, measure {self.side_mm:g} mm across"
+        pen, size = ImageDraw.Draw(image), 2.2 * DOTS_PER_MM
+        while pen.textlength(text, font_size=size) > image.width - 2 * DOTS_PER_MM:
+            size *= 0.9
+        pen.text((DOTS_PER_MM, DOTS_PER_MM), text, fill=0, font_size=size)
+        content = BytesIO()
+        image.save(content, format="PNG", dpi=(25.4 * DOTS_PER_MM,) * 2)
+        write_bytes(path, content.getvalue(), CalibrationError)
+
+
+def target_for(profile: Profile, size_mm: float | None = None) -> PageTarget:
+    """Return the target for a sensor, somewhat larger than its field, or of about a given side."""
+    optics = profile.optics
+    pixels = min(optics.sensor_columns, optics.sensor_rows)
+    if size_mm is None:
+        if pixels < FEWEST_PIXELS:
+            raise CalibrationError(
+                f"{optics.sensor_columns} × {optics.sensor_rows} pixels are too coarse for a "
+                f"target: {FEWEST_PIXELS} a side are needed; set optics.rotation_deg, offset_x_mm "
+                "and offset_y_mm by hand, or give the size if the sensor is finer than that"
+            )
+        size_mm = FIELD_SHARE * min(optics.field_width_mm, optics.field_height_mm)
+    require_within(CalibrationError, "size_mm", size_mm, *_SIZES_MM)
+    return PageTarget(max(1, round(size_mm / MODULES * DOTS_PER_MM)) / DOTS_PER_MM)
+
+
+@cache
+def _board() -> Any:
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    return cv2.aruco.GridBoard((MARKERS, MARKERS), 6, 1, dictionary)
+
+
+@cache
+def picture() -> NDArray[np.uint8]:
+    """Return the target's gray levels, with some paper around it."""
+    printed = _board().generateImage((MODULES * _MODULE_PX,) * 2)
+    around = (_QUIET * _MODULE_PX,) * 4
+    made = cv2.copyMakeBorder(printed, *around, cv2.BORDER_CONSTANT, value=255)
+    return np.asarray(made, np.uint8)
+
+
+def apply(homography: Matrix, points: Matrix) -> NDArray[np.float64]:
+    """Return the points, (N, 2), mapped by a homography."""
+    carried = np.column_stack([points, np.ones(len(points))]) @ homography.T
+    return np.asarray(carried[:, :2] / carried[:, 2:])
+
+
+@dataclass(frozen=True, eq=False)
+class RegistrationFound:
+    """A fit, and how well the image agrees with it."""
+
+    # (3, 3): millimeters on the page around the middle of what the array covers to pixels
+    homography: NDArray[np.float64]
+    shape: tuple[int, int]  # rows and columns of the image
+    electrode_pixel: NDArray[np.float64]  # (E, 2): column and row at which each electrode looks
+    markers: int  # number of markers recognized
+    correlation: float  # of the image with the target there, 1 where they are alike
+    tilt_deg: float  # by how much a square on the page is foreshortened
+    mirrored: bool  # the sensor sees the page as in a mirror
+
+    @property
+    def outside(self) -> NDArray[np.intp]:
+        """Electrodes whose place is outside the image."""
+        rows, columns = self.shape
+        x, y = self.electrode_pixel.T
+        inside = (x >= -0.5) & (x <= columns - 0.5) & (y >= -0.5) & (y <= rows - 0.5)
+        return np.flatnonzero(~inside)
+
+    def sentence(self) -> str:
+        """Return the sentence for the profile."""
+        return (
+            f"{self.markers} markers in {self.shape[1]} × {self.shape[0]} pixels, correlation "
+            f"{self.correlation:.3f}; tilt {self.tilt_deg:.1f}°"
+            + (", mirrored" if self.mirrored else "")
+            + (f"; {len(self.outside)} electrodes look beyond the image" * bool(len(self.outside)))
+        )
+
+
+def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> RegistrationFound:
+    """Fit the place on the page of each pixel, from one image (H, W) of the target or a mean of
+    several."""
+    rows, columns = image.shape
+    if min(rows, columns) < FEWEST_PIXELS:
+        raise CalibrationError(
+            f"an image of {columns} × {rows} pixels is too coarse: {FEWEST_PIXELS} a side are "
+            "needed"
+        )
+    scale = _WORKING_SIDE / min(rows, columns)
+    size = round(columns * scale), round(rows * scale)
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    working = cv2.resize(image, size, interpolation=method)
+    mirror = np.eye(3)
+    found = _markers(working)
+    if found is None:
+        mirror = np.array([[-1.0, 0, size[0] - 1], [0, 1, 0], [0, 0, 1]])
+        working = np.ascontiguousarray(working[:, ::-1])
+        found = _markers(working)
+    if found is None:
+        raise CalibrationError(
+            "no marker of the target is recognized: lay it under the sensor, light it, and bring "
+            "it into focus"
+        )
+    to_working, correlation = _aligned(working, *found)
+    if not correlation >= LEAST_CORRELATION:
+        raise CalibrationError(
+            f"the image agrees with the target to {correlation:.2f}, below "
+            f"{LEAST_CORRELATION:g}: lay the target flat, bring more of it into view, and check "
+            "the lens"
+        )
+    grown = np.array(
+        [[1 / scale, 0, 0.5 / scale - 0.5], [0, 1 / scale, 0.5 / scale - 0.5], [0, 0, 1]]
+    )
+    homography = grown @ mirror @ to_working @ np.linalg.inv(target.to_mm)
+    homography /= homography[2, 2]
+    places_mm = profile.electrodes.position_mm / profile.optics.magnification
+    axes, mirrored = _linear(homography)
+    tilt_deg = float(np.degrees(np.arccos(min(1.0, axes[1] / axes[0]))))
+    registered = RegistrationFound(
+        homography, (rows, columns), apply(homography, places_mm), len(found[0]) // 4, correlation,
+        tilt_deg, mirrored,
+    )  # fmt: skip
+    _require_in_view(registered)
+    return registered
+
+
+def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
+    """Return the corners of the markers in an image, (N, 2): in modules of the target, and in
+    pixels; None if there are none."""
+    parameters = cv2.aruco.DetectorParameters()
+    # A module is up to 15 pixels wide in an image that was enlarged so much.
+    parameters.adaptiveThreshWinSizeMax = 53
+    detector = cv2.aruco.ArucoDetector(_board().getDictionary(), parameters)
+    corners, ids, _ = detector.detectMarkers(working)
+    if ids is None:
+        return None
+    modules, pixels = _board().matchImagePoints(corners, ids)
+    if modules is None:
+        return None
+    return modules.reshape(-1, 3)[:, :2].astype(np.float64), pixels.reshape(-1, 2)
+
+
+def _aligned(working: Gray, modules: Matrix, pixels: Matrix) -> tuple[Matrix, float]:
+    """Return the homography from pixels of `picture` to those of an image, and how well they
+    correlate.
+
+    Blur moves the corners of markers, so they are the first guess alone: the whole picture is then
+    laid on the image (Evangelidis and Psarakis 2008, enhanced correlation coefficient).
+    """
+    guess, _ = cv2.findHomography((modules + _QUIET) * _MODULE_PX - 0.5, pixels, 0)
+    if guess is None:
+        return np.eye(3), 0.0
+    blurred = cv2.GaussianBlur(picture(), (0, 0), _MODULE_PX / 3)
+    ends = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-5)
+    start = guess.astype(np.float32)
+    try:
+        correlation, fitted = cv2.findTransformECC(
+            blurred, working, start, cv2.MOTION_HOMOGRAPHY, ends
+        )
+    except cv2.error:
+        # It goes astray where nothing fits.
+        return np.eye(3), 0.0
+    return np.asarray(fitted, np.float64), float(correlation)
+
+
+def _linear(homography: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
+    """Return pixels per millimeter along both axes at the view's middle; whether mirrored."""
+    offset = homography[:2, 2:] @ homography[2:, :2] / homography[2, 2]
+    linear = (homography[:2, :2] - offset) / homography[2, 2]
+    return np.linalg.svd(linear, compute_uv=False), bool(np.linalg.det(linear) < 0)
+
+
+def _require_in_view(found: RegistrationFound) -> None:
+    count = len(found.electrode_pixel)
+    if len(found.outside) > MOST_OUTSIDE * count:
+        raise CalibrationError(
+            f"{len(found.outside)} of {count} electrodes look beyond the image: move the target's "
+            "middle under the middle of the array, or check optics.magnification"
+        )

@@ -13,7 +13,7 @@ from smarttouch.base.errors import CalibrationError
 from smarttouch.base.events import Advice, BoardRestarted, Event, FingerLifted
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
-from smarttouch.experiments.answer_file import NUMBER, OPTIONAL, WORDS, AnswerFile, Value
+from smarttouch.experiments.answers import NUMBER, OPTIONAL, WORDS, AnswerFile, Value
 from smarttouch.experiments.observers import KnownObserver, Subject
 from smarttouch.experiments.procedures import Condition, middle_and_spread
 from smarttouch.experiments.profile_file import ProfileFile

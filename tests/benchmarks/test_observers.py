@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.experiments.observers import SimulatedObserver
-from smarttouch.experiments.perceived_spikes import FrequencySense, Interval, Nerve
+from smarttouch.experiments.observers import FrequencySense, Interval, Nerve, SimulatedObserver
 
 from ..experiments.psychophysics.weber import weber_fraction
 

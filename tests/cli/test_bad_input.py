@@ -150,7 +150,7 @@ BASES = {
     "design": "design --profile line-7",
     "profiles new": "profiles new mine.toml --grid 2x2 --overwrite",
     "experiment run": (
-        "experiment run detection?trials=1&procedure=questplus --simulate first --subject x"
+        "experiment run detection?trials=1&procedure=questplus --simulate random --subject x"
     ),
     "experiment fit": "experiment fit {answers}",
     "devices test": "devices test emulator: --profile line-7 --seconds 0.05",

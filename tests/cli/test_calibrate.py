@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from smarttouch.base.errors import BoardError, CalibrationError, ProfileError, SourceError
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.emulator.firmware import read_state
-from smarttouch.experiments.page_registration import target_for
+from smarttouch.experiments.sensor_optics import target_for
 from smarttouch.experiments.thresholds import measuring_profile, simulated_finger
 from smarttouch.profile import load_profile
 from smarttouch.sources.preprocess import FlatField

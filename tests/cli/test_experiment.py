@@ -25,7 +25,7 @@ from smarttouch.base.errors import ExperimentError, ProfileError, SmartTouchErro
 from smarttouch.base.events import FingerLifted, TrialEvent
 from smarttouch.cli.experiment import fit
 from smarttouch.cli.simulate import study
-from smarttouch.experiments.answer_file import read_rows
+from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.procedures import constant_stimuli, ratio_pairs
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.recording import RecordedRun
@@ -151,12 +151,12 @@ def test_free_stimulation_by_hand(start_at_a_terminal, tmp_path):
     ("experiment run frequency --simulate model --board memory:",
      wrong(value="memory:", allowed=("simulated:",))),
     ("experiment run frequency --simulate me",
-     says(value="me", allowed=("model", "random", "first", "silent"))),
+     says(value="me", allowed=("model", "random"))),
     ("experiment run sight --simulate model", wrong("'sight'", "frequency", "localization")),
     (f"{SIMULATED} --subject a/b", says(value="a/b")),
     (SIMULATED.replace("=30", "=30,x"), wrong(value="30,x")),
     (f"{SIMULATED} --output a.txt", wrong("a.txt", ".csv")),
-    ("experiment run free --simulate first", wrong()),
+    ("experiment run free --simulate random", wrong()),
     ("experiment run free --output a.csv", wrong("--output", "--record")),
     ("experiment run free", wrong()),
 ])  # fmt: skip

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from smarttouch.experiments.force_curve import STANDARD_GRAVITY
-from smarttouch.experiments.page_registration import picture
+from smarttouch.experiments.sensor_optics import picture
 
 
 @dataclass
@@ -17,13 +17,11 @@ class SimulatedCell:
     # counts_per_n, zero: scale and offset of an ideal cell
     counts_per_n: float = 4.1e5
     zero: float = 83_000.0
-    bend: float = 0.0  # deficit of the reading at full force, as a part; at half, a quarter of that
     # lag of the reading on the way down, at half of the heaviest weight it has carried
     hysteresis_n: float = 0.0
     noise_n: float = 0.002  # of a single reading
     garbage: float = 0.0  # part of the readings that are far off
     missing: float = 0.0  # part of the readings that are NaN
-    full_n: float = 1.0
     seed: int = 0
     rate_hz: float = 80.0
     grams: float = 0.0  # weight on it; set by `put`
@@ -48,8 +46,7 @@ class SimulatedCell:
         if force_n < self._most_n:
             part = force_n / self._most_n
             force_n += 4 * part * (1 - part) * self.hysteresis_n
-        seen_n = force_n * (1 - self.bend * force_n / self.full_n)
-        readings = seen_n + self.noise_n * random.standard_normal(count)
+        readings = force_n + self.noise_n * random.standard_normal(count)
         readings = self.zero + self.counts_per_n * readings
         wild = random.random(count) < self.garbage
         readings[wild] = random.uniform(-(2**23), 2**23, int(wild.sum()))

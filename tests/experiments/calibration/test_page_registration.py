@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from smarttouch.base.errors import CalibrationError
-from smarttouch.experiments.page_registration import (
+from smarttouch.experiments.sensor_optics import (
     MODULES,
     PageTarget,
     apply,

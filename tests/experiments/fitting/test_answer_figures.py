@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from smarttouch.experiments.answer_figures import binomial_interval, discrimination_figure
+from smarttouch.experiments.findings import binomial_interval, discrimination_figure
 from smarttouch.experiments.psychometric import Counts
 from smarttouch.views.figure_style import save
 

@@ -31,6 +31,13 @@ class Perfect:
         return "y" if pulses[0] else "n"
 
 
+class Silent:
+    """Never answers."""
+
+    def respond(self, task, intervals, alternatives):
+        return None
+
+
 @dataclass
 class Sat:
     """Result of a run."""

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.errors import ExperimentError
 from smarttouch.base.version import __version__
-from smarttouch.experiments.answer_file import COLUMNS, AnswerFile, read_rows
-from smarttouch.experiments.answers import read_table
+from smarttouch.experiments.answers import COLUMNS, AnswerFile, read_rows, read_table
 
 from ...raising import raises
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.answer_file import read_rows
+from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.experiment_session import open_experiment
 from smarttouch.experiments.trials import Answer, Setup
 from smarttouch.profile import load_profile

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.answer_file import read_rows
+from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.catalog import trials_of
-from smarttouch.experiments.observers import BlindObserver, Subject
+from smarttouch.experiments.observers import Subject
 from smarttouch.experiments.trial_source import AGAIN, TrialSource
 from smarttouch.experiments.trials import Setup
 from smarttouch.kernels.bank import load_bank
@@ -22,7 +22,7 @@ from smarttouch.running.runner import Runner
 
 from ...played import played
 from ...raising import raises
-from .sitting import Perfect, sit
+from .sitting import Perfect, Silent, sit
 
 FEW = {"repetitions": 1, "standards": "30", "train_s": 0.15}
 DETECTION = {"repetitions": 1, "train_s": 0.1}
@@ -155,7 +155,7 @@ def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(take):
 
 def test_nobody_answers(take):
     """Every trial comes again once, at the end."""
-    sat, rows = take(BlindObserver("silent"))
+    sat, rows = take(Silent())
     assert len(rows) == 20
     assert {(row["response"], row["success"], row["rt"]) for row in rows} == {("", None, None)}
     assert sat.events("response 2:") == ["response 2: none"]
@@ -278,7 +278,7 @@ def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, prese
 
 
 def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, take):
-    sat, rows = take(BlindObserver("silent"), {"repetitions": 2, "train_s": 1.0}, "discomfort")
+    sat, rows = take(Silent(), {"repetitions": 2, "train_s": 1.0}, "discomfort")
     full_ma = profile.full_ma[27]
     assert [row["response"] for row in rows] == ["n", "n"]
     assert [row["comparison"] for row in rows] == pytest.approx([full_ma] * 2, abs=0.005)
@@ -289,7 +289,7 @@ def test_a_board_that_cannot_keep_a_frequency_is_noted(changed, profile, tmp_pat
     """A profile whose slots take longer than the period asked for."""
     slow = changed(profile, {"pulse.discharge_us": 5000})
     setup = Setup(slow, repetitions=1, train_s=0.1, rate_hz=200)
-    sat = sit("localization", setup, load_bank(slow), tmp_path / "rows.csv", BlindObserver("first"))
+    sat = sit("localization", setup, load_bank(slow), tmp_path / "rows.csv", Silent())
     (note,) = sat.source.notes
     asked_hz, sent_hz = map(float, re.findall(r"([\d.]+) Hz", note))
     assert asked_hz == 200
@@ -298,7 +298,7 @@ def test_a_board_that_cannot_keep_a_frequency_is_noted(changed, profile, tmp_pat
 
 def test_only_simulated_boards_have_simulated_subjects(profile, bank):
     _, trials = trials_of("frequency", Setup(profile))
-    source = TrialSource(trials, profile, "try", subject=Subject(BlindObserver("first")))
+    source = TrialSource(trials, profile, "try", subject=Subject(Silent()))
     display = Display(played(profile), profile)
     runner = Runner(source, display, RunConfig(), load_kernels=lambda _profile: bank)
     with raises(ExperimentError, names="board", allowed=("simulated:",)):
