@@ -67,12 +67,11 @@ class Regulator:
     def notes(self) -> list[str]:
         """Return notes for the user after the run."""
         notes = []
-        limited = () if self.adaptation is None else self.adaptation.limited
-        if limited and self.adaptation is not None:
-            what, end = ("energy", "strongest") if self.adaptation.holds == "energy" else (
-                "charge", "longest")  # fmt: skip
+        if self.adaptation is not None and (limited := self.adaptation.limited):
+            end = "strongest" if self.adaptation.holds == "energy" else "longest"
             notes.append(
-                f"{what} could not be held at {len(limited)} sites: pulses are at their {end}"
+                f"{self.adaptation.holds} could not be held at {len(limited)} sites: pulses are "
+                f"at their {end}"
             )
         if self._reversed:
             notes.append(
@@ -119,26 +118,19 @@ class Pipeline:
         if not config.balance:
             self._common.net = NetPlan(self.electrodes)
         self._scans: dict[Mode, ScanScheduler] = {}
+        self.table: KernelTable | None = None
+        """Kernels whose sums slots are, for a board that stores them: all of the bank, and those by
+        which slots are shared, in whole numbers."""
         if in_sums and profile.output.kind == "weighted":
-            self._common.table = self._made_table()
+            frames = self._common.frames
+            for afferent in self._common.sharing.afferents:
+                if afferent in bank.weights:
+                    frames[afferent] = FrameSlots(profile, bank, afferent)
+            shared = {afferent: slots.kernels() for afferent, slots in frames.items()}
+            self.table = self._common.table = KernelTable.of(bank.weights, shared)
+            for slots in frames.values():
+                slots.use_table(self.table)
         self.change_mode(Mode(config.mode))
-
-    def _made_table(self) -> KernelTable:
-        """Return all kernels of the bank, and those by which slots are shared, in whole numbers."""
-        frames = self._common.frames
-        for each in self._common.sharing.afferents:
-            if each in self._bank.weights:
-                frames[each] = FrameSlots(self._profile, self._bank, each)
-        shared = {each: slots.kernels() for each, slots in frames.items()}
-        table = KernelTable.of(self._bank.weights, shared)
-        for slots in frames.values():
-            slots.use_table(table)
-        return table
-
-    @property
-    def table(self) -> KernelTable | None:
-        """Kernels whose sums slots are, for a board that stores them."""
-        return self._common.table
 
     def change_mode(self, mode: Mode) -> None:
         """Drive other afferents from the next input on; intensity begins at zero.
@@ -154,15 +146,12 @@ class Pipeline:
 
         Color is for stimuli alone, and the other modes are no choice for these.
         """
-        if self.mode is Mode.COLOR:
-            return (self.mode,)
         modes = []
         for mode in Mode:
-            if mode is Mode.COLOR:
-                continue
             with contextlib.suppress(SmartTouchError):
-                self._scan(mode)
-                modes.append(mode)
+                if (mode is Mode.COLOR) == (self.mode is Mode.COLOR):
+                    self._scan(mode)
+                    modes.append(mode)
         return tuple(modes)
 
     def _scan(self, mode: Mode) -> ScanScheduler:
@@ -172,24 +161,18 @@ class Pipeline:
                 "out, or show a vibration: source"
             )
         if mode not in self._scans:
-            bank, config, vibrated = self._bank, self._config, self._vibrated
-            classes, vibrated = mode.afferents, vibrated and mode is Mode.COLOR
+            bank, config, classes = self._bank, self._config, mode.afferents
+            vibrated, softness = self._vibrated and mode is Mode.COLOR, config.softness
             if mode is Mode.COLOR:
-                made = {*bank.weights, *((Afferent.PC,) if vibrated else ())}
-                classes = tuple(each for each in classes if each in made)
+                made = {*bank.weights, *[Afferent.PC] * vibrated}
+                classes = tuple(afferent for afferent in classes if afferent in made)
             # A rate asked for in one mode is not for the two of natural mode.
             natural = mode is Mode.NATURAL and bool(self._scans)
-            softness = config.softness
             self._scans[mode] = ScanScheduler(
-                self._profile,
-                bank,
-                classes,
-                None if natural else config.rate_hz,
-                self._timing,
-                self._profile.pulse.softness if softness is None else softness,
-                vibrated,
+                self._profile, bank, classes, None if natural else config.rate_hz, self._timing,
+                self._profile.pulse.softness if softness is None else softness, vibrated,
                 self._common,
-            )
+            )  # fmt: skip
         return self._scans[mode]
 
     def process(

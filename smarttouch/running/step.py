@@ -50,14 +50,6 @@ class Step:
     observed: tuple[Measured, ...] = ()
     allowed: float | None = None
 
-    @property
-    def driven(self) -> NDArray[np.float32]:
-        """Activation of the classes that its mode drives, (3, E); zero of others."""
-        driven = np.zeros_like(self.tactile.activation)
-        classes = list(self.mode.afferents)
-        driven[classes] = self.tactile.activation[classes]
-        return driven
-
 
 @dataclass(frozen=True)
 class FirstPulse:
@@ -245,13 +237,11 @@ def as_listeners(given: Iterable[Listener | Callable[[StepResult], object]]) -> 
 
     Raises a SmartTouchError for what is neither.
     """
-    listeners = []
-    for each in given:
-        if isinstance(each, type) or not (isinstance(each, Listener) or callable(each)):
-            what = f"the class {each.__name__}" if isinstance(each, type) else kind_in_words(each)
+    listeners = list(given)
+    for listener in listeners:
+        if isinstance(listener, type) or not (isinstance(listener, Listener) or callable(listener)):
             raise SmartTouchError(
-                f"{what} is no listener: give an object of a subclass of Listener, or a function "
-                "of a StepResult"
+                f"{getattr(listener, '__name__', kind_in_words(listener))} is not a listener: give "
+                "an object of a subclass of Listener, or a function of a StepResult"
             )
-        listeners.append(each if isinstance(each, Listener) else OnStep(each))
-    return listeners
+    return [each if isinstance(each, Listener) else OnStep(each) for each in listeners]

@@ -82,43 +82,41 @@ def test_a_level_that_is_not_open_is_opened_first_with_an_event():
     assert [str(each) for each in events if "waited" in str(each)]
 
 
-@pytest.mark.parametrize(("mode", "pattern"), [
-    ("SAI", RING > 0),
-    ("natural", np.stack([RING, RING, 0 * RING])),
-    ("COLOR", np.stack([RING, 0 * RING, RING])),
-    ("RA", LETTER),
-    ("natural", st.Frame(LETTER, 0)),
-    ("RA", st.TactileImage(np.stack([RING, 0 * RING, 0 * RING]), 0, 0.9)),
+@pytest.mark.parametrize(("mode", "pattern", "level"), [
+    ("SAI", RING > 0, 1.0),
+    ("natural", np.stack([RING, RING, 0 * RING]), 1.0),
+    ("COLOR", np.stack([RING, 0 * RING, RING]), 1.0),
+    ("RA", LETTER, 0.5),
+    ("natural", st.Frame(LETTER, 0), 0.3),
+    ("RA", st.TactileImage(np.stack([RING, 0 * RING, 0 * RING]), 0, 0.9), 1.0),
 ])  # fmt: skip
-def test_patterns_of_every_kind(mode, pattern):
-    touch, _ = session("simulated:", mode=mode)
+def test_patterns_of_every_kind_are_at_the_level_asked(mode, pattern, level):
+    touch, results = session("simulated:", mode=mode)
     with touch:
-        shown = touch.show(pattern, 0.2)
+        shown = touch.show(pattern, 0.2, level)
     assert shown.pulses > 0
-    assert shown.intensity == 0.6
+    assert shown.intensity == pytest.approx(0.6 * level)
+    own = shown_by(results, shown.time_ns, 0.2)
+    assert all(each.sequence.intensity == pytest.approx(0.6 * level) for each in own)
+    if mode == "natural" and level < 1:
+        np.testing.assert_array_equal(own[0].input.image, LETTER)
 
 
-@pytest.mark.parametrize("pattern", [
-    RING[:5], np.full(64, np.nan), 2 * RING, "RING", np.zeros((2, 3, 4), np.uint8),
-])  # fmt: skip
-def test_what_is_no_pattern_is_refused_and_the_session_goes_on(pattern):
-    touch, _ = session()
-    with touch:
-        with raises(SmartTouchError):
-            touch.show(pattern, 0.1)
-        assert touch.show(RING, 0.1).sequences == 5
-
-
-@pytest.mark.parametrize(("about", "call"), [
+@pytest.mark.parametrize(("names", "call"), [
+    *[("", lambda touch, pattern=pattern: touch.show(pattern, 0.1)) for pattern in (
+        RING[:5], np.full(64, np.nan), 2 * RING, "RING", np.zeros((2, 3, 4), np.uint8),
+    )],
     ("seconds", lambda touch: touch.show(RING, 0)),
     ("level", lambda touch: touch.show(RING, 0.1, level=1.1)),
     ("level", lambda touch: touch.rise(0)),
     ("mode", lambda touch: touch.controls.choose_mode("XYZ")),
 ])  # fmt: skip
-def test_numbers_that_are_none_are_refused(about, call):
+def test_what_cannot_be_shown_is_refused_and_the_session_goes_on(names, call):
     touch, _ = session()
-    with touch, raises(SmartTouchError, names=about):
-        call(touch)
+    with touch:
+        with raises(SmartTouchError, names=names):
+            call(touch)
+        assert touch.show(RING, 0.1).sequences == 5
 
 
 def test_without_force_no_level_is_reached():
@@ -231,18 +229,6 @@ def test_a_level_may_be_a_function_of_time_that_also_ends_its_pattern(url):
         assert sum(each.sequence.period_us for each in silent) == 100_000
 
 
-@pytest.mark.parametrize("level", [0.3, 0.6])
-def test_an_image_in_natural_mode_is_at_the_level_asked_and_recorded(level):
-    touch, results = session("simulated:", mode="natural", intensity=0.5)
-    with touch:
-        touch.rise()
-        shown = touch.show(LETTER, 0.1, level)
-    assert shown.intensity == pytest.approx(0.5 * level)
-    own = shown_by(results, shown.time_ns, 0.1)
-    assert all(each.sequence.intensity == pytest.approx(0.5 * level) for each in own)
-    np.testing.assert_array_equal(own[0].input.image, LETTER)
-
-
 def test_a_task_that_is_canceled_ends_its_pattern():
     touch, results = session()
 
@@ -350,24 +336,16 @@ def test_a_stop_meanwhile_ends_what_waits(ending):
     assert len(results) == sent
 
 
-def test_a_recording_of_a_session_can_be_checked(tmp_path):
-    path = tmp_path / "session.mcap"
-    touch, results = session("simulated:", listeners=[st.Recorder(path)])
+def test_a_session_is_recorded_and_logged_and_nothing_is_printed(tmp_path, caplog, capfd):
+    caplog.set_level("INFO", "smarttouch")
+    path, events = tmp_path / "session.mcap", []
+    touch, results = session("simulated:", listeners=[st.Recorder(path), OnEvent(events.append)])
     with touch:
         touch.show(RING, 0.3)
     assert len([*RecordedRun(path).steps()]) == len(results)
     assert_replays(path)
-
-
-def test_events_are_logged_and_nothing_is_printed(caplog, capfd):
-    caplog.set_level("INFO", "smarttouch")
-    events = []
-    touch, _ = session(listeners=[OnEvent(events.append)])
-    with touch:
-        touch.show(RING, 0.1)
     logged = [each.args[1] for each in caplog.records if each.name == "smarttouch.run"]
-    assert logged == events
-    assert events
+    assert logged == events != []
     assert capfd.readouterr() == ("", "")
 
 
