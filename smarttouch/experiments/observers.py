@@ -27,11 +27,11 @@ from smarttouch.base.errors import ExperimentError
 from smarttouch.emulator.emulated_boards import Pulses
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import fire_all
+from smarttouch.physiology.response import DeliveredSlots, fire_all
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.physiology.vibration_thresholds import best_hz, sensitivity
 from smarttouch.profile import Profile
-from smarttouch.running.delivered import DeliveredSlots, strength
+from smarttouch.running.delivered import strength
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """Response of one finger to scan sequences: spikes, and measures of them."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import isnan, nan
@@ -147,3 +147,51 @@ def fire_all(model: SpikeModel, sequences: Sequence[SlotCurrents]) -> Iterator[S
         end = begin + len(each.width_us)
         yield model.fire(each, above[:, begin:end])
         begin = end
+
+
+Counts = dict[int, NDArray[np.intp]]  # spikes of each afferent, (A,), by sequence number
+
+FIELD_MM = 1.0  # standard deviation of a receptive field. Ours.
+MOST_SLOTS = 10_000  # slots that are looked at; of more, sequences are left out evenly
+
+
+@dataclass(frozen=True, eq=False)
+class DeliveredSlots:
+    """Slots of one delivered sequence, as `SpikeModel` takes them."""
+
+    current_ua: NDArray[np.int16]
+    width_us: NDArray[np.uint16]
+    discharge_us: NDArray[np.uint16]
+    period_us: int
+
+
+def delivered_spikes(
+    finger: Finger,
+    numbers: NDArray[np.uint32],
+    width_us: NDArray[np.float32],
+    current_ua: NDArray[np.int16],
+    period_us: Mapping[int, int],
+    most_slots: int | None = None,
+    model: SpikeModel | None = None,
+) -> Counts:
+    """Return the spikes of a finger under delivered slots (N,) of the sequences that ``period_us``
+    names, those of one sequence one after another; above ``most_slots``, sequences are left out
+    evenly. A model of the finger that is used again knows the patterns of before, and fires as a
+    new one."""
+    begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
+    parts = zip(begins, np.append(begins[1:], len(numbers)), strict=False)
+    sequences = {}
+    for begin, end in parts:
+        number, part = int(numbers[begin]), slice(begin, end)
+        if number in period_us:
+            width = width_us[part].astype(np.uint16)
+            discharge = np.full(len(width), finger.profile.pulse.discharge_us, np.uint16)
+            sequences[number] = DeliveredSlots(
+                current_ua[part], width, discharge, period_us[number]
+            )
+    every = 1 if most_slots is None else 1 + len(numbers) // most_slots
+    kept = dict(list(sequences.items())[::every])
+    model = SpikeModel(finger) if model is None else model
+    model.reset()
+    spikes = fire_all(model, list(kept.values()))
+    return {number: each.counts for number, each in zip(kept, spikes, strict=True)}

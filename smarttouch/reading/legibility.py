@@ -23,7 +23,9 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.anatomy import Anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import (
+    FIELD_MM,
     ResponseQuality,
+    delivered_spikes,
     ignore_nan,
     response_map,
     response_quality,
@@ -35,7 +37,7 @@ from smarttouch.reading.line_source import LineMotion, ReadingSource, TouchLine
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import BLOCK, recognize, recognized_lines
 from smarttouch.running.config import RunConfig
-from smarttouch.running.delivered import FIELD_MM, DeliveredResponses, delivered_spikes
+from smarttouch.running.delivered import DeliveredResponses
 from smarttouch.running.display import Display
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.runner import Runner

@@ -15,7 +15,7 @@ from smarttouch.imaging.line_picture import PIXELS_PER_PITCH, LinePicture
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import response_quality
+from smarttouch.physiology.response import delivered_spikes, response_quality
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile, load_profile
 from smarttouch.reading.legibility import (
@@ -32,7 +32,6 @@ from smarttouch.reading.legibility import (
 )
 from smarttouch.reading.letter_shapes import Shapes
 from smarttouch.reading.line_source import LineMotion
-from smarttouch.running.delivered import delivered_spikes
 from smarttouch.sources.source_contract import Pose
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 

@@ -8,12 +8,12 @@ from PIL import Image
 
 import smarttouch as st
 from smarttouch.pages.page_image import Page
+from smarttouch.physiology.response import DeliveredSlots, delivered_spikes
 from smarttouch.physiology.spikes import SpikeModel
-from smarttouch.running.delivered import DeliveredSlots, delivered_spikes
 from smarttouch.sources.source_contract import Pose, Sheet
 from smarttouch.views.delivered_drawing import PageDrawing, SpikeMap
 
-from ..views.test_delivered_drawing import at
+from .test_delivered_drawing import at
 
 RA, SAI, PC = st.Afferent
 SITE = 27
