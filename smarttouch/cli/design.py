@@ -13,6 +13,7 @@ from smarttouch.cli.options import (
     JsonOption,
     argument,
     option,
+    output_file,
     parse_afferent,
     require_site,
 )
@@ -37,7 +38,8 @@ def design(
     ] = False,
     json_file: JsonOption = None,
     plot_file: Annotated[
-        Path | None, option("Draw the kernels of the site, or of the middle one.", "PNG", "--plot")
+        Path | None,
+        output_file("Draw the kernels of the site, or of the middle one.", "PNG", "--plot"),
     ] = None,
 ) -> None:
     """Show kernels: currents that reach one class.
@@ -45,7 +47,7 @@ def design(
     All of a new profile are designed once and kept for its runs.
     """
     from smarttouch.base.errors import DesignError
-    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.base.files import write_json
     from smarttouch.kernels import kernel_tables
     from smarttouch.kernels.switched_design import possible_modes
     from smarttouch.profile import load_profile
@@ -53,8 +55,6 @@ def design(
 
     afferent = None if mode is None else parse_afferent(mode)
     chosen = load_profile(profile)
-    for output in (json_file, plot_file):
-        require_folder(output)
     if site is not None:
         require_site(chosen, site)
     modes = possible_modes(chosen)

@@ -139,10 +139,9 @@ def clear(url: _Url, profile: ProfileOption = None) -> None:
 @drives_a_board
 def measure(url: _Url, profile: ProfileOption = None, json_file: JsonOption = None) -> None:
     """Measure the impedance of every electrode on the finger, with small currents."""
-    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.base.files import write_json
     from smarttouch.running.display import open_display
 
-    require_folder(json_file)
     with open_display(url, profile).opened() as board:
         found = board.measure()
     _print_impedance(found)

@@ -18,6 +18,7 @@ from smarttouch.cli.options import (
     RunOptions,
     argument,
     option,
+    output_file,
     parse_afferent,
     require_answers,
     takes_options,
@@ -216,7 +217,7 @@ def fit(
         float | None,
         option("Set the share of successes at the threshold, not halfway from guessing.", "0..1"),
     ] = None,
-    plot: Annotated[Path | None, option("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
+    plot: Annotated[Path | None, output_file("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Fit thresholds with intervals to answers.
@@ -224,13 +225,11 @@ def fit(
     Several files, for example of RA and PC mode, share one table and one picture, where each has
     its name.
     """
-    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.base.files import write_json
     from smarttouch.experiments.answers import read_table, usual_model
     from smarttouch.experiments.findings import as_figures, discrimination_figure, judge_answers
     from smarttouch.views import figure_style
 
-    require_folder(json_file)
-    require_folder(plot)
     if plot is not None:
         figure_style.require_drawable(plot)
     guessed = None if guess is None else _parse_guess(guess)

@@ -35,6 +35,16 @@ def option(says: str, metavar: str | None = None, *names: str, **more: Any) -> A
     return typer.Option(*names, help=says, metavar=metavar, **more)
 
 
+def output_file(says: str, metavar: str, *names: str) -> Any:
+    """Return an option of a file to be written, whose folder must exist."""
+    return option(says, metavar, *names, callback=_in_a_folder)
+
+
+def _in_a_folder(path: Path | None) -> Path | None:
+    require_folder(path)
+    return path
+
+
 def argument(says: str, metavar: str | None = None, **more: Any) -> Any:
     """Return an argument of a command, as `option` does."""
     return typer.Argument(help=says, metavar=metavar, **more)
@@ -119,7 +129,7 @@ ClassOption = Annotated[str, option("Choose the class that is stimulated: RA, SA
 ModeOption = Annotated[
     str, option("Choose the class that is stimulated: RA, SAI, PC or natural.", "CLASS")
 ]
-JsonOption = Annotated[Path | None, option("Write the results as JSON.", "FILE", "--json")]
+JsonOption = Annotated[Path | None, output_file("Write the results as JSON.", "FILE", "--json")]
 
 
 ForceOption = Annotated[
@@ -148,12 +158,9 @@ class RunOptions(OptionGroup):
     seconds: Annotated[float | None, option("End the run after this time.", "S")] = None
     felt: Annotated[
         Path | None,
-        option(
-            "Draw what the sensor saw, what was delivered and how a simulated finger responds.",
-            "PNG",
-        ),
+        output_file("Draw what was seen, delivered, and felt by a simulated finger.", "PNG"),
     ] = None
-    record: Annotated[Path | None, option("Record the whole run.", "MCAP")] = None
+    record: Annotated[Path | None, output_file("Record the whole run.", "MCAP")] = None
     json_file: JsonOption = None
     window: Annotated[
         bool, option("Open a page in the browser that shows and steers the run.", None, "--window")
@@ -174,10 +181,6 @@ class RunOptions(OptionGroup):
             "--set",
         ),
     ] = None
-
-    def __post_init__(self) -> None:
-        for output in self.files:
-            require_folder(output)
 
     @property
     def files(self) -> list[Path]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smarttouch.base.errors import BrailleError, PageError, ReadingError, choice_of
-from smarttouch.base.files import named_file, require_folder, write_bytes
+from smarttouch.base.files import named_file, write_bytes
 from smarttouch.cli.options import (
     ModeOption,
     OptionGroup,
@@ -15,7 +15,7 @@ from smarttouch.cli.options import (
     argument,
     option,
     or_standard_input,
-    parse_mode,
+    output_file,
     read_form,
     takes_options,
 )
@@ -166,7 +166,7 @@ def read(
     motion = presentation.motion(chosen, speed_mm_s, run.settings().get("rate_hz"))
     notes: list[str] = []
     text = ReadingMaterial(*document.recognition(source), notes.append)
-    config = run.config(parse_mode(mode), tone=presentation.tone)
+    config = run.config(mode, tone=presentation.tone)
     lines = presentation.lines(text, chosen)
     with ReadingSource(text.title, chosen, lines, motion, pause_s) as reading:
         reading.url, reading.notes = source, notes
@@ -203,7 +203,7 @@ def braille(
     table: TableOption = None,
     back: Annotated[bool, option("Translate cells back into text.", None, "--back")] = False,
     output: Annotated[
-        Path | None, option("Write a .brf file, instead of printing cells.", "FILE")
+        Path | None, output_file("Write a .brf file, instead of printing cells.", "FILE")
     ] = None,
     columns: Annotated[
         int | None, option("Set the number of cells in a line, usually 40.", "N")
@@ -250,7 +250,6 @@ def braille(
 
 def _require_new_brf(output: Path, back: bool) -> None:
 
-    require_folder(output)
     if back or output.suffix.lower() != ".brf":
         message = "only cells are written, to a .brf file: redirect what is printed instead"
         raise BrailleError(f"cannot write {output}: {message}")
@@ -318,6 +317,6 @@ def braille_display(
     from smarttouch.sources import open_source
 
     chosen = profile_for_reading(run.load_profile())
-    config = run.config(parse_mode(mode), scan="points")
+    config = run.config(mode, scan="points")
     with open_source(f"brltty:{address}", chosen) as source:
         run.start(source, chosen, config, keys=source.keys, keys_help=source.keys_help)

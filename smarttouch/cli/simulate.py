@@ -47,7 +47,7 @@ def simulate_page(
     json_file: JsonOption = None,
 ) -> None:
     """Run a page on a simulated board and read the result with Tesseract."""
-    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.base.files import write_json
     from smarttouch.base.terminal import print_table
     from smarttouch.imaging.array_window import profile_for_reading, rows_of
     from smarttouch.kernels.bank import load_bank
@@ -59,7 +59,6 @@ def simulate_page(
     from smarttouch.running.config import RunConfig
     from smarttouch.views.progress import bank_progress, progress
 
-    require_folder(json_file)
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
     text = ReadingMaterial(*document.recognition(source), notes.append)
