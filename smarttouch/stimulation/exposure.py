@@ -80,23 +80,18 @@ class _Sent(NamedTuple):
 
     def repetitions(self, begun: int) -> list[_Pass]:
         """Return the passes that have begun since, but for those of long ago."""
-        found = []
-        for index in range(max(1, begun - WINDOW_NS // self.period_ns - 2), begun):
-            by_ns, first = index * self.period_ns, self.first
-            found.append(
-                first._replace(start_ns=first.start_ns + by_ns, end_ns=first.end_ns + by_ns)
-            )
-        return found
+        first, recent = self.first, max(1, begun - WINDOW_NS // self.period_ns - 2)
+        delays_ns = (index * self.period_ns for index in range(recent, begun))
+        return [
+            first._replace(start_ns=first.start_ns + by_ns, end_ns=first.end_ns + by_ns)
+            for by_ns in delays_ns
+        ]
 
 
 class Exposure:
     """Running sums over the last second and over the session, on the display's clock.
 
     A board finishes a pass before the next begins: passes count at the times that this gives.
-
-    Parameters
-    ----------
-    limits : SafetyLimits
     """
 
     def __init__(self, limits: SafetyLimits) -> None:
@@ -153,18 +148,8 @@ class Exposure:
         return kept[over[0]].end_ns + WINDOW_NS - now_ns if len(over) else 0
 
     def enter(self, now_ns: int, period_us: int, times: int, made: PassLoad, flows: bool) -> None:
-        """Enter a sequence that may begin now; it ends the repetitions of the one before.
-
-        Parameters
-        ----------
-        now_ns : int
-            The display's time; never before that of the last call.
-        period_us, times : int
-            Length of one pass, and how many of them.
-        made : PassLoad
-            Of one pass.
-        flows : bool
-            Whether it has slots: its time then counts to the session.
+        """Enter passes of a sequence that may begin now, which is never before the last call; it
+        ends the repetitions of the one before. Their time counts to the session if it ``flows``.
 
         Raises
         ------
@@ -218,20 +203,9 @@ class Exposure:
     def _check_second(
         self, now_ns: int, first: _Pass, own: int, period_ns: int, entered: list[_Pass]
     ) -> float:
-        """Raise if any second would hold too many passes, or too much of what they bring.
-
-        Returns the largest net charge (× `PER_PC`) of the newest passes before it, or a bound.
-
-        Parameters
-        ----------
-        now_ns : int
-        first : _Pass
-            The first pass of the new sequence.
-        own, period_ns : int
-            Number of its passes to judge, one period apart.
-        entered : list of _Pass
-            Repetitions of the sequence before that are not in the window yet.
-        """
+        """Raise if any second would hold too many passes, or too much of what they bring: of
+        ``own`` passes a period apart, and of those of the sequence before that are not in the
+        window yet. Returns a bound of the net charge (× `PER_PC`) of the newest passes before."""
         window, most = self._window, own * first.most
         for each in entered:
             most += each.most
@@ -267,17 +241,8 @@ class Exposure:
 
 
 def _check_recharge(before_pc: Charge, recharge_pc: Charge, net_pc: Charge, times: int) -> None:
-    """Raise unless a recharge phase takes back charge that its electrodes carry, in every pass.
-
-    Parameters
-    ----------
-    before_pc : ndarray, (E,) pC
-        What each electrode carries before the first phase.
-    recharge_pc : ndarray, (E,) pC
-    net_pc : ndarray, (E,) pC
-        Net charge of one pass, by which the others begin with more.
-    times : int
-    """
+    """Raise unless a recharge phase takes back charge that its electrodes carry, before the first
+    of its passes and, as each leaves net charge, before the last; all (E,) pC."""
     for carried_pc in (before_pc, before_pc + (times - 1) * net_pc)[: min(times, 2)]:
         # At most all of it, and of the other sign.
         over_pc = np.abs(carried_pc + recharge_pc) + np.abs(recharge_pc) - np.abs(carried_pc)

@@ -23,12 +23,8 @@ class Ramp:
 
     Only the time of passes with current counts, no more of it than has gone by, and up to their
     strength (`SafetyLimits.strength_ppb`). A level stays open for `LEVEL_KEPT_NS` after the last
-    of it, and weak current does not lower it. One late step may be caught up.
-
-    Parameters
-    ----------
-    ramp_ns : int
-        Shortest time from zero to full.
+    of it, and weak current does not lower it. One late step may be caught up. From zero to full it
+    takes ``ramp_ns`` or longer.
     """
 
     def __init__(self, ramp_ns: int) -> None:
@@ -82,17 +78,9 @@ class Ramp:
         return strength_ppb <= most_ppb + LEEWAY_PPB
 
     def note(self, ppb: int, strength_ppb: int, now_ns: int, lasting_ns: int) -> None:
-        """Enter a sequence whose bytes have just been written.
-
-        Parameters
-        ----------
-        ppb, strength_ppb : int
-            Intensity that it claims, which lowers the level, and its strength, above which it
-            raises none.
-        now_ns : int
-        lasting_ns : int
-            Time of its passes, all repetitions included.
-        """
+        """Enter a sequence whose bytes have just been written, by the intensity that it claims,
+        which lowers the level, its strength, above which it raises none, and the time of its
+        passes, all repetitions included."""
         # The board finishes its present pass, and of repetitions no more.
         gone_ns = max(0, now_ns - self._since_ns)
         left_ns = self._left_ns - gone_ns

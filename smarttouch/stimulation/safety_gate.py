@@ -2,12 +2,12 @@
 
 from dataclasses import InitVar, dataclass, replace
 from threading import Lock
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.clock import LATE_NS
+from smarttouch.base.clock import LATE_NS, Clock
 from smarttouch.base.errors import SafetyError
 from smarttouch.stimulation.exposure import Dose, Exposure
 from smarttouch.stimulation.ramp import PPB, Ramp
@@ -27,12 +27,6 @@ _ARRAYS = (
 )
 """Arrays of a sequence: type, dimensions, and whether they have a row for each slot; the others
 may be None."""
-
-
-class NanosecondClock(Protocol):
-    """Clock of the gate."""
-
-    def now_ns(self) -> int: ...
 
 
 _GATE: Final = object()
@@ -81,12 +75,12 @@ class SafetyGate:
     ----------
     limits : SafetyLimits
         Limits of every sequence.
-    clock : NanosecondClock, optional
+    clock : Clock, optional
         The display's. Without one, for checks that reach no board, time is what each
         sequence claims.
     """
 
-    def __init__(self, limits: SafetyLimits, clock: NanosecondClock | None = None) -> None:
+    def __init__(self, limits: SafetyLimits, clock: Clock | None = None) -> None:
         self.limits: SafetyLimits = limits
         self._clock = clock
         self._exposure = Exposure(limits)
@@ -263,13 +257,8 @@ def _whole(value: Any, name: str) -> int:
 
 
 def frozen(sequence: ScanSequence) -> ScanSequence:
-    """Return an immutable copy: arrays backed by bytes, and plain whole numbers.
-
-    Raises
-    ------
-    SafetyError
-        If a field has another type or shape than it should.
-    """
+    """Return an immutable copy: arrays backed by bytes, and plain whole numbers; raise a
+    SafetyError if a field has another type or shape than it should."""
     fields: dict[str, Any] = {"proof": sequence.proof, "sums": sequence.sums}
     slots: int | None = None
     for name, kind, dimensions, of_slots in _ARRAYS:

@@ -223,16 +223,6 @@ class SafetyLimits:
         return Fraction(self.full_ma) * 1000
 
     @cached_property
-    def most_ua_line(self) -> tuple[int, int, int]:
-        """Largest current at an intensity, with rounding: a line in whole numbers a, b, c.
-
-        At p parts per billion it is (a p + b) // c µA.
-        """
-        full, rounding = self.full_ua / PPB, self.rounding_ua
-        below = full.denominator * rounding.denominator
-        return (full.numerator * rounding.denominator, rounding.numerator * full.denominator, below)
-
-    @cached_property
     def width_whole_us(self) -> int:
         """Width of a full pulse."""
         width_us = self.pulse_us if self.width_us is None else self.width_us
@@ -243,26 +233,14 @@ class SafetyLimits:
         """Charge of a full pulse."""
         return self.full_ua * self.width_whole_us
 
-    @cached_property
-    def _full_pc_ratio(self) -> tuple[int, int]:
-        """Parts per billion of a full pulse in a picocoulomb, as a ratio."""
-        return PPB * self.full_pc.denominator, self.full_pc.numerator
-
     def strength_ppb(self, ppb: int, peak_pc: int) -> int:
-        """Return the intensity that a sequence counts for by its strongest pulse.
+        """Return the intensity that a sequence counts for by its strongest pulse, whose largest
+        charge of one electrode is ``peak_pc``, in parts per billion.
 
-        What it claims, up to `STRENGTH` times the pulse's share of a full one, and never less than
-        that share.
-
-        Parameters
-        ----------
-        ppb : int
-            Intensity that it claims, parts per billion.
-        peak_pc : int, pC
-            Largest charge of a pulse of one electrode.
+        What it claims, ``ppb``, up to `STRENGTH` times the pulse's share of a full one, and never
+        less than that share.
         """
-        part, whole = self._full_pc_ratio
-        share = -(-peak_pc * part // whole)
+        share = math.ceil(peak_pc * PPB / self.full_pc)
         return min(PPB, max(share, min(ppb, STRENGTH * share)))
 
     def strength_of(self, sequence: ScanSequence) -> int:
@@ -304,14 +282,8 @@ def _check(name: str, value: float, least: float, most: float) -> None:
 
 
 def recharge_most_ua(threshold_ma: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Return the largest recharge current of each electrode, (E,) µA.
-
-    A tenth of its threshold, and `RECHARGE_UA` at most.
-
-    Parameters
-    ----------
-    threshold_ma : ndarray, (E,) mA
-    """
+    """Return the largest recharge current of each electrode, (E,) µA, by thresholds, (E,) mA: a
+    tenth of it, and `RECHARGE_UA` at most."""
     whole = [min(RECHARGE_UA, math.floor(Fraction(float(each)) * 100)) for each in threshold_ma]
     return np.array(whole, np.int64)
 

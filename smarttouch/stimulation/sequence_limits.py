@@ -1,5 +1,6 @@
 """Limits of a single scan sequence, checked in whole numbers on its frozen copy."""
 
+import math
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -145,13 +146,8 @@ def refusal(
 
 
 def prove_sequence(sequence: ScanSequence, limits: SafetyLimits) -> PassLoad:
-    """Return the load of a frozen sequence on each electrode.
-
-    Raises
-    ------
-    SafetyError
-        Naming the limit, the slot and electrode, and by how much.
-    """
+    """Return the load of a frozen sequence on each electrode; raise a SafetyError that names the
+    limit, slot and electrode, and by how much."""
     _prove_fields(sequence, limits)
     longest_us, pulses_us, busy_us = _prove_times(sequence, limits)
     if not busy_us:
@@ -270,13 +266,12 @@ def _prove_each(
 
 def _prove_intensity(limits: SafetyLimits, ppb: int, peak_ua: int, charge_pc: int) -> None:
     """Raise unless current, or charge where width carries intensity, is proportional to it."""
-    per_ppb, rounding, whole = limits.most_ua_line
     if limits.full_us is not None:
         full = limits.full_ua + limits.rounding_ua
         most_pc = full * round(limits.full_us) * _WIDTH_LEEWAY * ppb / PPB
         if charge_pc > most_pc:
             raise refusal("claimed_uc", charge_pc / 1e6, float(most_pc) / 1e6)
         ppb = PPB
-    highest_ua = (per_ppb * ppb + rounding) // whole
+    highest_ua = math.floor(limits.full_ua * ppb / PPB + limits.rounding_ua)
     if peak_ua > highest_ua:
         raise refusal("claimed_ma", peak_ua / 1000, highest_ua / 1000)
