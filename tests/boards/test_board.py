@@ -179,24 +179,6 @@ def test_halting_ends_the_wait_for_a_board_that_does_not_answer(monkeypatch, dea
     assert isinstance(Opening(board).halted(), BoardStoppedError)
 
 
-def test_halting_ends_the_silence_that_an_etactilekit_is_given(monkeypatch, deaf_port):
-    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
-    monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.FORGETS_S", 600.0)
-    monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.CHIPS_S", 0.01)
-    board = make_board(f"etactilekit:{deaf_port}", KIT_LIMITS, OUTPUT)
-    waiting, pause = threading.Event(), board._line.pause
-
-    def tell_and_pause(seconds):
-        if seconds == 600.0:
-            waiting.set()
-        pause(seconds)
-
-    board._line.pause = tell_and_pause
-    opening = Opening(board)
-    assert waiting.wait(PATIENCE_S)
-    assert isinstance(opening.halted(), BoardStoppedError)
-
-
 def test_halting_ends_the_start_of_an_emulator():
     board = make_board("emulator:", KIT_LIMITS)
     board.driver.process._command = ["sleep", "600"]

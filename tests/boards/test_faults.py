@@ -10,13 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
+from smarttouch.base.errors import BoardError, SilentBoardError
 from smarttouch.base.wire.port import open_port
 from smarttouch.boards import line
-from smarttouch.boards.link.packet_line import SILENCE_S
 from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.open import make_board
-from smarttouch.emulator.firmware import read_state
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from tests.boards.fresh import deliver
@@ -40,37 +38,6 @@ def test_a_killed_board_is_reported_at_the_next_send(make_limits, make_sequence)
             send_on(board, make_sequence)
         assert board.acknowledged == 1
         assert f"{board.capabilities.time_to_zero_ms:g} ms" in str(error.value)
-
-
-def test_a_board_that_hangs_is_reported(make_limits, make_sequence):
-    with make_board("emulator:", make_limits()) as board:
-        board.driver._packets.silence_s = SILENCE_S
-        deliver(board, make_sequence(0))
-        board.driver._packets.answer_s = 0.3
-        os.kill(board.driver.process.process_id, signal.SIGSTOP)
-        try:
-            with raises(LineLostError):
-                send_on(board, make_sequence, 0.05)
-        finally:
-            os.kill(board.driver.process.process_id, signal.SIGCONT)
-
-
-def test_sigterm_and_no_ctrl_c_ends_a_board_that_has_a_host(tmp_path, make_limits, start_emulator):
-    process, port = start_emulator(f"books={tmp_path}")
-    with make_board(f"link:{port}", make_limits()):
-        process.send_signal(signal.SIGINT)
-        time.sleep(0.2)
-        assert process.poll() is None
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0
-    assert (read_state(tmp_path)["state"], read_state(tmp_path)["reason"]) == ("shorted", "signal")
-
-
-def test_a_board_without_a_host_ends_by_itself(make_limits, start_emulator):
-    process, port = start_emulator("linger=0.1")
-    with make_board(f"link:{port}", make_limits()):
-        pass
-    assert process.wait(60) == 0
 
 
 def test_a_busy_port_is_named(make_limits, start_emulator):
@@ -170,14 +137,6 @@ def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch)
         assert not thread.is_alive()
         assert_says(raised[0])
         assert board.report().slots == 0
-
-
-def test_heartbeats_keep_an_idle_board(make_limits, make_sequence):
-    """Longer without a sequence than either end bears silence."""
-    with make_board("emulator:", make_limits()) as board:
-        time.sleep(0.8)
-        deliver(board, make_sequence(0))
-        assert board.report().sequences == 1
 
 
 def test_a_program_that_reads_from_the_port_is_named_once(make_limits, make_sequence, monkeypatch):

@@ -2,7 +2,6 @@
 
 import threading
 
-import numpy as np
 import pytest
 
 from smarttouch.base.clock import LATE_NS
@@ -15,7 +14,6 @@ from smarttouch.boards.probe_scans import one_each
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from .fresh import deliver, until
-from .manual_kit import ManualKit
 
 HOUR_NS = 3600 * 10**9
 
@@ -128,17 +126,6 @@ def test_a_packet_whose_time_has_passed_is_not_written(script, times):
     assert board.report().pulses == 0
 
 
-def test_a_job_that_waited_through_a_pause_is_not_sent(script):
-    """The pause comes before the sender has even looked at it."""
-    script(*KAJIMOTO_OPEN, *KAJIMOTO_OPEN)
-    with board_of(Kajimoto61Driver, 61) as board:
-        with board._news:
-            board.send(pulses(61, 0))
-            board.clock.time_ns += LATE_NS + 1
-        board.drain()
-        assert (board.acknowledged, board.dropped_late) == (0, 1)
-
-
 def test_what_waits_while_the_level_is_closed_is_not_sent(script):
     """It was proved before: the ramp is asked once more right before the write."""
     script(*KAJIMOTO_OPEN, (KAJIMOTO_ZERO, b""), *KAJIMOTO_OPEN)
@@ -151,50 +138,10 @@ def test_what_waits_while_the_level_is_closed_is_not_sent(script):
         assert (board.acknowledged, board.dropped_late) == (1, 1)
 
 
-@pytest.mark.parametrize(("late_ns", "scans"), [(0, 5), (LATE_NS, 5), (LATE_NS + 1, 0)])
-def test_a_pattern_whose_time_has_passed_is_not_let_through(monkeypatch, late_ns, scans):
-    kit = ManualKit(monkeypatch, limits(4))
-    kit.late_ns = late_ns
-    # A pause before each: what waits for its turn behind another is not late.
-    begin_ns = kit.clock.time_ns
-    jobs = [(begin_ns + (step + 1) * 10**9, pulses(4, 1, 999), 1) for step in range(5)]
-    kit.run(jobs)
-    assert len(kit.scans()) == scans
-    assert kit.dropped_late == 5 * (scans == 0)
-
-
-class PausesAfter(ManualClock):
-    """The computer stands still after so many looks at the clock."""
-
-    looks = 10**9
-
-    def now_ns(self):
-        self.looks -= 1
-        if self.looks == 0:
-            self.time_ns += 3 * LATE_NS
-        return self.time_ns
-
-
 def emulated(clock):
     """Return an emulated board for which it can be too late."""
     driver = make_driver("emulator:", limits(8))
     return Board(driver, limits(8), clock=clock, claimed_time=True)
-
-
-@pytest.mark.parametrize("looks", [1, 2, 3, 4])
-def test_a_link_board_gets_no_byte_of_what_is_late(looks):
-    """Whenever the pause comes: the last look is directly before the bytes."""
-    clock = PausesAfter()
-    with emulated(clock) as board:
-        deliver(board, pulses(8, 0))
-        due_ns, clock.looks = clock.time_ns, looks
-        with pytest.raises(SequenceLateError):
-            board.send(pulses(8, 1), due_ns=due_ns)
-        assert board.dropped_late == 1
-        deliver(board, one_each(limits(8), 0, 50, 0.0, 4 * 10**9, cathodic=False))
-        report = board.report()
-    assert (report.sequences, report.pulses) == (2, 0)
-    assert np.isfinite(report.max_charge_uc)
 
 
 def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):

@@ -20,11 +20,3 @@ def test_a_range_of_scans_is_a_range_of_pulses(make_sequence):
     exact.add(sequence, 4)
     assert exact.report.most_pulses == 128
     assert report.max_net_charge_uc == pytest.approx(exact.report.max_net_charge_uc + 0.28)
-
-
-def test_what_was_never_scanned_has_no_current(make_sequence):
-    books = HostStatistics(8)
-    books.add(make_sequence(), 0)
-    books.add(make_sequence(0), 5)
-    report = books.report
-    assert (report.sequences, report.slots, report.max_current_ma) == (2, 0, 0.0)

@@ -135,35 +135,6 @@ def test_energy_that_would_need_more_than_was_asked_for_is_not_held():
     assert finger.adaptation.limited
 
 
-def test_energy_comes_back_slowly():
-    finger = Finger(MOUSE, "energy")
-    finger.touch(0.1)
-    finger.kohm[:] = 20 * KOHM
-    for _ in range(3):
-        _, low, _, _ = finger.touch(0.1)
-    finger.kohm[:] = KOHM
-    before = np.abs(low.current_ua).max()
-    for _ in range(60):
-        asked, sent, _, _ = finger.touch(0.1)
-        now = np.abs(sent.current_ua).max()
-        assert now <= 1.06 * before
-        before = now
-    assert now == pytest.approx(0.5 * np.abs(asked.current_ua).max(), rel=0.01)
-
-
-def test_no_reference_is_taken_from_a_source_at_its_end():
-    finger = Finger(MOUSE, "energy")
-    finger.kohm[:] = 1e6
-    finger.touch()
-    finger.kohm[:] = KOHM
-    finger.touch()
-    finger.kohm[:] = 2 * KOHM
-    finger.touch()
-    asked, sent, _, _ = finger.touch()
-    ratio = np.abs(sent.current_ua).max() / np.abs(asked.current_ua).max()
-    assert ratio == pytest.approx(0.5 * np.sqrt(0.5), rel=0.01)
-
-
 def test_longer_pulses_lengthen_the_period():
     profile = with_pulse("electric-mouse", 80, rate_hz=86.0, discharge_us=100)
     timing = ScanTiming(slot_extra_us=1, scan_us=5)

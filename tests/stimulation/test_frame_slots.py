@@ -203,3 +203,10 @@ def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, ba
     assert sequence.slots == 6
     assert np.abs(sequence.current_ua).max() > 2310
     prove_alone(alone, sequence)
+
+
+def test_hardly_any_intensity_shows_points_one_by_one(slots):
+    assert 0 < slots.certain_from < 0.02
+    activation = np.ones(64, np.float32)
+    assert len(slots.slots(activation, 0.99 * slots.certain_from).site) == 64
+    assert len(slots.slots(activation, slots.certain_from).site) < 64
