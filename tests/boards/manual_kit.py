@@ -114,7 +114,7 @@ class ScanBooks(DeliveryLog):
 
 def proved(sequence, times=1, number=0, due_ns=0, late_ns=LATE_NS):
     """Return a sequence as the gate would prove it: what is tested is what drivers do."""
-    return ProvedSequence(sequence, times, number, due_ns, due_ns + late_ns, False, 0, key=_GATE)
+    return ProvedSequence(sequence, times, number, due_ns, due_ns + late_ns, 0, key=_GATE)
 
 
 def manual_line(patch, driver, port, clock, limits):

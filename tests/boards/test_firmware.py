@@ -18,7 +18,6 @@ from tests.boards.fresh import deliver, fresh_state, until
 from tests.boards.test_contract import (
     AT_ANY_LINE,
     CLOSES,
-    DELIVERED,
     SENT,
     Contract,
     without_repeating,
@@ -30,7 +29,7 @@ from ..raising import raises
 
 
 @without_repeating(
-    DELIVERED, SENT, AT_ANY_LINE, CLOSES,
+    SENT, AT_ANY_LINE, CLOSES,
     "test_a_newer_sequence_ends_a_repetition",
 )  # fmt: skip
 @pytest.mark.usefixtures("patient_boards")

@@ -63,7 +63,7 @@ def test_a_board_cannot_be_inherited():
 
 def test_only_the_gate_makes_what_can_be_sent():
     made = [
-        lambda proved: ProvedSequence(proved.sequence, 1, 1, 0, LATE_NS, True, 1),
+        lambda proved: ProvedSequence(proved.sequence, 1, 1, 0, LATE_NS, 1),
         lambda proved: dataclasses.replace(proved, sequence=sequence(9, 5000)),
         lambda proved: dataclasses.replace(proved, write_before_ns=2**62),
     ]

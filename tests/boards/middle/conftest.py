@@ -281,7 +281,6 @@ def write(board, sequence, times=1):
             number,
             now_ns,
             now_ns + LATE_NS,
-            False,
             board._gate._session,
             key=_GATE,
         )
