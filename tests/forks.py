@@ -32,7 +32,7 @@ _IMPORTED = (
     "smarttouch.boards.kits.etactilekit", "smarttouch.boards.kits.kajimoto61",
     "smarttouch.emulator.etactilekit_firmware", "smarttouch.emulator.kajimoto61_firmware",
     "smarttouch.emulator.link_firmware", "smarttouch.views.terminal_session",
-    "smarttouch.emulator.__main__", "smarttouch.emulator.server",
+    "smarttouch.emulator.__main__", "smarttouch.emulator.devices",
     "smarttouch.running.check_recording", "smarttouch.sources.force",
     "smarttouch.sources.virtual_finger",
 )  # fmt: skip
@@ -152,7 +152,7 @@ def _serve(channel):
         import_module(module)
     import_module("smarttouch.cli")._built()
     # Whoever looks into the books of a board waits until they are written once more.
-    import_module("smarttouch.emulator.server")._WRITE_EVERY_NS = 10_000_000
+    import_module("smarttouch.emulator.devices")._WRITE_EVERY_NS = 10_000_000
     driver = import_module("smarttouch.emulator.emulated_boards")
     driver.subprocess, Forked._server = forked_boards(), _Itself()
     gc.collect()

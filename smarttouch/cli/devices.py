@@ -61,7 +61,7 @@ def emulate(
     ],
 ) -> None:
     """Emulate a board on skin, or a sensor, at a port until Ctrl-C."""
-    from smarttouch.emulator.commands import emulate as emulate_device
+    from smarttouch.emulator.devices import emulate as emulate_device
 
     emulate_device(device, advise=True)
 

@@ -4,7 +4,7 @@ the port's name alone."""
 import sys
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.emulator.commands import emulate
+from smarttouch.emulator.devices import emulate
 
 
 def main() -> None:

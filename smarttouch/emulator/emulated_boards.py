@@ -18,8 +18,7 @@ from smarttouch.base.posix import HAS_POSIX
 from smarttouch.base.registry import refuse_rest
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.board_answers import SentPart
-from smarttouch.boards.link.link_driver import LinkDriver
+from smarttouch.boards.link.link_driver import LinkDriver, SentPart
 from smarttouch.boards.link.packet_line import PacketLine
 from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.link.sequence_encoding import ScanPart
@@ -70,9 +69,6 @@ class _Packets(PacketLine):
     def _listen(self) -> None:
         """Take each answer where the packet is sent."""
 
-    def now_s(self) -> float:
-        return self._now_ns / 1e9
-
     def now_ns(self) -> int:
         return self._now_ns
 
@@ -84,17 +80,9 @@ class _Packets(PacketLine):
             self.wait_until(self._now_ns + _STEP_NS)
         return True
 
-    def send(
-        self,
-        kind: MessageKind,
-        about: int = 0,
-        payload: bytes = b"",
-        *,
-        proved: ProvedSequence | None = None,
-    ) -> None:
+    def _put(self, packet: bytes, proved: ProvedSequence | None) -> None:
         with self.line.current(proved):
             self._said_ns = self._now_ns
-            packet = self.session.encode(kind, about, payload)
             self.take(self._firmware.feed(packet, self._now_ns))
 
     def wait_until(self, end_ns: int) -> None:

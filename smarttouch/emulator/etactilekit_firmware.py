@@ -19,9 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import LARGEST_READING, DeliveryLog, KitFirmware
-from smarttouch.emulator.skin import COMPLIANCE_V
+from smarttouch.emulator.skin import COMPLIANCE_V, EmulatedFinger
 
 UA_PER_COUNT = 9.99
 SWITCHING_NS = 10_000

@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import BoardError
-from smarttouch.emulator.finger_events import EmulatedFinger
-from smarttouch.emulator.skin import Delivered, SkinCircuit
+from smarttouch.emulator.skin import Delivered, EmulatedFinger, SkinCircuit
 
 STATE_FILE = "state.json"
 DELIVERED_FILE = "delivered.bin"
@@ -153,7 +151,7 @@ def _record(electrodes: int) -> np.dtype[np.void]:
 class Firmware(ABC):
     """A device between its line and what it touches; it has no clock of its own."""
 
-    books: DeliveryLog | None = None
+    books: DeliveryLog
     longest_step_ns = 10_000_000  # a process kept waiting for longer stops the device's time
     backlog = 65536  # as soon as so many bytes wait for the host, messages are dropped
 
@@ -182,13 +180,9 @@ class Firmware(ABC):
         """Handle the end of the line to the host, which a device may not detect."""
         self.idle(now_ns)
 
-    # Not abstract: sensors carry no current and leave it out.
-    def zero(self, reason: str, now_ns: int) -> None:  # noqa: B027, may be left out
-        """Lose power; sensors do nothing."""
-
-    def take_order(self, order: str) -> None:
-        """Execute a line of input; raise BoardError if it is no order."""
-        raise BoardError(f"{order!r} is no order: this device takes none")
+    def zero(self, reason: str, now_ns: int) -> None:
+        """Lose power."""
+        self.books.state, self.books.reason = "shorted", reason
 
 
 class DeviceClock:
@@ -216,7 +210,6 @@ class KitFirmware(Firmware):
     """Base of kits: commands, and one source with the skin connected; a shunt is a load beside the
     skin."""
 
-    books: DeliveryLog
     codes: Collection[int]  # first bytes of commands; others are skipped between these
 
     def __init__(
@@ -250,8 +243,8 @@ class KitFirmware(Firmware):
 
     def zero(self, reason: str, now_ns: int) -> None:
         """Forget everything, as at a loss of power."""
+        super().zero(reason, now_ns)
         self._received.clear()
-        self.books.state, self.books.reason = "shorted", reason
         self.books.zero_after_ms = (now_ns - self._fed_ns) / 1e6
 
     def _pulse(

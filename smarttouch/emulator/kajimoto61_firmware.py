@@ -10,9 +10,8 @@ connected to it until its own value has been loaded.
 from collections import deque
 from dataclasses import dataclass, field
 
-from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, KitFirmware
-from smarttouch.emulator.skin import COMPLIANCE_V
+from smarttouch.emulator.skin import COMPLIANCE_V, EmulatedFinger
 
 ELECTRODES = 61
 STIMULATE, MEASURE = 0xFF, 0xFE

@@ -24,7 +24,6 @@ from smarttouch.boards.link.protocol import (
     decode,
     encode_volts,
 )
-from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import RECHARGE, DeliveryLog, Firmware
 from smarttouch.emulator.link_packets import BoardSession, ReceivedSequence, decode_lists
 from smarttouch.emulator.link_rules import (
@@ -35,7 +34,7 @@ from smarttouch.emulator.link_rules import (
     Load,
     Room,
 )
-from smarttouch.emulator.skin import SkinCircuit
+from smarttouch.emulator.skin import EmulatedFinger, SkinCircuit
 
 NAME = "SmartTouch board emulator 1"
 
@@ -76,8 +75,6 @@ class LinkFirmware(Firmware):
 
     ``switch_open`` says whether somebody holds its emergency switch open.
     """
-
-    books: DeliveryLog
 
     def __init__(
         self,
@@ -126,27 +123,27 @@ class LinkFirmware(Firmware):
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
         """Process bytes from the host; return the answer."""
-        self._advance(now_ns)
-        garbled = self._deframer.errors
+        self._pass_time(now_ns)
+        deframer, session, books = self._deframer, self._session, self.books
+        garbled = deframer.errors
         first, zero, rest = data.partition(b"\0")
         for piece in (first + zero, rest):
-            if not self._deframer.waiting:
+            if not deframer.waiting:
                 self._packet_ns = now_ns
-            for packet in self._deframer.feed(piece):
+            for packet in deframer.feed(piece):
                 self._answer(decode(packet), now_ns)
-        if self._deframer.errors > garbled and self._greeted:
+        if deframer.errors > garbled and self._greeted:
             self._refuse(0, Refusal.GARBLED)
-        head = self._deframer.head(WHOLE_HEAD_BYTES)
-        if head is not None and self._session.promises(head, self._packet_ns, now_ns):
+        head = deframer.head(WHOLE_HEAD_BYTES)
+        if head is not None and session.promises(head, self._packet_ns, now_ns):
             self._received_ns = now_ns
-        self.books.framing_errors = self._deframer.errors
-        self.books.old_packets = self._session.old
-        self.books.foreign_packets = self._session.foreign
+        books.framing_errors = deframer.errors
+        books.old_packets, books.foreign_packets = session.old, session.foreign
         return self._take_answers()
 
     def advance(self, now_ns: int) -> bytes:
         """Execute all that is due, stop if the host is silent; return the answer."""
-        self._advance(now_ns)
+        self._pass_time(now_ns)
         return self._take_answers()
 
     def _take_answers(self) -> bytes:
@@ -154,7 +151,7 @@ class LinkFirmware(Firmware):
         self._answers.clear()
         return answers
 
-    def _advance(self, now_ns: int) -> None:
+    def _pass_time(self, now_ns: int) -> None:
         opened = self.switch_open or self._finger.opens_switch(now_ns / 1e9)
         self._session.state = SWITCH_OPEN * opened
         if opened and self._refusing is None:
@@ -163,15 +160,13 @@ class LinkFirmware(Firmware):
             if recharge_ns is not None and recharge_ns <= self._executed_ns:
                 # Nothing that was due since then begins, but this phase has gone on until now.
                 self._executed_ns = now_ns
-            self.zero("emergency", now_ns)
+            self._end(Refusal.EMERGENCY, "emergency", now_ns)
             self._refuse(0, Refusal.EMERGENCY)
-            self._end(Refusal.EMERGENCY)
         deadline_ns = self._received_ns + SILENCE_MS * 1_000_000
         self._execute(min(now_ns, deadline_ns))
         if now_ns >= deadline_ns and self._refusing is None:
             dropped = self._waiting
-            self.zero("silence", now_ns)
-            self._end(Refusal.SILENCE)
+            self._end(Refusal.SILENCE, "silence", now_ns)
             if dropped is not None:
                 self._refuse(dropped.number, Refusal.SILENCE)
         if self._greeted and now_ns - self._alive_ns >= protocol.ALIVE_MS * 1_000_000:
@@ -183,14 +178,13 @@ class LinkFirmware(Firmware):
 
     def hang_up(self, now_ns: int) -> None:
         """End the session, as the host has closed the line."""
-        self._advance(now_ns)
-        self._answers.clear()
+        self.advance(now_ns)
         if self._refusing is not Refusal.STOPPED:
-            self.zero("host closed", now_ns)
-        self._end(Refusal.STOPPED)
+            self._end(Refusal.STOPPED, "host closed", now_ns)
         self._greeted = False
 
-    def _end(self, refusing: Refusal) -> None:
+    def _end(self, refusing: Refusal, reason: str, now_ns: int) -> None:
+        self.zero(reason, now_ns)
         self._refusing, self._session.live = refusing, False
 
     def zero(self, reason: str, now_ns: int) -> None:
@@ -199,8 +193,10 @@ class LinkFirmware(Firmware):
             self._recharge(self._running, self._executed_ns)
             self._second.end(min(now_ns, self._running.over_ns) // 1000)
         self._running = self._waiting = None
-        self.books.state, self.books.reason = "shorted", reason
+        super().zero(reason, now_ns)
         self.books.zero_after_ms = (now_ns - self._received_ns) / 1e6
+
+    # -- sequences -----------------------------------------------------------
 
     def _execute(self, until_ns: int) -> None:
         self._executed_ns = until_ns
@@ -209,20 +205,16 @@ class LinkFirmware(Firmware):
             for slot in range(table.done, due):
                 self._deliver(table, slot)
             table.done = max(table.done, due)
-            if until_ns < self._end_ns(table):
+            end_ns, waiting = table.end_ns, self._waiting
+            if waiting is not None and waiting.sequence.goes_on:
+                # With its slots, as the next part waits.
+                end_ns = max(table.over_ns, waiting.came_ns)
+            if until_ns < end_ns:
                 return
             self._recharge(table, until_ns)
-            self._end_scan(table)
+            self._end_scan(table, end_ns)
 
-    def _end_ns(self, table: _AtHand) -> int:
-        """Return when the pass at hand is over: with its slots, if the next part waits."""
-        waiting = self._waiting
-        if waiting is None or not waiting.sequence.goes_on:
-            return table.end_ns
-        return max(table.over_ns, waiting.came_ns)
-
-    def _end_scan(self, table: _AtHand) -> None:
-        end_ns = self._end_ns(table)
+    def _end_scan(self, table: _AtHand, end_ns: int) -> None:
         if table.sequence.measure:
             volts = encode_volts(np.array(table.volts))
             self._say(MessageKind.VOLTAGES, table.number, volts)
@@ -233,8 +225,7 @@ class LinkFirmware(Firmware):
             return
         self.books.sequences += not table.sequence.more
         self._scan_end_ns = table.end_ns
-        self._running, waiting = None, self._waiting
-        self._waiting = None
+        waiting, self._running, self._waiting = self._waiting, None, None
         if waiting is None:
             self.books.state, self.books.reason = "shorted", "end"
         else:
@@ -248,8 +239,7 @@ class LinkFirmware(Firmware):
     def _begin(self, table: _AtHand, start_ns: int) -> None:
         self._begin_pass(table, start_ns)
         self._running = table
-        self._last = (table.number, True)
-        self._last_start_ns = start_ns
+        self._last, self._last_start_ns = (table.number, True), start_ns
         self._acknowledge()
 
     def _deliver(self, table: _AtHand, slot: int) -> None:
@@ -288,6 +278,8 @@ class LinkFirmware(Firmware):
             start_ns // 1000,
         )  # fmt: skip
 
+    # -- packets -------------------------------------------------------------
+
     def _answer(self, message: Message, now_ns: int) -> None:
         session, kind = self._session, message.kind
         if kind == MessageKind.HELLO:
@@ -301,7 +293,12 @@ class LinkFirmware(Firmware):
                 refused = BrokenRule(Rule.NONE).nak(Refusal.EMERGENCY)
                 self._answers.append(session.refuse_begin(message, refused))
                 return
-            self._begin_session(message, now_ns)
+            # A new host begins from zero, whatever the one before left.
+            session.begin(message)
+            if self._running is not None:
+                self.zero("begin", now_ns)
+            self._refusing, self._last, self._greeted = None, (-1, False), True
+            self._rules.begin_session()
         elif refusal := session.take(message, self._packet_ns):
             self._turn_away(refusal)
             return
@@ -312,8 +309,7 @@ class LinkFirmware(Firmware):
             case MessageKind.SEQUENCE:
                 self._accept(message, now_ns)
             case MessageKind.STOP:
-                self._end(Refusal.STOPPED)
-                self.zero("stop", now_ns)
+                self._end(Refusal.STOPPED, "stop", now_ns)
                 self._say(MessageKind.STOPPED, message.number)
             case MessageKind.STATUS:
                 self._say(MessageKind.REPORT, message.number, self._report())
@@ -323,14 +319,6 @@ class LinkFirmware(Firmware):
                 self._say(MessageKind.LIMITED, message.number, bytes([taken]))
             case MessageKind.KERNELS:
                 self._take_kernels(message)
-
-    def _begin_session(self, begin: Message, now_ns: int) -> None:
-        """Begin with a new host from zero, whatever the one before left."""
-        self._session.begin(begin)
-        if self._running is not None:
-            self.zero("begin", now_ns)
-        self._refusing, self._last, self._greeted = None, (-1, False), True
-        self._rules.begin_session()
 
     def _take_kernels(self, message: Message) -> None:
         size, keep = protocol.KERNELS.size, self._rules.keep
@@ -403,16 +391,13 @@ class LinkFirmware(Firmware):
         able = Feature.VOLTAGE | Feature.FORCE | Feature.KERNELS | Feature.EMERGENCY
         if self._output == "weighted":
             able |= Feature.RECHARGE
-        return (
-            protocol.CAPABILITIES.pack(
-                self._electrodes, protocol.OUTPUTS.index(self._output), able, MAX_CURRENT_UA,
-                self._room.slots, protocol.SILENCE_MS, round(self._skin.compliance_v),
-            )
-            + protocol.KEEPING.pack(
-                self._room.kernel_bytes, self._room.packet_bytes, self._room.kernels
-            )
-            + NAME.encode()
+        outputs, room = protocol.OUTPUTS.index(self._output), self._room
+        head = protocol.CAPABILITIES.pack(
+            self._electrodes, outputs, able, MAX_CURRENT_UA, room.slots, protocol.SILENCE_MS,
+            round(self._skin.compliance_v),
         )  # fmt: skip
+        keeping = protocol.KEEPING.pack(room.kernel_bytes, room.packet_bytes, room.kernels)
+        return head + keeping + NAME.encode()
 
     def _report(self) -> bytes:
         books, second = self.books, self._second
@@ -421,5 +406,5 @@ class LinkFirmware(Firmware):
             round(1000 * books.max_current_ma), round(1e6 * books.max_charge_uc),
             round(1e6 * books.max_net_charge_uc), self.at_hand, self._session.old,
             self._session.foreign, second.most_net_pc, -(-second.session_us // 10**6),
-            -(-int(second.session_pc.max()) // 10**6),
+            -(-int(second.session[1].max()) // 10**6),
         )  # fmt: skip

@@ -3,7 +3,6 @@
 Like its rules, written independently of the host, so that it checks what the host computes.
 """
 
-import hashlib
 import struct
 from collections import deque
 from collections.abc import Callable
@@ -14,14 +13,23 @@ from numpy.typing import NDArray
 
 from smarttouch.boards.link.protocol import (
     ALIVE_MS,
+    GOES_ON,
+    GROUP,
     HALF,
     LATE_MS,
     LONGEST_PACKET_MS,
+    MEASURE,
+    MORE,
+    RECHARGE,
+    SEQUENCE,
+    STATES,
+    SUM,
     VERSION,
     Message,
     MessageKind,
     Refusal,
     decode_head,
+    digest_of,
     draw_half,
     encode,
     unpack_states,
@@ -29,6 +37,8 @@ from smarttouch.boards.link.protocol import (
 
 MOST_HOSTS = 8  # number of hosts with separate HELLO records
 _MS = 1_000_000
+_PAIR = struct.Struct("<HH")
+_NOTHING = bytes(16)
 
 
 class BoardSession:
@@ -107,11 +117,9 @@ class BoardSession:
         """Take a packet of the session, or return why it is refused; ``began_ns`` is when its first
         byte came."""
         refusal = self._judge(message, began_ns)
-        if refusal is Refusal.OLD:
-            self.old += 1
-        elif refusal is not None:
-            self.foreign += 1
-        else:
+        self.old += refusal is Refusal.OLD
+        self.foreign += refusal is Refusal.FOREIGN
+        if refusal is None:
             self._taken = message.number
         return refusal
 
@@ -124,23 +132,11 @@ class BoardSession:
     def _judge(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != VERSION or not self.number or message.session != self.number:
             return Refusal.FOREIGN
-        if message.number <= self._taken:
-            return Refusal.OLD
+        # ALIVE packets that are too old to confirm.
+        faded = (number for sent_ns, number in self._alive if sent_ns < began_ns - LATE_MS * _MS)
         # A stop is never too late: it counts even from a host that receives nothing.
-        late = message.kind != MessageKind.STOP and message.heard <= self._faded(began_ns)
-        return Refusal.OLD if late else None
-
-    def _faded(self, now_ns: int) -> int:
-        """Return the number of the last ALIVE that is too old to confirm; -1 if none is."""
-        gone = (number for sent_ns, number in self._alive if sent_ns < now_ns - LATE_MS * _MS)
-        return max(gone, default=-1)
-
-
-_HEAD = struct.Struct("<IHHBB")
-_GROUP = struct.Struct("<BBH")
-_PAIR = struct.Struct("<HH")
-_NOTHING = bytes(16)
-MOST_AMPLITUDE = 0xFFFF  # largest sum of a slot's amplitudes
+        late = message.kind != MessageKind.STOP and message.heard <= max(faded, default=-1)
+        return Refusal.OLD if late or message.number <= self._taken else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,79 +152,86 @@ class ReceivedSequence:
     measure: bool
     more: bool  # whether the scan goes on in the next sequence
     goes_on: bool  # whether it is a further part of the scan before it
+    recharge_us: int
+    recharge_ua: NDArray[np.int64] | None
     kind: NDArray[np.int64]  # (S,): 0 a point, 1 one sum, 2 currents, 3 states
-    width_us: NDArray[np.int64]
-    discharge_us: NDArray[np.int64]
     site: NDArray[np.int64]
     source_ua: NDArray[np.int64]  # (S,): of switched boards
+    width_us: NDArray[np.int64]
+    discharge_us: NDArray[np.int64]
     rows: NDArray[np.int64]
     """(S, E): currents, positive cathodic and 0 in slots of kernels until these are looked up;
     of switched boards states, 1 cathode, −1 anode, 0 insulated, 2 not a state."""
     pairs: NDArray[np.int64]  # (P, 3): slot, kernel and amplitude, in order of the slots
-    recharge_ua: NDArray[np.int64] | None
-    recharge_us: int
 
     @property
     def slots(self) -> int:
         return len(self.width_us)
 
 
+class _Reader:
+    """Reads a payload from its start; raises ValueError where that is too short."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._at = data, 0
+
+    @property
+    def is_over(self) -> bool:
+        return self._at == len(self._data)
+
+    def take(self, size: int) -> bytes:
+        start, self._at = self._at, self._at + size
+        if self._at > len(self._data):
+            raise ValueError("cut short")
+        return self._data[start : self._at]
+
+    def numbers(self, count: int, kind: str) -> NDArray[np.int64]:
+        return np.frombuffer(self.take(2 * count), kind).astype(np.int64)
+
+
 def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSequence:
     """Return the sequence in a payload; raise ValueError if that is not exactly one."""
-    period_us, times, intensity, flags, count = _HEAD.unpack(_part(payload, 0, _HEAD.size))
-    more, goes_on = bool(flags & 4), bool(flags & 8)
-    wrong = (times > 1 and (more or goes_on)) or (flags & 2 and (switched or more))
+    rest = _Reader(payload)
+    period_us, times, intensity, flags, count = SEQUENCE.unpack(rest.take(SEQUENCE.size))
+    recharges, part = flags & RECHARGE, flags & (MORE | GOES_ON)
+    wrong = (times > 1 and part) or (recharges and (switched or flags & MORE))
     if not times or flags > 15 or wrong:
         raise ValueError("an invalid head")
-    at = _HEAD.size + 4 * count
-    shapes = np.frombuffer(_part(payload, _HEAD.size, at), "<u2").reshape(count, 2)
-    recharge_us, recharge_ua = 0, None
-    if flags & 2:
-        recharge_us = int.from_bytes(_part(payload, at, at + 2), "little")
-        data = _part(payload, at + 2, at + 2 + 2 * electrodes)
-        recharge_ua = np.frombuffer(data, "<i2").astype(np.int64)
-        at += 2 + 2 * electrodes
-    slots = 0
-    heads, rows = [np.empty((0, 4), np.int64)], [np.empty((0, electrodes), np.int64)]
+    shapes = rest.numbers(2 * count, "<u2").reshape(count, 2)
+    recharge_us = int(rest.numbers(1, "<u2")[0]) if recharges else 0
+    recharge_ua = rest.numbers(electrodes, "<i2") if recharges else None
+    slots, heads, rows = 0, [np.empty((0, 4), np.int64)], [np.empty((0, electrodes), np.int64)]
     pairs = [np.empty((0, 3), np.int64)]
-    while at < len(payload):
-        kind, index, number = _GROUP.unpack(_part(payload, at, at + _GROUP.size))
-        at += _GROUP.size
-        if kind > 3 or index >= count or not number:
+    while not rest.is_over:
+        kind, shape, number = GROUP.unpack(rest.take(GROUP.size))
+        if kind > STATES or shape >= count or not number:
             raise ValueError("an invalid group")
         size = (4, 4, 2 + 2 * electrodes, 4 + -(-electrodes // 4))[kind]
-        body = np.frombuffer(_part(payload, at, at + size * number), np.uint8)
-        body, at = body.reshape(number, size), at + size * number
-        head = np.zeros((1 if kind == 1 else number, 4), np.int64)  # kind, shape, site, source
+        body = np.frombuffer(rest.take(size * number), np.uint8).reshape(number, size)
+        head = np.zeros((1 if kind == SUM else number, 4), np.int64)  # kind, shape, site, source
         row = np.zeros((len(head), electrodes), np.int64)
-        head[:, :2] = kind, index
-        if kind < 2:
-            slot = slots + np.arange(number) * (kind == 0)
+        head[:, :2] = kind, shape
+        if kind <= SUM:
+            slot = slots + np.arange(number) * (kind != SUM)
             pairs.append(np.column_stack([slot, body.view("<u2")]))
-        elif kind == 2:
-            head[:, 2:3] = body[:, :2].copy().view("<u2")
-            row[:] = body[:, 2:].copy().view("<i2")
-        else:
+        elif kind == STATES:
             head[:, 2:] = body[:, :4].copy().view("<u2")
             row[:] = unpack_states(body[:, 4:], electrodes)
+        else:
+            head[:, 2:3] = body[:, :2].copy().view("<u2")
+            row[:] = body[:, 2:].copy().view("<i2")
         slots += len(head)
         heads.append(head)
         rows.append(row)
-    if not slots and (more or goes_on):
+    if part and not slots:
         raise ValueError("a part without slots")
     kinds, shape, site, source_ua = np.concatenate(heads).T
-    width_us, discharge_us = shapes[shape].astype(np.int64).T
+    width_us, discharge_us = shapes[shape].T
     return ReceivedSequence(
-        period_us, times, intensity, bool(flags & 1), more, goes_on, kinds, width_us,
-        discharge_us, site, source_ua, np.concatenate(rows), np.concatenate(pairs), recharge_ua,
-        recharge_us,
+        period_us, times, intensity, bool(flags & MEASURE), bool(flags & MORE),
+        bool(flags & GOES_ON), recharge_us, recharge_ua, kinds, site, source_ua, width_us,
+        discharge_us, np.concatenate(rows), np.concatenate(pairs),
     )  # fmt: skip
-
-
-def _part(payload: bytes, start: int, end: int) -> bytes:
-    if end > len(payload):
-        raise ValueError("cut short")
-    return payload[start:end]
 
 
 def rounded(every: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -242,10 +245,11 @@ class KernelStore:
 
     def __init__(self, electrodes: int, room: int, most: int) -> None:
         self._electrodes, self._room, self._most = electrodes, room, most
-        self._data = bytearray()
-        # First 16 bytes of the SHA-256 of what is being kept; zeros if nothing.
-        self.identity: bytes = _NOTHING
-        self.size: int = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        self._data, self._size = bytearray(), 0
+        self.identity: bytes = _NOTHING  # of what is being kept; zeros if nothing
         self.weights: NDArray[np.int16] | None = None  # (K, E), once all of it is there
         self.site: NDArray[np.uint16] = np.zeros(0, np.uint16)  # (K,)
 
@@ -256,61 +260,47 @@ class KernelStore:
     @property
     def count(self) -> int:
         """Number of kernels; 0 until all of them are there."""
-        return 0 if self.weights is None else len(self.weights)
+        return len(self.site)
 
     def take(self, identity: bytes, size: int, offset: int, data: bytes) -> None:
         """Take a part of the kernels; one that does not continue the part before is dropped."""
-        if (identity, size) != (self.identity, self.size):
+        if (identity, size) != (self.identity, self._size):
             self._forget()
             if size > self._room:
                 return
-            self.identity, self.size = identity, size
-        if self.weights is not None or offset != len(self._data):
-            return
-        if offset + len(data) > size:
+            self.identity, self._size = identity, size
+        end = offset + len(data)
+        if self.weights is not None or offset != len(self._data) or end > size:
             return
         self._data += data
-        if len(self._data) == size:
+        if end == size:
             try:
-                self._read(bytes(self._data))
+                self.weights, self.site = self._read()
             except ValueError:
                 self._forget()
 
     def proof(self, session: int) -> bytes:
         """Return the digest that proves to a session's host which kernels are kept; zeros if they
         are not complete."""
-        if self.weights is None:
-            return _NOTHING
-        return hashlib.sha256(session.to_bytes(8, "little") + self._data).digest()[:16]
+        return _NOTHING if self.weights is None else digest_of(bytes(self._data), session)
 
-    def _forget(self) -> None:
-        self._data.clear()
-        self.identity, self.size = _NOTHING, 0
-        self.weights = None
-
-    def _read(self, data: bytes) -> None:
-        if hashlib.sha256(data).digest()[:16] != self.identity:
-            raise ValueError("another identity")
-        electrodes, count = _PAIR.unpack(_part(data, 0, 4))
-        if electrodes != self._electrodes or count > self._most:
-            raise ValueError("other electrodes, or too many kernels")
-        weights, site = np.zeros((count, electrodes), np.int16), np.zeros(count, np.uint16)
-        at = 4
+    def _read(self) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
+        data, of = bytes(self._data), self._electrodes
+        rest = _Reader(data)
+        electrodes, count = _PAIR.unpack(rest.take(4))
+        if digest_of(data) != self.identity or electrodes != of or count > self._most:
+            raise ValueError("another identity, other electrodes, or too many kernels")
+        weights, site = np.zeros((count, of), np.int16), np.zeros(count, np.uint16)
         for index in range(count):
-            site[index], runs = _PAIR.unpack(_part(data, at, at + 4))
-            at, end = at + 4, 0
+            site[index], runs = _PAIR.unpack(rest.take(4))
+            end = 0
             for _ in range(runs):
-                first, length = _PAIR.unpack(_part(data, at, at + 4))
-                at += 4
-                if first < end or not length or first + length > electrodes:
+                first, length = _PAIR.unpack(rest.take(4))
+                if first < end or not length or first + length > of:
                     raise ValueError("an invalid run")
                 end = first + length
-                weights[index, first:end] = np.frombuffer(_part(data, at, at + 2 * length), "<i2")
-                at += 2 * length
-            if site[index] >= electrodes or int(weights[index].sum(dtype=np.int64)):
-                raise ValueError("an invalid kernel")
-            if (weights[index] == -32768).any():
-                raise ValueError("a weight below all others")
-        if at != len(data):
-            raise ValueError("too long")
-        self.weights, self.site = weights, site
+                weights[index, first:end] = rest.numbers(length, "<i2")
+        uneven = weights.sum(axis=1, dtype=np.int64).any() or (weights == -32768).any()
+        if not rest.is_over or uneven or (site >= of).any():
+            raise ValueError("an invalid kernel")
+        return weights, site

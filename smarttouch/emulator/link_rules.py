@@ -7,18 +7,22 @@ All times are on the board's own clock, in whole microseconds, and charges in pC
 from collections import deque
 from copy import copy
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.link.protocol import LIMITS, NAK, NOTHING, Output, Refusal, Rule
-from smarttouch.emulator.link_packets import (
-    MOST_AMPLITUDE,
-    KernelStore,
-    ReceivedSequence,
-    rounded,
+from smarttouch.boards.link.protocol import (
+    FULL,
+    LIMITS,
+    NAK,
+    NOTHING,
+    STATES,
+    Output,
+    Refusal,
+    Rule,
 )
+from smarttouch.emulator.link_packets import KernelStore, ReceivedSequence, rounded
 
 MAX_CURRENT_UA = 5000
 MAX_TOTAL_UA = 10_000
@@ -38,7 +42,6 @@ MAX_RECHARGE_UA = 500
 """Limit of a recharge phase, a tenth of the strongest pulse, as the board has no thresholds."""
 MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
-FULL = 0xFFFF
 STRENGTH = 4  # multiple of a pulse's share of a full one that its strength is at most
 BUCKET_US = 50_000
 BUCKETS = 20  # whole buckets before the one at hand: a second, and up to a twentieth of one more
@@ -67,10 +70,7 @@ class BrokenRule(NamedTuple):
 
 
 def first_above(
-    rule: Rule,
-    value: NDArray[np.int64] | int,
-    allowed: NDArray[np.int64] | int,
-    slot: int = NOTHING,
+    rule: Rule, value: NDArray[np.int64] | int, allowed: Any, slot: int = NOTHING
 ) -> BrokenRule | None:
     """Return a rule as broken if a value is above the allowed; of electrodes, (E,), at the first
     whose value is."""
@@ -82,34 +82,23 @@ def first_above(
     return BrokenRule(rule, slot, electrode, int(values[first]), int(most[first]))
 
 
-@dataclass(frozen=True, eq=False)
-class Load:
-    """What one pass of a sequence, or several, bring to each electrode, (E,) int64."""
+class Load(NamedTuple):
+    """What a pass of a sequence brings, or of the parts of a scan."""
 
-    felt: NDArray[np.int64]  # pulses that count as felt
-    # charge_pc, net_pc: of either sign, and signed, positive cathodic; with the recharge phase
-    charge_pc: NDArray[np.int64]
-    net_pc: NDArray[np.int64]
-    peak_ua: int = 0  # strongest current, and largest charge of one pulse; 0 if no current flows
-    peak_pc: int = 0
-    # busy_us, pulses_us: time of its slots and recharge phase, and of their current
-    busy_us: int = 0
-    pulses_us: int = 0
+    each: NDArray[np.int64]
+    """(3, E): felt pulses, charge of either sign and net charge, positive cathodic, pC; the
+    charges with the recharge phase."""
+    peak_ua: int  # strongest current, and largest charge of one pulse; 0 if no current flows
+    peak_pc: int
+    busy_us: int  # time of its slots and recharge phase, and of their current
+    pulses_us: int
 
-    @property
-    def has_slots(self) -> bool:
-        return self.busy_us > 0
-
-    @classmethod
-    def none(cls, electrodes: int) -> "Load":
-        return cls(*np.zeros((3, electrodes), np.int64))
-
-    def __add__(self, other: "Load") -> "Load":
+    def after(self, before: "Load") -> "Load":
         """Return the load of both one after the other."""
         return Load(
-            self.felt + other.felt, self.charge_pc + other.charge_pc, self.net_pc + other.net_pc,
-            max(self.peak_ua, other.peak_ua), max(self.peak_pc, other.peak_pc),
-            self.busy_us + other.busy_us, self.pulses_us + other.pulses_us,
+            before.each + self.each, max(before.peak_ua, self.peak_ua),
+            max(before.peak_pc, self.peak_pc), before.busy_us + self.busy_us,
+            before.pulses_us + self.pulses_us,
         )  # fmt: skip
 
 
@@ -172,42 +161,37 @@ class SessionLimits:
 
 
 class LastSecond:
-    """Passes of the last second, and the dose of the session.
-
-    ``most_net_pc`` is the largest net charge of an electrode within a second, of all passes that
-    have begun; ``net_pc``, (E,) int64, that of the session, positive cathodic.
-    """
+    """Passes of the last second, and the dose of the session."""
 
     def __init__(self, electrodes: int) -> None:
-        self._over: deque[tuple[int, Load]] = deque()  # bucket and load of each pass that is over
-        self._running: Load | None = None
+        # Bucket in which a pass was over and its load, (3, E), of each; and of that which executes.
+        self._over: deque[tuple[int, NDArray[np.int64]]] = deque()
+        self._running: NDArray[np.int64] | None = None
         self._starts_us: deque[int] = deque()
-        self._electrodes = electrodes
-        self.most_net_pc: int = 0
+        self._none = np.zeros((3, electrodes), np.int64)
+        self.most_net_pc: int = 0  # largest net charge of an electrode within a second so far
         self.begin_session()
 
     def begin_session(self) -> None:
         """Reset the dose of the session; the last second still counts."""
         self.session_us: int = 0
-        self.session_pc: NDArray[np.int64] = np.zeros(self._electrodes, np.int64)
-        self.net_pc: NDArray[np.int64] = np.zeros(self._electrodes, np.int64)
+        self.session: NDArray[np.int64] = self._none  # (3, E) as of a load: its passes so far
 
     def begin(self, start_us: int, period_us: int, load: Load, goes_on: bool) -> None:
         """Enter a pass that begins. Start and time of a scan are those of its first part."""
         if not goes_on:
             self._starts_us.append(start_us)
-            self.session_us += period_us * load.has_slots
+            self.session_us += period_us * (load.busy_us > 0)
         while self._starts_us and self._starts_us[0] < start_us - SECOND_US:
             self._starts_us.popleft()
-        if not load.has_slots:
+        if not load.busy_us:
             return
         while self._over and self._over[0][0] < start_us // BUCKET_US - BUCKETS:
             self._over.popleft()
-        nets_pc = np.abs(self._nets(start_us) + load.net_pc)
+        nets_pc = _most_net(self._in_window(start_us), load.each[2])
         self.most_net_pc = max(self.most_net_pc, int(nets_pc.max()))
-        self._running = load
-        self.session_pc += load.charge_pc
-        self.net_pc += load.net_pc
+        self._running = load.each
+        self.session = self.session + load.each
 
     def end(self, end_us: int) -> None:
         """Take the pass that executes as over since a time."""
@@ -215,15 +199,12 @@ class LastSecond:
             self._over.append((end_us // BUCKET_US, self._running))
             self._running = None
 
-    def _in_window(self, start_us: int) -> list[Load]:
+    def _in_window(self, start_us: int) -> NDArray[np.int64]:
+        """Return the loads that count at a time, (N, 3, E), the last one first."""
         first = start_us // BUCKET_US - BUCKETS
-        loads = [load for bucket, load in self._over if bucket >= first]
-        return loads if self._running is None else [*loads, self._running]
-
-    def _nets(self, start_us: int) -> NDArray[np.int64]:
-        """Return the net charge of each run of passes up to now, (N + 1, E); none comes first."""
-        nets = [load.net_pc for load in reversed(self._in_window(start_us))]
-        return np.cumsum([np.zeros(self._electrodes, np.int64), *nets], axis=0)
+        loads = [] if self._running is None else [self._running]
+        loads += [load for bucket, load in reversed(self._over) if bucket >= first]
+        return np.array(loads, np.int64).reshape(-1, *self._none.shape)
 
     def complaint(
         self, start_us: int, sequence: ReceivedSequence, load: Load, limits: SessionLimits
@@ -232,7 +213,7 @@ class LastSecond:
         what was before it, if any."""
         period_us, times, found = sequence.period_us, sequence.times, None
         starts_us = range(start_us, start_us + min(times * period_us, SECOND_US), period_us)
-        if load.has_slots:
+        if load.busy_us:
             found = self._second(starts_us, load)
         if not sequence.goes_on:
             most = max(
@@ -240,27 +221,32 @@ class LastSecond:
                 for own, at_us in enumerate(starts_us, 1)
             )
             found = found or first_above(Rule.OFTEN, most, -(-SECOND_US // limits.period_us) + 1)
-        if found is not None or not load.has_slots:
+        if found is not None or not load.busy_us:
             return found
         session_us = self.session_us + times * period_us * (not sequence.goes_on)
-        session_uc = -(-(self.session_pc + times * load.charge_pc) // 10**6)
+        session_uc = -(-(self.session[1] + times * load.each[1]) // 10**6)
         return first_above(
             Rule.SESSION_TIME, -(-session_us // 10**6), limits.session_s
         ) or first_above(Rule.SESSION_CHARGE, session_uc, limits.session_uc)
 
     def _second(self, starts_us: range, load: Load) -> BrokenRule | None:
-        felt, charge_pc, net_pc = np.zeros((3, self._electrodes), np.int64)
+        most = self._none
         for own, at_us in enumerate(starts_us, 1):
-            every = sum(self._in_window(at_us), Load.none(self._electrodes))
-            felt = np.maximum(felt, every.felt + own * load.felt)
-            charge_pc = np.maximum(charge_pc, every.charge_pc + own * load.charge_pc)
-            nets_pc = np.abs(self._nets(at_us) + own * load.net_pc)
-            net_pc = np.maximum(net_pc, nets_pc.max(axis=0))
+            window = self._in_window(at_us)
+            every = window.sum(axis=0) + own * load.each
+            every[2] = _most_net(window, own * load.each[2])
+            most = np.maximum(most, every)
         return (
-            first_above(Rule.FELT_IN_SECOND, felt, MAX_PULSES_HZ)
-            or first_above(Rule.CHARGE_IN_SECOND, charge_pc, MOST_CHARGE_PC)
-            or first_above(Rule.NET_IN_SECOND, net_pc, MOST_NET_PC)
+            first_above(Rule.FELT_IN_SECOND, most[0], MAX_PULSES_HZ)
+            or first_above(Rule.CHARGE_IN_SECOND, most[1], MOST_CHARGE_PC)
+            or first_above(Rule.NET_IN_SECOND, most[2], MOST_NET_PC)
         )
+
+
+def _most_net(window: NDArray[np.int64], net_pc: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the largest net charge that any last passes and then a charge (E,) make."""
+    runs = np.cumsum([net_pc, *window[:, 2]], axis=0)
+    return np.asarray(np.abs(runs).max(axis=0))
 
 
 class Ramp:
@@ -278,28 +264,26 @@ class Ramp:
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 
-    def _on_us(self, now_us: int) -> int:
-        """Return for how long current has flowed since the last sequence."""
-        return max(0, min(now_us - self._since_us, self._span_us))
-
-    def _risen(self, now_us: int) -> int:
-        on_us = self._on_us(now_us)
+    def _risen(self, now_us: int) -> tuple[int, int]:
+        """Return the level, and for how long current has flowed since the last sequence."""
+        on_us = max(0, min(now_us - self._since_us, self._span_us))
         if now_us - self._since_us - on_us > KEPT_US:
-            return 0
-        return max(self._level, min(self._strength, self._level + on_us * FULL // self._ramp_us))
+            return 0, on_us
+        risen = min(self._strength, self._level + on_us * FULL // self._ramp_us)
+        return max(self._level, risen), on_us
 
     def allowed(self, now_us: int) -> int:
         """Return the largest strength that may begin at a time."""
         if not self._ramp_us:
             return FULL
         ahead = CATCH_UP_US * FULL // self._ramp_us
-        return min(FULL, self._risen(now_us) + ahead + _LEEWAY)
+        return min(FULL, self._risen(now_us)[0] + ahead + _LEEWAY)
 
     def note(self, intensity: int, strength: int, now_us: int, span_us: int) -> None:
         """Record a sequence that begins at a time, and for how long its current flows."""
         if not self._ramp_us:
             return
-        risen, on_us = self._risen(now_us), self._on_us(now_us)
+        risen, on_us = self._risen(now_us)
         if span_us:
             self._level, self._since_us = min(intensity, risen), now_us
             self._strength = strength
@@ -336,7 +320,8 @@ class LinkRules:
     """What a board keeps to judge sequences by, and its judgement."""
 
     def __init__(self, electrodes: int, output: Output, room: Room, ramp_ms: int) -> None:
-        self._none, self._output, self._room = Load.none(electrodes), output, room
+        self._none = Load(np.zeros((3, electrodes), np.int64), 0, 0, 0, 0)
+        self._output, self._room = output, room
         self.keep = KernelStore(electrodes, room.kernel_bytes, room.kernels)
         self.second = LastSecond(electrodes)
         self.limits: SessionLimits | None = None
@@ -351,7 +336,7 @@ class LinkRules:
     def take_limits(self, payload: bytes) -> None:
         """Take the limits of a session; the first valid ones hold."""
         if self.limits is None:
-            self.limits = SessionLimits.of(payload, len(self._none.felt), self._output)
+            self.limits = SessionLimits.of(payload, self._none.each.shape[1], self._output)
             self._ramp.restart(0 if self.limits is None else self.limits.ramp_ms)
 
     def judge(self, sequence: ReceivedSequence, start_us: int, rise_us: int) -> BrokenRule | Load:
@@ -364,19 +349,23 @@ class LinkRules:
             return BrokenRule(Rule.LIMITS)
         if scan is None or (sequence.goes_on and not scan.goes_on_in(sequence)):
             return BrokenRule(Rule.PART)
-        if found := self._times(sequence, limits, scan.load) or self._slots(sequence, limits):
+        missing, amplitude = self._fill_in(sequence)
+        signed_ua = self._currents(sequence)
+        load = _load_of(sequence, signed_ua, limits)
+        whole = load.after(scan.load)
+        if found := self._times(sequence, limits, whole) or self._slots(
+            sequence, np.abs(signed_ua), limits, missing, amplitude
+        ):
             return found
-        load = self._load_of(sequence, limits)
-        if sequence.recharge_ua is not None:
-            recharge_pc = sequence.recharge_ua * sequence.recharge_us
-            if found := self._recharged(sequence, limits, recharge_pc, load):
-                return found
-            load += Load(0 * recharge_pc, np.abs(recharge_pc), recharge_pc)
-        burst_us, whole = min(sequence.period_us, BURST_US), scan.load + load
+        if sequence.recharge_ua is not None and (
+            found := self._recharged(sequence, sequence.recharge_ua, limits, load)
+        ):
+            return found
+        burst_us = min(sequence.period_us, BURST_US)
         strength = limits.strength(sequence.intensity, whole.peak_pc)
         if found := (
-            first_above(Rule.MEAN, whole.charge_pc, MAX_MEAN_UA * burst_us)
-            or first_above(Rule.FELT, whole.felt, MAX_PULSES_HZ * burst_us // 10**6)
+            first_above(Rule.MEAN, whole.each[1], MAX_MEAN_UA * burst_us)
+            or first_above(Rule.FELT, whole.each[0], MAX_PULSES_HZ * burst_us // 10**6)
             or limits.intensity(sequence.intensity, load)
             or first_above(Rule.RISE, strength, scan.rise.allowed(scan.rise_us))
             or self.second.complaint(start_us, sequence, load, limits)
@@ -388,7 +377,7 @@ class LinkRules:
         return load
 
     def _times(
-        self, sequence: ReceivedSequence, limits: SessionLimits, before: Load
+        self, sequence: ReceivedSequence, limits: SessionLimits, whole: Load
     ) -> BrokenRule | None:
         slots, period_us = sequence.slots, sequence.period_us
         if slots > self._room.slots:
@@ -403,51 +392,48 @@ class LinkRules:
             if wide[slot]:
                 rule, value, allowed = Rule.WIDTH, width_us[slot], limits.width_us
             return BrokenRule(rule, slot, value=int(value), allowed=allowed)
-        busy_us, pulses_us = _time_of(sequence)
-        return first_above(Rule.FIT, before.busy_us + busy_us, period_us) or first_above(
-            Rule.DUTY, before.pulses_us + pulses_us, limits.duty_percent * period_us // 100
+        return first_above(Rule.FIT, whole.busy_us, period_us) or first_above(
+            Rule.DUTY, whole.pulses_us, limits.duty_percent * period_us // 100
         )
 
-    def _slots(self, sequence: ReceivedSequence, limits: SessionLimits) -> BrokenRule | None:
+    def _slots(
+        self,
+        sequence: ReceivedSequence,
+        each_ua: NDArray[np.int64],
+        limits: SessionLimits,
+        missing: NDArray[np.int64],
+        amplitude: NDArray[np.int64],
+    ) -> BrokenRule | None:
         """Return the first broken rule of the first slot that breaks one."""
         kind, switched = sequence.kind, self._output != "weighted"
-        missing, amplitude = self._fill_in(sequence)
-        each_ua, total_ua = np.abs(self._currents(sequence)), sequence.source_ua
-        # Of one source any electrode may be the last that still touches the skin.
-        through_ua = np.where(each_ua > 0, total_ua[:, None], 0)
         if switched:
-            odd = self._no_circuit(sequence.rows).astype(np.int64)
+            odd = (Rule.STATES, self._no_circuit(sequence.rows), 0 * kind, 0)
+            total_ua = sequence.source_ua
+            # Of one source any electrode may be the last that still touches the skin.
+            through_ua = np.where(each_ua > 0, total_ua[:, None], 0)
         else:
-            odd, total_ua = sequence.rows.sum(axis=1), each_ua.sum(axis=1) // 2
-            through_ua = each_ua
+            sums_ua = sequence.rows.sum(axis=1)
+            odd = (Rule.BALANCE, sums_ua != 0, sums_ua, 0)
+            total_ua, through_ua = each_ua.sum(axis=1) // 2, each_ua
         charge_pc = through_ua * sequence.width_us[:, None]
-        broken = {
-            Rule.KIND: (kind == 3) != switched,
-            Rule.KERNEL: missing >= 0,
-            Rule.SUM: amplitude > MOST_AMPLITUDE,
-            Rule.STATES if switched else Rule.BALANCE: odd != 0,
-            Rule.CURRENT: (each_ua > limits.current_ua).any(axis=1),
-            Rule.TOTAL: total_ua > limits.total_ua,
-            Rule.CHARGE: (charge_pc > limits.charge_pc).any(axis=1),
-        }
-        table = np.array([*broken.values()])
-        if not table.any():
+        # Each with where it is broken and the values, (S,) or (S, E), and what is allowed.
+        rules: list[tuple[Rule, NDArray[np.bool_], NDArray[np.int64], Any]] = [
+            (Rule.KIND, (kind == STATES) != switched, kind, 0),
+            (Rule.KERNEL, missing >= 0, missing, self.keep.count),
+            (Rule.SUM, amplitude > FULL, amplitude, FULL),
+            odd,
+            (Rule.CURRENT, each_ua > limits.current_ua, each_ua, limits.current_ua),
+            (Rule.TOTAL, total_ua > limits.total_ua, total_ua, limits.total_ua),
+            (Rule.CHARGE, charge_pc > limits.charge_pc, charge_pc, limits.charge_pc),
+        ]
+        broken = np.array([each if each.ndim == 1 else each.any(axis=1) for _, each, _, _ in rules])
+        if not broken.any():
             return None
-        slot = int(table.any(axis=0).argmax())
-        rule = [*broken][int(table[:, slot].argmax())]
-        if rule == Rule.CURRENT:
-            return first_above(rule, each_ua[slot], limits.current_ua, slot)
-        if rule == Rule.CHARGE:
-            return first_above(rule, charge_pc[slot], limits.charge_pc, slot)
-        values, allowed = {
-            Rule.KIND: (kind, 0),
-            Rule.KERNEL: (missing, self.keep.count),
-            Rule.SUM: (amplitude, MOST_AMPLITUDE),
-            Rule.BALANCE: (odd, 0),
-            Rule.STATES: (0 * odd, 0),
-            Rule.TOTAL: (total_ua, limits.total_ua),
-        }[rule]
-        return BrokenRule(rule, slot, value=int(values[slot]), allowed=allowed)
+        slot = int(broken.any(axis=0).argmax())
+        rule, _, values, allowed = rules[int(broken[:, slot].argmax())]
+        if values.ndim == 1:
+            return BrokenRule(rule, slot, value=int(values[slot]), allowed=allowed)
+        return first_above(rule, values[slot], allowed, slot)
 
     def _fill_in(self, sequence: ReceivedSequence) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Fill in what kernels make; return of each slot, (S,), the first kernel that is not kept,
@@ -482,45 +468,44 @@ class LinkRules:
         ]
         return np.asarray(np.where(rows == 1, share_ua[0], -share_ua[1] * (rows == -1)))
 
-    def _load_of(self, sequence: ReceivedSequence, limits: SessionLimits) -> Load:
-        """Return the load of the slots, with the time of the recharge phase."""
-        signed_ua, width_us = self._currents(sequence), sequence.width_us
-        each = np.abs(signed_ua)
-        strongest_ua = each.max(axis=1, initial=0)
-        return Load(
-            ((each >= limits.felt_ua) & (each > 0)).sum(axis=0), width_us @ each,
-            width_us @ signed_ua, int(strongest_ua.max(initial=0)),
-            int((strongest_ua * width_us).max(initial=0)), *_time_of(sequence),
-        )  # fmt: skip
-
     def _recharged(
         self,
         sequence: ReceivedSequence,
+        recharge_ua: NDArray[np.int64],
         limits: SessionLimits,
-        phase_pc: NDArray[np.int64],
         load: Load,
     ) -> BrokenRule | None:
-        """Return the first broken rule of a recharge phase that brings a charge after a load."""
-        width_us, signed = sequence.recharge_us, sequence.recharge_ua
-        assert signed is not None
+        """Return the first broken rule of the recharge phase of a sequence and its load."""
+        width_us = sequence.recharge_us
         if not sequence.slots or not 0 < width_us <= MAX_RECHARGE_US:
             return BrokenRule(Rule.RECHARGE, value=width_us, allowed=MAX_RECHARGE_US)
-        if net := int(signed.sum()):
+        if net := int(recharge_ua.sum()):
             return BrokenRule(Rule.BALANCE, value=net)
-        each = np.abs(signed)
+        each = np.abs(recharge_ua)
         allowed = np.minimum(min(MAX_RECHARGE_UA, MAX_RECHARGE_PC // width_us), limits.current_ua)
         found = first_above(Rule.CURRENT, each, allowed) or first_above(
             Rule.TOTAL, int(each.sum()) // 2, limits.total_ua
         )
-        for passes in (0, sequence.times - 1):
-            before_pc = self.second.net_pc + load.net_pc + passes * (load.net_pc + phase_pc)
-            most_pc = np.maximum(np.abs(before_pc), MAX_RECHARGE_PC)
-            found = found or first_above(Rule.RECHARGE, np.abs(before_pc + phase_pc), most_pc)
+        for passes in (1, sequence.times):
+            after_pc = self.second.session[2] + passes * load.each[2]
+            most_pc = np.maximum(np.abs(after_pc - recharge_ua * width_us), MAX_RECHARGE_PC)
+            found = found or first_above(Rule.RECHARGE, np.abs(after_pc), most_pc)
         return found
 
 
-def _time_of(sequence: ReceivedSequence) -> tuple[int, int]:
-    """Return the time of slots and recharge phase with the short after it, and of their current."""
-    width_us, rest_us = int(sequence.width_us.sum()), int(sequence.discharge_us.sum())
-    pulses_us = width_us + sequence.recharge_us
-    return pulses_us + rest_us + MIN_DISCHARGE_US * (sequence.recharge_ua is not None), pulses_us
+def _load_of(
+    sequence: ReceivedSequence, signed_ua: NDArray[np.int64], limits: SessionLimits
+) -> Load:
+    """Return the load of a pass of a sequence with these currents, (S, E)."""
+    width_us, each_ua = sequence.width_us, np.abs(signed_ua)
+    strongest_ua, pulses_us = each_ua.max(axis=1, initial=0), int(width_us.sum())
+    felt = ((each_ua >= limits.felt_ua) & (each_ua > 0)).sum(axis=0)
+    each = np.array([felt, width_us @ each_ua, width_us @ signed_ua])
+    busy_us = pulses_us + int(sequence.discharge_us.sum())
+    if sequence.recharge_ua is not None:
+        phase_pc = sequence.recharge_ua * sequence.recharge_us
+        each += [0 * phase_pc, np.abs(phase_pc), phase_pc]
+        pulses_us += sequence.recharge_us
+        busy_us += sequence.recharge_us + MIN_DISCHARGE_US
+    peak_pc = int((strongest_ua * width_us).max(initial=0))
+    return Load(each, int(strongest_ua.max(initial=0)), peak_pc, busy_us, pulses_us)

@@ -1,4 +1,4 @@
-"""Electrical circuit of the electrodes on the skin.
+"""Electrical circuit of the electrodes on the skin, and the finger that touches them.
 
 Each electrode is a series resistance and behind it the horny layer, a
 resistance and a capacitance side by side; all meet in one node, the tissue::
@@ -7,13 +7,30 @@ resistance and a capacitance side by side; all meet in one node, the tissue::
                     └─ C_p ─┘
 
 Currents and voltages are positive cathodic, each electrode against the tissue.
+
+Events of the finger are texts, a time in seconds and what happens then::
+
+    2.0 lift            the finger leaves all electrodes
+    3.0 touch           and is back
+    0 force 0.6         it presses with 0.6 N while it touches
+    0 drift 12 4 60     electrode 12's impedance goes to 4 times the healthy one in 60 s
+    5 open 7            electrode 7 is cut off
+    5 short 7           electrode 7 has a few ohm to the tissue
+    6 emergency         the emergency switch is opened, by this finger's other hand
+    7 release           and closed
 """
 
+import math
+from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from smarttouch.base.errors import BoardError
 
 SERIES_OHM = 2.0e3
 """Spreading resistance of a 1 mm disc on skin of 0.43 S/m, 1/(4 σ a) = 1.16 kΩ; the rest, the
@@ -60,14 +77,6 @@ class _Steps(NamedTuple):
     admittance: NDArray[np.float64]
 
 
-class _Modes(NamedTuple):
-    """The shorted circuit as E independent exponentials."""
-
-    rate: NDArray[np.float64]
-    basis: NDArray[np.float64]
-    root: NDArray[np.float64]
-
-
 class SkinCircuit:
     """Voltages of the E electrodes, updated pulse by pulse. Impedances differ between electrodes by
     the share ``spread`` at most, always in the same way."""
@@ -88,9 +97,9 @@ class SkinCircuit:
         self.series_ohm: NDArray[np.float64] = series * resistance
         self.parallel_ohm: NDArray[np.float64] = parallel * resistance
         self.capacitance_f: NDArray[np.float64] = capacity * capacitance
-        self._steps: dict[tuple[float, int], _Steps] = {}
-        self._shorts: dict[float, tuple[NDArray[np.float64], ...]] = {}
-        self._modes: _Modes | None = None
+        self._steps_of = lru_cache(_MOST_WIDTHS)(self._find_steps)
+        self._shorts_of = lru_cache(_MOST_WIDTHS)(self._find_shorts)
+        self._modes: tuple[NDArray[np.float64], ...] | None = None
 
     @property
     def residual_uc(self) -> NDArray[np.float64]:
@@ -190,49 +199,47 @@ class SkinCircuit:
         """Short all electrodes, the node's voltage held in each step such that no charge is lost or
         made."""
         # What is left after many of the slowest time constants is nothing.
-        duration_us = min(duration_us, _LONGEST_SHORT_US)
-        series = 1 / self.series_ohm
-        rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
-        level = series / (rate * self.capacitance_f)
-        if duration_us not in self._shorts:
-            if len(self._shorts) >= _MOST_WIDTHS:
-                self._shorts.clear()
-            share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
-            length = (share * (duration_us * 1e-6 / share.sum()))[:, None]
-            lost = -np.expm1(-rate * length)
-            # Charge that leaves by an electrode's own volt, and that comes by the node's.
-            out = series * lost / rate
-            back = series * length * (1 - level) + level * out
-            self._shorts[duration_us] = lost, out / back.sum(axis=1, keepdims=True)
-        for lost, share in zip(*self._shorts[duration_us], strict=True):
+        level, steps = self._shorts_of(min(duration_us, _LONGEST_SHORT_US))
+        for lost, share in steps:
             node_v = share @ self._volts
             self._volts = self._volts + lost * (level * node_v - self._volts)
 
-    def _find_modes(self) -> _Modes:
+    def _find_shorts(
+        self, duration_us: float
+    ) -> tuple[NDArray[np.float64], list[tuple[NDArray[np.float64], NDArray[np.float64]]]]:
+        """Return the share of the node's voltage that an electrode ends at, and for each step what
+        it loses and its share of the node's voltage."""
+        series = 1 / self.series_ohm
+        rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
+        level = series / (rate * self.capacitance_f)
+        share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
+        length = (share * (duration_us * 1e-6 / share.sum()))[:, None]
+        lost = -np.expm1(-rate * length)
+        # Charge that leaves by an electrode's own volt, and that comes by the node's.
+        out = series * lost / rate
+        back = series * length * (1 - level) + level * out
+        return level, list(zip(lost, out / back.sum(axis=1, keepdims=True), strict=True))
+
+    def _find_modes(self) -> tuple[NDArray[np.float64], ...]:
         # C dv/dt = -(1/R_s + 1/R_p) v + (1/R_s) v_node, the node at the mean weighted by 1/R_s;
         # in v √C the matrix is symmetric.
         series, root = 1 / self.series_ohm, np.sqrt(self.capacitance_f)
         matrix = np.outer(series, series) / series.sum()
         matrix[np.diag_indices_from(matrix)] -= series + 1 / self.parallel_ohm
         rate, basis = np.linalg.eigh(matrix / np.outer(root, root))
-        return _Modes(rate, basis, root)
+        return rate, basis, root
 
-    def _steps_of(self, width_us: float, count: int, growth: float, late: float) -> _Steps:
-        key = (width_us, count)
-        if key not in self._steps:
-            if len(self._steps) >= _MOST_WIDTHS:
-                self._steps.clear()
-            share = np.append(growth ** np.arange(count, dtype=np.float64), 0)
-            length = share * (width_us * 1e-6 / share.sum())
-            spent = length[:, None] / (self.parallel_ohm * self.capacitance_f)
-            self._steps[key] = _Steps(
-                length,
-                np.exp(-spent),
-                -self.parallel_ohm * np.expm1(-spent),
-                np.exp(-late * spent),
-                1 / (self.series_ohm - self.parallel_ohm * np.expm1(-late * spent)),
-            )
-        return self._steps[key]
+    def _find_steps(self, width_us: float, count: int, growth: float, late: float) -> _Steps:
+        share = np.append(growth ** np.arange(count, dtype=np.float64), 0)
+        length = share * (width_us * 1e-6 / share.sum())
+        spent = length[:, None] / (self.parallel_ohm * self.capacitance_f)
+        return _Steps(
+            length,
+            np.exp(-spent),
+            -self.parallel_ohm * np.expm1(-spent),
+            np.exp(-late * spent),
+            1 / (self.series_ohm - self.parallel_ohm * np.expm1(-late * spent)),
+        )
 
     def _delivered(
         self,
@@ -259,3 +266,113 @@ def _balance(current: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(
         cathodic * (total / out if out else 0) - anodic * (total / back if back else 0)
     )
+
+
+FORCE_N = 1.0  # default force: a firm reading pressure, which does not reduce the current
+OPEN_FACTOR = 5e5  # impedance factor of an open electrode: about 1 GΩ
+SHORT_FACTOR = 1e-4  # impedance factor of a shorted electrode: a few ohm to the tissue
+_FINEST = 0.005
+
+FORMS = {
+    "lift": "", "touch": "", "force": "NEWTON", "drift": "ELECTRODE FACTOR SECONDS",
+    "open": "ELECTRODE", "short": "ELECTRODE", "emergency": "", "release": "",
+}  # fmt: skip
+
+
+class FingerEvent(NamedTuple):
+    """One event: its time, s, its kind, its electrode, 0 if it is of none, and other numbers."""
+
+    time_s: float
+    kind: str
+    electrode: int
+    values: tuple[float, ...]
+
+
+def parse_event(text: str) -> FingerEvent:
+    """Return the event of a text."""
+    words = text.split()
+    kind = "".join(words[1:2])
+    if kind not in FORMS:
+        known = ", ".join(FORMS)
+        raise BoardError(f"event {text!r} is unknown: write a time in s and one of {known}")
+    names = ["TIME", *FORMS[kind].split()]
+    try:
+        numbers = {
+            name: int(word) if name == "ELECTRODE" else float(word)
+            for name, word in zip(names, [words[0], *words[2:]], strict=True)
+        }
+    except ValueError:
+        form = f"TIME {kind} {FORMS[kind]}".strip()
+        raise BoardError(f"event {text!r} has another form: write {form}") from None
+    if not all(0 <= each < math.inf for each in numbers.values()) or not numbers.get("FACTOR", 1):
+        raise BoardError(f"event {text!r} has a number that is negative, not finite, or factor 0")
+    time_s, electrode = numbers.pop("TIME"), int(numbers.pop("ELECTRODE", 0))
+    return FingerEvent(time_s, kind, electrode, tuple(numbers.values()))
+
+
+class EmulatedFinger:
+    """Finger on the electrodes, with the state of each contact; events, see the module, come in any
+    order."""
+
+    def __init__(self, electrodes: int, events: Iterable[str] = ()) -> None:
+        parsed = sorted(parse_event(text) for text in events)
+        if beyond := [event.electrode for event in parsed if event.electrode >= electrodes]:
+            raise BoardError(
+                f"an event is of electrode {beyond[0]}, the board has 0 to {electrodes - 1}"
+            )
+        self._switched = [event for event in parsed if event.kind in ("emergency", "release")]
+        self._due = deque(event for event in parsed if event not in self._switched)
+        self._touches, self._pressure_n, self._drifting = True, FORCE_N, False
+        self._drift = np.ones((4, electrodes))
+        """Factor of each impedance before and after its drift, and when that begins and ends, s."""
+        self._factor = np.ones(electrodes)  # that the skin has
+        self._broken = np.zeros(electrodes)  # the factor of an open or shorted one, else 0
+
+    @property
+    def force_n(self) -> float:
+        """Current force, 0 when lifted."""
+        return self._pressure_n if self._touches else 0.0
+
+    def opens_switch(self, now_s: float) -> bool:
+        """Return whether the emergency switch is open at a time."""
+        before = [event.kind for event in self._switched if event.time_s <= now_s]
+        return before[-1:] == ["emergency"]
+
+    def at(self, now_s: float, skin: SkinCircuit) -> None:
+        """Apply all events to the skin that are due; times must not decrease."""
+        changed = False
+        while self._due and self._due[0].time_s <= now_s:
+            self._happen(self._due.popleft())
+            changed = True
+        if self._drifting:
+            factor = self._drifted(now_s)
+            self._drifting = bool((now_s < self._drift[3]).any())
+            # The circuit is solved again for each change: in steps too small to matter.
+            step = np.abs(np.log(factor / self._factor)).max()
+            if step > _FINEST or not self._drifting:
+                self._factor, changed = factor, True
+        if changed:
+            broken = self._broken if self._touches else OPEN_FACTOR
+            resistance = np.where(broken, broken, self._factor)
+            # What is shorted keeps its capacitance.
+            skin.scale(resistance, 1 / np.maximum(resistance, self._factor))
+
+    def _drifted(self, now_s: float) -> NDArray[np.float64]:
+        """Return the factors of impedances; in equal times they change by equal ratios."""
+        before, after, begins_s, ends_s = self._drift
+        share = (now_s - begins_s) / np.maximum(ends_s - begins_s, 1e-9)
+        return np.asarray(before * (after / before) ** np.clip(share, 0, 1))
+
+    def _happen(self, event: FingerEvent) -> None:
+        electrode, values = event.electrode, event.values
+        match event.kind:
+            case "lift" | "touch":
+                self._touches = event.kind == "touch"
+            case "force":
+                self._pressure_n = values[0]
+            case "drift":
+                before, (after, lasts_s) = self._drifted(event.time_s)[electrode], values
+                self._drift[:, electrode] = before, after, event.time_s, event.time_s + lasts_s
+                self._drifting = True
+            case "open" | "short":
+                self._broken[electrode] = OPEN_FACTOR if event.kind == "open" else SHORT_FACTOR

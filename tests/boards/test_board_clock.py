@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards.link.board_answers import BoardClock
+from smarttouch.boards.link.packet_line import BoardClock
 
 MS = 1_000_000
 

@@ -9,7 +9,7 @@ from smarttouch.boards.board import Board
 from smarttouch.boards.kits import etactilekit
 from smarttouch.boards.kits.etactilekit import ETactileKitDriver
 from smarttouch.boards.probe_scans import one_each
-from smarttouch.emulator.finger_events import EmulatedFinger
+from smarttouch.emulator.skin import EmulatedFinger
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.fresh import deliver

@@ -68,7 +68,7 @@ def test_parts_are_small_enough_and_make_up_the_scan(seed):
     rng = np.random.default_rng(seed)
     table = random_table(rng, 12, 8)
     image, scan = KernelImage.of(table, 300, 5), made_scan(rng, table, seed)
-    most_slots, most_bytes = int(rng.integers(1, 6)), int(rng.choice([56, 101, 300]))
+    most_slots, most_bytes = int(rng.integers(1, 6)), int(rng.choice([70, 101, 300]))
     parts = encode_scan(scan, 1, False, False, image, most_bytes, most_slots)
     at = 0
     for part in parts:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
-from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, read_slots
 
 MS = 1_000_000
@@ -139,54 +138,6 @@ def test_nothing_is_parsed_during_a_scan(rig):
     assert rig.board.advance(int(11.7 * MS)) == b"\x01"
 
 
-def test_what_a_scan_does_is_settled_when_it_starts(make_rig):
-    rig = make_rig(firmware="newest")
-    rig.say(0, "FC04 FA6400 F732" + "FE 0000 0000 0000 6400")
-    rig.say(10.1, "FE" + "0000" * 4 + "FB02 FD00 FAC800")
-    assert rig.advance(15) == 1
-    assert rig.slots["current_ua"][0, 3] == -999
-    assert rig.books.max_charge_uc == pytest.approx(0.0999)
-    assert rig.advance(100) == 1
-
-
-@pytest.mark.parametrize("order", ["early", "late"])
-def test_a_pattern_that_does_not_stay_for_a_period_may_never_be_scanned(rig, order):
-    rig.say(0, "FC04 FA6400 F732")
-    at_ms = {"early": 101, "late": 93}[order]
-    rig.say(at_ms, ONE)
-    rig.say(at_ms + 8, "FE" + "0000" * 4)
-    assert rig.advance(200) == (order == "late")
-
-
-def test_an_open_electrode_reads_the_compliance(make_rig):
-    rig = make_rig(8, finger=EmulatedFinger(8, ["0 lift"]), compliance_v=200.0)
-    rig.after(100, "FC08 FB02 F964 F832 F764")
-    readings = np.frombuffer(rig.say(100, "FF"), "<u2")
-    assert (readings == int(200 / 0.0893)).all()
-    assert rig.books.pulses == 0
-
-
-def test_a_dummy_load_takes_its_share(make_rig):
-    rig = make_rig(4, dummy_ohm=66e3)
-    (slot,) = rig.after(15, "FC04 FA6400" + ONE).slots
-    missing_ua = 2197.8 + slot["current_ua"][1]
-    # The load sees the voltage of the pulse's end only at its end.
-    assert 0.3 < missing_ua / (rig.books.max_volts / 66e3 * 1e6) < 1
-
-
-def test_outputs_beyond_the_array_drive_nothing(rig):
-    rig.after(25, "FC06 FA6400" + "FE" + "0000" * 4 + "0A00" * 2)
-    assert rig.books.pulses == 0
-    assert np.frombuffer(rig.say(25, "FF"), "<u2").tolist()[4:] == [int(300 / 0.0893)] * 2
-
-
-@pytest.mark.parametrize(("outputs", "chips"), [(32, 4), (1, 1), (8, 1), (9, 2), (255, 32)])
-def test_it_reports_chips_and_echoes_its_count(make_rig, outputs, chips):
-    rig = make_rig(outputs)
-    assert rig.say(0, "F5") == bytes([chips])
-    assert rig.say(1, "FC11 F4 FC12 F4") == b"\x11\x12"
-
-
 def test_the_newest_stops_half_a_second_after_its_host(make_rig):
     rig = make_rig(firmware="newest")
     rig.say(0, EXAMPLE + ONE + "FA")
@@ -207,13 +158,6 @@ def test_half_a_command_is_forgotten_after_2_s_with_all_that_waits(rig):
     assert rig.books.slots == 0
 
 
-def test_the_rest_of_a_half_command_completes_it_in_time(rig):
-    rig.say(0, EXAMPLE)
-    rig.say(100, "FE 0000 DC00 00")
-    assert rig.say(2005, "0000 00 F4") == b"\x04"
-    assert rig.advance(2100) > 0
-
-
 def test_a_lost_byte_means_another_current(rig):
     rig.say(0, EXAMPLE)
     # The first byte is lost, the next command's completes it: 0xDC has become a high byte.
@@ -221,10 +165,6 @@ def test_a_lost_byte_means_another_current(rig):
     rig.advance(100)
     assert rig.books.unsafe > 0
     assert rig.books.max_current_ma > 5
-
-
-def test_unknown_op_codes_are_skipped(rig):
-    assert rig.say(0, "00 01 7F F0 F3" + EXAMPLE) == b"\x04"
 
 
 def test_heights_are_cut_at_4095(rig):
@@ -254,20 +194,3 @@ def test_the_newest_parses_beside_a_scan_that_never_ends(make_rig):
     assert rig.say(100, "FE" + "0000" * 4 + "F4") == b"\x04"
     slots = rig.advance(103)
     assert rig.advance(200) == slots
-
-
-def test_without_a_discharge_charge_stays(make_rig):
-    rig = make_rig(4)
-    rig.after(20, "FC04 FA6400 F6E803 F700" + ONE)
-    left = rig.books.max_net_charge_uc
-    rig.say(20, "F7C8")
-    rig.advance(40)
-    assert abs(rig.slots["residual_uc"][-1]).max() < 0.1 * left
-
-
-def test_without_power_nothing_flows(rig):
-    rig.after(50, EXAMPLE + ONE)
-    rig.board.zero("signal", 50 * MS)
-    slots = rig.books.slots
-    assert rig.advance(1000) == slots
-    assert (rig.books.state, rig.books.reason) == ("shorted", "signal")

@@ -1,9 +1,7 @@
 """The C core beside the Python emulator: the same bytes in, the same bytes and pulses out."""
 
 import itertools
-import json
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +15,6 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.firmware.build import WHOLE, library
 from tests.firmware.rig import Both, Core, Emulated, Talk, Unfelt, Worn
 from tests.firmware.scenes import Scene, random_lists, random_table, sequence_of
-
-VECTORS = json.loads((Path(__file__).parent / "vectors.json").read_text(encoding="utf-8"))
 
 
 @pytest.fixture
@@ -130,7 +126,7 @@ def test_no_table_passes_for_another(make_core):
         )
         identity, _, whole, proof = protocol.KEPT.unpack(kept.payload)
         assert (identity, whole) == (image.identity, 1)
-        assert proof == image.proof(talk.host.number)
+        assert proof == protocol.digest_of(image.data, talk.host.number)
         proofs.append(proof)
         talk.say(MessageKind.STOP)
     assert proofs[0] != proofs[1]
@@ -199,21 +195,3 @@ def test_a_fault_of_the_port_ends_the_session(driving):
     (refused,) = talk.send(sequence, 2)
     assert protocol.NAK.unpack(refused.payload)[0] == Refusal.STOPPED
     assert core.advance(10_000)[1] == []
-
-
-@pytest.mark.parametrize("name", VECTORS)
-@pytest.mark.parametrize("board", ["emulator", "core"])
-def test_vectors(make_core, board, name):
-    """Play what the page of the protocol gives to makers of firmware."""
-    vector = VECTORS[name]
-    given = vector["electrodes"], vector["output"], vector["ramp_ms"]
-    if board == "emulator":
-        player = Both(Emulated(*given, worn=name == "voltages"))
-    else:
-        told = iter([pair for step in vector["steps"] for pair in step.get("measured", [])])
-        player = Both(make_core(*given).wear(lambda *_: next(told, (0, 0))))
-    for step in vector["steps"]:
-        data, now_us = bytes.fromhex(step.get("bytes", "")), step["time_us"]
-        answer, pulses = player.feed(data, now_us) if data else player.advance(now_us)
-        assert answer.hex() == step["answer"]
-        assert [list(each) for each in pulses] == step["pulses"]

@@ -21,11 +21,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from smarttouch.base.posix import prioritized
 from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.cli import main
+from smarttouch.emulator.devices import Server
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.server import Server
 from smarttouch.views import keys_and_signals
 
 KINDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}

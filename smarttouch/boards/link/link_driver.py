@@ -2,7 +2,7 @@
 
 import contextlib
 from collections import deque
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +19,23 @@ from smarttouch.base.wire.framing import LARGEST_PACKET
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.board_answers import (
+from smarttouch.boards.link.packet_line import (
+    HEARTBEAT_S,
+    PAUSED_S,
     BoardClock,
-    SentPart,
+    PacketLine,
     capabilities_of,
     malformed,
     reason_of,
 )
-from smarttouch.boards.link.packet_line import HEARTBEAT_S, PAUSED_S, PacketLine
-from smarttouch.boards.link.protocol import Message, MessageKind, Refusal, Rule, decode_volts
+from smarttouch.boards.link.protocol import (
+    Message,
+    MessageKind,
+    Refusal,
+    Rule,
+    decode_volts,
+    digest_of,
+)
 from smarttouch.boards.link.sequence_encoding import (
     KernelImage,
     ScanPart,
@@ -66,7 +74,7 @@ def give_kernels(packets: PacketLine, image: KernelImage, most_bytes: int) -> No
             raise malformed(packets.name)
         identity, kept, whole, proof = protocol.KEPT.unpack(answer)
         if identity == image.identity and whole:
-            if proof == image.proof(packets.session.number):
+            if proof == digest_of(image.data, packets.session.number):
                 return
             raise KernelTableError(
                 f"the board at {packets.name} holds other kernels than those sent"
@@ -80,6 +88,15 @@ def give_kernels(packets: PacketLine, image: KernelImage, most_bytes: int) -> No
     raise LineLostError(
         f"the board at {packets.name} does not keep the kernels that it is sent: check its firmware"
     )
+
+
+class SentPart(NamedTuple):
+    """Sequence on its way, or the part of one that a packet has room for."""
+
+    number: int
+    proved: ProvedSequence
+    part: ScanPart
+    sent_ns: int
 
 
 class LinkDriver(Driver):
@@ -437,10 +454,11 @@ class LinkDriver(Driver):
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             self._unsafe_refused += 1
             # Clocks differ: what rose too fast for the board's restarts at zero.
-            fault = self._line.lost if rule == Rule.RISE else packets.gone
-            packets.fail(fault(f"refused sequence {message.about} as unsafe: {words}"))
+            lost = self._line.lost(f"refused sequence {message.about} as unsafe: {words}")
+            packets.fail(lost if rule == Rule.RISE else BoardError(str(lost)))
         elif why == Refusal.STOPPED and not self._line.is_stopped:
-            packets.fail(packets.gone("has been stopped or restarted by another program"))
+            lost = self._line.lost("has been stopped or restarted by another program")
+            packets.fail(BoardError(str(lost)))
         elif why == Refusal.SILENCE:
             slow = packets.now_s() - packets.paused_at_s < PAUSED_S
             cause = "this computer was too slow" if slow else "check the cable"

@@ -2,22 +2,27 @@
 
 import contextlib
 import threading
-import time
+from collections import deque
 from collections.abc import Callable
 
 from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
 from smarttouch.base.posix import prioritized
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.line import Line
+from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import (
     ANSWERS,
+    NOTHING,
     SILENCE_MS,
     VERSION,
+    Feature,
     HostSession,
     Message,
     MessageKind,
+    Rule,
     draw_half,
 )
+from smarttouch.boards.reports import Capabilities
 from smarttouch.stimulation.safety_gate import ProvedSequence
 
 HEARTBEAT_S = 0.03  # longest silence of the host: the board gives up after 0.1 s
@@ -91,13 +96,13 @@ class PacketLine:
         self._reader = threading.Thread(target=self._read_all, name="board reader", daemon=True)
         self._reader.start()
 
-    def now_s(self) -> float:
-        """Return the time by the clock of all timeouts here."""
-        return time.monotonic()
-
     def now_ns(self) -> int:
         """Return the time by which sequences are sent and answered."""
         return self.line.now_ns()
+
+    def now_s(self) -> float:
+        """Return the same time in seconds, by which waits end."""
+        return self.now_ns() / 1e9
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for a condition, with `news` held; return whether it holds."""
@@ -112,9 +117,8 @@ class PacketLine:
     def begin(self, accept: Callable[[Message], None]) -> None:
         """Begin a session with a board, unless ``accept`` raises on its CAPABILITIES, of any
         version."""
-        deadline = self.now_s() + self.answer_s
-        offer = None
-        while self.now_s() < deadline:
+        deadline_s, offer = self.now_s() + self.answer_s, None
+        while self.now_s() < deadline_s:
             offer = self._ask_once(MessageKind.HELLO) or offer
             if offer is None:
                 continue
@@ -125,10 +129,9 @@ class PacketLine:
 
     def ask(self, question: MessageKind, payload: bytes = b"") -> Message:
         """Send a query until it is answered."""
-        first = self.session.sent + 1
-        deadline = self.now_s() + self.answer_s
-        while self.now_s() < deadline:
-            if answer := self._ask_once(question, first, payload=payload):
+        first, deadline_s = self.session.sent + 1, self.now_s() + self.answer_s
+        while self.now_s() < deadline_s:
+            if answer := self._ask_once(question, first, payload):
                 return answer
         raise self._no_answer()
 
@@ -176,12 +179,7 @@ class PacketLine:
         try:
             # Numbered under the lock, so that packets leave in order.
             with self.line.current():
-                packet = self.session.encode(kind, about, payload)
-                if proved is None:
-                    # The leading zero ends any half packet on the line.
-                    self.line.write(b"\0" + packet)
-                else:
-                    self.line.drive(packet, proved)
+                self._put(self.session.encode(kind, about, payload), proved)
         except LineLostError as lost:
             self.fail(lost)
             self.raise_fault()
@@ -190,12 +188,19 @@ class PacketLine:
         if now_s - before_s > SILENCE_MS / 1000:
             self.paused_at_s = now_s
         if kind is not MessageKind.HEARTBEAT:
-            self._last_packet = self._last_written
+            self._last_packet = now_s
+
+    def _put(self, packet: bytes, proved: ProvedSequence | None) -> None:
+        if proved is None:
+            # The leading zero ends any half packet on the line.
+            self.line.write(b"\0" + packet)
+        else:
+            self.line.drive(packet, proved)
 
     def stop_blindly(self) -> None:
         """Write a STOP to a line that has failed, which may still carry it."""
         with contextlib.suppress(BoardError):
-            self.line.write(b"\0" + self.session.encode(MessageKind.STOP))
+            self._put(self.session.encode(MessageKind.STOP), None)
 
     def fail(self, fault: BoardError) -> None:
         """Keep the first fault for the next call."""
@@ -207,13 +212,9 @@ class PacketLine:
         if self.fault is not None:
             raise self.fault
 
-    def gone(self, what: str) -> BoardError:
-        """Return a fault that is final."""
-        return BoardError(str(self.line.lost(what)))
-
     @prioritized()
     def _read_all(self) -> None:
-        silent_s, now = 0.0, self.now_s()
+        silent_s, now_s = 0.0, self.now_s()
         while not self._closed.is_set():
             try:
                 data = self.line.read_some()
@@ -221,8 +222,8 @@ class PacketLine:
                 if not self._closed.is_set():
                     self.fail(error)
                 return
-            before, now = now, self.now_s()
-            silent_s += min(now - before, LISTENED_S)
+            before_s, now_s = now_s, self.now_s()
+            silent_s += min(now_s - before_s, LISTENED_S)
             # Before a session a board sends nothing by itself.
             if self.take(data) or not self.session.begun:
                 silent_s = 0.0
@@ -253,3 +254,67 @@ class PacketLine:
             self.send(MessageKind.HEARTBEAT)
         # Nothing is due soon after a packet: a sequence is sent again after longer than that, too.
         return max(HEARTBEAT_S / 4, self._last_packet + HEARTBEAT_S * 2 / 3 - now_s)
+
+
+def capabilities_of(answer: Message, name: str) -> Capabilities:
+    """Return the capabilities in a CAPABILITIES of any version."""
+    if answer.version != VERSION:
+        raise BoardError(
+            f"the board at {name} speaks link version {answer.version}, this program {VERSION}: "
+            "bring both to the same"
+        )
+    head = protocol.CAPABILITIES.size
+    end = head + protocol.KEEPING.size
+    if len(answer.payload) < end:
+        raise malformed(name)
+    outputs, output, features, current_ua, slots, zero_ms, volts = (
+        protocol.CAPABILITIES.unpack_from(answer.payload)
+    )
+    if output >= len(protocol.OUTPUTS):
+        raise BoardError(f"the board at {name} has outputs of unknown kind {output}")
+    room, packet, kernels = protocol.KEEPING.unpack_from(answer.payload, head)
+    if not features & Feature.KERNELS:
+        room = kernels = 0
+    return Capabilities(
+        electrodes=outputs, output=protocol.OUTPUTS[output], max_current_ma=current_ua / 1000,
+        max_slots=slots, time_to_zero_ms=zero_ms,
+        firmware=answer.payload[end:].decode("utf-8", "replace"),
+        measures=bool(features & Feature.VOLTAGE), force=bool(features & Feature.FORCE),
+        compliance_v=float(volts) or None, recharges=bool(features & Feature.RECHARGE),
+        emergency_switch=bool(features & Feature.EMERGENCY), kernel_bytes=room,
+        most_kernels=kernels, packet_bytes=packet,
+    )  # fmt: skip
+
+
+def malformed(name: str) -> BoardError:
+    """Return the error of a board that gives invalid answers."""
+    return BoardError(f"the board at {name} gives invalid answers: check its firmware")
+
+
+def reason_of(refusal: Message) -> tuple[int, int, str]:
+    """Return reason, rule and text of a NAK."""
+    if len(refusal.payload) != protocol.NAK.size:
+        return 0, Rule.NONE, ""
+    reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(refusal.payload)
+    name = next((each.name.lower() for each in Rule if each == rule), "unknown")
+    words = f"rule {rule} ({name})" if rule else "malformed"
+    words += f": {value}, allowed {allowed}" if value or allowed else ""
+    words += f", slot {slot}" if slot != NOTHING else ""
+    words += f", electrode {electrode}" if electrode != NOTHING else ""
+    return reason, rule, words
+
+
+class BoardClock:
+    """Reads a board's clock as the host's, by the answer that came fastest of the last few."""
+
+    def __init__(self) -> None:
+        self._ahead_ns: deque[int] = deque(maxlen=16)
+
+    def note(self, board_us: int, sent_ns: int, now_ns: int) -> int:
+        """Return the host's time of the start of a sequence that was sent at a time, and its answer
+        now."""
+        if self._ahead_ns and 1000 * board_us + min(self._ahead_ns) < sent_ns:
+            # No sequence begins before it is sent: the board's clock has stood still.
+            self._ahead_ns.clear()
+        self._ahead_ns.append(now_ns - 1000 * board_us)
+        return 1000 * board_us + min(self._ahead_ns)

@@ -14,6 +14,7 @@ A packet is COBS-encoded and ends with one 0x00. Decoded, all little endian::
     u32 CRC-32      (IEEE 802.3) of all before it
 """
 
+import hashlib
 import secrets
 import struct
 from collections.abc import Callable
@@ -29,7 +30,6 @@ from smarttouch.base.wire.framing import HEAD_BYTES, WirePacket, frame_packet, p
 
 VERSION = 5
 SWITCH_OPEN = 1  # state of a board whose emergency switch is open
-IDENTITY_BYTES = 16
 SILENCE_MS = 100
 ALIVE_MS = 20
 LATE_MS = 250  # a packet is old if it confirms nothing that the board sent within this time
@@ -45,6 +45,11 @@ KEEPING = struct.Struct("<IIH")  # after CAPABILITIES: room in bytes, packet byt
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
 """Least period µs, total µA, width µs, full µA, rounding µA, full µs, ramp ms, session s, session
 µC, duty %, 0, width of a full pulse µs; then of each electrode u16 µA, u16 felt µA, u32 pC."""
+SEQUENCE = struct.Struct("<IHHBB")  # period µs, times, intensity, flags, number of pulse shapes
+GROUP = struct.Struct("<BBH")  # kind and shape of slots, and their number
+POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups
+MEASURE, RECHARGE, MORE, GOES_ON = 1, 2, 4, 8  # flags of a sequence
+FULL = 0xFFFF  # intensity 1; also the largest sum of a slot's amplitudes
 KERNELS = struct.Struct("<16sII")  # identity, size and offset
 KEPT = struct.Struct("<16sIB16s")
 """Identity, bytes that are there, whether all are and are sound, and the session's proof."""
@@ -55,6 +60,12 @@ REPORT = struct.Struct("<IIQIIIIBIIIII")
 pC; sequences at hand; old and foreign packets; largest net charge within a second pC; seconds with
 current and largest charge µC of the session."""
 NOTHING = 0xFFFF  # slot or electrode where a rule is of none; as a slot, the recharge phase
+
+
+def digest_of(data: bytes, session: int | None = None) -> bytes:
+    """Return the identity of kernels, or the proof in a session that they are kept."""
+    head = b"" if session is None else session.to_bytes(8, "little")
+    return hashlib.sha256(head + data).digest()[:16]
 
 
 class MessageKind(IntEnum):

@@ -1,0 +1,285 @@
+"""Emulated devices by URLs, as in ``smarttouch devices emulate "link?electrodes=16"``, the sensors
+among them, and what serves them on a line."""
+
+import math
+import signal
+from abc import abstractmethod
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import SmartTouchError, choice_of, not_offered, require_within
+from smarttouch.base.url_options import options_of, read_options
+from smarttouch.base.wire.device_lines import PtyLine, TcpLine
+from smarttouch.boards.link.protocol import OUTPUTS
+from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
+from smarttouch.emulator.firmware import DeliveryLog, DeviceClock, Firmware
+from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
+from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.emulator.link_rules import Room
+from smarttouch.emulator.skin import EmulatedFinger
+from smarttouch.sources.sensor_protocol import encode_force, encode_frame
+
+BOARDS = {"link": (64, 1, 4096), "kajimoto61": (61, 61, 61), "etactilekit": (32, 1, 255)}
+"""Default, smallest and largest number of electrodes of each board."""
+SENSORS = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
+"""Default rate of each sensor, Hz."""
+COUNTS_PER_N, ZERO_COUNTS = 50_000.0, 80_000.0  # of a load cell, as are counts of noise
+_NOISE_COUNTS, _LARGEST_RAW = 60.0, 2**23 - 1
+_LONGEST_WAIT_S = 0.02
+_BEHIND_NS = 100_000_000  # after this delay the schedule restarts, as hardware sends no burst
+_BLOCK, _SIDE, _PATTERN_SIDE = 4, 64, 1024
+_PATTERN_PIXELS_S = 40
+_FIRST_HOST_S = 8.0  # time beyond its lingering that a server waits for the first host
+_WRITE_EVERY_NS = 50_000_000
+_FULL_WAIT_S = 0.0005  # time after which the rest of a message is tried again
+
+
+def emulate(url: str, advise: bool = False) -> None:
+    """Emulate the device of a URL behind a port whose name is printed, until it ends.
+
+    The options of a URL are those of `emulate_board` or `emulate_sensor`. With ``advise``, the
+    command that uses the port is printed with it.
+    """
+    name = url.partition("?")[0]
+    if name not in (*BOARDS, *SENSORS):
+        raise not_offered("emulator", name, (*BOARDS, *SENSORS))
+    device = emulate_board if name in BOARDS else emulate_sensor
+    place, options = read_options(device, url, SmartTouchError)
+    if place != name:
+        known = ", ".join(sorted(options_of(device)))
+        raise SmartTouchError(f"{url!r} has an option that {name} has not: choose {known}")
+    device(name, advise, **options)
+
+
+def emulate_board(
+    name: str,
+    advise: bool,
+    electrodes: int | None = None,
+    output: str = "weighted",
+    firmware: str | None = None,
+    tcp: bool = False,
+    ramp_ms: int = 500,
+    event: Sequence[str] = (),
+    books: Path | None = None,
+    linger: float = math.inf,
+) -> None:
+    """Emulate a board on skin until Ctrl-C, or for ``linger`` seconds without a host.
+
+    ``output`` and ``ramp_ms``, the least time from zero to full, are of a link board; ``firmware``
+    is of an eTactileKit. With ``tcp``, the port is one of the network. Each ``event`` is as in
+    `skin`, and ``books`` is an existing folder for the delivery log.
+    """
+    default, least, most = BOARDS[name]
+    electrodes = default if electrodes is None else electrodes
+    require_within(SmartTouchError, "electrodes", electrodes, least, most)
+    require_within(SmartTouchError, "ramp_ms", ramp_ms, 0, 10_000)
+    kind = choice_of("output", output, OUTPUTS)
+    if firmware is not None and name != "etactilekit":
+        message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
+        raise SmartTouchError(message)
+    firmware = choice_of("firmware", firmware or FIRMWARES[0], FIRMWARES)
+    if books is not None and not books.is_dir():
+        raise SmartTouchError(f"{books} is not a folder: make it first")
+    log, finger = DeliveryLog(electrodes, books), EmulatedFinger(electrodes, event)
+    if name == "kajimoto61":
+        device: Firmware = Kajimoto61Firmware(log, finger)
+    elif name == "etactilekit":
+        device = ETactileKitFirmware(log, finger, firmware=firmware)
+    else:
+        # Kernels of all classes, however many electrodes there are.
+        room = Room(kernels=max(Room.kernels, len(Afferent) * electrodes))
+        device = LinkFirmware(kind, log, finger, ramp_ms=ramp_ms, room=room)
+    _serve(name, device, linger, advise, TcpLine if tcp else PtyLine)
+
+
+def emulate_sensor(
+    name: str,
+    advise: bool,
+    rate: float | None = None,
+    force: float = 0.5,
+    linger: float = math.inf,
+) -> None:
+    """Emulate a sensor as `emulate_board` does a board; ``rate`` is in Hz, and ``force`` in newtons
+    on a load cell."""
+    rate_hz = SENSORS[name] if rate is None else rate
+    require_within(SmartTouchError, "rate", rate_hz, 0.01, 2000.0)
+    require_within(SmartTouchError, "force", force, -1e9, 1e9)
+    device: Firmware = SensorArray(rate_hz)
+    if name != "serial-array":
+        device = EmulatedLoadCell(force, framed=name == "loadcell", rate_hz=rate_hz)
+    _serve(name, device, linger, advise)
+
+
+_USES = {
+    "kajimoto61": "live --board kajimoto61:PORT --force fixed:0.9",  # kits do not measure force
+    "etactilekit": "live --board etactilekit:PORT --force fixed:0.9",
+    "link": "live --board link:PORT",
+    "serial-array": "live serial-array:PORT --force fixed:0.5",
+    "hx711": "live --force hx711:PORT --profile P",
+    "loadcell": "live --force loadcell:PORT --profile P",
+}
+
+
+def _advice(name: str, port: str) -> str:
+    use, curve = _USES[name].replace("PORT", port), ""
+    if name in ("hx711", "loadcell"):
+        numbers = f"{-ZERO_COUNTS / COUNTS_PER_N:g}, {1 / COUNTS_PER_N:g}"
+        curve = f" The curve in [force] of the profile P is [{numbers}]."
+    return f"In another terminal:\n\n  smarttouch {use}\n\nCtrl-C ends this {name}.{curve}"
+
+
+def _serve(
+    name: str,
+    device: Firmware,
+    linger_s: float,
+    advise: bool,
+    line: type[PtyLine | TcpLine] = PtyLine,
+) -> None:
+    require_within(SmartTouchError, "linger", linger_s, 0, math.inf)
+    # Circuits and images are small: a second thread would only slow down the host.
+    with closing(line()) as opened, threadpool_limits(1):
+        port = _advice(name, opened.name) if advise else opened.name
+        Server(device, opened).serve(linger_s, port)
+
+
+class Server:
+    """Serves one host after another."""
+
+    def __init__(self, firmware: Firmware, line: PtyLine | TcpLine) -> None:
+        self._firmware, self._line = firmware, line
+        self._hosted = False
+        self._waiting = b""  # of messages that the line has not taken yet
+
+    def serve(self, linger_s: float, said: str) -> None:
+        """Print what is said of the port, and run until SIGTERM, or ``linger_s`` without a host.
+
+        While there is a host, Ctrl-C is meant for the host, which ends with a stop and a closed
+        port. It ends the device only if that would linger for ever.
+        """
+        ended = False
+
+        def end(number: int, _frame: FrameType | None) -> None:
+            nonlocal ended
+            ended |= number == signal.SIGTERM or math.isinf(linger_s) or not self._hosted
+
+        signal.signal(signal.SIGTERM, end)
+        signal.signal(signal.SIGINT, end)
+        books = self._firmware.books
+        books.write()
+        # Handlers come first: a reader of the name may signal at once.
+        print(said, flush=True)
+        clock = DeviceClock(self._firmware.longest_step_ns)
+        host_ns, written_ns = _FIRST_HOST_S * 1e9, 0
+        while not ended:
+            data = self._line.read(_FULL_WAIT_S if self._waiting else self._firmware.wait_s(clock))
+            now_ns = clock.now_ns()
+            books.stood_still_ms = clock.stood_still_ns / 1e6
+            self.step(data, now_ns)
+            if self._hosted:
+                host_ns = now_ns
+            elif now_ns > host_ns + linger_s * 1e9:
+                break
+            if now_ns - written_ns > _WRITE_EVERY_NS:
+                books.write()
+                written_ns = now_ns
+        if ended:
+            self._firmware.zero("signal", clock.now_ns())
+        books.write()
+
+    def step(self, data: bytes | None, now_ns: int) -> None:
+        """Execute what is due, with the bytes of the host; None if there is no host."""
+        firmware, had_host = self._firmware, self._hosted
+        self._hosted = data is not None
+        if data is None:
+            self._waiting = b""
+            if had_host:
+                firmware.hang_up(now_ns)
+                firmware.books.write()
+            firmware.idle(now_ns)
+            return
+        self._push()
+        message = firmware.feed(data, now_ns) if data else firmware.advance(now_ns)
+        # A message for which there is no room is dropped whole.
+        if len(self._waiting) < firmware.backlog:
+            self._waiting += message
+            self._push()
+
+    def _push(self) -> None:
+        if self._waiting:
+            self._waiting = self._line.write(self._waiting)
+
+
+class SensorFirmware(Firmware):
+    """Sends what a sensor measures at absolute deadlines, without waiting."""
+
+    # Its time never stands still: hosts compare it with their own.
+    longest_step_ns: int = 2**63
+    backlog = 1
+
+    def __init__(self, rate_hz: float) -> None:
+        self.books = DeliveryLog(0)
+        self._period_ns = 1e9 / rate_hz
+        self._start_ns: int | None = None
+        self._next_ns = 0.0
+        self._number = 0
+
+    def wait_s(self, clock: DeviceClock) -> float:
+        left_s = (self._next_ns - clock.now_ns()) / 1e9
+        return min(max(left_s, 0.0), _LONGEST_WAIT_S)
+
+    def idle(self, now_ns: int) -> None:
+        self._next_ns = now_ns + self._period_ns
+
+    def advance(self, now_ns: int) -> bytes:
+        if self._start_ns is None:
+            self._start_ns = self._next_ns = now_ns
+        if now_ns < self._next_ns:
+            return b""
+        if now_ns - self._next_ns > _BEHIND_NS:
+            self._next_ns = now_ns
+        self._next_ns += self._period_ns
+        self._number += 1
+        return self.packet(self._number - 1, (now_ns - self._start_ns) / 1e9)
+
+    @abstractmethod
+    def packet(self, number: int, time_s: float) -> bytes:
+        """Return the next bytes for the line."""
+
+
+class SensorArray(SensorFirmware):
+    """A sensor array of 64 x 64 pixels under random blocks that pass from right to left."""
+
+    def __init__(self, rate_hz: float) -> None:
+        super().__init__(rate_hz)
+        coarse = np.random.default_rng(0).integers(0, 2, (_SIDE // _BLOCK, _PATTERN_SIDE // _BLOCK))
+        blocks = np.kron(coarse, np.ones((_BLOCK, _BLOCK)))
+        self._pattern = np.where(blocks, 220, 40).astype(np.uint8)
+
+    def packet(self, number: int, time_s: float) -> bytes:
+        start = int(time_s * _PATTERN_PIXELS_S) % (_PATTERN_SIDE - _SIDE)
+        image = self._pattern[:, start : start + _SIDE]
+        return encode_frame(number, round(time_s * 1e6), image)
+
+
+class EmulatedLoadCell(SensorFirmware):
+    """A load cell with its converter under a force, N. ``framed`` sends packets instead of lines of
+    text."""
+
+    def __init__(self, force_n: float, framed: bool = False, rate_hz: float = 80.0) -> None:
+        super().__init__(rate_hz)
+        self._force_n, self._framed = force_n, framed
+        self._random = np.random.default_rng(0)
+
+    def packet(self, number: int, time_s: float) -> bytes:
+        noise = _NOISE_COUNTS * self._random.standard_normal()
+        counts = round(ZERO_COUNTS + COUNTS_PER_N * self._force_n + noise)
+        reading = min(max(counts, -_LARGEST_RAW - 1), _LARGEST_RAW)
+        if self._framed:
+            return encode_force(number, round(time_s * 1e6), reading)
+        return f"HX711 reading: {reading}\r\n".encode()
