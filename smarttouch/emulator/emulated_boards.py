@@ -69,6 +69,9 @@ class _Packets(PacketLine):
     def _listen(self) -> None:
         """Take each answer where the packet is sent."""
 
+    def now_s(self) -> float:
+        return self._now_ns / 1e9
+
     def now_ns(self) -> int:
         return self._now_ns
 

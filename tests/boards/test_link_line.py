@@ -22,7 +22,6 @@ class Reads:
     long."""
 
     name = "here"
-    now_ns = staticmethod(time.monotonic_ns)
 
     def __init__(self, packets, *pieces):
         self.packets, self.pieces, self.number = packets, list(pieces), 0

@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 
@@ -101,8 +102,8 @@ class PacketLine:
         return self.line.now_ns()
 
     def now_s(self) -> float:
-        """Return the same time in seconds, by which waits end."""
-        return self.now_ns() / 1e9
+        """Return the time by the clock of all timeouts here."""
+        return time.monotonic()
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for a condition, with `news` held; return whether it holds."""

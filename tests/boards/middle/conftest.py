@@ -259,6 +259,9 @@ class ToldPackets(PacketLine):
         if not self.line.is_stopped:
             self._driver.idle()
 
+    def now_s(self):
+        return self._world.now_ns / 1e9
+
     def wait(self, condition, timeout_s):
         end_ns = self._world.now_ns + timeout_s * 1e9
         while not condition():
