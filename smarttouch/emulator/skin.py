@@ -13,7 +13,6 @@ Events of the finger are texts, a time in seconds and what happens then::
     2.0 lift            the finger leaves all electrodes
     3.0 touch           and is back
     0 force 0.6         it presses with 0.6 N while it touches
-    0 drift 12 4 60     electrode 12's impedance goes to 4 times the healthy one in 60 s
     5 open 7            electrode 7 is cut off
     5 short 7           electrode 7 has a few ohm to the tissue
     6 emergency         the emergency switch is opened, by this finger's other hand
@@ -271,21 +270,20 @@ def _balance(current: NDArray[np.float64]) -> NDArray[np.float64]:
 FORCE_N = 1.0  # default force: a firm reading pressure, which does not reduce the current
 OPEN_FACTOR = 5e5  # impedance factor of an open electrode: about 1 GΩ
 SHORT_FACTOR = 1e-4  # impedance factor of a shorted electrode: a few ohm to the tissue
-_FINEST = 0.005
 
 FORMS = {
-    "lift": "", "touch": "", "force": "NEWTON", "drift": "ELECTRODE FACTOR SECONDS",
+    "lift": "", "touch": "", "force": "NEWTON",
     "open": "ELECTRODE", "short": "ELECTRODE", "emergency": "", "release": "",
 }  # fmt: skip
 
 
 class FingerEvent(NamedTuple):
-    """One event: its time, s, its kind, its electrode, 0 if it is of none, and other numbers."""
+    """One event: its time, s, its kind, its electrode, 0 if it is of none, and its force, N."""
 
     time_s: float
     kind: str
     electrode: int
-    values: tuple[float, ...]
+    force_n: float
 
 
 def parse_event(text: str) -> FingerEvent:
@@ -304,10 +302,10 @@ def parse_event(text: str) -> FingerEvent:
     except ValueError:
         form = f"TIME {kind} {FORMS[kind]}".strip()
         raise BoardError(f"event {text!r} has another form: write {form}") from None
-    if not all(0 <= each < math.inf for each in numbers.values()) or not numbers.get("FACTOR", 1):
-        raise BoardError(f"event {text!r} has a number that is negative, not finite, or factor 0")
-    time_s, electrode = numbers.pop("TIME"), int(numbers.pop("ELECTRODE", 0))
-    return FingerEvent(time_s, kind, electrode, tuple(numbers.values()))
+    if not all(0 <= each < math.inf for each in numbers.values()):
+        raise BoardError(f"event {text!r} has a number that is negative or not finite")
+    electrode = int(numbers.get("ELECTRODE", 0))
+    return FingerEvent(numbers["TIME"], kind, electrode, numbers.get("NEWTON", FORCE_N))
 
 
 class EmulatedFinger:
@@ -322,11 +320,8 @@ class EmulatedFinger:
             )
         self._switched = [event for event in parsed if event.kind in ("emergency", "release")]
         self._due = deque(event for event in parsed if event not in self._switched)
-        self._touches, self._pressure_n, self._drifting = True, FORCE_N, False
-        self._drift = np.ones((4, electrodes))
-        """Factor of each impedance before and after its drift, and when that begins and ends, s."""
-        self._factor = np.ones(electrodes)  # that the skin has
-        self._broken = np.zeros(electrodes)  # the factor of an open or shorted one, else 0
+        self._touches, self._pressure_n = True, FORCE_N
+        self._factor = np.ones(electrodes)  # of each resistance
 
     @property
     def force_n(self) -> float:
@@ -340,39 +335,18 @@ class EmulatedFinger:
 
     def at(self, now_s: float, skin: SkinCircuit) -> None:
         """Apply all events to the skin that are due; times must not decrease."""
-        changed = False
+        due = len(self._due)
         while self._due and self._due[0].time_s <= now_s:
-            self._happen(self._due.popleft())
-            changed = True
-        if self._drifting:
-            factor = self._drifted(now_s)
-            self._drifting = bool((now_s < self._drift[3]).any())
-            # The circuit is solved again for each change: in steps too small to matter.
-            step = np.abs(np.log(factor / self._factor)).max()
-            if step > _FINEST or not self._drifting:
-                self._factor, changed = factor, True
-        if changed:
-            broken = self._broken if self._touches else OPEN_FACTOR
-            resistance = np.where(broken, broken, self._factor)
-            # What is shorted keeps its capacitance.
-            skin.scale(resistance, 1 / np.maximum(resistance, self._factor))
-
-    def _drifted(self, now_s: float) -> NDArray[np.float64]:
-        """Return the factors of impedances; in equal times they change by equal ratios."""
-        before, after, begins_s, ends_s = self._drift
-        share = (now_s - begins_s) / np.maximum(ends_s - begins_s, 1e-9)
-        return np.asarray(before * (after / before) ** np.clip(share, 0, 1))
-
-    def _happen(self, event: FingerEvent) -> None:
-        electrode, values = event.electrode, event.values
-        match event.kind:
-            case "lift" | "touch":
+            event = self._due.popleft()
+            if event.kind == "force":
+                self._pressure_n = event.force_n
+            elif event.kind in ("lift", "touch"):
                 self._touches = event.kind == "touch"
-            case "force":
-                self._pressure_n = values[0]
-            case "drift":
-                before, (after, lasts_s) = self._drifted(event.time_s)[electrode], values
-                self._drift[:, electrode] = before, after, event.time_s, event.time_s + lasts_s
-                self._drifting = True
-            case "open" | "short":
-                self._broken[electrode] = OPEN_FACTOR if event.kind == "open" else SHORT_FACTOR
+            else:
+                self._factor[event.electrode] = (
+                    OPEN_FACTOR if event.kind == "open" else SHORT_FACTOR
+                )
+        if len(self._due) < due:
+            factor = self._factor if self._touches else 0 * self._factor + OPEN_FACTOR
+            # What is shorted keeps its capacitance.
+            skin.scale(factor, 1 / np.maximum(factor, 1))

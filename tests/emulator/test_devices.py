@@ -19,8 +19,7 @@ from smarttouch.emulator.devices import EmulatedLoadCell, SensorArray, SensorFir
 from smarttouch.emulator.firmware import DeliveryLog, Firmware, read_slots, read_state
 from smarttouch.sources import open_source
 from smarttouch.sources.force import open_force
-from smarttouch.sources.sensor_protocol import CellReading, MessageStream
-from smarttouch.sources.serial_input import TextReadings
+from smarttouch.sources.sensor_protocol import CellReading, MessageStream, TextReadings
 
 from ..boards.fresh import starter, until
 from ..forks import Forked, emulator

@@ -166,21 +166,6 @@ def test_large_arrays_are_shorted_in_steps(seed, monkeypatch):
         assert left_uc <= 0.02 * np.abs(before_uc).max()
 
 
-@pytest.mark.parametrize(("events", "looks"), [
-    # Of electrode 12, its factor at times; others stay, and so does R·C of one that drifts.
-    (["10 drift 12 4 60"], {9: 1, 10: 1, 40: 2, 70: 4, 500: 4}),
-    (["0 drift 12 4 1", "0.5 drift 12 1 1"], {0.5: 2, 1: 2**0.5, 2: 1, 3: 1}),
-])  # fmt: skip
-def test_a_drift_is_smooth_and_ends_where_set(events, looks):
-    finger, skin = EmulatedFinger(16, events), SkinCircuit(16)
-    tau = skin.parallel_ohm * skin.capacitance_f
-    for now_s, factor in looks.items():
-        finger.at(now_s, skin)
-        assert skin.series_ohm[12] / HEALTHY[12] == pytest.approx(factor, rel=0.01)
-        np.testing.assert_allclose(skin.parallel_ohm * skin.capacitance_f, tau)
-    np.testing.assert_allclose(np.delete(skin.series_ohm, 12), np.delete(HEALTHY, 12))
-
-
 def test_a_finger_lifts_and_touches_and_electrodes_break():
     events = ["3.0 touch", "2 lift", "0 force 0.9", "1 open 7", "1 short 8"]
     finger, skin = EmulatedFinger(16, events), SkinCircuit(16)
@@ -203,14 +188,12 @@ def test_a_finger_lifts_and_touches_and_electrodes_break():
     ("1 jump", tuple(FORMS)),
     ("soon lift", "TIME lift"),
     ("1 lift 3", "TIME lift"),
-    ("1 drift 3 4", "TIME drift ELECTRODE FACTOR SECONDS"),
     ("1 open 1.5", "TIME open ELECTRODE"),
     ("1 force", "TIME force NEWTON"),
     ("-1 lift", None),
     ("inf lift", None),
     ("1 force nan", None),
     ("1 open -1", None),
-    ("1 drift 3 0 5", "factor 0"),
     ("1 open 16", "0 to 15"),
 ])  # fmt: skip
 def test_bad_text_is_one_clear_sentence(text, allowed):
