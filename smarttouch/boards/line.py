@@ -104,12 +104,6 @@ class Line:
         self.name = name
         self._port = wrap(port)
 
-    def reconnect(self, away_s: float, wrap: Callable[[Port], Port] = lambda port: port) -> None:
-        """Close the port, wait, and open it again."""
-        self.disconnect()
-        self.pause(away_s)
-        self._port = wrap(open_port(self.name))
-
     def disconnect(self) -> None:
         """Close the port, if one is open."""
         port, self._port = self._port, None

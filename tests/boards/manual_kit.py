@@ -121,14 +121,12 @@ def manual_line(patch, driver, port, clock, limits):
     """Return a line to a port in this process, by a clock that the test sets."""
     patch.setattr(current_scale, "BOOT_S", 0.0)
     patch.setattr(etactilekit_line, "WatchedPort", lambda port, _: port)
-    patch.setattr(etactilekit_line.time, "monotonic", clock.monotonic)
     line = Board(driver, limits, clock=clock)._line
 
     def connect(name, wrap):
         line.name, line._port = name, wrap(port)
 
     line.connect, line.pause = connect, clock.sleep
-    line.reconnect = lambda away_s, _wrap: clock.sleep(away_s)
     return line
 
 
@@ -140,13 +138,13 @@ class ManualKit:
 
     def __init__(
         self, patch, limits, firmware="71adee2", seed=1, late_us=200, finger=None,
-        dummy_ohm=np.inf, **line,
+        dummy_ohm=np.inf, named=True, **line,
     ):  # fmt: skip
         self.clock = ManualClock(seed, late_us)
         self.books = ScanBooks(limits.electrodes)
         self.board = ETactileKitFirmware(self.books, finger, firmware=firmware, dummy_ohm=dummy_ohm)
         self.port = ManualPort(self.board, self.clock, **line)
-        self.driver = ETactileKitDriver("told", limits, firmware=firmware)
+        self.driver = ETactileKitDriver("told", limits, firmware=firmware if named else None)
         self.line = manual_line(patch, self.driver, self.port, self.clock, limits)
         self.host, self.dropped_late = self.line._board, 0
         self.driver.open(self.line, limits)

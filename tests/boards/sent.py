@@ -37,9 +37,8 @@ class SentBytes:
         open_driver = driver.open
 
         def opened(line, limits):
-            connect, reconnect = type(line).connect, type(line).reconnect
+            connect = type(line).connect
             line.connect = lambda name, wrap=_same: connect(line, name, self._of(wrap))
-            line.reconnect = lambda away_s, wrap=_same: reconnect(line, away_s, self._of(wrap))
             return open_driver(line, limits)
 
         driver.open = opened

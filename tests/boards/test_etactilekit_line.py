@@ -1,15 +1,35 @@
-"""Whatever eTactileKit is there, in whatever state: it is identified, and put at zero first."""
+"""To the byte: what goes to an eTactileKit, in whatever state it is, and what always means zero;
+and when it scans."""
 
 import contextlib
+import random
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError, SilentBoardError
+from smarttouch.boards.kits.current_scale import scale_of
 from smarttouch.boards.kits.etactilekit import ETactileKitDriver
+from smarttouch.boards.kits.etactilekit_line import (
+    GO,
+    LOAD,
+    PING,
+    QUIET,
+    READINGS,
+    ScanLock,
+    Settings,
+    Span,
+    payload,
+    settings_commands,
+    settings_of,
+    zero_anywhere,
+)
 from smarttouch.boards.open import make_driver
-from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.boards.probe_scans import one_each
+from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
@@ -21,10 +41,7 @@ from ..whole import WHOLE, sample
 
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 # Left by hosts before: pulses of a milliampere on all electrodes, sense pulses, half commands.
-PULSING = {
-    "71adee2": "FC08 FA6400 F732 F63200 FE" + "6400" * 8,
-    "newest": "FC08 FA6400 F732 F63200 FE" + "6400" * 8,
-}
+PULSING = "FC08 FA6400 F732 F63200 FE" + "6400" * 8
 SENSE = "F919 F832"
 HALVES = ["", "FE", "FE 01", "FE 010101", "FB", "FA", "FA FF", "FD", "FC", "F9", "F6", "FB 64"]
 HALF = st.sampled_from(HALVES)
@@ -111,26 +128,17 @@ def meet(monkeypatch):
     return lambda *arguments, **more: Meeting(monkeypatch, *arguments, **more)
 
 
-@pytest.mark.parametrize(
-    ("firmware", "selected"),
-    [("71adee2", None), ("newest", None), ("71adee2", "71adee2"), ("newest", "newest")],
-)
-def test_each_is_distinguished_or_named(meet, firmware, selected):
-    meeting = meet(firmware, selected)
-    can = meeting.open()
-    assert firmware in can.firmware
-    assert (can.time_to_zero_ms is None) == (firmware != "newest")
-    assert meeting.books.slots == 0
-
-
-@pytest.mark.parametrize("firmware", ["71adee2", "newest"])
+@pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("half", HALVES)
 def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, half):
-    meeting = meet(firmware)
-    meeting.leave(PULSING[firmware] + SENSE + half)
+    """What its firmware does by itself is believed only if it is named."""
+    meeting = meet(firmware, firmware if half else None)
+    meeting.leave(PULSING + SENSE + half)
     pulsed = meeting.books.slots
     assert pulsed > 0
-    assert firmware in meeting.open().firmware
+    can = meeting.open()
+    assert (firmware in can.firmware) == bool(half)
+    assert (can.time_to_zero_ms is None) == (firmware != "newest" or not half)
     slots = meeting.slots_at_rest()
     assert meeting.books.state == "shorted"
     # At most the scan that was under way, and one with what zeros made of half a command.
@@ -154,7 +162,7 @@ def test_an_older_firmware_is_put_at_zero_and_refused(meet, firmware, half):
 
 @settings(max_examples=100 if WHOLE else 25, deadline=None)
 @given(
-    firmware=st.sampled_from([*PULSING, *OLD]),
+    firmware=st.sampled_from([*FIRMWARES, *OLD]),
     noise=st.binary(max_size=12),
     half=HALF,
     losses=st.lists(st.integers(0, 700), max_size=1),
@@ -218,3 +226,193 @@ def test_a_smaller_kit_than_the_profile_is_refused(meet):
     limits = SafetyLimits(32, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
     with raises(BoardError, value=32, allowed=8):
         ETactileKitDriver("told", limits).open(meeting.line, limits)
+
+
+FOUR = SafetyLimits(4, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
+WIRING = np.arange(4)
+SCALE = scale_of("etactilekit", None)
+
+
+def anodic(level_ua, sites=(1,), width=100, cathodic=False, period_us=20_000):
+    return one_each(
+        FOUR, level_ua, width, 1.0, 0, cathodic=cathodic, sites=list(sites), discharge_us=50,
+        period_us=period_us,
+    )  # fmt: skip
+
+
+def heights(*counts):
+    return b"".join(count.to_bytes(2, "little") for count in counts)
+
+
+def test_wiring_puts_each_electrode_on_its_output():
+    pattern = payload(anodic(1000), np.array([5, 3, 0, 1]), SCALE, FOUR)
+    assert pattern == heights(0, 0, 0, 100, 0, 0)
+
+
+@given(levels=st.lists(st.integers(0, 5000), min_size=4, max_size=4))
+def test_no_byte_of_a_pattern_looks_like_a_command(levels):
+    for site, level in enumerate(levels):
+        data = payload(anodic(level, sites=(site,)), WIRING, SCALE, FOUR)
+        assert max(data) < 0xF4
+        counts = np.frombuffer(data, "<u2")
+        assert counts.max() <= 500
+        assert level - 9.99 * counts.max() <= max(6, 12 * 9.99 + 6)
+
+
+def test_settings_of_a_sequence():
+    assert settings_of(anodic(1000)) == Settings(100, 50, 50, True)
+    assert settings_of(anodic(1000, cathodic=True, period_us=16_667)) == Settings(
+        100, 50, 60, False
+    )
+    assert Settings(100, 50, 60, True).period_ns == 16_666_000
+    assert Settings(100, 50, 60, True).scan_us(32, 10) == 5120
+
+
+@pytest.mark.parametrize(("wrong", "attributes"), [
+    ("polarity", {}),
+    ("width", {}),
+    ("short", {"value": 6, "allowed": 7}),
+    ("discharge", {"value": 244}),
+])  # fmt: skip
+def test_what_it_has_only_one_of_or_not_at_all_is_refused(wrong, attributes):
+    sequence = anodic(1000, sites=(1, 2))
+    if wrong == "polarity":
+        sequence.current_ua[1] *= -1
+    elif wrong == "width":
+        sequence.width_us[1] = 90
+    elif wrong == "short":
+        sequence = replace(sequence, width_us=np.full(2, 6, np.uint16))
+    else:
+        sequence = replace(sequence, discharge_us=np.full(2, 244, np.uint16))
+    with raises(BoardError, **attributes):
+        settings_of(sequence)
+
+
+@given(data=st.data())
+def test_a_lost_byte_never_brings_more_current_than_was_asked_for(data):
+    """Of any message, behind any whole one, and with the messages after it."""
+    pattern = payload(anodic(2200, (1, 3)), WIRING, SCALE, FOUR)
+    messages = [
+        settings_commands(Settings(100, 50, 50, True), 10) + PING,
+        LOAD + pattern + PING,
+        READINGS + GO + PING,
+        READINGS + QUIET + PING,
+    ]
+    which = data.draw(st.integers(0, 3))
+    where = data.draw(st.integers(0, len(messages[which]) - 1))
+    books = DeliveryLog(4)
+    board = ETactileKitFirmware(books)
+    board.feed(b"\xfc\x04", 1_000_000)
+    now_ns = 2_000_000
+    for number, message in enumerate(messages):
+        lost = number == which
+        if lost:
+            message = message[:where] + message[where + 1 :]
+        answer = board.feed(message, now_ns)
+        for _ in range(50):
+            now_ns += 1_000_000
+            answer += board.advance(now_ns)
+        if answer[-1:] != b"\x04":
+            # What the driver does then.
+            board.feed(bytes(514), now_ns)
+            board.feed(QUIET + bytes(4) + PING, now_ns)
+            break
+    board.advance(now_ns + 500_000_000)
+    assert books.max_current_ma <= 2.2
+    assert books.max_charge_uc <= 0.221
+
+
+OUTPUTS = 4
+HEIGHTS = bytes([200, 0] * OUTPUTS)
+COMMANDS = settings_commands(Settings(100, 50, 100, anodic=True), 10) + LOAD + HEIGHTS + GO
+RUNNING = bytes([0xFC, OUTPUTS]) + COMMANDS
+ZERO = zero_anywhere(OUTPUTS)
+PLACES = [*sample(range(len(ZERO) - 40), 16), *range(len(ZERO) - 40, len(ZERO))]
+"""In what means zero: few of its many zeros, and all that comes after them."""
+
+
+@pytest.fixture(params=FIRMWARES)
+def drives_after(request):
+    """Return a function that returns whether a kit pulses on after bytes that come a scan apart."""
+
+    def drives_after(*parts):
+        books = DeliveryLog(OUTPUTS)
+        board = ETactileKitFirmware(books, firmware=request.param)
+        now_ns = 0
+        for part in parts:
+            board.feed(part, now_ns)
+            # One parser stands still while a scan goes on.
+            now_ns += 10**8
+            board.advance(now_ns)
+        before = books.slots
+        # Scans come at 10 or 100 Hz, and the newest firmware bears so long without a host.
+        board.advance(now_ns + 25 * 10**7)
+        return books.slots > before
+
+    return drives_after
+
+
+def test_zero_ends_every_half_command_and_survives_losses(drives_after):
+    assert drives_after(RUNNING)
+    for cut in range(len(COMMANDS) + 1):
+        assert not drives_after(RUNNING, COMMANDS[:cut] + ZERO)
+    for first in PLACES:
+        assert not drives_after(RUNNING, ZERO[:first] + ZERO[first + 1 :])
+        for run in (2, 1, 3):
+            assert not drives_after(RUNNING, ZERO[:first] + ZERO[first + run :] + ZERO)
+
+
+T = 20_000_000
+
+
+@pytest.fixture
+def lock():
+    return ScanLock(T)
+
+
+def test_without_a_bracket_only_ranges_are_known(lock):
+    lock.learn(Span(0, T // 4 + 5000))  # too wide
+    assert lock.last is None
+    assert lock.starts(Span(0, 0), Span(T // 2, T // 2)) == (0, 1)
+    assert lock.starts(Span(0, 0), Span(5 * T, 5 * T)) == (4, 6)
+    assert lock.starts(Span(0, T), Span(3 * T + T // 2, 4 * T)) == (2, 5)
+
+
+def test_what_is_not_renewed_or_contradicted_is_forgotten(lock):
+    lock.learn(Span(0, 1_000_000))
+    lock.learn(Span(8_000_000, 9_000_000))
+    assert lock.last is None
+    lock.learn(Span(0, 1_000_000))
+    lock.check(400 * T)
+    assert lock.last is not None
+    lock.check(700 * T)
+    assert lock.last is None
+
+
+@given(
+    phase=st.integers(0, T - 1),
+    drift=st.floats(-200e-6, 200e-6),
+    seed=st.integers(0, 1000),
+    step=st.integers(1, 30),
+)
+def test_it_is_never_wrong(phase, drift, seed, step):
+    rng = random.Random(seed)
+    true = T * (1 + drift)
+    lock = ScanLock(T)
+    for number in range(0, 40 * step, step):
+        start = phase + number * true
+        bracket = Span(int(start - rng.uniform(0, 1e6)), int(start + rng.uniform(1, 1e6)))
+        lock.learn(bracket)
+        assert lock.last is not None
+        for other in range(-3, 4):
+            at = start + other * true
+            scan = lock.scan(lock.first_after(int(at - T // 2)))
+            assert scan.early <= at + 1
+            assert at - 1 <= scan.late
+        begin, end = sorted(rng.uniform(start, start + 5 * T) for _ in range(2))
+        happened = sum(begin < phase + k * true < end for k in range(number - 1, number + 8))
+        spread = rng.uniform(0, 1e6)
+        least, most = lock.starts(
+            Span(int(begin - spread), int(begin + spread)), Span(int(end), int(end + spread))
+        )
+        assert least <= happened <= most

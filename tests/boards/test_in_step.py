@@ -50,11 +50,14 @@ def wanted(sequence):
 
 
 @FIRMWARES
+@pytest.mark.parametrize("named", [True, False])
 @pytest.mark.parametrize(
     ("phase_us", "drift"), [(0, 100e-6), (4_900, -100e-6), (11_300, 0.0), (19_500, 100e-6)]
 )
-def test_every_pattern_is_scanned_once(monkeypatch, firmware, phase_us, drift):
-    kit = ManualKit(monkeypatch, LIMITS, firmware, phase_ns=1000 * phase_us, drift=drift)
+def test_every_pattern_is_scanned_once(monkeypatch, firmware, named, phase_us, drift):
+    kit = ManualKit(
+        monkeypatch, LIMITS, firmware, phase_ns=1000 * phase_us, drift=drift, named=named
+    )
     sequences = patterns(PATTERNS)
     start = kit.clock.time_ns
     report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
@@ -88,11 +91,13 @@ def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_
 
 @FIRMWARES
 @pytest.mark.parametrize("seed", range(4))
-def test_what_a_busy_host_cannot_determine_is_a_range(monkeypatch, firmware, seed):
+@pytest.mark.parametrize("named", [True, False])
+def test_what_a_busy_host_cannot_determine_is_a_range(monkeypatch, firmware, seed, named):
     """Waits of milliseconds too long, and frames that come when they like: none unscanned."""
     kit = ManualKit(
-        monkeypatch, LIMITS, firmware, seed=seed, late_us=3000, phase_ns=7 * MS * seed, wire_us=2000
-    )
+        monkeypatch, LIMITS, firmware, seed=seed, late_us=3000, phase_ns=7 * MS * seed,
+        wire_us=2000, named=named,
+    )  # fmt: skip
     sequences = patterns(PATTERNS // 3, seed)
     rng, time_ns, jobs = random.Random(seed), kit.clock.time_ns, []
     for each in sequences:

@@ -16,7 +16,7 @@ from smarttouch.base.errors import (
     SilentBoardError,
 )
 from smarttouch.boards.board import RESTARTS, Board
-from smarttouch.boards.kits.etactilekit_wire import zero_anywhere
+from smarttouch.boards.kits.etactilekit_line import zero_anywhere
 from smarttouch.boards.open import MemoryDriver
 from smarttouch.stimulation.safety_gate import SafetyLimits
 

@@ -1,6 +1,6 @@
 """Driver of the eTactileKit, which scans on its own clock; the host loads its patterns.
 
-Its bytes, and what guards them, are in `etactilekit_wire`.
+Its bytes, and what guards them, are in `etactilekit_line`.
 
 A scan is fixed when it starts, so a pattern is scanned only if it is there at that moment. Pulses
 are enabled, as many scans as wanted start, and pulses are stopped again; in between the next
@@ -25,8 +25,7 @@ from smarttouch.base.errors import (
 )
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.kits.current_scale import one_against_all, require_kit
-from smarttouch.boards.kits.etactilekit_line import FIRMWARES, ETactileKitLine
-from smarttouch.boards.kits.etactilekit_wire import (
+from smarttouch.boards.kits.etactilekit_line import (
     COMPLIANCE_V,
     DUMMY_KOHM,
     GO,
@@ -35,12 +34,14 @@ from smarttouch.boards.kits.etactilekit_wire import (
     QUIET,
     SHORTEST_US,
     VOLTS_PER_COUNT,
+    ETactileKitLine,
+    ScanLock,
     Settings,
+    Span,
     payload,
     settings_commands,
     settings_of,
 )
-from smarttouch.boards.kits.scan_lock import ScanLock, Span
 from smarttouch.boards.kits.watched_port import KEPT_MS
 from smarttouch.boards.line import Line
 from smarttouch.boards.reports import Capabilities
@@ -49,6 +50,7 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
+FIRMWARES = ("71adee2", "newest")  # by their first commits in the repository
 NEWEST_ZERO_MS = 520.0  # newest firmware: ends its scan 500 ms after the host's last byte
 IDLE_S = 0.1  # time without a sequence after which the pattern on the board becomes zeros
 OPEN_SHARE = 0.95  # of the voltage without a finger: if all slots reach it, it is lifted
@@ -78,7 +80,8 @@ class ShownPattern:
 class ETactileKitDriver(Driver):
     """The eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
-    ``?firmware=71adee2`` or ``newest`` after the port selects the firmware if a query cannot.
+    ``?firmware=71adee2`` or ``newest`` after the port names the firmware, which no query tells.
+    Without it nothing is taken for granted that only one of them does.
     """
 
     default_profile: ClassVar[str] = "etactilekit-32"
@@ -116,12 +119,10 @@ class ETactileKitDriver(Driver):
         self._limits = limits
         self._nothing = bytes(2 * self._outputs)
         self._opening = self._away = False
-        self._begin(True)
+        self._begin()
 
-    def _begin(self, waits: bool) -> None:
-        """Start without knowledge of the board's scans; ``waits`` if its parser stands still while
-        it scans."""
-        self._waits = waits
+    def _begin(self) -> None:
+        """Start without knowledge of the board's scans."""
         self._on_board = b""  # pattern of the board; empty if not certain
         self._settings: Settings | None = None  # what it pulses with; None if not certain
         self._lock = ScanLock(1)
@@ -140,10 +141,10 @@ class ETactileKitDriver(Driver):
         self._opening, self._away = True, line.reopened and not self._kit.is_at_zero
         try:
             if not line.reopened:
-                self._kit = ETactileKitLine(line, self._outputs, self._firmware)
-            firmware, capacity = self._kit.connect(str(self.port))
+                self._kit = ETactileKitLine(line, self._outputs)
+            capacity = self._kit.connect(str(self.port))
             self._give_up()
-            self._begin(firmware != "newest")
+            self._begin()
             self._put_at_zero()
             self._away = False
         except BoardStoppedError:
@@ -153,14 +154,15 @@ class ETactileKitDriver(Driver):
             raise
         finally:
             self._opening = False
+        named = f"eTactileKit {self._firmware}" if self._firmware else "eTactileKit"
         return Capabilities(
             electrodes=self._limits.electrodes,
             output="one-against-all",
             max_current_ma=LARGEST * self._scale.measured_ua / 1000,
             max_slots=self._limits.electrodes,
-            time_to_zero_ms=NEWEST_ZERO_MS if firmware == "newest" else None,
+            time_to_zero_ms=NEWEST_ZERO_MS if self._firmware == "newest" else None,
             kept_ms=KEPT_MS,
-            firmware=f"eTactileKit {firmware}, {capacity} outputs",
+            firmware=f"{named}, {capacity} outputs",
             measures=True,
             compliance_v=COMPLIANCE_V,
             load_kohm=DUMMY_KOHM,
@@ -312,7 +314,7 @@ class ETactileKitDriver(Driver):
             return
         # A pulse whose discharge is short, or one without a width, as in scans without pulses.
         rest_us = max(0, settings.discharge_us - SHORTEST_US)
-        if self._waits:
+        if self._firmware == "71adee2":
             # A query during a scan is answered after it: the whole scan has passed.
             slot_us = rest_us + (settings.width_us if rises.any() else SHORTEST_US)
             self._lock.learn(Span(asked_ns, answered_ns - 1000 * self._outputs * slot_us))
