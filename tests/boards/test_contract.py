@@ -179,25 +179,18 @@ class TestETactileKit(OneAgainstAll):
     def url(self, start_emulator, tmp_path):
         arguments = (f"books={tmp_path}", f"firmware={self.firmware}", *self.more)
         port = start_emulator(*arguments, protocol="etactilekit")[1]
-        # To find out which it is takes longer than all else; only one test asks for that.
         return f"etactilekit:{port}?firmware={self.firmware}"
 
-    firmware, taken_for, more = "71adee2", ("71adee2",), ()
-
-    def test_which_it_is_is_found_out(self, url, make_board):
-        with make_board(url=url.partition("?")[0]) as board:
-            found = board.capabilities.firmware.split(",")[0]
-        assert found in {f"eTactileKit {each}" for each in self.taken_for}
+    firmware, more = "71adee2", ()
 
 
 @without_repeating(
-    "test_which_it_is_is_found_out", SENT, AT_ANY_LINE, CLOSES,
+    SENT, AT_ANY_LINE, CLOSES,
     "test_a_newer_sequence_ends_a_repetition",
 )  # fmt: skip
 class TestNewestETactileKitOverTcp(TestETactileKit):
     more = ("tcp",)
-    # On a busy computer it passes for the one before it.
-    firmware, taken_for = "newest", ("newest", "71adee2")
+    firmware = "newest"
 
 
 class TestMemory(Contract):

@@ -94,18 +94,26 @@ def test_a_weighted_pulse_is_what_was_asked_and_exact():
     assert delivered.source_v == pytest.approx(expected[0] - expected.min(), rel=1e-4)
 
 
-def test_a_short_circuit_is_solved_exactly():
-    skin = unequal(6, 5)
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("duration_us", [3, 12, 50, 300])
+def test_a_short_circuit_is_solved_and_keeps_the_charge(seed, duration_us):
+    """Within 5 % of what was there where impedances differ by a factor of ten."""
+    skin = unequal(6, seed)
     skin.pulse(np.array([900.0, -100, -200, -300, -400, 100]), 150)
-    before = skin.residual_uc
-    admittance = 1 / skin.series_ohm
+    before_uc, admittance = skin.residual_uc, 1 / skin.series_ohm
 
     def currents(volts):
         return ((volts * admittance).sum() / admittance.sum() - volts) * admittance
 
-    _, volts = solve(skin, currents, 12, before / skin.capacitance_f / 1e6)
-    skin.short(12)
-    np.testing.assert_allclose(skin.residual_uc, skin.capacitance_f * volts * 1e6, rtol=1e-4)
+    _, volts = solve(skin, currents, duration_us, before_uc / skin.capacitance_f / 1e6)
+    skin.short(duration_us)
+    left_uc = skin.capacitance_f * volts * 1e6
+    assert np.abs(skin.residual_uc - left_uc).max() <= 0.05 * np.abs(before_uc).max()
+    skin.parallel_ohm = np.full(6, 1e13)
+    total_uc = skin.residual_uc.sum()
+    skin._shorts_of.cache_clear()
+    skin.short(duration_us)
+    assert skin.residual_uc.sum() == pytest.approx(total_uc, abs=1e-6)
 
 
 def test_the_source_pays_for_what_is_stored_and_lost():
@@ -148,22 +156,6 @@ def test_currents_sum_to_zero_and_never_pass_the_compliance(pulses, seed, compli
             assert delivered.source_v <= 2 * compliance_v * (1 + 1e-9)
         assert np.abs(delivered.volts).max() <= compliance_v * (1 + 1e-9) + 1e-9
         skin.short(short_us)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_large_arrays_are_shorted_in_steps(seed, monkeypatch):
-    """The charge on electrodes is nearly that of the circuit's modes."""
-    exact, stepped = SkinCircuit(20), SkinCircuit(20)
-    random = np.random.default_rng(seed)
-    for duration_us in random.choice([0, 20, 100, 5000], 40).tolist():
-        current_ua = random.normal(0, 1000, 20)
-        for skin, most in ((exact, 20), (stepped, 19)):
-            monkeypatch.setattr("smarttouch.emulator.skin._MOST_MODES", most)
-            skin.pulse(current_ua, 200)
-            before_uc = skin.residual_uc
-            skin.short(duration_us)
-        left_uc = np.abs(stepped.residual_uc - exact.residual_uc).max()
-        assert left_uc <= 0.02 * np.abs(before_uc).max()
 
 
 def test_a_finger_lifts_and_touches_and_electrodes_break():
