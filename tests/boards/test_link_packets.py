@@ -1,0 +1,341 @@
+"""Packets of ``link`` at the host: what survives the wire, sessions, whose silence counts, scans in
+parts, and the board's clock."""
+
+import itertools
+import struct
+import time
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cobs import cobs
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from smarttouch.base.errors import BoardError, LineLostError
+from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer, WirePacket
+from smarttouch.boards.board import Board
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.packet_line import SILENCE_S, BoardClock, PacketLine
+from smarttouch.boards.link.protocol import (
+    VERSION,
+    WHOLE_HEAD_BYTES,
+    HostSession,
+    MessageKind,
+    decode,
+    decode_head,
+    encode,
+)
+from smarttouch.boards.link.sequence_encoding import KernelImage, encode_scan
+from smarttouch.emulator.emulated_boards import SimulatedDriver
+from smarttouch.emulator.link_packets import decode_lists
+from smarttouch.emulator.link_rules import Room
+from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
+from tests.firmware.scenes import random_table, sequence_of
+
+from ..raising import raises
+from .fresh import until
+from .payloads import sequence_payload
+
+MS = 1_000_000
+currents = hnp.arrays(
+    np.int16, st.tuples(st.integers(0, 6), st.integers(1, 11)), elements=st.integers(-5000, 5000)
+)
+
+
+def columns(current, seed=0):
+    slots = len(current)
+    random = np.random.default_rng(seed)
+    return [random.integers(0, 65536, slots).astype(np.uint16) for _ in range(3)]
+
+
+@pytest.mark.parametrize("output", ["three-state", "one-against-all"])
+@given(current=currents)
+def test_switched_survives_the_wire(output, current):
+    payload = sequence_payload(output, 9000, *columns(current), current)
+    wire = decode_lists(payload, current.shape[1], True)
+    np.testing.assert_array_equal(wire.rows, np.sign(current))
+    np.testing.assert_array_equal(wire.source_ua, np.maximum(current, 0).sum(axis=1))
+
+
+def test_a_source_beyond_the_wire_is_refused_and_never_wraps():
+    current = np.array([[5000] * 14 + [-5000] * 14], np.int16)
+    with raises(BoardError, value=70.0, allowed=65.5, slot=0):
+        sequence_payload("three-state", 9000, *columns(current), current)
+
+
+@pytest.mark.parametrize(("slots", "electrodes", "room", "attributes"), [
+    (600, 1024, (2000, 1 << 16), {"allowed": 2000}),
+    (70_000, 1, (1 << 20, 70_000), {"names": "slots", "value": 70_000, "allowed": 65_535}),
+])  # fmt: skip
+def test_a_slot_beyond_the_room_of_a_packet_is_refused(slots, electrodes, room, attributes):
+    column = np.full(slots, 100, np.uint16)
+    current = np.zeros((slots, electrodes), np.int16)
+    sequence = ScanSequence(current, column, column, 0 * column, 9000, 1.0, 0)
+    with raises(BoardError, **attributes):
+        encode_scan(sequence, 1, False, False, None, *room)
+
+
+@given(position=st.integers(0, 40), flip=st.integers(1, 255))
+def test_a_changed_byte_is_an_error_and_no_packet(position, flip):
+    data = bytearray(encode(MessageKind.SEQUENCE, 1, 9, payload=bytes(range(1, 31))))
+    data[position % (len(data) - 1)] ^= flip
+    deframer = Deframer()
+    assert list(deframer.feed(bytes(data))) == []
+    (packet,) = deframer.feed(b"\0" + encode(MessageKind.STOP, 1, 3))
+    assert (packet.kind, packet.number) == (MessageKind.STOP, 3)
+    assert deframer.errors >= 1
+
+
+def test_an_endless_packet_does_not_fill_the_memory():
+    deframer = Deframer()
+    for _ in range(12):
+        list(deframer.feed(b"\x01" * 2**20))
+    assert len(deframer._waiting) <= LARGEST_PACKET * 1.1
+    assert list(deframer.feed(b"\0")) == []
+    assert len(list(deframer.feed(encode(MessageKind.STOP, 1, 1)))) == 1
+
+
+@given(current=currents, seed=st.integers(0, 9), shapes=st.integers(1, 3), measure=st.booleans())
+def test_the_bytes_are_those_of_a_plain_encoder(current, seed, shapes, measure):
+    _, _, site = columns(current, seed)
+    shape = np.random.default_rng(seed).integers(0, shapes, len(current)).tolist()
+    # Shapes 0 and 1 differ by their rest alone.
+    width, rest = [100 + each // 2 for each in shape], [50 + each for each in shape]
+    used = sorted(set(shape))
+    plain = struct.pack("<IHHBB", 9000, 3, 0xFFFF, measure, len(used))
+    plain += b"".join(struct.pack("<HH", 100 + each // 2, 50 + each) for each in used)
+    slots = zip(shape, site.tolist(), current.tolist(), strict=True)
+    for each, group in itertools.groupby(slots, key=lambda slot: slot[0]):
+        rows = [struct.pack(f"<H{len(row)}h", own, *row) for _, own, row in group]
+        plain += struct.pack("<BBH", 2, used.index(each), len(rows)) + b"".join(rows)
+    assert sequence_payload("weighted", 9000, width, rest, site, current, 3, measure) == plain
+    body = struct.pack("<BBIBQII", protocol.VERSION, MessageKind.SEQUENCE, 7, 0, 5, 6, 4) + plain
+    packet = encode(MessageKind.SEQUENCE, 5, 7, 6, 4, plain)
+    assert cobs.decode(packet[:-1]) == body + struct.pack("<I", zlib.crc32(body))
+
+
+@given(payload=st.binary(max_size=600), cut=st.integers(0, 700), session=st.integers(0, 2**64 - 1))
+def test_the_head_of_a_packet_is_known_before_its_end(payload, cut, session):
+    data = encode(MessageKind.SEQUENCE, session, 258, 0, 7, payload)
+    deframer = Deframer()
+    list(deframer.feed(data[: min(cut, len(data) - 1)]))
+    assert deframer.waiting == min(cut, len(data) - 1)
+    head = deframer.head(WHOLE_HEAD_BYTES)
+    if head is None:
+        assert cut <= WHOLE_HEAD_BYTES
+    else:
+        message = decode_head(head)
+        assert (message.kind, message.session) == (MessageKind.SEQUENCE, session)
+        assert (message.number, message.heard, message.about) == (258, 0, 7)
+
+
+def test_what_is_too_short_belongs_to_no_session():
+    for length in range(16):
+        message = decode(WirePacket(MessageKind.STOP, 9, bytes([1] * length), protocol.VERSION))
+        assert (message.session, message.payload) == (0, b"")
+
+
+LOWER, UPPER = 0x1234, 0xABCD
+SESSION, OTHER = UPPER << 32 | LOWER, 7 << 32 | LOWER
+ACK, ALIVE, REPORT = MessageKind.ACK, MessageKind.ALIVE, MessageKind.REPORT
+CAPABILITIES, BEGUN, STOPPED = MessageKind.CAPABILITIES, MessageKind.BEGUN, MessageKind.STOPPED
+HELLO = [(MessageKind.HELLO, LOWER)]
+BEGIN = [*HELLO, (CAPABILITIES, 1, SESSION, 0, True), (MessageKind.BEGIN, SESSION)]
+BEGUN_NOW = [*BEGIN, (BEGUN, 2, SESSION, 1, True)]
+
+
+def play(steps, version=VERSION):
+    """Play what a host asks, (kind, its session), and a board says, (kind, about, session, number,
+    whether it is taken); return the session."""
+    session = HostSession(lambda: LOWER)
+    for kind, *step in steps:
+        if len(step) == 1:
+            (packet,) = Deframer().feed(session.encode(kind, 7, b"same"))
+            asked = decode(packet)
+            assert (asked.kind, asked.session) == (kind, *step)
+            assert (asked.number, asked.about, asked.payload) == (session.sent, 7, b"same")
+        else:
+            about, of, number, taken = step
+            (packet,) = Deframer().feed(encode(kind, of, number, 0, about))
+            assert (session.take(packet) is not None) == taken, (kind, *step)
+    return session
+
+
+@pytest.mark.parametrize(("steps", "refused"), [
+    (BEGUN_NOW, 0),
+    # What is old.
+    ([*BEGUN_NOW, (ALIVE, 0, SESSION, 5, True), *((ALIVE, 0, SESSION, number, False)
+      for number in (5, 4, 1, 0)), (ALIVE, 0, SESSION, 6, True)], 4),
+    # What is of another session.
+    *(([*BEGUN_NOW, *((kind, 1, session, 9, False)
+        for kind in (ACK, ALIVE, MessageKind.VOLTAGES, STOPPED, BEGUN, CAPABILITIES))], 6)
+      for session in (0, 1, LOWER, UPPER << 32, SESSION + 1, SESSION ^ 1 << 63)),
+    # Capabilities for another host; of a board nothing is known yet, so they do not count.
+    ([*HELLO, (CAPABILITIES, 1, UPPER << 32 | 99, 0, False), (CAPABILITIES, 1, SESSION, 0, True)],
+     0),
+    # An answer is taken once, and only if asked, even if it comes late.
+    ([*BEGUN_NOW, (MessageKind.STATUS, SESSION), (MessageKind.STATUS, SESSION),
+      (REPORT, 4, SESSION, 2, True), (REPORT, 4, SESSION, 3, False), (REPORT, 3, SESSION, 4, True),
+      (REPORT, 99, SESSION, 5, False), (MessageKind.STATUS, SESSION),
+      (STOPPED, 5, SESSION, 6, False)], 3),
+    # A late answer to an earlier HELLO changes nothing; both may come.
+    ([*HELLO, *HELLO, (CAPABILITIES, 2, SESSION, 0, True), (CAPABILITIES, 1, OTHER, 0, False),
+      (MessageKind.BEGIN, SESSION)], 1),
+    ([*HELLO, *HELLO, (CAPABILITIES, 1, SESSION, 0, True), (MessageKind.BEGIN, SESSION),
+      (BEGUN, 3, SESSION, 1, True), (CAPABILITIES, 2, SESSION, 0, True)], 0),
+])  # fmt: skip
+def test_what_is_taken_and_what_is_counted(steps, refused):
+    session = play(steps)
+    assert session.refused == refused
+    assert session.begun == any(step[0] == BEGUN and step[-1] for step in steps)
+
+
+@pytest.mark.parametrize(("steps", "taken"), [(HELLO, True), (BEGUN_NOW, False)])
+def test_another_version_is_taken_before_a_session_alone(steps, taken):
+    session = play(steps)
+    (packet,) = Deframer().feed(encode(CAPABILITIES, SESSION, 9, 0, 1))
+    message = session.take(type(packet)(packet.kind, packet.number, packet.payload, 2))
+    assert (message is not None and message.version == 2) == taken
+
+
+def test_when_numbers_run_out_another_session_is_needed(monkeypatch):
+    monkeypatch.setattr(protocol, "LAST_NUMBER", 2)
+    with raises(LineLostError, names="packets", allowed=2):
+        play(BEGUN_NOW).encode(MessageKind.HEARTBEAT)
+
+
+SAYS = "says it is alive"
+
+
+class Reads:
+    """A line that plays each piece once, then the last for ever; a number is a read that took so
+    long."""
+
+    name = "here"
+
+    def __init__(self, packets, *pieces):
+        self.packets, self.pieces, self.number = packets, list(pieces), 0
+
+    def read_some(self):
+        piece = self.pieces.pop(0) if len(self.pieces) > 1 else self.pieces[0]
+        time.sleep(piece if isinstance(piece, float) else 0.02)
+        if piece == SAYS:
+            self.number += 1
+            session, payload = self.packets.session.number, protocol.ALIVE.pack(0)
+            return encode(MessageKind.ALIVE, session, self.number, payload=payload)
+        return piece if isinstance(piece, bytes) else b""
+
+    def lost(self, what):
+        return LineLostError(f"the board at {self.name} {what}")
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(("pieces", "begun", "is_gone"), [
+    # Our own absence is not the board's silence, and before a session it says nothing.
+    ([SAYS, 2 * SILENCE_S, b"", SAYS], True, False),
+    ([b""], False, False),
+    ([SAYS, b""], True, True),
+    ([SAYS, b"nothing whole"], True, True),
+])  # fmt: skip
+def test_a_silent_board_is_gone(pieces, begun, is_gone):
+    packets = PacketLine(lambda message: None)
+    packets.open(Reads(packets, *pieces))
+    packets.session.begun, packets.silence_s = begun, SILENCE_S
+    try:
+        if is_gone:
+            until(lambda: packets.fault is not None)
+            with raises(LineLostError, names="board", value="here"):
+                packets.raise_fault()
+        else:
+            time.sleep(3 * SILENCE_S)
+            packets.raise_fault()
+    finally:
+        packets.close()
+
+
+class SmallDriver(SimulatedDriver):
+    room = Room(4, 128, 300, 5)
+
+
+def made_scan(rng, table, step):
+    """Return a scan of 1 to 11 slots: of kernels, of currents, or with a recharge phase."""
+    count = int(rng.integers(1, 12))
+    size = rng.integers(1, 4, count)
+    first = np.concatenate([[0], size.cumsum()])
+    kernel = rng.integers(0, len(table.weights), first[-1]).astype(np.uint16)
+    lists = KernelLists(table, first, kernel, rng.integers(0, 400, first[-1]).astype(np.uint16))
+    scan = sequence_of(lists, time_ns=step * 10**9, intensity=1.0, period_us=20_000)
+    if step % 3 == 0:
+        width_us = rng.choice([60, 100, 200], count).astype(np.uint16)
+        scan = replace(scan, sums=None, width_us=width_us)
+    if step % 4 == 0:
+        return replace(scan, recharge_us=200, recharge_ua=np.zeros(8, np.int16))
+    return scan
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_a_small_board_delivers_is_what_a_large_one_does(make_limits, seed):
+    """To the bit and the microsecond, kernels and currents mixed."""
+    rng = np.random.default_rng(seed)
+    table, found = random_table(rng, 12, 8), []
+    scans = [made_scan(rng, table, step) for step in range(1, 16)]
+    fields = ("current_ua", "width_us", "discharge_us", "site")
+    none = {name: getattr(scans[0], name)[:0] for name in fields}
+    for kind in (SimulatedDriver, SmallDriver):
+        limits = make_limits()
+        with Board(kind("", limits), limits, on_a_finger=False, claimed_time=True) as board:
+            board.keep_kernels(table)
+            board.send(replace(scans[0], sums=None, time_ns=0, intensity=0, **none))
+            numbers = [board.send(scan) for scan in scans]
+            volts = [volts.tolist() for _, volts in board.take_volts()]
+            report = board.report()
+            assert all(board.start_of(number) is not None for number in numbers)
+            if kind is SmallDriver:
+                longest = max(scans, key=lambda scan: scan.slots)
+                with raises(BoardError):
+                    board.send(replace(longest, time_ns=20 * 10**9), times=2)
+        found.append((volts, report, *(each.tolist() for each in board.driver.take_pulses()[1:])))
+    assert found[0] == found[1]
+    assert found[0][1].slots == sum(scan.slots for scan in scans)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_parts_are_small_enough_and_make_up_the_scan(seed):
+    rng = np.random.default_rng(seed)
+    table = random_table(rng, 12, 8)
+    image, scan = KernelImage.of(table, 300, 5), made_scan(rng, table, seed)
+    most_slots, most_bytes = int(rng.integers(1, 6)), int(rng.choice([70, 101, 300]))
+    parts = encode_scan(scan, 1, False, False, image, most_bytes, most_slots)
+    at = 0
+    for part in parts:
+        assert len(part.payload) <= most_bytes
+        assert part.slots <= most_slots
+        lists = decode_lists(part.payload, 8, False)
+        assert (lists.goes_on, lists.more) == (at > 0, part is not parts[-1])
+        assert (part.first, lists.slots) == (at, part.slots)
+        assert (lists.recharge_ua is not None) == (scan.recharge_ua is not None and not lists.more)
+        np.testing.assert_array_equal(lists.width_us, scan.width_us[at:][: part.slots])
+        at += part.slots
+    assert at == scan.slots
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 30), st.integers(0, 20), st.sampled_from([0, 0, 0, 50])),
+        min_size=1,
+    ),
+    st.integers(0, 10**6),
+)
+def test_no_sequence_begins_before_it_was_sent_or_after_its_answer(sequences, first_us):
+    clock, sent_ns, behind_us = BoardClock(), 10**9, 0
+    for waits_ms, answers_ms, stands_still_ms in sequences:
+        behind_us += 1000 * stands_still_ms
+        sent_ns += stands_still_ms * MS
+        began_ns = sent_ns + waits_ms * MS
+        board_us = began_ns // 1000 + first_us - behind_us
+        time_ns = clock.note(board_us, sent_ns, began_ns + answers_ms * MS)
+        assert sent_ns <= time_ns <= began_ns + answers_ms * MS
+        sent_ns = began_ns + 20 * MS
