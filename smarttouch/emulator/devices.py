@@ -144,8 +144,7 @@ def _serve(
     require_within(SmartTouchError, "linger", linger_s, 0, math.inf)
     # Circuits and images are small: a second thread would only slow down the host.
     with closing(line()) as opened, threadpool_limits(1):
-        port = _advice(name, opened.name) if advise else opened.name
-        Server(device, opened).serve(linger_s, port)
+        Server(device, opened).serve(linger_s, _advice(name, opened.name) if advise else "")
 
 
 class Server:
@@ -156,8 +155,9 @@ class Server:
         self._hosted = False
         self._waiting = b""  # of messages that the line has not taken yet
 
-    def serve(self, linger_s: float, said: str) -> None:
-        """Print what is said of the port, and run until SIGTERM, or ``linger_s`` without a host.
+    def serve(self, linger_s: float, said: str = "") -> None:
+        """Print the port's name, or what is said of it, and run until SIGTERM, or ``linger_s``
+        without a host.
 
         While there is a host, Ctrl-C is meant for the host, which ends with a stop and a closed
         port. It ends the device only if that would linger for ever.
@@ -173,7 +173,7 @@ class Server:
         books = self._firmware.books
         books.write()
         # Handlers come first: a reader of the name may signal at once.
-        print(said, flush=True)
+        print(said or self._line.name, flush=True)
         clock = DeviceClock(self._firmware.longest_step_ns)
         host_ns, written_ns = _FIRST_HOST_S * 1e9, 0
         while not ended:
