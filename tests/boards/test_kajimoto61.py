@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError
 from smarttouch.boards.board import Board
@@ -78,18 +76,6 @@ def test_what_a_broken_line_may_have_carried_counts_as_a_range(script, monkeypat
     assert (report.pulses, report.most_pulses) == (61, 3 * 61)
 
 
-@pytest.mark.parametrize(("limits", "scale_ua", "level_ua", "steps"), [
-    (LIMITS, 2.5, 2040, 51),
-    # 99.84 steps of 39.0625 µA: the nearest, 100, are 3.906 mA and above the limit.
-    (SafetyLimits(61, 3.9, 200, 0.5, 200, 0.8, 0.5, 3.9), None, 3900, 99),
-])  # fmt: skip
-def test_the_scale_of_the_profile_and_its_limit_count(script, limits, scale_ua, level_ua, steps):
-    output = Output(kind="one-against-all", polarities=("anodic",), ua_per_count=scale_ua)
-    script(*OPEN, (packet(), b""), (packet(e3=steps), b""), *OPEN)
-    with kajimoto(limits, output) as board:
-        deliver(board, anodic({}, 0), anodic({3: level_ua}))
-
-
 @pytest.mark.parametrize(("sequence", "attributes"), [
     (anodic({3: 1000}, sign=1), {"slot": 0}),
     (anodic({3: 1000}, width=100), {"value": (100, 150)}),
@@ -114,12 +100,6 @@ def test_a_board_that_answers_a_pattern_is_another(script):
         board = kajimoto()
         board._line.discard_input = lambda: None
         board.open()
-
-
-def test_it_does_not_measure(script):
-    script(*OPEN, *OPEN)
-    with kajimoto() as board, raises(BoardError, names="board"):
-        board.measure()
 
 
 def test_another_profile_is_refused():
@@ -195,11 +175,3 @@ def test_a_packet_that_left_late_is_not_made_up_for(script, late_ms, notes):
         assert board.notes == notes
     steps_ms = [20 + late_ms, 19, 20, 20]
     assert np.diff(sent[:5]).tolist() == [each * 1_000_000 for each in steps_ms]
-
-
-@given(levels=st.dictionaries(st.integers(0, 60), st.integers(0, 5000), max_size=61))
-def test_no_byte_of_a_pattern_is_ever_above_200_or_the_limit(levels):
-    data = Kajimoto61Driver("x", LIMITS).encode(anodic(levels))
-    assert len(data) == 62
-    assert data[0] == 0xFF
-    assert max(data[1:]) * 39.0625 <= 5000

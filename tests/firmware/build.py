@@ -60,6 +60,23 @@ WHOLE = pytest.mark.skipif(
 """What is too much for each run of all tests."""
 
 
+def changed(folder, file, old, new, *options):
+    """Build a copy of the sources in which a text is another by ``cc`` with
+    these options and further sources. Skip where that cannot be."""
+    if not SOURCES.is_dir() or shutil.which("cc") is None:
+        pytest.skip("needs the folder firmware and cc")
+    copy = shutil.copytree(SOURCES, folder / "firmware")
+    source = copy / "src" / file
+    text = source.read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    source.write_text(text.replace(old, new), encoding="utf-8")
+    files, found = [*copy.glob("src/*.c")], folder / "built.so"
+    options = [copy / each if each.endswith(".c") else each for each in options]
+    command = ["cc", "-O1", f"-I{copy / 'src'}", *options, *files, "-o", found]
+    subprocess.run(command, check=True)
+    return found
+
+
 def library():
     return built("library", "libst.so", "cc")
 

@@ -1,6 +1,5 @@
 """The C core beside the Python emulator: the same bytes in, the same bytes and pulses out."""
 
-import itertools
 from collections import Counter
 
 import numpy as np
@@ -10,8 +9,6 @@ from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import KernelImage
-from smarttouch.emulator.link_packets import rounded
-from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.firmware.build import WHOLE, library
 from tests.firmware.rig import Both, Core, Emulated, Talk, Unfelt, Worn
 from tests.firmware.scenes import Scene, random_lists, random_table, sequence_of
@@ -70,49 +67,6 @@ def test_voltages_and_charge_are_the_emulators(make_core, output):
     assert found[MessageKind.REPORT] > 0
 
 
-def test_a_long_packet_of_the_board(make_core):
-    """More bytes than go at once, with and without zeros."""
-    told = itertools.cycle([0x0101] * 400 + [0, 1, 255, 256])
-    core = make_core(6, ramp_ms=0).wear(lambda *_: (next(told), 0))
-    scene = Scene(core, 1)
-    talk = scene.talk.begin(scene.limits)
-    table = random_table(scene.rng, 4, 6)
-    for number, slots in enumerate((0, 1, *range(110, 130), 250), 1):
-        lists = random_lists(scene.rng, table, slots, loud=40)
-        talk.send(sequence_of(lists, sums=None, period_us=50_000), number, measure=True)
-        heard = talk.wait(60_000)
-        talk.say(MessageKind.HEARTBEAT)
-        volts = [each.payload for each in heard if each.kind == MessageKind.VOLTAGES]
-        assert [len(each) for each in volts] == [2 * slots]
-    assert talk.deframer.errors == 0
-
-
-def test_host_board_and_core_compute_the_same_currents(make_core):
-    rng, electrodes = np.random.default_rng(5), 16
-    limits = SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0, total_ma=10.0)
-    table = random_table(rng, 60, electrodes)
-    image = KernelImage.of(table, 1 << 20, 1000)
-    talk = Talk(make_core(electrodes, ramp_ms=0)).begin(limits, image)
-    compared = 0
-    for number in range(1, 41):
-        lists = random_lists(rng, table, 50, most=6, loud=5000)
-        wanted = lists.current_ua
-        for slot, (first, end) in enumerate(zip(lists.first, lists.first[1:], strict=False)):
-            pairs = slice(first, end)
-            every = table.weights[lists.kernel[pairs]].astype(int)
-            every *= lists.amplitude[pairs, None]
-            np.testing.assert_array_equal(rounded(every.sum(axis=0)), wanted[slot])
-        answers = talk.send(sequence_of(lists), number, image=image)
-        pulses = talk.pulses
-        talk.wait(10_500)
-        pulses += talk.pulses
-        talk.say(MessageKind.HEARTBEAT)
-        assert [each.kind for each in answers if each.kind == MessageKind.NAK] == []
-        assert [each[5] for each in pulses] == wanted.tolist()
-        compared += len(pulses)
-    assert compared == 2000
-
-
 def test_no_table_passes_for_another(make_core):
     """The proof is of these bytes and this session; a table is not taken by another's identity."""
     rng = np.random.default_rng(0)
@@ -158,19 +112,6 @@ def driving(make_core):
     scene = Scene(core, 1)
     lists = random_lists(scene.rng, random_table(scene.rng, 4, 6), 4)
     return core, scene.talk.begin(scene.limits), sequence_of(lists, sums=None)
-
-
-def test_in_real_time_a_pulse_begins_by_the_clock_of_its_own_call(driving):
-    core, talk, sequence = driving
-    talk.send(sequence, 1, times=2)
-    starts = [(each[1], each[4]) for each in talk.pulses]
-    # Then nothing happens for a while.
-    for now_us in range(3000, 30_000, 10):
-        starts += [(each[1], each[4]) for each in core.advance(now_us)[1]]
-    # 100 us of a pulse and 50 of discharge; the second scan begins a period after the first.
-    assert starts[:4] == [(0, 0), *((slot, 2850 + 150 * slot) for slot in range(1, 4))]
-    assert [slot for slot, _ in starts[4:]] == [0, 1, 2, 3]
-    assert starts[4][1] - starts[0][1] >= sequence.period_us
 
 
 def test_in_real_time_scans_that_were_missed_are_not_made_up_for(driving):

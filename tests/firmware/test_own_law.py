@@ -4,15 +4,13 @@ import ctypes
 import hashlib
 import itertools
 import os
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
 
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import MessageKind, Refusal
-from tests.firmware.build import SOURCES, WHOLE, library
+from tests.firmware.build import WHOLE, changed, library
 from tests.firmware.judge import FULL, Limits, Scan
 from tests.firmware.lives import (
     ELECTRODES,
@@ -147,21 +145,9 @@ USUAL = ("the sign of a recharge", "net charge of the last passes", "the strengt
     "name", [pytest.param(name, marks=[] if name in USUAL else WHOLE) for name in MUTANTS]
 )
 def test_a_core_without_one_rule_is_found_out(make_life, tmp_path, name):
-    play, file, old, new = MUTANTS[name]
-    if not SOURCES.is_dir() or shutil.which("cc") is None:
-        pytest.skip("needs the folder firmware and cc")
-    folder, built = tmp_path / "firmware", tmp_path / "libst.so"
-    shutil.copytree(SOURCES, folder)
-    source = folder / "src" / file
-    text = source.read_text(encoding="utf-8")
-    assert text.count(old) == 1
-    source.write_text(text.replace(old, new), encoding="utf-8")
-    files = [*folder.glob("src/*.c"), folder / "ports" / "host" / "st_library.c"]
-    include = f"-I{folder / 'src'}"
-    subprocess.run(
-        ["cc", "-O1", "-DST_FOR_TESTS", "-fPIC", "-shared", include, *files, "-o", built],
-        check=True,
-    )
+    play, *change = MUTANTS[name]
+    options = ("-DST_FOR_TESTS", "-fPIC", "-shared", "ports/host/st_library.c")
+    built = changed(tmp_path, *change, *options)
     with pytest.raises(AssertionError):
         lived(make_life, built, play)
 

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from tests.firmware.build import SOURCES, WHOLE, built
+from tests.firmware.build import SOURCES, WHOLE, built, changed
 
 SAFE = "as safe as can be"
 LEFT_OUT = {
@@ -79,18 +79,8 @@ MUTANTS = {
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=WHOLE) for name in MUTANTS])
 def test_a_core_without_one_guard_is_found_out(tmp_path, name):
-    what, file, old, new = MUTANTS[name]
-    if shutil.which("cc") is None:
-        pytest.skip("needs cc")
-    folder = shutil.copytree(SOURCES, tmp_path / "firmware")
-    source = folder / "src" / file
-    text = source.read_text(encoding="utf-8")
-    assert text.count(old) == 1
-    source.write_text(text.replace(old, new), encoding="utf-8")
-    program = tmp_path / "st_checks"
-    files = [*folder.glob("src/*.c"), folder / "fuzz" / "st_checks.c"]
-    include = f"-I{folder / 'src'}"
-    subprocess.run(["cc", "-O1", "-pthread", include, *files, "-o", program], check=True)
+    what, *change = MUTANTS[name]
+    program = changed(tmp_path, *change, "-pthread", "fuzz/st_checks.c")
     try:
         found = check(program, what, 100_000, seconds=30)
     except AssertionError:
