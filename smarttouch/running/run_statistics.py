@@ -1,4 +1,4 @@
-"""Statistics of a run in constant memory, its figures, and its summary."""
+"""Statistics of a run in constant memory, and its figures."""
 
 import math
 from dataclasses import dataclass, field
@@ -211,51 +211,3 @@ class RunStatistics:
             "emulator_violations": report.violations if report and report.by == "board" else None,
             "active_fraction": self.active / self.frames if self.frames else 0.0,
         }
-
-
-def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
-    """Return how a run went in lines of text, from `RunStatistics.figures`."""
-    pulse, by_host = figures["motion_to_pulse_us"], figures["reported_by"] == "host"
-    latency = pulse or figures["motion_to_bytes_us"]
-    rate = f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"
-    if figures["slowed_sequences"]:
-        rate += (
-            f" ({figures['slowed_sequences']} sequences did not fit and were slowed, "
-            f"at most to {figures['lowest_rate_hz']:.1f} Hz)"
-        )
-    # In simulated time nothing takes time.
-    if latency["max"] > 0:
-        rate += (
-            f"; image to {'first pulse' if pulse else 'last byte'} {latency['p50'] / 1000:.1f} ms "
-            f"median, {latency['p99'] / 1000:.1f} ms p99"
-        )
-    net_uc = figures["max_net_charge_uc"] or 0
-    net = f"charge left after a discharge {1e6 * net_uc:.3g} pC at worst"
-    counted = f"{figures['emulator_violations']} violations counted by the board"
-    if by_host:
-        least, most = figures["pulses"], figures["pulses_at_most"]
-        pulses = str(least) if least == most else f"{least} to {most}"
-        net = f"all pulses add up to {net_uc:.2g} µC on one electrode"
-        counted = f"{pulses} pulses, counted by this program: the board reports none"
-    lines = [
-        f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
-        f"{figures['frames_in']} frames in, {figures['frames_delivered']} delivered, "
-        f"{figures['dropped_frames']} dropped; {figures['slots']} slots in "
-        f"{figures['acknowledged']} sequences {'acknowledged' if acknowledges else 'sent'}",
-        f"{rate}; own work {figures['work_share']:.1%} of it",
-        f"strongest pulse {figures['max_current_ma']:.2f} mA, "
-        f"{figures['max_charge_uc']:.3f} µC; {net}",
-        f"session: {figures['dose_s']:.1f} s of current, at most {figures['dose_mc']:.2f} mC "
-        f"through one electrode, the sum of its pulses {figures['dose_net_uc']:.3g} µC at most",
-        counted,
-    ]
-    if figures["worst_other"] is not None:
-        lines.append(
-            f"worst crosstalk: {figures['worst_other']:.0%} to other classes, "
-            f"{figures['worst_spill']:.0%} to other places"
-        )
-    if figures["lifts"]:
-        lines.append(f"the finger was lifted {figures['lifts']} times")
-    if blind := figures["without_force_or_image"]:
-        lines.append(f"{blind} sequences without current: force or image were unknown")
-    return lines
