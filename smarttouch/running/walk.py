@@ -2,24 +2,21 @@
 
 import contextlib
 import math
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import ClassVar
-
-import numpy as np
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import BoardError, SmartTouchError, require_within
 from smarttouch.base.events import Note
 from smarttouch.base.stopping import StopRequest
-from smarttouch.boards.board import Board
 from smarttouch.kernels.bank import single_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
+from smarttouch.running.program import Program
 from smarttouch.running.runner import Runner
-from smarttouch.running.step import Listener, RunContext
+from smarttouch.running.step import Listener
 from smarttouch.sources.force import ForceSource
-from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
 PATIENCE = 4  # longest wait at an electrode for its first pulse, in units of the time for each
 
@@ -28,7 +25,7 @@ class ElectrodeReached(Note):
     """The walk reached an electrode."""
 
 
-class Walk(StimulusSource, Listener):
+class Walk(Program):
     """Pulses on one electrode after another; on each, current rises from zero.
 
     Each electrode gets ``current_ma`` against all others, for ``seconds`` or until `go_on`; masked
@@ -36,10 +33,8 @@ class Walk(StimulusSource, Listener):
     ``missed``, which it reached too, got none.
     """
 
-    frames: int
-
+    fixed_mode: ClassVar[bool] = True
     ended: ClassVar[str] = "all electrodes are tried"
-    knows_force = True
 
     def __init__(
         self,
@@ -48,7 +43,7 @@ class Walk(StimulusSource, Listener):
         seconds: float | None = None,
         sites: Sequence[int] | None = None,
     ) -> None:
-        super().__init__("one electrode after another")
+        super().__init__(profile, "one electrode after another")
         if seconds is not None:
             words = f"{seconds:g} s for each electrode"
             require_within(SmartTouchError, "seconds", seconds, 0, math.inf, words, above=True)
@@ -57,70 +52,59 @@ class Walk(StimulusSource, Listener):
         require_within(SmartTouchError, "current_ma", current_ma, 0, full_ma, words, above=True)
         self.pulsed: list[int] = []
         self.missed: list[int] = []
-        self._board: Board | None = None
-        self._delivered = self._now_ns = 0
-        self._profile, self._current_ma, self._seconds = profile, current_ma, seconds
+        self._delivered, self._leaves = 0, False
+        self._current_ma, self._seconds = current_ma, seconds
         self._sites = range(len(profile.electrodes)) if sites is None else sites
-        self._leaves = False
-        self._stimuli = self._walk()
-
-    def start(self, run: RunContext) -> None:
-        self._board = run.board
 
     def go_on(self) -> None:
         """Leave the present electrode; from any thread."""
         self._leaves = True
 
-    def read(self, time_ns: int) -> Stimulus | None:
-        """Return the next pulse; None after the last electrode."""
-        self._now_ns = time_ns
-        return next(self._stimuli, None)
-
-    def _walk(self) -> Generator[Stimulus, None, None]:
+    def program(self) -> None:
         how = "any key: next, q: end" if self._seconds is None else f"{self._seconds:g} s"
-        for site in self._sites:
-            # Not above what is comfortable there.
-            most_ma = min(self._current_ma, float(self._profile.full_ma[site]))
-            masked = site in self._profile.output.masked
-            words = "masked" if masked else f"up to {most_ma:.4g} mA ({how})"
-            self.emit(ElectrodeReached(self._now_ns, f"electrode {site}: {words}"))
-            if masked:
-                continue
-            self.missed.append(site)
-            self._leaves, began_ns = False, self._now_ns
-            # From zero: intensity rises no faster than the ramp.
-            yield self._pulse(site, 0.0)
-            # By now all that was sent for the electrode before has flowed.
-            slots = self._slots()
-            while True:
-                if site in self.missed and self._slots() > slots:
-                    self.missed.remove(site)
-                    self.pulsed.append(site)
-                # A board that was switched off meanwhile counts from zero again.
-                slots = min(slots, self._delivered)
-                # By the time of what was sent: a computer that stood still has tried nothing.
-                most_s = (self._seconds or math.inf) * (PATIENCE if site in self.missed else 1)
-                if self._leaves or self._now_ns - began_ns >= most_s * 1e9:
-                    break
-                yield self._pulse(site, most_ma)
+        with self._turn():
+            for site in self._sites:
+                # Not above what is comfortable there.
+                most_ma = min(self._current_ma, float(self._profile.full_ma[site]))
+                masked = site in self._profile.output.masked
+                words = "masked" if masked else f"up to {most_ma:.4g} mA ({how})"
+                self.emit(ElectrodeReached(self.now_ns, f"electrode {site}: {words}"))
+                if not masked:
+                    self._try(site, most_ma)
+
+    def _try(self, site: int, most_ma: float) -> None:
+        """Send pulses to one electrode until its time is over, which is longer until it got one."""
+        self.missed.append(site)
+        self._leaves, began_ns = False, self.now_ns
+        # From zero: intensity rises no faster than the ramp.
+        self._pulse(site, 0.0)
+        # By now all that was sent for the electrode before has flowed.
+        slots = self._slots()
+        while True:
+            if site in self.missed and self._slots() > slots:
+                self.missed.remove(site)
+                self.pulsed.append(site)
+            # A board that was switched off meanwhile counts from zero again.
+            slots = min(slots, self._delivered)
+            # By the time of what was sent: a computer that stood still has tried nothing.
+            most_s = (self._seconds or math.inf) * (PATIENCE if site in self.missed else 1)
+            if self._leaves or self.now_ns - began_ns >= most_s * 1e9:
+                break
+            self._pulse(site, most_ma)
 
     def _slots(self) -> int:
         """Return how many slots the board has delivered, as far as it has said so."""
         # Whatever keeps it from that is raised by the next send.
         with contextlib.suppress(BoardError):
-            if self._board is not None:
-                self._delivered = self._board.report().slots
+            self._delivered = self._context.board.report().slots
         return self._delivered
 
-    def _pulse(self, site: int, current_ma: float) -> Stimulus:
-        profile = self._profile
-        self.frames += 1
-        activation = np.zeros((len(Afferent), len(profile.electrodes)), np.float32)
+    def _pulse(self, site: int, current_ma: float) -> None:
+        profile, activation = self._profile, self._nothing.copy()
         activation[Afferent.RA, site] = 1
-        return Stimulus(
-            activation, self._now_ns, profile.force.full_n, round(1e6 / profile.pulse.rate_hz),
-            current_ma / float(profile.full_ma[site]), number=self.frames - 1,
-        )  # fmt: skip
+        self._count += 1
+        period_us, level = round(1e6 / profile.pulse.rate_hz), current_ma / profile.full_ma[site]
+        self._send(self._stimulus(activation, period_us, float(level)))
 
 
 def run_walk(

@@ -78,7 +78,7 @@ def test_each_electrode_rises_from_zero_against_all_others():
 
 
 def test_after_a_pause_the_current_rises_from_zero_again():
-    clock = TwitchingClock([0] * 10 + [10**9] + [0] * 10**4)
+    clock = TwitchingClock([0] * 9 + [10**9] + [0] * 10**4)
     _, sequences, _ = walked(clock, seconds=0.8, sites=[0])
     peaks = peaks_ua(sequences)
     assert peaks[:5] == [0, 96, 192, 288, 300]
