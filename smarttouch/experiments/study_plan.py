@@ -1,11 +1,10 @@
-"""Plan of a study, the sequences of each of its choices, and the rows of its table."""
+"""Plan of a study, what each of its choices shows on a finger, and the rows of its table."""
 
 import csv
-import hashlib
 import io
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
-from functools import cached_property
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -91,6 +90,7 @@ def load_study(path: Path) -> Study:
 
 
 Advance = Callable[[int, int], None]
+Letters = Mapping[str, tuple[ScanSequence, NDArray[np.bool_]]]  # slots, electrodes (E,)
 
 
 @dataclass(frozen=True)
@@ -102,85 +102,6 @@ class Choice:
     mode: str
     scan: str
     intensity: float
-
-
-@dataclass(frozen=True, eq=False)
-class DeliveredLetters:
-    """Letters as one choice delivers them."""
-
-    choice: Choice
-    # slots of each letter, and its electrodes (E,)
-    letters: dict[str, tuple[ScanSequence, NDArray[np.bool_]]]
-
-    @property
-    def wanted(self) -> tuple[Afferent, ...]:
-        return Mode(self.choice.mode).afferents
-
-    def digest(self) -> str:
-        """Return a hash of all that is delivered."""
-        found = hashlib.sha256(repr(self.choice).encode())
-        for letter, (slots, active) in self.letters.items():
-            found.update(letter.encode() + repr(slots.period_us).encode())
-            for each in (slots.current_ua, slots.width_us, slots.discharge_us, active):
-                found.update(np.ascontiguousarray(each).tobytes())
-        return found.hexdigest()
-
-
-def choices(study: Study) -> Iterator[Choice]:
-    """Yield all choices in the order of the table."""
-    for each in product(study.profiles, study.modes, study.scans, study.intensities):
-        yield Choice(*each)
-
-
-class Grid:
-    """Profiles, banks and sequences of a study.
-
-    Files are named from the folder `beside`; `progress` is called with the number of sites of a
-    bank that are designed, and of all, if any have to be.
-    """
-
-    def __init__(self, study: Study, beside: Path, progress: Advance | None = None) -> None:
-        self.study: Study = study
-        self._beside, self._progress = beside, progress
-        self.profiles: dict[str, Profile] = {
-            each: load_profile(self.file(each)) for each in study.profiles
-        }
-        self._banks: dict[str, KernelBank] = {}
-
-    def fingers(self) -> Iterator[tuple[str, Anatomy, int]]:
-        """Yield the name, anatomy and seed of each finger."""
-        for name in self.study.anatomies:
-            anatomy = load_anatomy(self.file(name))
-            for seed in range(1, self.study.fingers + 1):
-                yield name, anatomy, seed
-
-    def file(self, name: str) -> str | Path:
-        """Return a file that lies beside the study, or the name as it is."""
-        there = self._beside / name
-        try:
-            return there if there.is_file() else name
-        except (OSError, ValueError):
-            # A text, and no name of a file: too long, say.
-            return name
-
-    def bank(self, profile: str) -> KernelBank:
-        """Return the kernels of a profile."""
-        if profile not in self._banks:
-            self._banks[profile] = load_bank(self.profiles[profile], self._progress)
-        return self._banks[profile]
-
-    def shown(self, profile: str) -> list[DeliveredLetters]:
-        """Return the letters as each choice with this profile delivers them."""
-        found = []
-        for choice in choices(self.study):
-            if choice.profile != profile:
-                continue
-            letters = letter_sequences(
-                self.study.letters, self.profiles[profile], self.bank(profile), Mode(choice.mode),
-                choice.scan, choice.intensity,
-            )  # fmt: skip
-            found.append(DeliveredLetters(choice, letters))
-        return found
 
 
 @dataclass(frozen=True)
@@ -239,29 +160,6 @@ HEADING = tuple(each.name for each in fields(StudyRow))
 _KINDS = {"str": str, "int": int, "float": float}  # kinds of the columns by their names
 
 
-def rows_of_finger(
-    profile: Profile, anatomy: Anatomy, name: str, seed: int, shown: Sequence[DeliveredLetters]
-) -> list[StudyRow]:
-    """Return the rows of one finger for all letters in all choices of its profile."""
-    from threadpoolctl import threadpool_limits
-
-    known, rows = letter_templates(profile), []
-    # One finger is one piece of work: the same numbers wherever it is done.
-    with threadpool_limits(limits=1, user_api="blas"):
-        finger = Finger(profile, seed, anatomy)
-        for each in shown:
-            for one in letters_on_finger(finger, each.letters, each.wanted, known):
-                current_ua, letter = each.letters[one.letter][0].current_ua, one.letter
-                error = float(one.read_as != letter)
-                rows.append(
-                    StudyRow.of(
-                        each.choice, name, seed, letter, one.quality, [current_ua], error,
-                        one.read_as,
-                    )
-                )  # fmt: skip
-    return rows
-
-
 def as_csv(rows: Iterable[StudyRow]) -> str:
     """Return rows as CSV with a heading; numbers read back as they were."""
     text = io.StringIO(newline="")
@@ -282,46 +180,145 @@ def from_csv(text: str) -> list[StudyRow]:
     ]
 
 
+@dataclass(frozen=True)
+class Shown:
+    """What one finger after another feels, and what makes rows of it."""
+
+    profile: Profile
+    digest: str  # hash of all that the rows depend on, but for the profile and the finger
+    # makes ready what fingers share, and returns the function of an anatomy, its name and a seed
+    ready: Callable[[], Callable[[Anatomy, str, int], list[StudyRow]]]
+
+
+class Grid:
+    """Profiles and banks of a study, and what it shows.
+
+    Files are named from the folder `beside`; `progress` is called with the number of sites of a
+    bank that are designed, and of all, if any have to be.
+    """
+
+    def __init__(self, study: Study, beside: Path, progress: Advance | None = None) -> None:
+        self.study: Study = study
+        self._beside, self._progress = beside, progress
+        self.profiles: dict[str, Profile] = {
+            each: load_profile(self.file(each)) for each in study.profiles
+        }
+        self._banks: dict[str, KernelBank] = {}
+
+    def fingers(self) -> Iterator[tuple[Anatomy, str, int]]:
+        """Yield the anatomy, its name and the seed of each finger."""
+        for name in self.study.anatomies:
+            anatomy = load_anatomy(self.file(name))
+            for seed in range(1, self.study.fingers + 1):
+                yield anatomy, name, seed
+
+    def file(self, name: str) -> str | Path:
+        """Return a file that lies beside the study, or the name as it is."""
+        there = self._beside / name
+        try:
+            return there if there.is_file() else name
+        except (OSError, ValueError):
+            # A text, and no name of a file: too long, say.
+            return name
+
+    def bank(self, profile: str) -> KernelBank:
+        """Return the kernels of a profile."""
+        if profile not in self._banks:
+            self._banks[profile] = load_bank(self.profiles[profile], self._progress)
+        return self._banks[profile]
+
+    def choices(self, profiles: Sequence[str] | None = None) -> Iterator[Choice]:
+        """Yield the choices of some profiles, or of all, in the order of the table."""
+        study = self.study
+        for each in product(
+            profiles or study.profiles, study.modes, study.scans, study.intensities
+        ):
+            yield Choice(*each)
+
+    def shown(self) -> Iterator[Shown]:
+        """Yield the letters of each profile, and then each page in each choice."""
+        if self.study.letters:
+            for name, profile in self.profiles.items():
+                letters = self.letters(name)
+                ready = partial(partial, rows_of_letters, profile, letters)
+                yield Shown(profile, _hash(letters), ready)
+        for page in self.study.pages:
+            for choice in self.choices():
+                yield self._page(choice, page)
+
+    def letters(self, profile: str) -> list[tuple[Choice, Letters]]:
+        """Return the letters as each choice with this profile delivers them."""
+        return [
+            (
+                choice,
+                letter_sequences(
+                    self.study.letters, self.profiles[profile], self.bank(profile),
+                    Mode(choice.mode), choice.scan, choice.intensity,
+                ),
+            )
+            for choice in self.choices([profile])
+        ]  # fmt: skip
+
+    def _page(self, choice: Choice, page: str) -> Shown:
+        profile, bank, place = (
+            self.profiles[choice.profile],
+            self.bank(choice.profile),
+            self.file(page),
+        )
+        content = Path(place).read_bytes() if isinstance(place, Path) else b""
+        kernels = [bank.kernels(each) for each in sorted(bank.weights)]
+
+        def ready() -> Callable[[Anatomy, str, int], list[StudyRow]]:
+            window = profile_for_reading(profile)
+            sharing = RunConfig(scan=choice.scan).sharing(window)
+            reading = LineDelivery(
+                window, bank, _SHAPES.tone, _SHAPES.motion(window), Mode(choice.mode), sharing,
+                choice.intensity,
+            )  # fmt: skip
+            # The truth is the text that Tesseract reads of the page itself.
+            source = ReadingMaterial(str(place))
+            found = legibility_of_shapes(source, reading, source.words)
+            return partial(rows_of_page, found, reading, choice, page)
+
+        return Shown(profile, _hash((choice, page, content, kernels)), ready)
+
+
 _SHAPES = Shapes(graded=True)
 
 
-@dataclass(frozen=True)
-class ShownPage:
-    """One page in one choice."""
+def _hash(parts: object) -> str:
+    import joblib
 
-    grid: Grid
-    choice: Choice
-    page: str  # as the study names it
-
-    @cached_property
-    def reading(self) -> LineDelivery:
-        window = profile_for_reading(self.grid.profiles[self.choice.profile])
-        sharing = RunConfig(scan=self.choice.scan).sharing(window)
-        return LineDelivery(
-            window, self.grid.bank(self.choice.profile), _SHAPES.tone, _SHAPES.motion(window),
-            Mode(self.choice.mode), sharing, self.choice.intensity,
-        )  # fmt: skip
-
-    @cached_property
-    def delivered(self) -> Legibility:
-        """Delivered lines, and the truth: the text that Tesseract reads of the page itself."""
-        source = ReadingMaterial(str(self.grid.file(self.page)))
-        return legibility_of_shapes(source, self.reading, source.words)
-
-    def digest(self) -> str:
-        """Return a hash of all that its rows depend on, but for the finger."""
-        found = hashlib.sha256(repr((self.choice, self.page)).encode())
-        place = Path(self.grid.file(self.page))
-        found.update(place.read_bytes() if place.is_file() else b"")
-        bank = self.grid.bank(self.choice.profile)
-        found.update(self.grid.profiles[self.choice.profile].model_dump_json().encode())
-        for each in Afferent:
-            if each in bank.weights:
-                found.update(bank.kernels(each).tobytes())
-        return found.hexdigest()
+    return str(joblib.hash(parts))
 
 
-def row_of_page(
+def rows_of_letters(
+    profile: Profile,
+    shown: Sequence[tuple[Choice, Letters]],
+    anatomy: Anatomy,
+    name: str,
+    seed: int,
+) -> list[StudyRow]:
+    """Return the rows of one finger for all letters in all choices of its profile."""
+    from threadpoolctl import threadpool_limits
+
+    known, rows = letter_templates(profile), []
+    # One finger is one piece of work: the same numbers wherever it is done.
+    with threadpool_limits(limits=1, user_api="blas"):
+        finger = Finger(profile, seed, anatomy)
+        for choice, letters in shown:
+            for one in letters_on_finger(finger, letters, Mode(choice.mode).afferents, known):
+                current_ua, error = letters[one.letter][0].current_ua, one.read_as != one.letter
+                rows.append(
+                    StudyRow.of(
+                        choice, name, seed, one.letter, one.quality, [current_ua], float(error),
+                        one.read_as,
+                    )
+                )  # fmt: skip
+    return rows
+
+
+def rows_of_page(
     found: Legibility,
     reading: LineDelivery,
     choice: Choice,

@@ -2,7 +2,6 @@
 
 import csv
 import hashlib
-import json
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -21,18 +20,14 @@ from smarttouch.base.lazy_names import import_extra
 from smarttouch.experiments.study_plan import (
     Advance,
     Grid,
-    ShownPage,
+    Shown,
     Study,
     StudyRow,
     as_csv,
-    choices,
     from_csv,
-    row_of_page,
-    rows_of_finger,
 )
 from smarttouch.physiology.anatomy import Anatomy
 from smarttouch.physiology.response import ignore_nan, middle_90
-from smarttouch.profile import Profile
 from smarttouch.views.figure_style import GREY, SERIES_COLORS, new_figure, plain
 
 if TYPE_CHECKING:
@@ -42,16 +37,6 @@ VERSION = 3  # version of the rows, raised when the same study would get others
 ROWS_FILE = "rows.csv"
 _PARTS = "parts"
 _MOST_PART_BYTES = 100_000_000
-
-_Rows = Callable[[], list[StudyRow]]
-
-
-@dataclass(frozen=True, eq=False)
-class _Work:
-    """One finger with all of its letters, or with one page."""
-
-    file: Path  # where its rows are kept
-    prepared: Callable[[], _Rows]  # returns what makes its rows, wherever that is done
 
 
 def run_study(
@@ -75,74 +60,44 @@ def run_study(
     except OSError as error:
         raise SmartTouchError(f"cannot make the folder {folder}: {error.strerror}") from None
     grid = Grid(study, beside, designing)
-    work = [*_letters(grid, parts), *_pages(grid, parts)]
-    kept = {each.file: _kept(each.file) for each in work}
-    missing = [each for each in work if kept[each.file] is None]
-    done = len(work) - len(missing)
-    with closing(_made(missing)) as made:
-        for index, rows in made:
-            path = missing[index].file
-            write_bytes(path, as_csv(rows).encode())
-            kept[path] = rows
+    rows: dict[Path, list[StudyRow] | None] = {}
+    missing: list[tuple[Path, Callable[[], list[StudyRow]]]] = []
+    for shown in grid.shown():
+        makes = None
+        for finger in grid.fingers():
+            path = parts / f"{_key(shown, *finger)[:24]}.csv"
+            rows[path] = _kept(path)
+            if rows[path] is None:
+                makes = makes or shown.ready()
+                missing.append((path, partial(makes, *finger)))
+    done = len(rows) - len(missing)
+    with closing(_made([each for _, each in missing])) as made:
+        for index, found in made:
+            path = missing[index][0]
+            write_bytes(path, as_csv(found).encode())
+            rows[path] = found
             done += 1
             if progress is not None:
-                progress(done, len(work))
-    found = [row for each in work for row in kept[each.file] or []]
-    write_bytes(folder / ROWS_FILE, as_csv(found).encode())
-    return found
+                progress(done, len(rows))
+    table = [row for found in rows.values() for row in found or []]
+    write_bytes(folder / ROWS_FILE, as_csv(table).encode())
+    return table
 
 
-def _letters(grid: Grid, parts: Path) -> Iterator[_Work]:
-    if not grid.study.letters:
-        return
-    for name, profile in grid.profiles.items():
-        shown = grid.shown(name)
-        digest = " ".join(each.digest() for each in shown)
-        for course, anatomy, seed in grid.fingers():
-            rows = partial(rows_of_finger, profile, anatomy, course, seed, shown)
-            # What is prepared here is ready.
-            yield _Work(_file(parts, digest, profile, anatomy, course, seed), partial(_same, rows))
+def _key(shown: Shown, anatomy: Anatomy, name: str, seed: int) -> str:
+    """Return a hash of all that the rows of a finger depend on."""
+    models = [each.model_dump_json() for each in (shown.profile, anatomy)]
+    return hashlib.sha256(repr([VERSION, shown.digest, name, seed, models]).encode()).hexdigest()
 
 
-def _pages(grid: Grid, parts: Path) -> Iterator[_Work]:
-    for page in grid.study.pages:
-        for choice in choices(grid.study):
-            shown = ShownPage(grid, choice, page)
-            digest, profile = shown.digest(), grid.profiles[choice.profile]
-            for course, anatomy, seed in grid.fingers():
-                yield _Work(
-                    _file(parts, digest, profile, anatomy, course, seed),
-                    partial(_page_rows, shown, anatomy, course, seed),
-                )
-
-
-def _page_rows(shown: ShownPage, anatomy: Anatomy, course: str, seed: int) -> _Rows:
-    found, reading = shown.delivered, shown.reading
-    return partial(row_of_page, found, reading, shown.choice, shown.page, anatomy, course, seed)
-
-
-def _same(rows: _Rows) -> _Rows:
-    return rows
-
-
-def _file(
-    parts: Path, digest: str, profile: Profile, anatomy: Anatomy, course: str, seed: int
-) -> Path:
-    """Return the file of rows that depend on these, and on nothing else."""
-    depends_on = [
-        VERSION, digest, course, seed, profile.model_dump(mode="json"),
-        anatomy.model_dump(mode="json"),
-    ]  # fmt: skip
-    key = hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()
-    return parts / f"{key[:24]}.csv"
-
-
-def _made(work: Sequence[_Work]) -> Generator[tuple[int, list[StudyRow]], None, None]:
+def _made(
+    work: Sequence[Callable[[], list[StudyRow]]],
+) -> Generator[tuple[int, list[StudyRow]], None, None]:
     """Yield rows as they are ready, with the index of their work."""
     from joblib import Parallel, delayed
 
     many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)
-    made = many(delayed(_numbered)(index, each.prepared()) for index, each in enumerate(work))
+    made = many(delayed(_numbered)(index, each) for index, each in enumerate(work))
     try:
         for each in made:  # noqa: UP028, as the other way would close it outside of this
             yield each
@@ -153,7 +108,7 @@ def _made(work: Sequence[_Work]) -> Generator[tuple[int, list[StudyRow]], None, 
             made.close()
 
 
-def _numbered(index: int, rows: _Rows) -> tuple[int, list[StudyRow]]:
+def _numbered(index: int, rows: Callable[[], list[StudyRow]]) -> tuple[int, list[StudyRow]]:
     return index, rows()
 
 

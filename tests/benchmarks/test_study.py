@@ -5,7 +5,7 @@ from pathlib import Path
 import joblib
 import pytest
 
-from smarttouch.experiments.study_plan import Grid, Study, rows_of_finger
+from smarttouch.experiments.study_plan import Grid, Study, rows_of_letters
 from smarttouch.experiments.study_run import on_cluster, run_study
 from smarttouch.physiology.anatomy import load_anatomy
 
@@ -41,6 +41,7 @@ def test_a_finger_with_26_letters_and_two_scans(benchmark, quick, anatomy):
     study = Study(title="scans", scans=("points", "auto"), letters=letters)
     grid = Grid(study, Path())
     (name,) = study.profiles
-    shown = grid.shown(name)
-    rows = benchmark(rows_of_finger, grid.profiles[name], load_anatomy(anatomy), anatomy, 1, shown)
+    shown = grid.letters(name)
+    profile = grid.profiles[name]
+    rows = benchmark(rows_of_letters, profile, shown, load_anatomy(anatomy), anatomy, 1)
     assert len(rows) == 2 * len(letters)
