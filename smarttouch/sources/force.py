@@ -24,7 +24,7 @@ from smarttouch.base.stopping import Closing
 from smarttouch.base.wire.port import LINE_ERRORS, Port, open_port
 from smarttouch.profile import Profile
 from smarttouch.sources.sensor_protocol import PacketReadings, TextReadings, read_available
-from smarttouch.sources.source_contract import Device, DeviceWarnings, OutageTracker
+from smarttouch.sources.source_contract import Device, DeviceWarnings
 
 LARGEST_FIXED_N = 20.0
 
@@ -106,16 +106,7 @@ class CellWatch:
         self._same = 0
         self._invalid = 0
         self._warnings = DeviceWarnings(notes)
-        self._silence = OutageTracker(
-            self._warnings,
-            f"{title}: no reading",
-            f"check its cable; a reading is valid for {FRESH_S:g} s, so ten a second are needed",
-        )
-        self._freeze = OutageTracker(
-            self._warnings,
-            f"{title}: readings were constant under pressure",
-            "it is frozen, or prints too few decimals",
-        )
+        self._longest_s = 0.0  # of the times without a reading
 
     def take(
         self, readings: list[float], now_ns: int, garbled: int = 0, last_garbled: str = ""
@@ -127,13 +118,16 @@ class CellWatch:
                 self._same += 1
             else:
                 self._value, self._same, self._same_since_ns = known, 1, now_ns
+        if self._last_ns is not None and now_ns - self._last_ns > FRESH_S * 1e9:
+            self._note_silence(now_ns - self._last_ns)
         if readings:
-            self._silence.update(False, now_ns)
             self._last_ns = now_ns
-            self._freeze.update(self._frozen(now_ns), now_ns, self._same_since_ns)
-        elif self._last_ns is not None and now_ns - self._last_ns > FRESH_S * 1e9:
-            self._silence.update(True, now_ns, self._last_ns)
-            self._freeze.update(False, self._last_ns)
+            if self._frozen(now_ns):
+                self._warnings.put(
+                    "frozen",
+                    f"{self._title}: readings were constant under pressure: it is frozen, or "
+                    "prints too few decimals",
+                )
         if garbled:
             times = "once" if garbled == 1 else f"{garbled} times"
             self._warnings.put(
@@ -142,9 +136,17 @@ class CellWatch:
 
     def lose(self, now_ns: int) -> None:
         """Discard earlier readings at once: the port is lost."""
-        self._silence.update(True, now_ns, self._last_ns)
-        self._freeze.update(False, now_ns)
+        if self._last_ns is not None:
+            self._note_silence(now_ns - self._last_ns)
         self._value, self._same = math.nan, 0
+
+    def _note_silence(self, silent_ns: int) -> None:
+        self._longest_s = max(self._longest_s, silent_ns / 1e9)
+        self._warnings.put(
+            "silence",
+            f"{self._title}: no reading for {self._longest_s:.1f} s: check its cable; a reading is "
+            f"valid for {FRESH_S:g} s, so ten a second are needed",
+        )
 
     def reading(self, now_ns: int) -> float:
         """Return the newest reading; NaN if it is unknown."""

@@ -18,7 +18,6 @@ from smarttouch.sources.source_contract import (
     DeviceWarnings,
     Frame,
     OpticalSource,
-    OutageTracker,
 )
 
 STALE_NS = 500_000_000  # time without a new image after which the last one is stale
@@ -131,7 +130,7 @@ class LiveSource(OpticalSource):
         self._raised = False
         self._is_open = True
         self._lost_ns: int | None = None
-        self._gone = OutageTracker(DeviceWarnings(self.notes), f"{device.title} was disconnected")
+        self._warnings = DeviceWarnings(self.notes)
         try:
             device.open()
         except BaseException:
@@ -229,7 +228,7 @@ class LiveSource(OpticalSource):
     def _await_return(self, lost_ns: int, shot: Shot | None) -> None:
         """Count a device as back when an image comes, not when it can be opened."""
         gone_s = (self._now_ns() - lost_ns) / 1e9
-        self._gone.update(shot is None, lost_ns + round(gone_s * 1e9), lost_ns)
+        self._warnings.put(f"lost {lost_ns}", f"{self.title} was disconnected for {gone_s:.1f} s")
         if shot is not None:
             self._lost_ns = None
             self._intake.interrupt()

@@ -134,36 +134,6 @@ class DeviceWarnings:
             self._places[cause] = len(self._notes) - 1
 
 
-class OutageTracker:
-    """Number and total duration of outages, described as in "the load cell was silent"."""
-
-    def __init__(self, notes: DeviceWarnings, words: str, remedy: str = "") -> None:
-        self._notes = notes
-        self._words = words
-        self._remedy = f": {remedy}" if remedy else ""
-        self._since_ns: int | None = None
-        self._past_ns = 0
-        self.times: int = 0
-
-    @property
-    def is_on(self) -> bool:
-        return self._since_ns is not None
-
-    def update(self, is_on: bool, now_ns: int, since_ns: int | None = None) -> None:
-        """Update the present state; ``since_ns`` is its start, if known."""
-        if is_on and self._since_ns is None:
-            self._since_ns = now_ns if since_ns is None else since_ns
-            self.times += 1
-        if self._since_ns is None:
-            return
-        lasted_ns = self._past_ns + now_ns - self._since_ns
-        if not is_on:
-            self._past_ns, self._since_ns = lasted_ns, None
-        often = f" in all, {self.times} times" if self.times > 1 else ""
-        seconds = f"{lasted_ns / 1e9:.1f} s{often}"
-        self._notes.put(self._words, f"{self._words} for {seconds}{self._remedy}")
-
-
 @dataclass(frozen=True, eq=False)
 class Sheet:
     """A page or a line that lies under the finger: its picture, and where it is for poses.

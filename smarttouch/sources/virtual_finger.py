@@ -14,8 +14,8 @@ from smarttouch.base.errors import PageError, SourceError, require_within
 from smarttouch.base.files import read_text
 from smarttouch.base.tables import read_csv
 from smarttouch.pages.document import open_document, password_of
-from smarttouch.pages.ink import is_light_on_dark, reduced, separate_ink
-from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page, TextLine
+from smarttouch.pages.ink import is_light_on_dark, separate_ink
+from smarttouch.pages.page_image import INCH_MM, Page, TextLine
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
 from smarttouch.pages.text_file import FileKind, file_kind, read_document_text
@@ -30,23 +30,18 @@ SETTLE_S = 0.75  # time of rest at the start of a line
 LIFT_S = 0.15
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
 _PRESS = 1.1  # reading force, relative to the profile's full force
-_WAVER = 0.08  # slow variation of the reading force
 _STEP_MM = 2.0  # distance of the points of a path along a line: its bend between them is negligible
 _COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
 
 
 class ReadingPath:
-    """Path along the lines of a page, one after another; in strips if it has no lines.
-
-    The seed is that of the slow variation of the force.
-    """
+    """Path along the lines of a page, one after another; in strips if it has no lines."""
 
     def __init__(
         self,
         page: Page,
         profile: Profile,
         speed_mm_s: float,
-        seed: int = 0,
         light_on_dark: bool = False,
     ) -> None:
         require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
@@ -55,7 +50,6 @@ class ReadingPath:
         lines = find_lines(page, light_on_dark or None) or [_printed(page, light_on_dark)]
         self.lines: list[TextLine] = [sweep for line in lines for sweep in _sweeps(line, field[1])]
         self._force_n = _PRESS * profile.force.full_n
-        self._phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, 2).tolist()
         rows: list[tuple[float, float, float, float, float]] = []
         time_s = 0.0
         for line in self.lines:
@@ -79,10 +73,7 @@ class ReadingPath:
     def at(self, time_s: float) -> tuple[Pose, float]:
         """Return the pose and the force in newtons."""
         x, y, angle, press = _at(self._table, time_s)
-        first, second = self._phases
-        slow = math.sin(2 * math.pi * 0.7 * time_s + first)
-        slow += math.sin(2 * math.pi * 1.9 * time_s + second)
-        return Pose(x, y, angle), press * self._force_n * (1 + _WAVER / 2 * slow)
+        return Pose(x, y, angle), press * self._force_n
 
 
 class RecordedPath:
@@ -152,13 +143,7 @@ _SHADE = 0.1  # relative loss of light at the corners of the patch
 _SLOPE = 0.03
 _CHOSEN_DPI = (97.0, 700.0)
 """Range of resolutions that an image states because it has them; beyond, programs put their own."""
-_PRINT_PIXELS = 2_000_000  # of the image in which the height of print is found
-_PRINT_MM, USUAL_PRINT_MM = (1.5, 9.0), 3.7
-"""Heights of print, ascenders to descenders, that a page of assumed size may have, and that of 11
-points, which it gets otherwise."""
 _MARGIN_MM = 4.0
-_MARGIN_BLUR_MM = 1.0  # blur of the paper beyond the page's edges, which removes the page's texture
-_COARSER = 8  # reduction of the page for that blur
 _MOST_PIXELS = 60_000_000
 
 
@@ -196,30 +181,10 @@ def open_page(
         notices.append(LAID_FLAT)
     cleaned = separate_ink(page.grey, light_on_dark).cleaned
     page = Page(255 - cleaned if light_on_dark else cleaned, page.mm_per_pixel)
-    print_mm = _print_mm(page, light_on_dark) if assumed else None
-    if assumed and print_mm and not _PRINT_MM[0] < print_mm < _PRINT_MM[1]:
-        scale = page.mm_per_pixel * USUAL_PRINT_MM / print_mm
-        if scale * max(page.grey.shape) < LARGEST_MM:
-            page = Page(page.grey, scale)
-            wide_mm = f"{page.size_mm[0]:.0f} mm wide"
-            notices.append(f"its print would then be too large or small: as 11 points, {wide_mm}")
     title, notice = Path(rest).name, "; ".join(notices)
     source = PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
     source.repeat(passes)
     return source
-
-
-def _print_mm(page: Page, light_on_dark: bool) -> float | None:
-    """Return the height of the usual lines of a page, ascenders to descenders; None without any."""
-    grey = reduced(page.grey, _PRINT_PIXELS)
-    scale = page.mm_per_pixel * math.sqrt(page.grey.size / grey.size)
-    lines = find_lines(Page(grey, scale), light_on_dark or None)
-    if not lines:
-        return None
-    # Long lines are the text; headings are larger.
-    lines.sort(key=lambda line: line.height_mm)
-    length = np.cumsum([line.right_mm - line.left_mm for line in lines])
-    return lines[int(np.searchsorted(length, length[-1] / 2))].height_mm
 
 
 def load_or_guess(
@@ -271,8 +236,7 @@ def open_text(
 class PageSource(OpticalSource):
     """Frames of a finger that moves over a page line by line, or along a recorded path.
 
-    The seed is that of noise and force: the same one gives the same frames, in whatever order they
-    are read.
+    The seed is that of noise: the same one gives the same frames, in whatever order they are read.
     """
 
     ended = "end of the page"
@@ -295,7 +259,7 @@ class PageSource(OpticalSource):
         self.text: str = ""  # text of the page, if it is known
         self.notes: list[str] = [notice] if notice else []
         self.path: ReadingPath | RecordedPath = (
-            ReadingPath(page, profile, speed_mm_s, seed, light_on_dark)
+            ReadingPath(page, profile, speed_mm_s, light_on_dark)
             if path is None
             else RecordedPath(path)
         )
@@ -372,14 +336,11 @@ def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, in
         cv2.GaussianBlur(surface, (0, 0), BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE),
         np.uint8,
     )
-    # The paper continues beyond its edges, in its grey there, without its texture.
-    margin = round(_MARGIN_MM / surface_mm)
-    whole = cv2.copyMakeBorder(surface, *4 * (margin,), cv2.BORDER_REPLICATE)
-    small = cv2.resize(whole, None, fx=1 / _COARSER, fy=1 / _COARSER, interpolation=cv2.INTER_AREA)
-    soft = cv2.GaussianBlur(small, (0, 0), _MARGIN_BLUR_MM / surface_mm / _COARSER)
-    paper = np.asarray(cv2.resize(soft, whole.shape[::-1]), np.uint8)
-    paper[margin:-margin, margin:-margin] = surface
-    return paper, surface_mm, margin
+    # The paper continues beyond the page's edges, in their usual grey.
+    edges = np.concatenate([surface[0], surface[-1], surface[:, 0], surface[:, -1]])
+    margin, paper = round(_MARGIN_MM / surface_mm), float(np.median(edges))
+    whole = cv2.copyMakeBorder(surface, *4 * (margin,), cv2.BORDER_CONSTANT, value=paper)
+    return np.asarray(whole, np.uint8), surface_mm, margin
 
 
 def _light(shape: tuple[int, int]) -> NDArray[np.float32]:

@@ -170,7 +170,7 @@ class TestWatch:
         watch.take([], 4 * SECOND)
         watch.take([5], 4 * SECOND)
         (note,) = notes
-        assert numbers_in(note) == [4.0, 2, FRESH_S]
+        assert numbers_in(note) == [3.0, FRESH_S], "the longest"
 
     @pytest.mark.parametrize("invalid", [math.nan, 2.0**23 - 1, -(2.0**23)])
     def test_a_cell_that_reports_no_reading(self, watch, notes, invalid):
@@ -190,8 +190,8 @@ class TestWatch:
         assert math.isnan(watch.reading(now_ns))
         watch.take([151.0], 6 * SECOND)
         assert watch.reading(6 * SECOND) == 151
-        (note,) = notes
-        assert numbers_in(note) == [6.0]
+        assert len(notes) == 2
+        assert any("constant" in note for note in notes)
 
     def test_slow_cells_need_twenty(self, watch):
         now_ns = self.stand_still(watch, 150.0, 5.9, rate_hz=3)
