@@ -24,8 +24,8 @@ from smarttouch.running.step import Listener, as_listeners
 from smarttouch.views.vibrator import Vibrator
 
 from ..played import played
-from ..reference.recover import recover
 from ..whole import sample
+from .recover import recover
 
 ALONE = {
     Afferent.RA: ("tone:30Hz,8um", 30.0),
@@ -63,13 +63,6 @@ def test_two_mixed_give_back_both(pair, profile, bank):
         spec, rate_hz = ALONE[each]
         assert got[each].rate_hz == pytest.approx(rate_hz, rel=RATE_WITHIN)
         assert np.median(got[each].drive) == pytest.approx(drive_of(spec, each, profile), abs=0.06)
-
-
-def test_all_three_mixed_give_back_all(profile, bank):
-    got = feel("+".join(spec for spec, _ in ALONE.values()), profile, bank)
-    assert {each: round(row.rate_hz) for each, row in got.items()} == {
-        each: rate_hz for each, (_, rate_hz) in ALONE.items()
-    }
 
 
 def test_a_vibrator_plays_as_pc_answers_and_pc_gets_no_pulses(profile, bank, tmp_path):

@@ -1,13 +1,10 @@
 """Mixing: each class keeps its own time, within what sequences allow."""
 
-import doctest
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import smarttouch.instruments.color_mix
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ScheduleError
 from smarttouch.instruments.color_mix import (
@@ -19,7 +16,6 @@ from smarttouch.instruments.color_mix import (
     mix_colors,
     notes,
     open_vibration,
-    shortest_us,
     stimulated,
     thinned,
 )
@@ -47,14 +43,6 @@ def test_no_pulse_is_moved_by_more_than_half_of_the_shortest_sequence(times):
         assert (np.abs(begins[which] - ideal) <= 2501).all()
     used = np.unique(np.concatenate([np.empty(0, int), *carried]))
     assert len(used) == len(begins)  # no sequence without a pulse
-
-
-@given(trains)
-def test_a_train_alone_keeps_its_time(times):
-    for each in times:
-        # No two of one train closer than the shortest sequence.
-        begins, _ = merged([thinned(np.array(each, np.int64), 5001)], 5000)
-        assert set(begins) <= set(each.tolist())
 
 
 def test_a_train_that_is_too_fast_gets_every_other_pulse():
@@ -131,16 +119,6 @@ def test_nothing_to_answer_is_no_stimulus(profile, bank):
     assert (mixture.stimuli, mixture.end_us) == ([], 1_000_000)
 
 
-def test_many_sites_make_sequences_longer(profile):
-    slot_us = profile.pulse.width_us + profile.pulse.discharge_us
-    assert shortest_us(profile, 4, ScanTiming()) == 5000
-    assert shortest_us(profile, 64, ScanTiming()) >= 64 * slot_us
-
-
-def test_the_disc_is_in_the_middle(profile):
-    assert disc(profile).tolist() == [27, 28, 35, 36]
-
-
 def test_where_pc_is_felt_elsewhere_its_pulses_move(profile, bank):
     assert profile.perception.pc_shift_mm == (0, -2)
     assert stimulated(profile, Afferent.PC, np.array([3, 59])).tolist() == [11]
@@ -153,10 +131,6 @@ def test_masked_sites_are_not_in_the_disc(profile, changed):
     assert disc(changed(profile, {"output.masked": (27,)})).tolist() == [28, 35, 36]
     with raises(ScheduleError, names="site", value=64):
         mix_colors(open_trace(ALL, 1.0), profile, load_bank(profile), sites=[64])
-
-
-def test_the_example_runs():
-    assert doctest.testmod(smarttouch.instruments.color_mix) == (0, 8)
 
 
 @pytest.fixture

@@ -153,14 +153,6 @@ def test_at_rest_nothing_is_felt(mouse):
         assert asked[101:].sum() == 0
 
 
-def test_it_is_silent_from_the_first_frame_of_rest(tmp_path, mouse):
-    texture = open_texture(str(object_file(tmp_path / "o.png", "disc")))
-    way = [(20 + 0.4 * k, 20) for k in range(50)] + [(40, 20)] * 50
-    asked = pulses(MouseSource(texture, Played(way), mouse, press_n=1.0))
-    assert asked[40:50].sum() > 0
-    assert asked[51:].sum() == 0
-
-
 def test_a_place_that_is_found_again_is_no_way(mouse):
     apart = JUMP_MM + 0.5
     way = [(0, 0), (0.5, 0), (0.5 + apart, 0), (0.5 + apart, 0), (0.5 + apart, apart)]
@@ -216,22 +208,6 @@ def test_the_contents_of_a_frame(mouse):
     np.testing.assert_array_equal(frames[1].image, GRATING.draw(-5.0, -7.0, shape, 0.25))
 
 
-def test_without_an_origin_it_begins_in_the_middle(tmp_path, mouse):
-    texture = open_texture(str(object_file(tmp_path / "o.png", "disc")))
-    motion = Played([(0, 0), (1, 2)])
-    motion.origin_mm = None
-    source = MouseSource(texture, motion, mouse)
-    poses = [source.read(k).pose for k in range(2)]
-    assert [(each.x_mm, each.y_mm) for each in poses] == [(40, 20), (41, 22)]
-
-
-def test_who_presses(mouse):
-    assert MouseSource(GRATING, Played([(0, 0)]), mouse, press_n=1.0).read(0).force_n == 1.0
-    nobody = MouseSource(GRATING, Played([(0, 0)]), mouse)
-    assert math.isnan(nobody.read(0).force_n)
-    assert not nobody.knows_force
-
-
 def test_without_contact_nothing_flows(tmp_path, mouse, mouse_bank):
     motion = path_motion(tmp_path, [0, 1], [0, 40], [0, 0])
     motion.knows_force, motion.force_n = True, 0.05
@@ -239,12 +215,6 @@ def test_without_contact_nothing_flows(tmp_path, mouse, mouse_bank):
     touched = feel(source, mouse, mouse_bank)
     assert touched.tally.slots == 0
     assert touched.tally.frames > 100 * (START_S + 1)
-
-
-@pytest.mark.parametrize("mode", sample([Mode.SAI, Mode.PC]))
-def test_other_classes_respond_too(mouse, mouse_bank, mode):
-    pulses_hz, _ = stroke(GRATING, 40, mouse, mouse_bank, mode=mode, length_mm=20)
-    assert pulses_hz == pytest.approx([10] * 64)
 
 
 @pytest.mark.parametrize(("options", "about", "allowed"), [
@@ -312,16 +282,6 @@ def test_what_is_drawn_looks_like_what_was_touched(cross):
     got = touched.drawing.picture((0.0, 0.0), (200, 400), 0.1).astype(float)
     drawn = texture.draw(0.0, 0.0, (200, 400), 0.1).astype(float)
     assert np.corrcoef(got.ravel(), drawn.ravel())[0, 1] > 0.8
-
-
-def test_pulses_are_where_their_electrodes_were(cross, mouse):
-    _, touched = cross
-    felt = touched.felt
-    poses = np.array([touched.poses_mm[each] for each in felt.number])
-    np.testing.assert_allclose(
-        felt.place_mm - poses, mouse.electrodes.position_mm[felt.electrode], atol=1e-9
-    )
-    assert (np.diff(felt.number.astype(int)) >= 0).all()
 
 
 def test_the_sheet_shows_both(cross, tmp_path):

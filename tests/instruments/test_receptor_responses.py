@@ -75,20 +75,6 @@ def test_one_spike_each_cycle_at_the_same_phase(afferent, hz):
     assert mean_rate_hz(answer) == pytest.approx(hz, rel=0.01)
 
 
-def test_ra_keeps_its_cycles_under_a_stronger_vibration_of_pc():
-    answers = split_trace(open_trace("tone:30Hz,10um+tone:250Hz,9um"))
-    assert mean_rate_hz(answers[Afferent.RA]) == pytest.approx(30, rel=0.1)
-    assert mean_rate_hz(answers[Afferent.PC]) == pytest.approx(250, rel=0.01)
-
-
-def test_silence_between_two_bursts_has_no_spikes():
-    burst = open_trace("tone:30Hz,11um", 0.8).displacement_um
-    moved = np.concatenate([burst, np.zeros(1600), burst])
-    answer = split_trace(Trace(moved, np.zeros_like(moved)))[Afferent.RA]
-    assert not ((answer.spike_s > 0.81) & (answer.spike_s < 1.19)).any()
-    assert ((answer.spike_s < 0.8).sum(), (answer.spike_s > 1.2).sum()) == (23, 23)
-
-
 def test_sai_fires_faster_when_pressed_harder():
     rates = [split_trace(open_trace(f"press:{n}N"))[Afferent.SAI] for n in (0.1, 0.5, 1, 3)]
     found = [np.median(each.rate_hz) for each in rates]

@@ -125,15 +125,6 @@ def test_wide_ground_up_to_an_edge_pulses_each_grain_of_way(tmp_path, step):
     assert found[0, 0] == pytest.approx(1.0 + step / 2, abs=step / 2 + 0.15)
 
 
-def test_a_stroke_narrower_than_a_grain_begins_where_it_begins(tmp_path):
-    """Beside its middle its depth is level: that is no crest."""
-    texture = open_texture(str(object_file(tmp_path / "o.png", "cross")))
-    for way in (1, -1):
-        along = crests(texture, (40 - 20 * way, 19.0), (0.1 * way, 0), 400)
-        assert along[:, 0].mean() == pytest.approx(40, abs=0.15)
-        assert len(along) == 7
-
-
 @pytest.mark.parametrize("angle", [45, 75])
 def test_a_ridge_passed_obliquely_is_one_ridge(tmp_path, angle):
     path = grating_file(tmp_path / "g.png", 4, angle, "faint", noise=5)
@@ -162,16 +153,6 @@ def test_bright_parts_of_a_deep_image_may_be_high(tmp_path):
         assert texture.size_mm == pytest.approx((30, 20))
         found = crests(texture, (0.1, 10), (0.2, 0), 120)
         assert found[:, 0] == pytest.approx(np.arange(first, 24, 3), abs=0.5)
-
-
-def test_letters_are_large():
-    texture = open_texture("text:Il")
-    wide, high = texture.size_mm
-    assert 14 < high < 20
-    drawn = texture.draw(0, 0, (round(high * 10), round(wide * 10)), 0.1)
-    rows = np.flatnonzero((drawn < 128).any(axis=1))
-    assert np.ptp(rows) / 10 == pytest.approx(9, abs=3)
-    assert open_texture("text:Il", width_mm=50).size_mm[0] == pytest.approx(50)
 
 
 @pytest.mark.parametrize(("spec", "options", "about", "attributes"), [

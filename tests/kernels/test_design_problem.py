@@ -105,20 +105,3 @@ def test_no_last_bit_chooses_between_classes_pressed_alike(coarse):
     assert problem.judge(weights, 27).off_target_class is Afferent.RA
     rows[ra] = rows[sai] * (1 - 1e-3)
     assert problem.judge(weights, 27).off_target_class is Afferent.SAI
-
-
-@pytest.mark.parametrize("others", [[], [Afferent.RA], [Afferent.RA, Afferent.PC]])
-def test_a_class_cannot_be_selected_against_itself(profile, others):
-    with raises(DesignError, value=tuple(others)):
-        Problem(profile, Afferent.RA, others)
-
-
-def test_a_ring_is_no_mirror_image_of_the_disc_in_it(profile, changed):
-    array = {
-        "layout": "free",
-        "positions_mm": [[0, 0], [0, 0], [9, 0], [-9, 0]],
-        "shapes": ["disc", "annulus", "disc", "disc"],
-        "sizes_mm": [[1.0, 0.0], [8.0, 6.0], [1.0, 0.0], [1.0, 0.0]],
-    }
-    found = Problem(changed(profile, {"array": array}), Afferent.RA).symmetries
-    assert sorted({tuple(each) for each in found}) == [(0, 1, 2, 3), (0, 1, 3, 2)]

@@ -102,12 +102,6 @@ def test_what_cannot_be_judged_is_refused(profile):
         judge.judge(np.zeros((1, 16)), np.zeros((1, 16)))
 
 
-@pytest.mark.parametrize(("name", "value"), [("other", 0.0), ("spill", -1.0), ("uneven", 1.0)])
-def test_bounds_that_are_none_are_refused(name, value):
-    with raises(DesignError, value=value, allowed=(0, 1)):
-        FrameBounds(**{name: value})
-
-
 @given(
     st.sampled_from([Afferent.RA, Afferent.SAI]), st.integers(1, 4), st.integers(0, 2**32 - 1)
 )  # fmt: skip
@@ -167,13 +161,6 @@ def test_classes_are_all_driven_sites_once(profile, changed):
 @pytest.fixture
 def hexagon(changed):
     return changed(load_profile("kajimoto-61"), {"skin.node_spacing_mm": 0.5})
-
-
-def test_a_hexagon_has_no_colors(hexagon):
-    operator = FrameOperator(FrameJudge(hexagon, Afferent.RA, np.ones(61)))
-    with raises(DesignError):
-        color_classes(operator, 2)
-    assert SharedKernels(operator, np.array([3, 40])).off_target > 0
 
 
 def test_sets_are_as_large_as_can_be_proved(make_operator, profile, changed):

@@ -4,8 +4,6 @@ import contextlib
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
@@ -15,8 +13,8 @@ from smarttouch.kernels.weighted_design import design_any_node, design_kernel
 from smarttouch.profile import load_profile
 
 from ..raising import raises
-from ..reference.kernel_optimum import activating, lattice, optima
-from ..whole import WHOLE, sample
+from ..whole import sample
+from .kernel_optimum import activating, lattice, optima
 
 SPACING = "skin.node_spacing_mm"
 
@@ -91,31 +89,6 @@ def test_a_kernel_that_could_be_mirrored_is_not(profile, changed):
     for options in sample(METHODS):
         other = design_kernel(problem, 27, options=options).weights
         assert other == pytest.approx(usual, abs=1e-6 * np.abs(usual).max()), options
-
-
-@pytest.mark.parametrize("site", [0, 2, 3])
-@pytest.mark.parametrize("afferent", list(Afferent))
-def test_linprog_finds_the_same_optimum(line, whole_programme, afferent, site):
-    problem = Problem(line, afferent)
-    kernel = design_kernel(problem, site, given_up=0)
-    best = max(kernel.off_target, kernel.spill if kernel.spill > 0.2001 else 0)
-    shuffled = np.random.default_rng(site).permutation
-    found = whole_programme(problem, site, order=shuffled)
-    assert best == pytest.approx(found, rel=1e-6)
-
-
-@settings(max_examples=10 if WHOLE else 4, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from(list(Afferent)))
-def test_shuffled_rows_give_the_same_kernel(seed, afferent):
-    problem = Problem(load_profile("line-7"), afferent)
-    usual = design_kernel(problem, 3)
-    order = np.random.default_rng(seed).permutation(len(problem.other))
-    problem.other = problem.other[order]
-    problem.other_class = problem.other_class[order]
-    shuffled = design_kernel(problem, 3)
-    assert shuffled.off_target == pytest.approx(usual.off_target, abs=1e-6)
-    assert shuffled.off_target_class is usual.off_target_class
-    assert shuffled.weights == pytest.approx(usual.weights, rel=1e-4)
 
 
 @pytest.mark.parametrize("afferent", list(Afferent))
@@ -240,18 +213,6 @@ def test_limits_that_no_kernel_keeps(line, changed):
     with raises(DesignError, names="limits", electrode=3) as caught:
         design_kernel(Problem(mine, Afferent.RA), 3)
     assert "limits.electrode_ma" in str(caught.value)
-
-
-def test_an_active_ending_turns_ra_to_the_cathode(line, changed):
-    active = changed(line, {"skin.ra_ending": "active"})
-    kernel = design_kernel(Problem(active, Afferent.RA), 3)
-    assert kernel.peak_normalized[3] > 0
-
-
-@pytest.mark.parametrize("site", [-1, 7, 1000])
-def test_site_out_of_range(line, site):
-    with raises(DesignError, names="site", value=site, allowed=(0, 6)):
-        design_kernel(Problem(line, Afferent.RA), site)
 
 
 @pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])

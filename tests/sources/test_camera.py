@@ -120,15 +120,6 @@ def test_by_number_or_device_and_never_as_a_file(profile, device, monkeypatch, r
     assert device.opened == [(place, cv2.CAP_V4L2)]
 
 
-def test_what_the_camera_takes_is_set_without_a_word(profile, device):
-    options = {"size": (320, 240), "exposure": 200.0, "fps": 30.0}
-    with open_source("camera:0", profile, **options) as sensor:
-        assert sensor.notes == []
-    assert device.properties[cv2.CAP_PROP_EXPOSURE] == 200
-    assert device.properties[cv2.CAP_PROP_AUTO_EXPOSURE] == 1
-    assert device.properties[cv2.CAP_PROP_FRAME_WIDTH] == 320
-
-
 def test_what_the_camera_does_not_accept_is_noted_once(profile, device):
     source = CameraDevice("0", (800, 600), 9000.0, 120.0)
     source.open()

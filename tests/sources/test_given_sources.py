@@ -91,12 +91,6 @@ def test_activation_is_a_number_from_0_to_1_for_each_electrode(activation):
         checked_activation(activation, "mine:", 64)
 
 
-def test_activation_of_other_types_is_converted():
-    made = checked_activation(np.ones((3, 64), int), "mine:", 64)
-    assert made.dtype == np.float32
-    assert (made == 1).all()
-
-
 class Mine(OpticalSource):
     """A source of another package that returns whatever it was made with."""
 

@@ -167,15 +167,6 @@ def test_age_and_staleness(profile):
         assert (frame.age_ns, frame.stale) == (505_000_000, True)
 
 
-def test_images_from_before_the_run_are_nobodys(profile):
-    source = Script(shot(), shot())
-    with LiveSource(source, profile) as sensor:
-        assert source.is_open
-        assert len(source.events) == 2
-    assert (sensor.frames, sensor.dropped_frames, source.closes) == (0, 0, 1)
-    assert sensor.read(0) is None
-
-
 def test_no_image_at_first(profile, monkeypatch):
     monkeypatch.setattr(live_capture, "FIRST_IMAGE_S", 0.01)
     mute = {"value": "by hand", "allowed": 0.01}
@@ -271,19 +262,6 @@ def test_motion_is_summed_over_images_that_nobody_reads(profile, page_patch):
         pixel_mm = profile.optics.field_width_mm / 64
         assert sensor.read(0).pose.x_mm == pytest.approx(40 * pixel_mm, abs=0.2 * pixel_mm)
     assert sensor.dropped_frames == 9
-
-
-def test_what_happened_during_a_loss_is_no_motion(profile, page_patch):
-    source = Handed(Shot(page_patch(0), 0))
-    with LiveSource(source, profile) as sensor:
-        sensor.read(0)
-        source.hand(SourceLostError("gone"))
-        source.hand(Shot(page_patch(8), 0))
-        until(lambda: sensor.frames == 2)
-        assert sensor.read(0).pose.x_mm == 0
-        source.hand(Shot(page_patch(12), 0))
-        until(lambda: sensor.frames == 3)
-        assert sensor.read(0).pose.x_mm > 0
 
 
 def test_the_flat_field_of_the_profile_is_applied(profile, changed, tmp_path):

@@ -64,13 +64,6 @@ def test_the_first_image_and_one_after_a_gap_give_no_motion(profile, look):
     assert follow(tracker, look(6))[0] > 0
 
 
-def test_another_size_restarts(profile, look):
-    tracker = FramePreprocessor(profile)
-    assert follow(tracker, look(), look(3, size=(48, 32))) == (0, 0)
-    x_mm, _ = follow(tracker, look(6, size=(48, 32)))
-    assert x_mm == pytest.approx(3 * FIELD_MM / 48, rel=0.05)
-
-
 @pytest.mark.parametrize("size", [(16, 16), (32, 24), (200, 150), (384, 128)])
 def test_the_field_spreads_over_images_of_any_size(profile, look, size):
     zoom = max(1, max(size) // 64)
@@ -273,9 +266,3 @@ def grey(level, shape=(8, 8)):
 def test_references_that_are_none(dark, white, about, value):
     with raises(CalibrationError, value=value):
         FlatField.measure(dark, white)
-
-
-def test_too_many_broken_pixels():
-    # Two in a hundred of 64 x 64 may be broken.
-    with raises(CalibrationError, names="pixels", value=200):
-        measured(SimulatedPatch(dead=200))

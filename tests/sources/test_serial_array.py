@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.sources import open_source, serial_array
-from smarttouch.sources.sensor_protocol import encode_force, encode_frame
+from smarttouch.sources.sensor_protocol import encode_frame
 from smarttouch.sources.serial_array import SerialArrayDevice
 
 from ..raising import raises
@@ -95,12 +95,6 @@ def test_gaps_and_garbage_are_noted_once(line, source):
     assert all(line.name in note for note in source.notes)
     counts = [numbers_in(note.replace(line.name, "")) for note in source.notes]
     assert counts == [[2], [12]]
-
-
-def test_a_load_cell_on_the_same_line(line, source):
-    line.send(encode_force(0, 0, 1) + frame(0) + encode_force(1, 0, 2))
-    assert books(grab_all(source, line.sent)) == 1
-    assert source.notes == []
 
 
 def test_a_port_that_is_gone(line, source):

@@ -73,22 +73,6 @@ def test_turning_the_finger_turns_the_view_the_other_way(still):
     assert y == pytest.approx(32 - 12.8, abs=0.5)
 
 
-def test_a_fine_checkerboard_is_grey(still):
-    rows, columns = np.indices((1000, 1000))
-    checker = ((rows + columns) % 2 * 255).astype(np.uint8)
-    image = still(checker, 0.02).read(0).image
-    assert image.std() < 8
-    assert 100 < image.mean() < 140
-
-
-def test_off_the_page_is_its_margin(tmp_path, profile):
-    path = tmp_path / "path.csv"
-    path.write_text(f"{HEADER}0,-30,-30,0,1\n1,-30,-30,0,1\n")
-    grey = np.full((100, 100), 200, np.uint8)
-    sensor = PageSource(Page(grey, 0.2), profile, "off", path=path)
-    assert abs(float(sensor.read(0).image.mean()) - 190) < 12
-
-
 def opened(profile, seed, name="page.png"):
     return open_source(f"page:{data_folder('sample_images') / name}", profile, seed=seed)
 
@@ -136,15 +120,6 @@ def test_a_page_without_a_scale_gets_a_guessed_one_with_a_note(tmp_path, profile
     known = open_page(str(path), profile, page_width_mm=100)
     assert known.notes == []
     assert known.page.size_mm[0] == pytest.approx(100)
-
-
-def test_the_first_page_of_a_pdf_is_read(tmp_path, profile):
-    pytest.importorskip("pypdfium2")
-    first, second = (Image.fromarray(print_text(words).grey) for words in ("one", "and two"))
-    first.save(tmp_path / "a.pdf", resolution=300, save_all=True, append_images=[second])
-    source = open_page(str(tmp_path / "a.pdf"), profile)
-    assert source.page.size_mm == pytest.approx(print_text("one").size_mm, rel=0.02)
-    assert (len(source.path.lines), source.notes) == (1, [])
 
 
 def test_of_a_photograph_the_sheet_is_shown(tmp_path, profile):
