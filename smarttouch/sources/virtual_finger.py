@@ -141,6 +141,9 @@ AGAIN_S = 1.0  # time for which the lifted finger rests before it reads the page
 MOST_PASSES = 10_000
 _SHADE = 0.1  # relative loss of light at the corners of the patch
 _SLOPE = 0.03
+_PRINT_MM, _USUAL_PRINT_MM = (1.5, 9.0), 3.7
+"""Heights of lines, ascenders to descenders, that a page of assumed size may have, and that of 11
+points, which it gets otherwise."""
 _CHOSEN_DPI = (97.0, 700.0)
 """Range of resolutions that an image states because it has them; beyond, programs put their own."""
 _MARGIN_MM = 4.0
@@ -181,6 +184,12 @@ def open_page(
         notices.append(LAID_FLAT)
     cleaned = separate_ink(page.grey, light_on_dark).cleaned
     page = Page(255 - cleaned if light_on_dark else cleaned, page.mm_per_pixel)
+    lines = find_lines(page, light_on_dark or None) if assumed else []
+    print_mm = float(np.median([line.height_mm for line in lines])) if lines else _USUAL_PRINT_MM
+    if not _PRINT_MM[0] < print_mm < _PRINT_MM[1]:
+        page = Page(page.grey, page.mm_per_pixel * _USUAL_PRINT_MM / print_mm)
+        as_usual = f"as 11 points, {page.size_mm[0]:.0f} mm wide"
+        notices.append(f"its print would be {print_mm:.1f} mm high: {as_usual}")
     title, notice = Path(rest).name, "; ".join(notices)
     source = PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
     source.repeat(passes)

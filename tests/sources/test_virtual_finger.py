@@ -122,6 +122,16 @@ def test_a_page_without_a_scale_gets_a_guessed_one_with_a_note(tmp_path, profile
     assert known.page.size_mm[0] == pytest.approx(100)
 
 
+@pytest.mark.parametrize("stated", [{}, {"dpi": (1200, 1200)}])
+def test_a_page_of_unknown_size_has_print_of_a_usual_one(tmp_path, profile, stated):
+    line = print_page(["a word or two"], size_pt=11, dpi=150).page.grey
+    Image.fromarray(line).save(tmp_path / "line.png", **stated)
+    source = open_page(str(tmp_path / "line.png"), profile)
+    wide_mm = line.shape[1] * 25.4 / 150
+    assert source.page.size_mm[0] == pytest.approx(wide_mm, rel=0.2)
+    assert numbers_in(source.notes[0])[-1] == pytest.approx(wide_mm, rel=0.2)
+
+
 def test_of_a_photograph_the_sheet_is_shown(tmp_path, profile):
     printed = print_page(some_lines(16, 50), size_pt=11, dpi=150)
     photo = degrade(printed, perspective=0.15, skew_deg=4, uneven=0.6, noise=4).page.grey
