@@ -16,7 +16,6 @@ _WORD, _PIECE = 1.3, 0.6  # width above which a component is several letters, an
 _DEGREES = (8.0, 20.0, 40.0)  # least lengths of lines with a slope, a bend and a second bend
 _DESCENDING = 2.5  # weight of a distance below a baseline
 _ROUNDS = 8  # rounds of weights against outliers
-_FINER = 0.7  # part to which a curve of higher degree must reduce most distances
 _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # heights of an x that are tried, in letter heights
 _NEAR = (0.1, 0.5)  # distance within which letters are equally high: in x-heights, plus pixels
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
@@ -95,10 +94,10 @@ def measure_row(ink: Ink, letters: Components, slope: float | None = None) -> Ba
     left, right = float(letters.left.min()), float(letters.right.max())
     x, top, bottom = _pieces(ink, letters, height)
     if slope is None:
-        curve = _curve_through(x - left, bottom, (right - left) / height)
+        degree = min(int(np.searchsorted(_DEGREES, (right - left) / height)), max(0, len(x) - 2))
+        curve = _fitted(x - left, bottom, degree)
     else:
-        level, _ = _fitted(x - left, bottom - slope * (x - left), 0)
-        curve = np.array([level[0], slope])
+        curve = np.append(_fitted(x - left, bottom - slope * (x - left), 0), slope)
     row = _on_curve(ink, letters, curve, x, top, bottom)
     above = row.fall < -_NEAR[0] * row.x_height - _NEAR[1]
     if above.mean() > _UNDECIDED:
@@ -152,19 +151,8 @@ def _pieces(ink: Ink, letters: Components, height: float) -> tuple[Floats, Float
     return x, top, bottom
 
 
-def _curve_through(x: Floats, y: Floats, length: float) -> Floats:
-    """Return the coefficients of the simplest curve that is close to most points."""
-    most = min(int(np.searchsorted(_DEGREES, length)), max(0, len(x) - 2))
-    found, away = _fitted(x, y, min(most, 1))
-    for degree in range(2, most + 1):
-        finer, finer_away = _fitted(x, y, degree)
-        if finer_away < _FINER * away:
-            found, away = finer, finer_away
-    return found
-
-
-def _fitted(x: Floats, y: Floats, degree: int) -> tuple[Floats, float]:
-    """Return a curve's coefficients, fitted with low weight on outliers, and the distance."""
+def _fitted(x: Floats, y: Floats, degree: int) -> Floats:
+    """Return the coefficients of a curve that is close to most points."""
     scale = max(1.0, float(np.abs(x).max(initial=0)))
     powers = np.power.outer(x / scale, np.arange(degree + 1))
     weight = np.ones_like(y)
@@ -179,4 +167,4 @@ def _fitted(x: Floats, y: Floats, degree: int) -> tuple[Floats, float]:
         usual = float(np.partition(off, len(off) // 2)[len(off) // 2])
         # Geman and McClure's weights.
         weight = 1 / (1 + (off / max(1.5 * usual, 0.3)) ** 2) ** 2
-    return np.asarray(found / scale ** np.arange(degree + 1)), max(usual, 0.3)
+    return np.asarray(found / scale ** np.arange(degree + 1))

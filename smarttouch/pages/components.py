@@ -14,9 +14,8 @@ _RULE = 12.0  # ratio of length to thickness above which a component is a rule
 _LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the usual one
 _COMMA = (0.8, 0.5)  # largest height and width of a comma or a quote, in usual heights
 _LONGEST = 40.0  # largest ratio of length to height of a word with touching letters
-_UNDERLINE, _THIN, _HANGING, _STANDING = 3.0, 0.3, 0.2, 0.5
-"""Least length and most thickness of an underline, in letter heights; most ink right below it, and
-least part of its length with letters above it."""
+_UNDERLINE, _THIN, _HANGING = 3.0, 0.3, 0.2
+"""Least length and most thickness of an underline, in letter heights; most ink right below it."""
 _TWO_LINES, _LEAST_LINE, _BESIDE = 1.7, 0.6, 1.5
 """Height of a component that may span two lines, of a line, and reach beside it, in heights."""
 _VALLEY = 0.4  # ink between two lines that touch, relative to that in either
@@ -106,18 +105,15 @@ def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
     runs, labels = find_components(rules)
     is_rule = runs.width > long
     for k in np.flatnonzero(~is_rule & (runs.height <= thick)):
-        across, top, bottom = slice(runs.left[k], runs.right[k]), runs.top[k], runs.bottom[k]
-        above = ink[max(0, top - round(height)) : max(0, top - 1), across].any(axis=0)
+        across, bottom = slice(runs.left[k], runs.right[k]), runs.bottom[k]
         # Letters hang from the line above them in some scripts.
         below = ink[bottom + 1 : bottom + 1 + thick, across]
-        is_rule[k] = below.size and below.mean() < _HANGING and above.mean() > _STANDING
+        is_rule[k] = below.size and below.mean() < _HANGING
     rules = np.append(False, is_rule)[labels]
     # A slightly tilted rule steps sideways by a pixel.
     wide = cv2.dilate(page, np.ones((1, 3), np.uint8))
     upright = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((long, 1), np.uint8))
     upright = np.asarray(cv2.min(upright, page), np.uint8)
-    bars = cv2.morphologyEx(upright, cv2.MORPH_OPEN, np.ones((long, 2 * thick), np.uint8))
-    upright[cv2.dilate(bars, np.ones((3, 3), np.uint8)) > 0] = 0
     thicker = cv2.dilate(rules.view(np.uint8), np.ones((3, 1), np.uint8))
     return thicker.view(np.bool_), upright.view(np.bool_)
 

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from smarttouch.base.errors import PageError
 from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page, TextLine
-from smarttouch.pages.straighten import straighten
+from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened, skew_of, turned
 from smarttouch.pages.text_lines import page_lines
 
 _AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
@@ -114,22 +114,30 @@ class PreparedPage:
 def prepare_page(
     page: Page,
     light_on_dark: bool | None = None,
-    straightened: bool = True,
     leftward: bool = False,
 ) -> PreparedPage:
     """Prepare a scan, photograph or picture of print for reading, detecting its polarity if not
     given; columns of ``leftward`` scripts are read from the right.
     """
     notes: list[str] = []
-    if straightened:
-        page, notes = straighten(page)
-    page, paper, found = page_lines(page, light_on_dark, leftward)
+    corners = find_sheet(page.grey)
+    if corners is not None:
+        page = Page(flattened(page.grey, corners), page.mm_per_pixel)
+        notes.append(LAID_FLAT)
+    straight, paper, found = page_lines(page, light_on_dark, leftward)
+    skew_deg = skew_of(found.lines)
+    if skew_deg:
+        page = Page(turned(page.grey, skew_deg), page.mm_per_pixel)
+        notes.append(f"the text was tilted by {abs(skew_deg):.1f}° and was turned level")
+        straight, paper, found = page_lines(page, light_on_dark, leftward)
     left_out = [words for words in (found.left_out, FAINT if paper.faint else "") if words]
     if left_out:
         notes.append(LEFT_OUT + ", ".join(left_out))
     if found.doubtful:
         notes.append(DOUBTFUL)
-    return PreparedPage(page, paper.cleaned, tuple(found.lines), paper.light_on_dark, tuple(notes))
+    return PreparedPage(
+        straight, paper.cleaned, tuple(found.lines), paper.light_on_dark, tuple(notes)
+    )
 
 
 PRINT_DPI = 300

@@ -1,31 +1,26 @@
 """Straightening of pages: a photographed sheet seen from above, text turned level."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.pages.components import find_components, like_letters, usual_height
-from smarttouch.pages.ink import Grey, reduced, separate_ink
-from smarttouch.pages.page_image import Page
+from smarttouch.pages.ink import Grey
+from smarttouch.pages.page_image import TextLine
 
 Corners = NDArray[np.float64]
 
 _SIDE_PX = 480  # longer side of the image in which a sheet is detected
 _LEAST_PART = 0.2  # least part of the photograph covered by a sheet
 _LARGEST_PART = 0.97  # part above which the image is the sheet itself, scanned
-_THRESHOLDS = (1.2, 1.0, 0.85, 0.7, 0.6, 0.5, 0.4)
-"""Multiples of Otsu's threshold: a shadow on the sheet may be as dark as its background."""
-_LOG_STEPS = (0.15, 0.25, 0.4)
-"""Least steps, in logarithms of the level, of edges that enclose a sheet partly in the shadow."""
+_LOG_STEPS = (0.1, 0.15, 0.25, 0.4, 0.7)
+"""Least steps, in logarithms of the level, of edges that enclose a sheet; shadows' are lower."""
 _LEAST_FILLED = 0.93  # least common part of the quadrilateral and the bright area
 _LEAST_STEP = 25.0
 """Least drop in grey level from the paper to its background, across each visible edge."""
 _EDGE_PX = 6.0  # distance from an edge at which both sides of it are compared, in that image
-_SHARP_PX, _LEAST_SHARP = 2.5, 0.5
-"""Distance at which a sheet's edge, not a shadow's, has at least this part of that drop."""
 _LEAST_SIDES = 3  # fewest visible edges; the fourth may be the edge of the photograph
 _ROUGH = 0.02  # tolerance of an outline with four corners, as a part of its length
 _LOOSE_PX = 5.0  # largest distance of a side's points from it, in that image
@@ -60,11 +55,7 @@ def find_sheet(grey: Grey) -> Corners | None:
 
 
 def _areas(paper: Grey) -> Iterator[Grey]:
-    """Yield areas that may be a sheet: brighter than a level, or enclosed by sharp edges, as the
-    edges of shadows are not."""
-    otsu, _ = cv2.threshold(paper, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
-    for part in _THRESHOLDS:
-        yield np.asarray(cv2.threshold(paper, part * otsu, 255, cv2.THRESH_BINARY)[1], np.uint8)
+    """Yield areas that may be a sheet: enclosed by sharp edges, as the edges of shadows are not."""
     square = np.ones((3, 3), np.uint8)
     edges = cv2.morphologyEx(np.log(paper + np.float32(8)), cv2.MORPH_GRADIENT, square)
     for step in _LOG_STEPS:
@@ -95,8 +86,6 @@ def _quadrilateral(outline: NDArray[np.int32]) -> Corners | None:
     rough = cv2.approxPolyDP(hull, _ROUGH * cv2.arcLength(hull, True), True).reshape(-1, 2)
     if len(rough) != 4:
         return None
-    around = rough - rough.mean(axis=0)
-    rough = rough[np.argsort(np.arctan2(around[:, 1], around[:, 0]))]
     rough = np.roll(rough, -int(rough.sum(axis=1).argmin()), axis=0).astype(np.float64)
     points, lines = outline.reshape(-1, 2), []
     for start, side in zip(rough, np.roll(rough, -1, axis=0) - rough, strict=True):
@@ -126,16 +115,13 @@ def _is_sheet(corners: Corners, outline: NDArray[np.int32], paper: Grey) -> bool
     for corner, side in zip(corners, sides, strict=True):
         along = corner + np.linspace(0.1, 0.9, 40)[:, None] * side
         outwards = np.array([side[1], -side[0]]) / np.hypot(*side)
-        away = np.array([_EDGE_PX, -_EDGE_PX, _SHARP_PX, -_SHARP_PX])
-        at = np.rint(along + away[:, None, None] * outwards).astype(int)
+        at = np.rint(along + np.array([_EDGE_PX, -_EDGE_PX])[:, None, None] * outwards).astype(int)
         within = ((at >= 0) & (at < paper.shape[::-1])).all(axis=(0, 2))
         if within.mean() < 0.5:
             continue
         column, row = at[:, within].transpose(2, 0, 1)
-        outside, inside, near, nearer = paper[row, column].astype(np.float64)
-        steps = inside - outside
-        blurred = np.median(nearer - near) < _LEAST_SHARP * np.median(steps)
-        if blurred or np.percentile(steps, 20) < _LEAST_STEP:
+        outside, inside = paper[row, column].astype(np.float64)
+        if np.percentile(inside - outside, 20) < _LEAST_STEP:
             return False
         seen += 1
     return seen >= _LEAST_SIDES
@@ -143,74 +129,30 @@ def _is_sheet(corners: Corners, outline: NDArray[np.int32], paper: Grey) -> bool
 
 LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
 """Note of a sheet that was found."""
-_LARGEST_SKEW_DEG = 15.0
-_LEAST_SKEW_DEG = 0.2  # least skew worth correcting: lines are followed through less
-_REDUCED_PIXELS = 2_000_000
-"""Size of the image in which skew is measured: letters of an A4 page are 10 pixels high."""
-_COARSE_DEG, _FINE_DEG = 0.5, 0.05
-_POINTS = 30_000
-_FEWEST_LETTERS = 8  # fewest letters that determine the direction of the text
-_BINS = 5.0  # rows per letter height in which ink is counted
-_EDGE_MEANS = 40  # places across a page at which the grey of its edges is averaged
-_LEAST_RISE = 0.3  # least rise of a line over its whole length, in letter heights
-_LEAST_CONTRAST = 3.2
-"""Least contrast of rows along the text, relative to other directions; pictures have up to 2.9."""
+_LEAST_SKEW_DEG, _LARGEST_SKEW_DEG = 0.2, 16.0  # below, lines are followed; above, none are sure
+_LEAST_RISE = 0.3  # least rise of a line over its whole length, in x-heights
+_FEWEST_X_HEIGHTS = 30.0  # least length of all lines, in x-heights, that determine the skew
 
 
-def straighten(page: Page) -> tuple[Page, list[str]]:
-    """Return a page with its text level, and the corrections, one sentence each.
-
-    The sheet of a photograph is laid flat; what is left of skew, up to 15°, is turned level. A page
-    that needs no correction is returned as it is. Whether it is upright is not examined.
-    """
-    notes = []
-    corners = find_sheet(page.grey)
-    if corners is not None:
-        page = Page(flattened(page.grey, corners), page.mm_per_pixel)
-        notes.append(LAID_FLAT)
-    skew_deg = _skew_deg(page.grey)
-    if skew_deg:
-        page = Page(_turned(page.grey, skew_deg), page.mm_per_pixel)
-        notes.append(f"the text was tilted by {abs(skew_deg):.1f}° and was turned level")
-    return page, notes
-
-
-def _skew_deg(grey: Grey) -> float:
-    """Return the clockwise skew of the lines of text, at most 15°; 0 if it is not certain.
-
-    Ink of letters is counted in rows along many directions: along the lines, full and empty rows
-    differ most (projection profiles, Postl 1986). How much more than along the usual direction
-    shows whether there is text at all.
-    """
-    ink = separate_ink(reduced(grey, _REDUCED_PIXELS)).ink
-    components, labels = find_components(ink)
-    height = usual_height(components, ink.shape)
-    kept = like_letters(components, height or 1.0)
-    if height is None or np.count_nonzero(kept) < _FEWEST_LETTERS:
+def skew_of(lines: Sequence[TextLine]) -> float:
+    """Return the clockwise skew of most lines in degrees; 0 if it is not certain."""
+    if not lines:
         return 0.0
-    points = np.argwhere(np.append(False, kept)[labels])
-    points = points[:: max(1, len(points) // _POINTS)]
-    down, across = (points * (_BINS / height)).T
-
-    def contrast(degrees: float) -> float:
-        turned = down - across * math.tan(math.radians(degrees))
-        rows = np.bincount((turned - turned.min()).astype(np.intp)).astype(np.float64)
-        return float(np.square(np.diff(rows)).sum())
-
-    coarse = np.arange(-_LARGEST_SKEW_DEG, _LARGEST_SKEW_DEG + _COARSE_DEG / 2, _COARSE_DEG)
-    found = np.array([contrast(degrees) for degrees in coarse])
-    fine = coarse[found.argmax()] + np.arange(-_COARSE_DEG, _COARSE_DEG, _FINE_DEG)
-    finest = np.array([contrast(degrees) for degrees in fine])
-    if finest.max() < _LEAST_CONTRAST * max(np.median(found), 1.0):
-        return 0.0
-    # Little text determines its direction poorly.
-    left, right = np.percentile(components.left[kept], 2), np.percentile(components.right[kept], 98)
-    least = math.degrees(_LEAST_RISE * height / max(float(right - left), 1.0))
-    skew_deg = float(fine[finest.argmax()])
-    return skew_deg if abs(skew_deg) >= max(_LEAST_SKEW_DEG, least) else 0.0
+    length = np.array([line.right_mm - line.left_mm for line in lines])
+    slope = np.array(
+        [float(line.slope(np.array(line.left_mm + line.right_mm) / 2)) for line in lines]
+    )
+    order = np.argsort(slope)
+    total = np.cumsum(length[order])
+    median = int(order[np.searchsorted(total, total[-1] / 2)])
+    x_height_mm = lines[median].x_height_mm
+    sure = total[-1] > _FEWEST_X_HEIGHTS * x_height_mm
+    sure &= abs(slope[median]) * length.max() > _LEAST_RISE * x_height_mm
+    skew_deg = math.degrees(math.atan(slope[median]))
+    return skew_deg if sure and _LEAST_SKEW_DEG <= abs(skew_deg) <= _LARGEST_SKEW_DEG else 0.0
 
 
-def _turned(grey: Grey, skew_deg: float) -> Grey:
+def turned(grey: Grey, skew_deg: float) -> Grey:
     """Rotate a page back; it grows, and the new area is filled with its paper."""
     height, width = grey.shape
     angle = math.radians(skew_deg)
@@ -218,11 +160,7 @@ def _turned(grey: Grey, skew_deg: float) -> Grey:
     size = (math.ceil(width * cos + height * sin), math.ceil(height * cos + width * sin))
     matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), skew_deg, 1)
     matrix[:, 2] += (size[0] - width) / 2, (size[1] - height) / 2
-    # Its outermost pixels, which are repeated as a border, are local means.
-    coarse = cv2.resize(grey, (_EDGE_MEANS, _EDGE_MEANS), interpolation=cv2.INTER_AREA)
-    soft = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
-    soft[1:-1, 1:-1] = grey[1:-1, 1:-1]
-    turned = cv2.warpAffine(
-        soft, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    paper = float(np.median(grey))
+    return np.asarray(
+        cv2.warpAffine(grey, matrix, size, flags=cv2.INTER_CUBIC, borderValue=paper), np.uint8
     )
-    return np.asarray(turned, np.uint8)

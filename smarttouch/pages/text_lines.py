@@ -132,11 +132,9 @@ def _panels(ink: Ink, components: Components, height: float, scale: int) -> Ink 
     return found
 
 
-_FEW_WORDS, _TILT = 30.0, 0.012
-"""Length of a line, in x-heights, below which such a tilt against its neighbors is an error."""
 _HOPELESS, _MISSES = 60, 3
 """Failed rows, and additional ones per line of text, after which the rest is a picture's."""
-_LONG_ROW = 10.0  # least length of a row, in letter heights, that determines its slope
+_LONG_ROW = 11.0  # least length of a row, in letter heights, that determines its slope
 _EVEN, _FEW, _MANY, _SIMILAR, _MOST_OF_ALL = 0.85, 4, 8, 1.7, 0.8
 """Part of the letters at their levels of a line that needs few to be sure, and letters of one that
 needs many; ratio of sizes at which others are lines, and their part of all ink without any sure."""
@@ -183,15 +181,14 @@ def _left_out(small: int, pictures: int) -> str:
 
 def _measured(ink: Ink, rows: list[Components]) -> tuple[list[Baseline], int]:
     """Return the baselines of rows that are text, and the number of those too small to be read."""
-    rows = sorted(rows, key=_length, reverse=True)
     found: list[Baseline] = []
     slope_at: Callable[[Floats, Floats], Floats] | None = None
     small = 0
-    for tried, row in enumerate(rows):
+    for tried, row in enumerate(sorted(rows, key=_length, reverse=True)):
         if tried > _HOPELESS + _MISSES * len(found):
             break
         slope = None
-        if _length(row) <= _LONG_ROW:
+        if found and _length(row) <= _LONG_ROW:
             # Rows come by their length: all long ones are known.
             slope_at = slope_at or _slopes(found)
             slope = float(slope_at(np.array(np.median(row.left)), np.array(np.median(row.bottom))))
@@ -199,50 +196,44 @@ def _measured(ink: Ink, rows: list[Components]) -> tuple[list[Baseline], int]:
         small += baseline.is_too_small
         if baseline.is_text:
             found.append(baseline)
-    slope_at = _slopes(found[: len(found) // 2])
-    for k, line in enumerate(found):
-        # Of a few words, descenders may tilt the line.
-        length = line.right - line.left
-        if length > _FEW_WORDS * line.x_height:
-            continue
-        slope = float(slope_at(np.array((line.left + line.right) / 2), np.array(line.middle_y)))
-        tilt = float(np.diff(line.at(np.array([line.left, line.right])))[0]) / length
-        if abs(tilt - slope) > _TILT:
-            level = measure_row(ink, line.letters, slope)
-            found[k] = max(level, line, key=lambda each: each.on_levels)
     return _credible(ink, found), small
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
     """Return lines that are no part of a picture. These are amid other ink, have few letters, or
     letters of many heights."""
-    rest = ink.astype(np.uint8)
+    rest, covered = ink.astype(np.uint8), np.zeros(ink.shape, np.uint8)
     for line in lines:
         x = np.linspace(line.left, line.right, _PLACES)
-        sides = [line.at(x) + reach * line.x_height for reach in _OWN]
-        corners = np.column_stack([np.append(x, x[::-1]), np.append(sides[0], sides[1][::-1])])
+        top, bottom = (line.at(x) + reach * line.x_height for reach in _OWN)
+        corners = np.column_stack([np.append(x, x[::-1]), np.append(top, bottom[::-1])])
+        outline = [np.rint(corners).astype(np.int32)]
         if len(line.rise) > 1:
-            cv2.fillPoly(rest, [np.rint(corners).astype(np.int32)], (0,))
+            cv2.fillPoly(rest, outline, (0,))
+        if len(line.rise) >= _FEW:
+            cv2.fillPoly(covered, outline, (1,))
     total = cv2.integral(rest)
-    sure: list[Baseline] = []
-    others: list[Baseline] = []
+    found, sure = [], []
     for line in lines:
-        count, area = len(line.rise), int(line.letters.area.sum())
-        high = line.letters.usual_height
-        top, bottom = np.clip([line.middle_y + reach * high for reach in _AROUND], 0, len(ink))
-        left, right = np.clip([line.left - high, line.right + high], 0, ink.shape[1])
-        around = total[np.ix_([int(top), int(bottom)], [int(left), int(right)])]
-        foreign = float(around[1, 1] - around[0, 1] - around[1, 0] + around[0, 0])
-        foreign = (foreign - area * (count == 1)) / area / min(count, _MANY)
-        even = line.on_levels >= _EVEN
-        if foreign < (_NEAR_FOREIGN if even and count >= _FEW else _FOREIGN):
-            (sure if count >= (_FEW if even else _MANY) else others).append(line)
+        size, count, even = line.letters.usual_height, len(line.rise), line.on_levels >= _EVEN
+        rows = np.clip(line.middle_y + np.multiply(_AROUND, size), 0, len(ink)).astype(int)
+        ends = np.clip([line.left - size, line.right + size], 0, ink.shape[1]).astype(int)
+        around = total[np.ix_(rows, ends)].astype(np.float64)
+        own = int(line.letters.area.sum())
+        foreign = around[1, 1] - around[0, 1] - around[1, 0] + around[0, 0] - own * (count == 1)
+        most = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
+        # A few letters amid a line are its dots and accents.
+        middle = min(round(line.middle_y - size / 2), len(ink) - 1)
+        amid = count < _FEW and covered[middle, round((line.left + line.right) / 2)]
+        if not amid and foreign < most * own * min(count, _MANY):
+            found.append(line)
+            sure += [line.x_height] if count >= (_FEW if even else _MANY) else []
     if not sure:
-        alone = sum(int(line.letters.area.sum()) for line in others)
-        return others if alone > _MOST_OF_ALL * np.count_nonzero(ink) else []
-    ratio = np.array([[line.x_height / other.x_height for other in sure] for line in others])
-    alike = np.exp(np.abs(np.log(ratio.reshape(-1, len(sure)))).min(axis=1)) < _SIMILAR
-    return sure + [line for line, is_alike in zip(others, alike, strict=True) if is_alike]
+        own = sum(int(line.letters.area.sum()) for line in found)
+        return found if own > _MOST_OF_ALL * np.count_nonzero(ink) else []
+    sizes = np.array([line.x_height for line in found])
+    alike = np.abs(np.log(sizes[:, None] / sure)).min(axis=1) < math.log(_SIMILAR)
+    return [found[k] for k in np.flatnonzero(alike)]
 
 
 def _length(row: Components) -> float:
@@ -285,18 +276,16 @@ _THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
 _FAR = 5.0  # distance of lines, in x-heights, that have nothing to do with each other
 _MEETING, _ONE_BASELINE, _ONE_SIZE = 1.2, 0.35, 1.5
 """White, offset of baselines, in x-heights, and ratio of sizes up to which two lines are one."""
-_SMALLER = 0.7  # size of a row of accents or dots, relative to that of its line
 
 
 def _with_marks(lines: list[Baseline], components: Components) -> list[Baseline]:
-    """Return lines without those made of accents, each with the marks at its ends."""
-    kept = [line for line in lines if not any(_belongs(line, other) for other in lines)]
+    """Return lines, each with the marks at its ends."""
     x, y = ((components.left + components.right) / 2, (components.top + components.bottom) / 2)
     thin, long = (side(components.width, components.height) for side in (np.minimum, np.maximum))
-    letters = np.concatenate([line.letters.left + 1j * line.letters.top for line in kept])
+    letters = np.concatenate([line.letters.left + 1j * line.letters.top for line in lines])
     free = ~np.isin(components.left + 1j * components.top, letters)
     found = []
-    for line in kept:
+    for line in lines:
         size = line.x_height
         above = (line.at(x) - y) / size
         mark = free & (above < _ABOVE) & (above > -_BELOW) & (thin > _THINNEST * size)
@@ -337,16 +326,6 @@ def _joined(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
         else:
             found.append(line)
     return found
-
-
-def _belongs(line: Baseline, other: Baseline) -> bool:
-    """Return whether a line consists of dots and accents of another one, or stands in it."""
-    few = len(line.letters.area) < min(_FEW, len(other.letters.area))
-    middle = (line.left + line.right) / 2
-    if (line.x_height > _SMALLER * other.x_height and not few) or line is other:
-        return False
-    above = float(other.at(np.array(middle)) - line.middle_y) / other.x_height
-    return other.left < middle < other.right and (-_SMALLER if few else 0) < above < 1
 
 
 _SAME, _CAPITALS = 0.15, 0.08

