@@ -276,10 +276,14 @@ def show_together(
     canceled = threading.Event()
     with ThreadPoolExecutor(max(1, len(patterns)), "show", CANCELED.set, (canceled,)) as pool:
         try:
-            for rising in [pool.submit(each.rise, level, patterns[each]) for each in patterns]:
-                rising.result()
-            showing = [pool.submit(each.show, patterns[each], seconds, level) for each in patterns]
-            return {each: shown.result() for each, shown in zip(patterns, showing, strict=True)}
+            rising = [pool.submit(session.rise, level, patterns[session]) for session in patterns]
+            for opened in rising:
+                opened.result()
+            showing = {
+                session: pool.submit(session.show, pattern, seconds, level)
+                for session, pattern in patterns.items()
+            }
+            return {session: shown.result() for session, shown in showing.items()}
         except BaseException:
             canceled.set()
             raise

@@ -257,7 +257,7 @@ class Pipeline:
         image = np.full((profile.optics.sensor_rows, profile.optics.sensor_columns), 230, np.uint8)
         image[::2, : profile.optics.sensor_columns // 2] = 20
         active = np.ones((len(Afferent), len(profile.electrodes)), np.float32)
-        active[[each for each in Afferent if each not in self._bank.weights]] = 0
+        active[[kind for kind in Afferent if kind not in self._bank.weights]] = 0
         for time_ns in (0, 10**9):
             twin.process(
                 Stimulus(active, time_ns, force_n, 20_000)

@@ -151,7 +151,7 @@ class RunStatistics:
         bank, other, spill = self.kernels, self.off_target, self.spill
         if bank is None or bank.discs:
             return (other, spill) if other or spill else None
-        classes = {each for mode in self.modes for each in mode.afferents} & bank.weights.keys()
+        classes = {kind for mode in self.modes for kind in mode.afferents} & bank.weights.keys()
         for afferent in classes:
             other = max(other, float(bank.off_target[afferent].max()))
             spill = max(spill, float(bank.spill[afferent].max()))

@@ -115,8 +115,8 @@ class Runner:
                     board.stop()
                     report = board.report()
                 ended = stop.reason or source.ended
-                told = source.notes[: source.notes_told]
-                notes = [words for words in self._notes() if words not in told]
+                reported = source.notes[: source.notes_told]
+                notes = [words for words in self._notes() if words not in reported]
                 for words in [*_account(report, board.dose), *notes]:
                     self._emit(Note(self._now_ns, words))
                 statistics.notes += loop.inputs.notes()
@@ -256,10 +256,10 @@ def _warnings(profile: Profile, bank: KernelBank, mode: Mode) -> Iterator[str]:
             "finger: calibrate again, and turn the current up slowly."
         )
     if mode is Mode.PC:
-        most = float(bank.off_target[Afferent.PC].max())
+        worst = float(bank.off_target[Afferent.PC].max())
         yield (
-            f"PC mode is not selective: classes nearer to the surface get up to {most:.1f} times "
-            f"what PC does, and answer at {1 / most:.0%} of its current. Raise the intensity "
+            f"PC mode is not selective: classes nearer to the surface get up to {worst:.1f} times "
+            f"what PC does, and answer at {1 / worst:.0%} of its current. Raise the intensity "
             "slowly."
         )
 

@@ -232,16 +232,16 @@ class OnEvent(Listener):
         self._function(event)
 
 
-def as_listeners(given: Iterable[Listener | Callable[[StepResult], object]]) -> list[Listener]:
+def as_listeners(followers: Iterable[Listener | Callable[[StepResult], object]]) -> list[Listener]:
     """Return listeners; plain functions are called with each step.
 
     Raises a SmartTouchError for what is neither.
     """
-    listeners = list(given)
+    listeners = list(followers)
     for listener in listeners:
         if isinstance(listener, type) or not (isinstance(listener, Listener) or callable(listener)):
             raise SmartTouchError(
                 f"{getattr(listener, '__name__', kind_in_words(listener))} is not a listener: give "
                 "an object of a subclass of Listener, or a function of a StepResult"
             )
-    return [each if isinstance(each, Listener) else OnStep(each) for each in listeners]
+    return [entry if isinstance(entry, Listener) else OnStep(entry) for entry in listeners]
