@@ -1,6 +1,5 @@
 """The loop ends in order, whatever happens in it, and keeps its phase against the board."""
 
-import threading
 from contextlib import contextmanager
 from types import SimpleNamespace
 
@@ -387,22 +386,6 @@ def test_a_pause_before_a_frame_is_taken_drops_nothing(profile, play):
     run = play(Bars(60), board=board, clock=clock)
     assert run.intensities[39:42] == [1, 0, pytest.approx(0.04)]
     assert board.dropped_late == 0
-
-
-def test_a_stop_halts_the_board_in_the_middle_of_a_step(monkeypatch, play, pipeline, board):
-    stop, process = StopRequest(), pipeline.process
-
-    def stopped_meanwhile(*given):
-        if len(board.driver.sequences) == 10:
-            thread = threading.Thread(target=stop.ask, args=("key q",))
-            thread.start()
-            thread.join()
-        return process(*given)
-
-    monkeypatch.setattr(pipeline, "process", stopped_meanwhile)
-    with stop.on_stop(board.halt):
-        run = play(Bars(60), stop=stop)
-    assert (len(board.driver.sequences), run.statistics.frames, stop.reason) == (10, 10, "key q")
 
 
 def test_a_board_stopped_by_nobody_who_may_is_a_fault(play, board):

@@ -234,7 +234,9 @@ def test_a_task_that_is_canceled_ends_its_pattern():
 
     async def main():
         await touch.rise_async()
-        showing = asyncio.create_task(touch.show_async(RING, 30.0))
+        showing, before = asyncio.create_task(touch.show_async(RING, 30.0)), len(results)
+        while len(results) == before:
+            await asyncio.sleep(0.01)
         waiting = asyncio.create_task(touch.show_async(np.roll(RING, 1), 30.0))
         await asyncio.sleep(0.2)
         for each in (waiting, showing):
@@ -293,8 +295,10 @@ def test_a_listener_that_fails_ends_the_session_with_its_own_error(when):
     assert "closed" in repr(touch)
 
 
-def test_what_ends_the_block_ends_at_zero():
+def test_what_ends_the_block_ends_at_zero_and_nothing_is_shown_outside_it():
     touch, _ = session("emulator:")
+    with raises(SmartTouchError, names="session"):
+        touch.show(RING, 0.1)
 
     def fails():
         with touch:
@@ -310,14 +314,6 @@ def test_what_ends_the_block_ends_at_zero():
     for call in (lambda: touch.show(RING, 0.1), lambda: touch.put(RING), touch.rise):
         with raises(SmartTouchError, names="session"):
             call()
-
-
-def test_nothing_is_shown_outside_the_block():
-    touch, _ = session()
-    with raises(SmartTouchError, names="session"):
-        touch.show(RING, 0.1)
-    with raises(SmartTouchError), session("emulator:", profile="line-8", force="nothing:")[0]:
-        pass
 
 
 @pytest.mark.parametrize("ending", ["session", "display"])
