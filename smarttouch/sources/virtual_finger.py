@@ -1,7 +1,7 @@
 """A virtual finger over a page: its path, and frames like those of a photo-sensor patch."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -72,7 +72,8 @@ class ReadingPath:
 
     def at(self, time_s: float) -> tuple[Pose, float]:
         """Return the pose and the force in newtons."""
-        x, y, angle, press = _at(self._table, time_s)
+        value = partial(np.interp, time_s, self._table[0])
+        x, y, angle, press = map(float, map(value, self._table[1:]))
         return Pose(x, y, angle), press * self._force_n
 
 
@@ -86,13 +87,9 @@ class RecordedPath:
 
     def at(self, time_s: float) -> tuple[Pose, float]:
         """Return the pose and the force in newtons."""
-        x, y, angle, force = _at(self._table, time_s)
+        value = partial(np.interp, time_s, self._table[0])
+        x, y, angle, force = map(float, map(value, self._table[1:]))
         return Pose(x, y, math.radians(angle)), force
-
-
-def _at(table: Floats, time_s: float) -> Iterator[float]:
-    """Interpolate the other rows of a table at a time of its first row."""
-    return map(float, map(partial(np.interp, time_s, table[0]), table[1:]))
 
 
 def _printed(page: Page, light_on_dark: bool) -> TextLine:
