@@ -6,9 +6,6 @@ import os
 import sys
 import unicodedata
 
-from hypothesis import given
-from hypothesis import strategies as st
-
 from smarttouch.base import terminal
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.terminal import PlainStream, guarded_output, printable
@@ -44,11 +41,6 @@ def test_words_stay_as_they_are():
     # With joiners, marks and signs beyond the basic plane, which writing needs.
     for text in ("naïve Ω", "می‌خواهم", "क्‍ष", "ਸ਼", "👩‍🔬", "⠓⠑⠇⠇⠕", "a\tb\nc", "−µ×"):
         assert printable(text) == text
-
-
-@given(st.text())
-def test_once_is_enough(text):
-    assert printable(printable(text)) == printable(text)
 
 
 def test_plain_output():

@@ -11,8 +11,6 @@ from smarttouch.base.errors import BoardError, PageError, SourceError
 from smarttouch.base.url_options import read_options
 from smarttouch.boards.open import make_board
 from smarttouch.cli.read import DocumentOptions
-from smarttouch.instruments.hand_motion import open_motion
-from smarttouch.instruments.relief import open_texture
 from smarttouch.profile import load_profile
 from smarttouch.sources import open_source
 from smarttouch.stimulation.safety_gate import SafetyLimits
@@ -101,28 +99,6 @@ def test_boards_by_url(tmp_path):
     assert (tmp_path / "state.json").exists()
     with raises(BoardError, names="?firmware", allowed="books, events"):
         make_board("emulator:?firmware=1", limits)
-
-
-def test_a_motion_with_its_options():
-    told = open_motion("sweep:2?speed_mm_s=20")
-    given = open_motion("sweep:2", speed_mm_s=20.0)
-    for time_ns in (0, 100_000_000, 1_000_000_000):
-        assert told.read(time_ns) == given.read(time_ns)
-    with raises(SourceError, names="speed_mm_s", value="speed_mm_s=20"):
-        open_motion("sweep:?speed_mm_s=20", speed_mm_s=30.0)
-    with raises(SourceError, names="?span_mm"):
-        open_motion("sweep:?span_mm=20x30")
-
-
-def test_a_texture_with_its_options(tmp_path):
-    path = tmp_path / "wood.png"
-    Image.fromarray(np.tile(np.arange(64, dtype=np.uint8), (32, 1))).save(path)
-    told = open_texture(f"{path}?dpi=254&light_on_dark")
-    given = open_texture(str(path), dpi=254.0, light_on_dark=True)
-    assert told.size_mm == given.size_mm
-    assert open_texture(f"{path}?width_mm=5").size_mm == pytest.approx((5.0, 2.5))
-    with raises(PageError, names="dpi", value="dpi=254"):
-        open_texture(f"{path}?dpi=254", dpi=300.0)
 
 
 def test_a_document_with_its_options(tmp_path):
