@@ -5,10 +5,11 @@ from itertools import groupby
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.text import Text
 
 from smarttouch.profile import Profile
 
+Row = list[tuple[str, str]]
+"""Pieces of a row of the terminal, and their styles."""
 MOST_ROWS, MOST_COLUMNS = 16, 64  # of a picture, in characters: drawing takes the loop's time
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
@@ -17,7 +18,7 @@ _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5
 """Grey value above which each dot of two signs side by side is bright."""
 
 
-def image_text(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool) -> Text:
+def image_rows(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool) -> list[Row]:
     """Draw a grey image within a number of columns and rows: in color as half blocks, two pixels to
     a character, else as Braille characters of eight dots."""
     height, width = image.shape
@@ -30,21 +31,20 @@ def image_text(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool
     small = cv2.resize(image, (wide, 2 * rows), interpolation=cv2.INTER_AREA)
     # Fewer shades make longer runs: drawing takes the loop's time.
     small = small // _SHADE * _SHADE
-    text = Text()
+    drawn: list[Row] = []
     for upper, lower in zip(small[::2], small[1::2], strict=True):
+        drawn.append([])
         for pair, run in groupby(zip(upper.tolist(), lower.tolist(), strict=True)):
             above, below = (f"rgb({grey},{grey},{grey})" for grey in pair)
-            text.append("▀" * len(list(run)), style=f"{above} on {below}")
-        text.append("\n")
-    text.right_crop(1)
-    return text
+            drawn[-1].append(("▀" * len(list(run)), f"{above} on {below}"))
+    return drawn
 
 
-def _dots(image: NDArray[np.uint8], columns: int, rows: int) -> Text:
+def _dots(image: NDArray[np.uint8], columns: int, rows: int) -> list[Row]:
     small = cv2.resize(image, (2 * columns, 4 * rows), interpolation=cv2.INTER_AREA)
     bright = small > np.tile(_DITHER, (rows, -(-columns // 2)))[:, : 2 * columns]
     signs = np.einsum("rickd,id->rc", bright.reshape(rows, 4, columns, 1, 2), _DOTS)
-    return Text("\n".join("".join(chr(0x2800 + each) for each in row) for row in signs.tolist()))
+    return [[("".join(chr(0x2800 + each) for each in row), "")] for row in signs.tolist()]
 
 
 class ArrayPicture:
@@ -62,7 +62,7 @@ class ArrayPicture:
         """Return how many columns and rows of electrodes a character covers."""
         return max(-(-self._columns // columns), -(-self._rows // rows))
 
-    def draw(self, parts: NDArray[np.float32], columns: int, rows: int) -> Text:
+    def draw(self, parts: NDArray[np.float32], columns: int, rows: int) -> list[Row]:
         """Draw electrodes, (E,) as parts of the strongest, within a number of columns and rows; a
         character shows its strongest electrode."""
         merged = self.merged(columns, rows)
@@ -70,14 +70,13 @@ class ArrayPicture:
         most = np.full(shape, -1.0)
         np.maximum.at(most, (self._row // merged, self._column // merged), parts.clip(0, 1))
         spread = min(self._spread, columns // shape[1])
-        text = Text()
+        drawn: list[Row] = []
         for line in most.tolist():
+            drawn.append([])
             for part, run in groupby(line):
                 sign, style = _sign(part, spread)
-                text.append(sign * len(list(run)), style)
-            text.append("\n")
-        text.right_crop(1)
-        return text
+                drawn[-1].append((sign * len(list(run)), style))
+        return drawn
 
 
 def _sign(part: float, spread: int) -> tuple[str, str]:

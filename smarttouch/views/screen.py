@@ -24,7 +24,7 @@ from smarttouch.base import terminal
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.events import Advice, Event
 from smarttouch.running.step import FirstPulse, Listener, RunContext, StepResult
-from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, image_text
+from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, Row, image_rows
 
 _REFRESH_S = 0.2
 _LEAST_REST = 20  # time between two redraws, at least so many times what the last one took
@@ -35,7 +35,6 @@ _NAME = 9
 _CLOSES_WITHIN_S = 1.0  # a terminal that has stopped reading takes longer
 
 Rows = tuple[tuple[str, str], ...]
-_Row = list[tuple[str, str]]  # pieces of a row of the terminal, and their styles
 
 
 class Screen(Listener):
@@ -200,22 +199,21 @@ class Screen(Listener):
         lines = textwrap.wrap("   ".join(groups), width)
         return [line.replace("\xa0", " ") for line in lines]
 
-    def _pictures(self, sent: StepResult, width: int, rows: int) -> list[_Row]:
+    def _pictures(self, sent: StepResult, width: int, rows: int) -> list[Row]:
         image, half = sent.step.input.image, max(2, (width - 3) // 2)
         electrodes, rows = sent.delivered_ma / self._full_ma, rows - 1
         if image is None:
             title = "asked for"
             asked = sent.step.tactile.activation.max(axis=0)
-            given = self._array.draw(asked, half, rows)
+            pictured = self._array.draw(asked, half, rows)
         else:
             title = "source sees"
-            given = image_text(image, half, rows, color=not self._console.no_color)
-        pictured = _rows_of(given)
+            pictured = image_rows(image, half, rows, color=not self._console.no_color)
         wide = max(len(title), *(sum(len(words) for words, _ in row) for row in pictured))
         beside = max(2, width - 3 - wide)
         merged = self._array.merged(beside, rows)
         what = f"{sent.step.mode} electrodes" + f", {merged} × {merged} each" * (merged > 1)
-        drawn = _rows_of(self._array.draw(electrodes, beside, rows))
+        drawn = self._array.draw(electrodes, beside, rows)
         # Always as high as it may be.
         for each in (pictured, drawn):
             each += [[] for _ in range(rows - len(each))]
@@ -301,7 +299,7 @@ class _Rows:
     Nothing is measured twice, wrapped or nested, which takes most of the time of tables.
     """
 
-    def __init__(self, width: int, rows: list[_Row]) -> None:
+    def __init__(self, width: int, rows: list[Row]) -> None:
         self._width, self._rows = width, rows
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -321,33 +319,17 @@ def _fitting(words: str, width: int) -> str:
     return set_cell_size(words, width - 1) + "…" if width > 0 else ""
 
 
-def _padded(row: _Row, width: int) -> _Row:
+def _padded(row: Row, width: int) -> Row:
     """Return a row filled up with spaces."""
     return [*row, (" " * (width - sum(cell_len(words) for words, _ in row)), "")]
 
 
-def _rows_of(text: Text) -> list[_Row]:
-    """Return the lines of a text that was put together piece by piece."""
-    rows: list[_Row] = [[]]
-    end = 0
-    for span in [*text.spans, None]:
-        start = len(text.plain) if span is None else span.start
-        before, *lines = text.plain[end:start].split("\n")
-        if before:
-            rows[-1].append((before, ""))
-        rows += [[(line, "")] if line else [] for line in lines]
-        if span is not None:
-            rows[-1].append((text.plain[start : span.end], str(span.style)))
-            end = span.end
-    return rows
-
-
-def _columns(rows: Rows, width: int) -> list[_Row]:
+def _columns(rows: Rows, width: int) -> list[Row]:
     """Return names and values, two pairs in a row."""
     wide = max(1, width // 2 - _NAME - 2)
-    found: list[_Row] = []
+    found: list[Row] = []
     for pairs in zip_longest(rows[::2], rows[1::2], fillvalue=("", "")):
-        row: _Row = []
+        row: Row = []
         for name, value in pairs:
             row += _padded([(_fitting(name, _NAME), "dim")], _NAME + 1)
             row += _padded([(_fitting(value, wide), "")], wide + 1)

@@ -21,7 +21,7 @@ from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Frame, Stimulus
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
-from smarttouch.views.character_pictures import ArrayPicture, image_text
+from smarttouch.views.character_pictures import ArrayPicture, image_rows
 from smarttouch.views.screen import Screen, _beside
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
@@ -132,20 +132,25 @@ def test_a_terminal_that_is_far_too_small_shows_what_fits(shown, sent, columns, 
     assert shown((columns, rows), sent, keys_help="← → rate    ")
 
 
+def text_of(rows):
+    return "\n".join("".join(words for words, _ in row) for row in rows)
+
+
 @pytest.mark.parametrize("color", [True, False])
 def test_an_image_is_seen(color):
-    drawn = {str(image_text(printed(*greys), 32, 16, color=color)) for greys in
+    drawn = {text_of(image_rows(printed(*greys), 32, 16, color=color)) for greys in
              ((255, 0), (0, 255), (255, 255), (128, 128), (0, 0))}  # fmt: skip
     assert len(drawn) == (1 if color else 5)
     if color:
-        shades = {span.style for span in image_text(printed(255, 0), 32, 16, color=True).spans}
+        rows = image_rows(printed(255, 0), 32, 16, color=True)
+        shades = {style for row in rows for _, style in row}
         assert len(shades) >= 2
 
 
 @pytest.mark.parametrize("shape", [(64, 64), (480, 640), (1, 255), (255, 1), (1, 1)])
 @pytest.mark.parametrize("color", [True, False])
 def test_an_image_stays_within_its_place(shape, color):
-    lines = str(image_text(np.zeros(shape, np.uint8), 30, 10, color=color)).split("\n")
+    lines = text_of(image_rows(np.zeros(shape, np.uint8), 30, 10, color=color)).split("\n")
     assert 1 <= len(lines) <= 10
     assert {len(line) for line in lines} <= {*range(2, 31)}
 
@@ -157,7 +162,7 @@ def test_an_array_stays_within_its_place(name, place):
     picture = ArrayPicture(profile)
     parts = np.zeros(len(profile.electrodes.position_mm), np.float32)
     parts[5] = 1
-    drawn = str(picture.draw(parts, *place))
+    drawn = text_of(picture.draw(parts, *place))
     lines = drawn.split("\n")
     assert len(lines) <= place[1]
     assert max(map(len, lines)) <= place[0]
