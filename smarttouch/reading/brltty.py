@@ -24,14 +24,16 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SourceError, require_within
 from smarttouch.braille.cells import BLANK
 from smarttouch.imaging.array_window import reading_force_n, usual_speed_mm_s
+from smarttouch.pages.page_image import Page
 from smarttouch.profile import Profile
 from smarttouch.reading.braille_lines import CellLayout, cell_layout
 from smarttouch.reading.line_source import FASTEST_MM_S, LINE_GAP_MM, SLOWEST_MM_S
-from smarttouch.sources.source_contract import Pose, Stimulus, StimulusSource
+from smarttouch.sources.source_contract import Pose, Sheet, Stimulus, StimulusSource
 
 LONGEST_LINE = 16_384  # bytes of a message
 MOST_CELLS = 255
 USUAL_CELLS, USUAL_PORT = 20, 35752  # BRLTTY's virtual driver connects to this port by default
+_DOT_PX = 4  # side of a dot in the picture of a line
 REST_S = 0.3  # time for which the first cell after a jump stays before the others follow
 _ACCEPT_S, _JOIN_S = 0.25, 1.0
 _MESSAGE = re.compile(r'(Braille|Visual) "(.*)"\s*')
@@ -218,6 +220,20 @@ class BrailleDisplaySource(StimulusSource):
             "[": lambda: self._asked.append(lambda: self._go_to(max(0, self.cell - 1))),
             " ": lambda: self._asked.append(self._toggle_pause),
         }
+
+    @property
+    def sheet(self) -> Sheet | None:
+        """Return the line of dots under the finger."""
+        if not self._dots.size:
+            return None
+        (rows, columns), (across, down) = self._dots.shape, self.layout.pitch_mm
+        size = (_DOT_PX * columns, round(_DOT_PX * rows * down / across))
+        light = np.where(self._dots, 0, 255).astype(np.uint8)
+        grey = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_NEAREST), np.uint8)
+        top_mm = self._jumps * (rows * down + LINE_GAP_MM) - rows * down / 2
+        # Both only rise: it changes with either.
+        number = self._jumps + self._taken.number
+        return Sheet(number, Page(grey, across / _DOT_PX), (0.0, top_mm))
 
     def read(self, time_ns: int) -> Stimulus | None:
         """Return the cells under the array at a time; stale while BRLTTY is away."""

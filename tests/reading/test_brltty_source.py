@@ -153,6 +153,25 @@ def test_a_line_moves_through_electrode_by_electrode(finger):
     assert not windows[-1].any()
 
 
+def test_the_line_lies_where_the_finger_feels_it(finger):
+    assert finger.source.sheet is None
+    numbers = set()
+    for cells in ("⠓⠊⠞", "⠇⠊⠞"):
+        finger.show(cells)
+        pose, window = finger.after(REST_S).pose, finger.window()
+        sheet = finger.source.sheet
+        across, down = finger.layout.pitch_mm
+        corner = np.array([pose.x_mm - 4 * across, pose.y_mm - 4 * down]) - sheet.corner_mm
+        left, top = np.rint(corner / sheet.page.mm_per_pixel).astype(int)
+        assert top == 0
+        seen = sheet.page.grey[:, max(left, 0) :: 4][::4] == 0
+        np.testing.assert_array_equal(
+            seen[:, : 8 - max(-left // 4, 0)], window[:, max(-left // 4, 0) :]
+        )
+        numbers.add(sheet.number)
+    assert len(numbers) == 2
+
+
 def test_without_brltty_nothing_is_felt_and_a_lost_line_stays_where_it_was(finger):
     assert finger.after().stale
     finger.show("⠓⠊⠞")
