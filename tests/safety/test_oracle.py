@@ -1,10 +1,14 @@
-"""The rules from one sequence to the next by hand, and what the oracle reads of a profile."""
+"""The oracle's limits over time by hand, and what it may import."""
 
+import ast
 import math
+import sys
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
+import pytest
 
 from .bounds import NS, WHOLE, Bounds
 from .by_hand import FULL, pair, sequence
@@ -256,3 +260,39 @@ def test_bounds_of_profiles():
     assert (finger.total_ua, finger.strong_ua[2]) == (3333, 167)
     slow = Bounds.of(display("slow"))
     assert (slow.pulse_us, slow.rate_hz) == (150, Fraction(603, 10))
+
+
+HERE = Path(__file__).parent
+ORACLE = ("bounds", "rules", "quick", "oracle", "deliveries")
+"""The modules that judge; the others ask them, and the gate."""
+MAY = (
+    "smarttouch.profile",
+    "smarttouch.profile.electrodes",
+    "smarttouch.emulator.firmware",
+    "smarttouch.emulator.skin",
+)
+"""What they may know of the package: data, geometry, and what an emulator wrote down."""
+
+
+def imports_of(path):
+    """Return the absolute names of everything a module imports, relative ones from `tests`."""
+    names = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names += [each.name for each in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names.append("." * node.level + (node.module or ""))
+    return names
+
+
+@pytest.mark.parametrize("name", ORACLE)
+def test_the_oracle_imports_nothing_of_the_gate(name):
+    for imported in imports_of(HERE / f"{name}.py"):
+        if imported.startswith("smarttouch"):
+            assert imported in MAY
+        elif imported.startswith("."):
+            assert imported.lstrip(".") in ORACLE
+            assert not imported.startswith("..")
+        else:
+            assert imported.split(".")[0] in {*sys.stdlib_module_names, "numpy"}
+            assert imported != "importlib"

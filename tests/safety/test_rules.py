@@ -1,4 +1,4 @@
-"""Every rule of a single sequence by hand: just inside it holds, just outside it alone breaks."""
+"""Every rule of a single sequence by hand, and both forms of the rules beside each other."""
 
 import math
 from dataclasses import replace
@@ -6,7 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ..whole import sample
+from .agreement import RunStatistics, stream
 from .by_hand import FULL, pair, sequence
+from .displays import display_names
+from .gates import Answer
+from .oracle import Oracle
 from .quick import judge_alone_quickly
 from .rules import judge_alone
 
@@ -115,3 +120,30 @@ def test_wrong_types_end_it(judge, name, wrong):
 def test_a_site_beyond_the_array_is_out_of_range():
     beyond = replace(sequence(pair(9)), site=np.array([4], np.uint16))
     assert judge_alone(beyond, FULL).broken == ["range"]
+
+
+STREAMS = 2
+
+
+class OtherForm:
+    """An oracle in the place of a gate, with the other form of the rules."""
+
+    def __init__(self, profile):
+        self._oracles = [Oracle(profile, judge) for judge in (judge_alone, judge_alone_quickly)]
+
+    def ask(self, sequence, clock_ns, times=1, written=True):
+        first, second = (
+            oracle.judge(sequence, clock_ns, times, written=written) for oracle in self._oracles
+        )
+        assert first == second
+        return Answer(not first, limit=",".join(first))
+
+
+@pytest.mark.parametrize("name", sample(display_names(), 5))
+def test_both_forms_agree(name):
+    tally = RunStatistics()
+    for seed in range(STREAMS):
+        stream(name, seed, tally, OtherForm)
+    assert tally.asked > 130
+    assert tally.disagreements == 0
+    assert min(tally.accepted, tally.refused) > 30
