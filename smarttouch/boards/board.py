@@ -31,12 +31,10 @@ from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
 from smarttouch.boards.probe_scans import measure_by_probes
 from smarttouch.boards.reports import (
-    BOTH,
     BoardReport,
     Capabilities,
     HostStatistics,
     Impedance,
-    Polarity,
     SequenceStart,
     find_latch,
     latch,
@@ -47,7 +45,7 @@ from smarttouch.stimulation.exposure import Dose
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
 
-__all__ = ["BOTH", "Board", "BoardReport", "Capabilities", "Polarity"]
+__all__ = ["Board", "BoardReport", "Capabilities"]
 
 FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock
 PROBES = 10  # attempts at a measuring scan: on a busy computer its reading may be lost
@@ -231,7 +229,7 @@ class Board:
 
     def _close_driver(self) -> None:
         self._ending.set()
-        self._notify()
+        self._wake()
         if self._sender is not None and self._sender is not threading.current_thread():
             self._sender.join(ENDS_WITHIN_S)
         try:
@@ -263,11 +261,14 @@ class Board:
         self._require_own_process()
         if self._opened:
             self._opened = self._line.reopened = False
-            with contextlib.ExitStack() as stack:
-                stack.callback(lambda: leave(self, at_zero=self._zeroed))
-                stack.callback(setattr, self, "_ready", False)
-                stack.callback(self._close_driver)
+            try:
                 self.stop()
+            finally:
+                try:
+                    self._close_driver()
+                finally:
+                    self._ready = False
+                    leave(self, at_zero=self._zeroed)
             if self._fault_found is not None:
                 raise self._fault_found
 
@@ -289,7 +290,7 @@ class Board:
             try:
                 self._line._bar()
             finally:
-                self._notify(waiting=None)
+                self._wake(drop=True)
                 if self._ready:
                     self._confirm_zero()
             self._zeroed = True
@@ -308,10 +309,10 @@ class Board:
             if not self._is_lost or self.capabilities.time_to_zero_ms is None:
                 raise
 
-    def _notify(self, **changes: object) -> None:
-        """Set attributes that threads share, and wake those that wait."""
+    def _wake(self, *, drop: bool = False) -> None:
+        """Wake threads that wait; ``drop`` the sequence that waits for the sender thread."""
         with self._news:
-            vars(self).update(changes)
+            self._waiting = None if drop else self._waiting
             self._news.notify_all()
 
     def _refusal(self) -> BoardError:
@@ -554,7 +555,8 @@ class Board:
             except Exception as error:
                 self._fail(error)
                 break
-        self._notify(_busy=False)
+        self._busy = False
+        self._wake()
 
     def _fail(self, error: Exception) -> None:
         fault = error
