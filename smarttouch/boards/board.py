@@ -608,9 +608,11 @@ class Board:
         for again in range(PROBES):
             self.send(replace(probe, time_ns=probe.time_ns + again))
             self.drain()
-            found = [volts for scan, volts in self.take_volts() if scan.time_ns >= probe.time_ns]
-            if found or not probe.slots:
-                return found[-1].astype(np.float64) if found else np.empty(0)
+            volts_found = [
+                volts for scan, volts in self.take_volts() if scan.time_ns >= probe.time_ns
+            ]
+            if volts_found or not probe.slots:
+                return volts_found[-1].astype(np.float64) if volts_found else np.empty(0)
         raise BoardError(
             f"the board at {self._line.name} did not report the voltages of its electrodes: "
             "measure again"
@@ -618,9 +620,9 @@ class Board:
 
     def report(self) -> BoardReport:
         """Return the report of what was delivered: the device's own, else the host's."""
-        own = self.driver.status()
-        if own is not None:
-            return own
+        reported = self.driver.status()
+        if reported is not None:
+            return reported
         with self._news:
             return self._statistics.report
 

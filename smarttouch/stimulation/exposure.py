@@ -140,12 +140,12 @@ class Exposure:
         With less than that, what is planned without knowledge of an earlier session could be
         refused.
         """
-        kept = [each for each in reversed(self._window) if each.end_ns > now_ns - WINDOW_NS]
-        if not kept or self._second_at_most <= PER_PC * NET_PC / 2:
+        recent = [scan for scan in reversed(self._window) if scan.end_ns > now_ns - WINDOW_NS]
+        if not recent or self._second_at_most <= PER_PC * NET_PC / 2:
             return 0
-        newest = np.abs(np.cumsum([each.sums[2] for each in kept], axis=0)).max(axis=1)
+        newest = np.abs(np.cumsum([scan.sums[2] for scan in recent], axis=0)).max(axis=1)
         over = np.flatnonzero(newest > NET_PC / 2)
-        return kept[over[0]].end_ns + WINDOW_NS - now_ns if len(over) else 0
+        return recent[over[0]].end_ns + WINDOW_NS - now_ns if len(over) else 0
 
     def enter(self, now_ns: int, period_us: int, times: int, made: PassLoad, flows: bool) -> None:
         """Enter passes of a sequence that may begin now, which is never before the last call; it
@@ -178,8 +178,10 @@ class Exposure:
             _check_recharge(carried_pc, made.recharge_pc, sums[2], times)
         first = _Pass(start_ns, start_ns + 1000 * made.busy_us, sums, most)
         # Until the first of its passes has left the second, each adds to what is in it.
-        own = 1 if times == 1 else min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
-        net_at_most = self._check_second(now_ns, first, own, period_ns, entered)
+        judged = (
+            1 if times == 1 else min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
+        )
+        net_at_most = self._check_second(now_ns, first, judged, period_ns, entered)
         if session_ns > self._most_session_ns:
             raise refusal("session_s", session_ns / 1e9, self._limits.session_s)
         if np.maximum.reduce(session[1]) > self._most_of_session:
@@ -195,20 +197,20 @@ class Exposure:
         self._session, self._session_ns = session, session_ns
 
     def _add(self, passes: list[_Pass]) -> None:
-        for each in passes:
-            self._window.append(each)
-            self._second_at_most += each.most
-            self._net_at_most += each.most
+        for scan in passes:
+            self._window.append(scan)
+            self._second_at_most += scan.most
+            self._net_at_most += scan.most
 
     def _check_second(
-        self, now_ns: int, first: _Pass, own: int, period_ns: int, entered: list[_Pass]
+        self, now_ns: int, first: _Pass, judged: int, period_ns: int, entered: list[_Pass]
     ) -> float:
         """Raise if any second would hold too many passes, or too much of what they bring: of
-        ``own`` passes a period apart, and of those of the sequence before that are not in the
+        ``judged`` passes a period apart, and of those of the sequence before that are not in the
         window yet. Returns a bound of the net charge (× `PER_PC`) of the newest passes before."""
-        window, most = self._window, own * first.most
-        for each in entered:
-            most += each.most
+        window, most = self._window, judged * first.most
+        for scan in entered:
+            most += scan.most
         net_at_most = min(self._net_at_most, self._second_at_most)
         if (
             len(window) + len(entered) < self._most_passes
@@ -216,19 +218,19 @@ class Exposure:
             and net_at_most + most <= PER_PC * NET_PC
         ):
             return net_at_most
-        kept = [each for each in (*window, *entered) if each.end_ns > now_ns - WINDOW_NS]
-        passes = sum(each.start_ns > now_ns - WINDOW_NS for each in kept) + 1
+        recent = [scan for scan in (*window, *entered) if scan.end_ns > now_ns - WINDOW_NS]
+        passes = sum(scan.start_ns > now_ns - WINDOW_NS for scan in recent) + 1
         if passes > self._most_passes:
             raise refusal("passes", passes, self._most_passes)
-        ends_ns = [each.end_ns for each in kept]
+        ends_ns = [scan.end_ns for scan in recent]
         # Of the newest passes, from each of them on.
         nothing = np.zeros_like(first.sums)
-        sums = np.cumsum([nothing, *(each.sums for each in reversed(kept))], axis=0)
+        sums = np.cumsum([nothing, *(scan.sums for scan in reversed(recent))], axis=0)
         nets = sums[:, 2]
         highest, lowest = np.maximum.accumulate(nets), np.minimum.accumulate(nets)
-        for index in range(own):
+        for index in range(judged):
             time_ns = first.start_ns + index * period_ns if index else now_ns
-            count = len(kept) - bisect_right(ends_ns, time_ns - WINDOW_NS)
+            count = len(recent) - bisect_right(ends_ns, time_ns - WINDOW_NS)
             second = (sums[count] + (index + 1) * first.sums)[:2]
             if second.max() > MOST_PER_US * 1_000_000:
                 raise _too_much(second, 1_000_000)

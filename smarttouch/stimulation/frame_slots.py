@@ -66,10 +66,12 @@ class FrameSlots:
         """Intensity from which no sum breaks a bound, whatever rounding to whole numbers does."""
         self._figures = lru_cache(maxsize=1)(self._certain.figures)
         self._most_ma = profile.total_ma - self._certain.total_ua / 1000
-        self._shared_ma = np.concatenate([np.empty((0, count)), *(each.kernels for each in sets)])
-        self._sites = np.concatenate([np.empty(0, np.intp), *(each.sites for each in sets)])
-        self._owner = np.repeat(np.arange(len(sets)), [len(each.sites) for each in sets])
-        self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for each in sets)])
+        self._shared_ma = np.concatenate(
+            [np.empty((0, count)), *(proved.kernels for proved in sets)]
+        )
+        self._sites = np.concatenate([np.empty(0, np.intp), *(proved.sites for proved in sets)])
+        self._owner = np.repeat(np.arange(len(sets)), [len(proved.sites) for proved in sets])
+        self._totals_ma = np.concatenate([np.empty(0), *(proved.totals_ma for proved in sets)])
         points_ma = kernels * np.minimum(profile.full_ma, judge.full_ma)[:, None]
         # Kernels that share slots, and then each point's own.
         self._kernels_ma = np.concatenate([self._shared_ma, points_ma])

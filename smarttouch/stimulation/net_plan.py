@@ -91,5 +91,5 @@ class NetPlan:
     def _newest(self, net_pc: Array) -> Array:
         """Return the largest net charges (magnitude) of the newest passes and one more, (N + 1,)
         by electrode."""
-        passes = (each.net_pc for each in reversed(self._passes))
+        passes = (earlier.net_pc for earlier in reversed(self._passes))
         return np.asarray(np.abs(np.cumsum([net_pc, *passes], axis=0)))

@@ -116,12 +116,12 @@ class PointSlots:
         width_us = self._widths_all_us[: len(site)]
         if self._by_width:
             width_us = self._widths_us(level)
-            kept = width_us >= SHORTEST_PULSE_US
+            is_felt = width_us >= SHORTEST_PULSE_US
             level = np.ones(len(site), np.float32)
         else:
-            kept = level >= self._weakest_level.take(site)
-        if not kept.all():
-            site, level, width_us = site[kept], level[kept], width_us[kept]
+            is_felt = level >= self._weakest_level.take(site)
+        if not is_felt.all():
+            site, level, width_us = site[is_felt], level[is_felt], width_us[is_felt]
         sums = None
         if self._table is not None:
             amplitude = np.minimum(np.rint(level * self._full[site]), self._largest[site])
@@ -204,16 +204,16 @@ def spread_order(count: int) -> NDArray[np.intp]:
 def joined(parts: list[Slots]) -> Slots:
     """Return the slots of several classes one after another."""
     site, current_ua, width_us = (
-        np.concatenate([each[index] for each in parts]) for index in range(3)
+        np.concatenate([part[index] for part in parts]) for index in range(3)
     )
     proof, sums = None, parts[0].sums
-    if any(each.proof is not None for each in parts):
-        proofs = [each.proof or SelectivityReport.of_nothing(len(each.site)) for each in parts]
+    if any(part.proof is not None for part in parts):
+        proofs = [part.proof or SelectivityReport.of_nothing(len(part.site)) for part in parts]
         proof = SelectivityReport(
-            np.concatenate([each.points for each in proofs]),
-            np.concatenate([each.off_target for each in proofs]),
-            np.concatenate([each.spill for each in proofs]),
+            np.concatenate([part.points for part in proofs]),
+            np.concatenate([part.off_target for part in proofs]),
+            np.concatenate([part.spill for part in proofs]),
         )
-    for each in parts[1:]:
-        sums = None if sums is None or each.sums is None else sums.joined(each.sums)
+    for part in parts[1:]:
+        sums = None if sums is None or part.sums is None else sums.joined(part.sums)
     return Slots(site, current_ua, width_us, proof, sums)

@@ -153,7 +153,7 @@ def _whole_ua(
     shared_ua = min(int(poles_ua[0, -1]), int(poles_ua[1, -1]), total_ua)
     # Sums from electrode to electrode are scaled and rounded down, so that the last is exact and
     # no electrode gets more than its own.
-    cathodic, anodic = (each * shared_ua // max(1, int(each[-1])) for each in poles_ua)
+    cathodic, anodic = (pole * shared_ua // max(1, int(pole[-1])) for pole in poles_ua)
     return np.asarray(np.diff(cathodic - anodic, prepend=0), np.int16)
 
 

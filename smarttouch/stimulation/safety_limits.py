@@ -170,10 +170,10 @@ class SafetyLimits:
     @cached_property
     def current_ua(self) -> NDArray[np.float64]:
         """Largest current of each electrode, (E,) µA."""
-        own = self.electrode_ma or (self.current_ma,) * self.electrodes
+        listed_ma = self.electrode_ma or (self.current_ma,) * self.electrodes
         most = decimal(self.current_ma)
-        whole = [math.floor(1000 * min(most, decimal(each))) for each in own]
-        return self._unmasked(np.array(whole, np.float64))
+        limit_ua = [math.floor(1000 * min(most, decimal(limit))) for limit in listed_ma]
+        return self._unmasked(np.array(limit_ua, np.float64))
 
     def _unmasked(self, each: NDArray[np.generic]) -> NDArray[Any]:
         """Return limits of each electrode with those of masked ones set to zero."""
@@ -250,8 +250,8 @@ class SafetyLimits:
     @cached_property
     def felt_ua(self) -> NDArray[np.float32]:
         """Current from which a pulse of each electrode counts as felt, (E,) µA."""
-        whole = [math.ceil(Fraction(each) * 500) for each in self._thresholds]
-        return np.array(whole, np.float32)
+        felt_ua = [math.ceil(Fraction(threshold) * 500) for threshold in self._thresholds]
+        return np.array(felt_ua, np.float32)
 
     @cached_property
     def faint_ua(self) -> NDArray[np.int64]:
@@ -260,8 +260,8 @@ class SafetyLimits:
 
     @property
     def _thresholds(self) -> tuple[float, ...]:
-        given = self.full_ma / 2 if self.threshold_ma is None else self.threshold_ma
-        return given if isinstance(given, tuple) else (given,) * self.electrodes
+        threshold = self.full_ma / 2 if self.threshold_ma is None else self.threshold_ma
+        return threshold if isinstance(threshold, tuple) else (threshold,) * self.electrodes
 
 
 def _check(name: str, value: float, least: float, most: float) -> None:
@@ -284,8 +284,8 @@ def _check(name: str, value: float, least: float, most: float) -> None:
 def recharge_most_ua(threshold_ma: NDArray[np.floating]) -> NDArray[np.int64]:
     """Return the largest recharge current of each electrode, (E,) µA, by thresholds, (E,) mA: a
     tenth of it, and `RECHARGE_UA` at most."""
-    whole = [min(RECHARGE_UA, math.floor(Fraction(float(each)) * 100)) for each in threshold_ma]
-    return np.array(whole, np.int64)
+    tenths_ua = (math.floor(Fraction(float(threshold)) * 100) for threshold in threshold_ma)
+    return np.array([min(RECHARGE_UA, tenth_ua) for tenth_ua in tenths_ua], np.int64)
 
 
 def rms_ma_cm2(profile: Profile) -> float:

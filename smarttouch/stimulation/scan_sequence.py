@@ -121,8 +121,8 @@ class KernelLists:
         if len(scaled) > len(self.first) - 1:
             scaled = np.add.reduceat(scaled, self.first[:-1], axis=0)
         # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
-        whole = (scaled + (_ABOVE + 0.5)).astype(np.int64).astype(np.int16)
-        return unwritable(np.diff(whole, axis=1, prepend=np.int16(0)))
+        rounded = (scaled + (_ABOVE + 0.5)).astype(np.int64).astype(np.int16)
+        return unwritable(np.diff(rounded, axis=1, prepend=np.int16(0)))
 
     def joined(self, other: "KernelLists") -> "KernelLists":
         """Return these slots, and then others of the same table."""
@@ -141,10 +141,10 @@ def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
     """
     carried = np.cumsum(current_ua, axis=1)
     np.rint(carried, out=carried)
-    whole = np.empty(carried.shape, np.int16)
-    whole[:, :1] = carried[:, :1]
-    np.subtract(carried[:, 1:], carried[:, :-1], out=whole[:, 1:], casting="unsafe")
-    return whole
+    rounded = np.empty(carried.shape, np.int16)
+    rounded[:, :1] = carried[:, :1]
+    np.subtract(carried[:, 1:], carried[:, :-1], out=rounded[:, 1:], casting="unsafe")
+    return rounded
 
 
 def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
@@ -154,8 +154,8 @@ def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
     carried[:, -1:] = 0
     # Halves upward: to even, the peak of (-0.5, 1, -0.5) would be 32,768. Sums of doubles are
     # exact to far less than the sixth decimal.
-    whole = np.floor(carried.round(6) + 0.5)
-    return np.diff(whole, axis=1, prepend=0).astype(np.int16)
+    rounded = np.floor(carried.round(6) + 0.5)
+    return np.diff(rounded, axis=1, prepend=0).astype(np.int16)
 
 
 def kept_kernels(
