@@ -4,17 +4,13 @@
 ``python -m tests.safety.agreement 1000000 --jobs 2`` prints the table as well.
 """
 
-import dataclasses
 import os
 
-import numpy as np
 import pytest
-
-from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..whole import sample
 from .agreement import RunStatistics, attack, stream
-from .gates import Answer, faults_of_copy
+from .gates import Answer
 from .oracle import Oracle
 from .quick import judge_alone_quickly
 
@@ -89,39 +85,6 @@ def test_it_finds_what_a_gate_refuses_without_need():
 
 def test_it_finds_what_breaks_a_gate():
     assert set(attack(0, 500, Crashing).crashes) == {"TypeError"}
-
-
-def frozen(array):
-    return np.frombuffer(array.tobytes(), array.dtype).reshape(array.shape)
-
-
-@pytest.fixture
-def pulse():
-    row = np.array([[500, -500, 0, 0]], np.int16)
-    one = np.ones(1, np.uint16)
-    return ScanSequence(row, one * 100, one * 50, one, 20_000, 0.5, 7)
-
-
-def test_a_copy_for_good_has_no_fault(pulse):
-    arrays = ("current_ua", "width_us", "discharge_us", "site")
-    copy = dataclasses.replace(pulse, **{name: frozen(getattr(pulse, name)) for name in arrays})
-    assert faults_of_copy(copy, pulse) == []
-    # A flag alone can be set again.
-    for change in (
-        {"current_ua": pulse.current_ua},
-        {"width_us": np.full(1, 100, np.uint16)},
-        {"current_ua": frozen(pulse.current_ua * 2)},
-        {"site": frozen(pulse.site.astype(np.int64))},
-        {"period_us": np.int64(20_000)},
-        {"intensity": 0.25},
-        {"time_ns": 8},
-        {"discharge_us": [50]},
-    ):
-        assert len(faults_of_copy(dataclasses.replace(copy, **change), pulse)) == 1
-    locked = pulse.width_us.copy()
-    locked.flags.writeable = False
-    assert faults_of_copy(dataclasses.replace(copy, width_us=locked), pulse) != []
-    assert faults_of_copy(None, pulse) == ["a NoneType"]
 
 
 def test_a_stream_ends_where_they_disagree():

@@ -106,3 +106,21 @@ def test_a_due_time_of_another_clock(limits, away_s):
             board.send(dataclasses.replace(pulses(0), intensity=0.0), due_ns=due_ns)
         with pytest.raises(SequenceLateError):
             board.send(dataclasses.replace(pulses(0), intensity=0.0), due_ns=0)
+
+
+@pytest.mark.parametrize("name", ["current_ua", "width_us", "discharge_us", "site"])
+def test_what_is_changed_after_the_proof_changes_nothing(opened, name):
+    gate, _ = opened
+    made = pulses(1)
+    copy = gate.check(made)
+    array, before = getattr(copy, name), getattr(copy, name).tolist()
+    getattr(made, name)[:] = 30_000
+    assert array.tolist() == before
+    assert not np.shares_memory(array, getattr(made, name))
+    for write in (array.fill, array.view().fill):
+        with pytest.raises(ValueError):
+            write(0)
+    with pytest.raises(ValueError):
+        array.setflags(write=True)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        copy.period_us = 1

@@ -2,21 +2,17 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from smarttouch.boards.board import Board
 from smarttouch.emulator.emulated_boards import SimulatedDriver
-from smarttouch.emulator.firmware import DeliveryLog
-from smarttouch.emulator.skin import Delivered
-from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety_gate import _GATE, ProvedSequence, SafetyGate, SafetyLimits
 
 from . import watch
 from .bounds import Bounds
 from .by_hand import pair, sequence
 from .gates import ManualClock
-from .watch import HeardClock, Watch
+from .watch import Watch
 
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 
@@ -59,38 +55,6 @@ def test_what_a_gate_should_not_have_accepted(blind):
     assert blind.take()
 
 
-def test_limits_of_a_profile_are_read_from_the_profile(blind):
-    profile = load_profile("line-7")
-    made = SafetyLimits.of(profile)
-    assert blind.bounds_of(made) == Bounds.of(profile)
-    assert blind.bounds_of_size(7) == Bounds.of(profile)
-    assert blind.bounds_of(LIMITS) == Bounds.of_limits(LIMITS)
-    assert blind.bounds_of_size(4) == Bounds.of_limits(LIMITS)
-    blind.take()
-    assert blind.bounds_of_size(4) is None
-    assert blind.bounds_of_size(61) == Bounds.of(load_profile("kajimoto-61"))
-
-
-def test_books_in_a_folder(blind, tmp_path):
-    folder = tmp_path / "books"
-    folder.mkdir()
-    books = DeliveryLog(4, folder)
-    for level in (3000, 3100):
-        current = np.array([level, -level, 0.0, 0.0])
-        delivered = Delivered(current, current * 100, current, 1.0)
-        books.enter(1, 0, 0, delivered, 100, np.zeros(4), level)
-        books.write()
-        blind.bounds_of(LIMITS)
-        blind.judge_all_books(tmp_path)
-        broken = blind.take()
-        assert len(broken) == (level > 3000)
-        assert all(str(folder) in each and "current" in rules(each) for each in broken)
-    blind.judge_books(folder, Bounds.of_limits(LIMITS))
-    assert len(blind.take()) == 1
-    for path in folder.iterdir():
-        path.unlink()
-
-
 @pytest.mark.parametrize("taken", [False, True])
 def test_a_simulated_board(blind, taken, monkeypatch):
     """Pulses are judged when they are taken, and the rest when the board is closed."""
@@ -107,11 +71,3 @@ def test_a_simulated_board(blind, taken, monkeypatch):
         assert len(blind.take()) == taken
     assert ["current" in rules(each) for each in blind.take()] == [True] * (not taken)
     assert len(driver.take_pulses()[0]) == (not taken)
-
-
-def test_a_clock_is_audible():
-    class Clock(ManualClock):
-        spin_ns = 5
-
-    heard = HeardClock(Clock(7))
-    assert (heard.heard_ns, heard.now_ns(), heard.heard_ns, heard.spin_ns) == (0, 7, 7, 5)
