@@ -67,6 +67,9 @@ sys.dont_write_bytecode = False
 
 def pytest_addoption(parser):
     parser.addoption(
+        "--full", action="store_true", help="run all of what is sampled otherwise, as CI does"
+    )
+    parser.addoption(
         "--quick", action="store_true", help="run benchmarks once each, short, and time nothing"
     )
 

@@ -106,7 +106,7 @@ def run(words, folder):
 def test_the_first_hour_goes_as_written(page, tmp_path):
     """Output blocks are printed, but for their numbers and what an ellipsis stands for."""
     if page is TUTORIALS[1] and not WHOLE:
-        pytest.skip("long: with SMARTTOUCH_WHOLE=1, as in .ci/run")
+        pytest.skip("long: with --full, as in .ci/run")
     said = ""
     for block in BLOCK.finditer(page.read_text("utf-8")):
         if block["file"]:

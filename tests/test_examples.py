@@ -1,6 +1,5 @@
 """The scripts of examples/ run as they stand, and show every public name."""
 
-import os
 import re
 import runpy
 import sys
@@ -30,8 +29,8 @@ def cache(tmp_path_factory):
 
 @pytest.mark.parametrize("path", sample(SCRIPTS, 4), ids=lambda path: path.stem)
 def test_it_runs(path, cache, tmp_path, monkeypatch, capsys):
-    if path.stem in LONG and "SMARTTOUCH_EXAMPLES" not in os.environ:
-        pytest.skip("long: run where the pages are built, or with SMARTTOUCH_EXAMPLES=all")
+    if path.stem in LONG:
+        pytest.skip("long: run where the pages are built")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     monkeypatch.setenv("MPLBACKEND", "agg")

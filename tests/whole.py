@@ -1,9 +1,13 @@
-"""Whether tests that do one thing many times over do all of it, as they do in ``.ci/run``."""
+"""Whether tests that repeat one thing do all of it: with ``pytest --full``, as in CI."""
 
 import os
+import sys
 
-WHOLE = os.environ.get("SMARTTOUCH_WHOLE", "0") != "0"
-"""With SMARTTOUCH_WHOLE=1; without, each takes a part."""
+_FOR_WORKERS = "PYTEST_SMARTTOUCH_FULL"  # workers of pytest-xdist have no arguments of their own
+
+WHOLE = "--full" in sys.argv or _FOR_WORKERS in os.environ
+if WHOLE:
+    os.environ[_FOR_WORKERS] = "1"
 
 
 def sample(every, step=2):

@@ -175,7 +175,7 @@ def test_thresholds_of_a_simulated_subject(run, tmp_path):
     assert not (tmp_path / "mine.thresholds.csv").exists()
 
 
-@pytest.mark.skipif(not WHOLE, reason="long: with SMARTTOUCH_WHOLE=1, as in .ci/run")
+@pytest.mark.skipif(not WHOLE, reason="long: with --full, as in .ci/run")
 def test_thresholds_of_a_simulated_subject_on_another_board(run, tmp_path):
     """Current rises once at the electrode: within a fifth, as in test_threshold_session."""
     thresholds = "thresholds --simulate --electrodes 30 --board simulated:"

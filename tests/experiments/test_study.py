@@ -153,7 +153,7 @@ STUDY = Study(
 )
 
 
-@pytest.mark.skipif(not WHOLE, reason="long: with SMARTTOUCH_WHOLE=1, as in .ci/run")
+@pytest.mark.skipif(not WHOLE, reason="long: with --full, as in .ci/run")
 def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
     with joblib.parallel_config("threading", n_jobs=1):
         here = run_study(STUDY, Path(), tmp_path / "here")

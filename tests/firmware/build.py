@@ -1,6 +1,5 @@
 """The firmware, built once for all tests, where there is a compiler."""
 
-import os
 import shutil
 import subprocess
 import tempfile
@@ -11,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from smarttouch.base.posix import fcntl
+from tests.whole import WHOLE as IS_WHOLE
 
 SOURCES = Path(__file__).parents[2] / "firmware"
 
@@ -53,10 +53,7 @@ def hash_of_sources():
     return found
 
 
-WHOLE = pytest.mark.skipif(
-    "SMARTTOUCH_WHOLE_FIRMWARE" not in os.environ,
-    reason="with SMARTTOUCH_WHOLE_FIRMWARE=1, as in .ci/run",
-)
+WHOLE = pytest.mark.skipif(not IS_WHOLE, reason="long: with --full, as in .ci/run")
 """What is too much for each run of all tests."""
 
 

@@ -3,7 +3,6 @@
 import ctypes
 import hashlib
 import itertools
-import os
 
 import numpy as np
 import pytest
@@ -29,8 +28,9 @@ from tests.firmware.lives import (
     session,
 )
 from tests.firmware.rig import Both, Core, Emulated, Unfelt
+from tests.whole import WHOLE as IS_WHOLE
 
-SCANS = 2500 if "SMARTTOUCH_WHOLE_FIRMWARE" in os.environ else 150
+SCANS = 2500 if IS_WHOLE else 150
 """Scans that emulator, core and judge decide on, four times."""
 
 
