@@ -113,10 +113,9 @@ def _options_of(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def _list_all() -> None:
-    from smarttouch.experiments.catalog import CATALOG, EXPERIMENTS, find_experiment
+    from smarttouch.experiments.catalog import CATALOG
 
-    for name in (*CATALOG, *EXPERIMENTS.plug_ins):
-        entry = find_experiment(name)
+    for name, entry in CATALOG.items():
         typer.echo(f"{name:13} {entry.about} [{', '.join(entry.procedures)}]")
     typer.echo(f"{'free':13} turn amplitude, rate and mode by hand")
 

@@ -1,6 +1,6 @@
-"""Experiments by name or file: the paper's own, and those of users and other packages.
+"""Experiments by name or file: the paper's own, and those of users.
 
-What fails in those of a user's file or of another package is one sentence."""
+What fails in a user's file is one sentence."""
 
 import math
 import runpy
@@ -14,7 +14,6 @@ import numpy as np
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError, SmartTouchError
 from smarttouch.base.files import require_file
-from smarttouch.base.registry import Registry
 from smarttouch.experiments.procedures import (
     ADAPTIVE,
     CONSTANT,
@@ -233,25 +232,17 @@ CATALOG = {
 }  # fmt: skip
 """The package's own experiments by name."""
 
-EXPERIMENTS = Registry("smarttouch.experiments", Experiment, ExperimentError, {})
-"""Entry points of other packages; each names an `Experiment`."""
-
 
 def find_experiment(name: str) -> Experiment:
-    """Return an experiment by its name in the catalog, by its file, or of another package."""
+    """Return an experiment by its name in the catalog, or by its file."""
     if name in CATALOG:
         return CATALOG[name]
     if name.endswith(".py"):
         return _experiment_of_file(name)
-    known = [*CATALOG, *EXPERIMENTS.plug_ins]
-    if name not in known:
-        raise ExperimentError(
-            f"there is no experiment {name!r}: choose {' or '.join(known)}, or give a file of "
-            "your own, as in mine.py"
-        )
-    found: Experiment = EXPERIMENTS.load(name)
-    EXPERIMENTS.require_kind(found, name)
-    return found
+    raise ExperimentError(
+        f"there is no experiment {name!r}: choose {' or '.join(CATALOG)}, or give a file of your "
+        "own, as in mine.py"
+    )
 
 
 def _experiment_of_file(name: str) -> Experiment:

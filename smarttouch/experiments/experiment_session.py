@@ -10,9 +10,8 @@ from itertools import count
 from pathlib import Path
 
 from smarttouch.base.errors import ExperimentError, SmartTouchError
-from smarttouch.experiments.answers import AnswerFile, Row, Value, read_table, usual_model
+from smarttouch.experiments.answers import AnswerFile, Row, Value
 from smarttouch.experiments.catalog import trials_of
-from smarttouch.experiments.findings import in_words, judge_answers
 from smarttouch.experiments.observers import FITTED, Subject
 from smarttouch.experiments.procedures import LIMITS, middle_and_spread
 from smarttouch.experiments.trial_source import TrialSource
@@ -100,12 +99,6 @@ class ExperimentSession:
             if len(successes) < len(rows):
                 yield f"{len(rows) - len(successes)} times it was never enough"
         elif missing < len(rows):
-            table = read_table(self.file.path)
-            model = usual_model(table.answers)
-            for each in table.answers:
-                threshold = judge_answers(each, model).threshold
-                if threshold is not None:
-                    yield f"threshold {in_words(threshold)} {table.unit}, {each.answered} trials"
             yield f"fit it: smarttouch experiment fit {self.file.path}"
 
 

@@ -101,13 +101,6 @@ class FrequencySense:
         n, limit_hz = self.sharpness, self.believable_hz(ratio)
         return float((hz**-n + limit_hz**-n) ** (-1 / n))
 
-    def chance_higher(self, standard_hz: float, comparison_hz: float, ratio: float) -> float:
-        """Return the probability that the comparison is judged faster, if both have that ratio."""
-        apart = math.log(
-            self.perceived_hz(comparison_hz, ratio) / self.perceived_hz(standard_hz, ratio)
-        )
-        return float(ndtr(apart / (math.sqrt(2) * self.spread)))
-
 
 Floats = NDArray[np.float32]
 

@@ -39,12 +39,11 @@ class ProfileFile:
     def __init__(
         self, start: str, output: Path, overwrite: bool = False, *, update: bool = False
     ) -> None:
-        self._source = profile_path(start)
-        self._text, self._document, profile = _begin(self._source)
+        source = profile_path(start)
+        self._text, self._document, profile = _begin(source)
         self.profile: Profile = profile
-        self._update = update
-        self.output = output
-        self._overwrite = overwrite
+        self.output: Path = output
+        self._update, self._overwrite = update, overwrite
         if output.suffix != ".toml":
             raise CalibrationError(
                 f"the new profile {output} must end in .toml: give another --output"
@@ -52,7 +51,9 @@ class ProfileFile:
         if not output.absolute().parent.is_dir():
             raise CalibrationError(f"cannot write {output}: its folder does not exist: make it")
         self._require_free(output)
-        self._keep_flat_field()
+        if (named := self._table("optics").get("flat_field")) is not None:
+            found = (source.parent / str(named)).resolve()
+            self.set("optics.flat_field", os.path.relpath(found, output.absolute().parent))
 
     def beside(self, ending: str) -> Path:
         """Return the path of a file that belongs to the output."""
@@ -80,13 +81,6 @@ class ProfileFile:
         for path in (self.output, *(others or {})):
             self._require_free(path)
         text = tomlkit.dumps(self._document)
-        self._prove(text)
-        # The profile comes last: the files it names are there before it is.
-        for path, data in {**(others or {}), self.output: text.encode()}.items():
-            write_bytes(path, data, CalibrationError)
-        return load_profile(self.output)
-
-    def _prove(self, text: str) -> None:
         try:
             profile_of(tomllib.loads(text), self.output)
         except ProfileError as error:
@@ -95,34 +89,26 @@ class ProfileFile:
                 f"what was measured is no valid profile, so nothing was written: {said}",
                 electrode=error.electrode,
             ) from None
+        # The profile comes last: the files it names are there before it is.
+        for path, data in {**(others or {}), self.output: text.encode()}.items():
+            write_bytes(path, data, CalibrationError)
+        return load_profile(self.output)
 
     def _require_free(self, path: Path) -> None:
         require_replaceable(path, CalibrationError)
         if self._update and path == self.output:
-            self._require_unchanged()
-            return
-        if path.exists() and not self._overwrite:
+            if read_text(path, CalibrationError, MOST_TOML_BYTES) != self._text:
+                raise CalibrationError(
+                    f"{path} was changed meanwhile, nothing was written: repeat the command"
+                )
+        elif path.exists() and not self._overwrite:
             raise CalibrationError(f"{path} exists already: give another file, or add --overwrite")
-
-    def _require_unchanged(self) -> None:
-        if read_text(self.output, CalibrationError, MOST_TOML_BYTES) != self._text:
-            raise CalibrationError(
-                f"{self.output} was changed meanwhile, nothing was written: repeat the command"
-            )
 
     def _table(self, name: str) -> MutableMapping[str, Any]:
         table = self._document[name]
         # A table, or the proxy of one whose parts are scattered over the file.
         assert isinstance(table, MutableMapping)
         return table
-
-    def _keep_flat_field(self) -> None:
-        """Adjust the path of the flat field to the place of the output."""
-        named = self._table("optics").get("flat_field")
-        if named is None:
-            return
-        found = (self._source.parent / str(named)).resolve()
-        self.set("optics.flat_field", os.path.relpath(found, self.output.absolute().parent))
 
 
 def file_to_calibrate(
@@ -168,12 +154,9 @@ def file_to_calibrate(
 
 def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, Profile]:
     """Return a profile as text, as document and as it loads."""
-    # Refuses what no parser should be given.
-    read_toml(path, ProfileError)
-    text = read_text(path, ProfileError, MOST_TOML_BYTES)
+    table, text = read_toml(path, ProfileError), read_text(path, ProfileError, MOST_TOML_BYTES)
     try:
         document = tomlkit.parse(text)
-        table = document.unwrap()
     except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
         raise ProfileError(f"{path} cannot be changed: {error}", key="file") from None
     return text, document, profile_of(table, path)

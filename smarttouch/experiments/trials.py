@@ -174,18 +174,16 @@ class Setup:
     @property
     def place(self) -> int:
         """Site of the stimuli: that given, or the driven one nearest to the middle."""
-        return self.nearest((0.0, 0.0)) if self.site is None else self.site
+        if self.site is not None:
+            return self.site
+        driven = self.profile.driven
+        away_mm = np.hypot(*self.profile.electrodes.position_mm[driven].T).round(6)
+        return int(driven[away_mm.argmin()])
 
     @property
     def pulse_hz(self) -> float:
         """Rate of pulses: that given, or the profile's."""
         return self.profile.pulse.rate_hz if self.rate_hz is None else self.rate_hz
-
-    def nearest(self, place_mm: Sequence[float] | NDArray[np.float64]) -> int:
-        """Return the driven site that is nearest to a place, (x, y) mm."""
-        driven = self.profile.driven
-        away_mm = self.profile.electrodes.position_mm[driven] - place_mm
-        return int(driven[np.hypot(*away_mm.T).round(6).argmin()])
 
     def train(self, where: Sequence[int] | NDArray[Any], rate_hz: float) -> Train:
         """Return a train on some sites, given as whole numbers, or with an activation of each, (E,)

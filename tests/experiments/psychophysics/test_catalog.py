@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.catalog import CATALOG, find_experiment, trials_of
+from smarttouch.experiments.catalog import CATALOG, trials_of
 from smarttouch.experiments.trials import Answer, Setup
 from smarttouch.profile import load_profile
 
-from ...installed import install
 from ...raising import raises
 from .sitting import sit
 
@@ -221,19 +220,6 @@ def test_a_file_is_an_experiment(tmp_path, bank):
     rows = [(row["unit"], row["comparison"], row["success"]) for row in sat.rows]
     assert sorted(rows) == [("mm", gap_mm, True) for gap_mm in (2, 6, 10)]
     assert sat.figures["emulator_violations"] == 0
-
-
-def test_another_package_has_one(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(tmp_path)
-    points = {"smarttouch.experiments": {"gap": "their_gap:experiment", "other": "their_gap:gaps"}}
-    install(tmp_path, "theirs", points, {"their_gap": EXAMPLE.read_text("utf-8")})
-    assert find_experiment("gap").about == "which had a gap: width, mm"
-    assert len(begun("gap", repetitions=3)[1]) == 9
-    with raises(ExperimentError, value="Experiment", names="other"):
-        find_experiment("other")
-    install(tmp_path, "more", points, {})
-    with raises(ExperimentError, value="more and theirs", names="experiment"):
-        find_experiment("gap")
 
 
 FILE = """

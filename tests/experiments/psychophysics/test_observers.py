@@ -31,7 +31,7 @@ from smarttouch.physiology.vibration_thresholds import sensitivity
 from ...raising import raises
 from ...whole import WHOLE, sample
 from .sitting import sit
-from .weber import weber_fraction
+from .weber import chance_higher, weber_fraction
 
 RA, SAI, PC = Afferent
 MIDDLE = 27
@@ -170,16 +170,16 @@ class TestFrequencySense:
         sense = FrequencySense()
         low, high = sense.perceived_hz(hz, ratio), sense.perceived_hz(factor * hz, ratio)
         assert low <= high <= min(factor * hz, sense.believable_hz(ratio)) * (1 + 1e-9)
-        assert 0.5 <= sense.chance_higher(hz, factor * hz, ratio) < 1
+        assert 0.5 <= chance_higher(sense, hz, factor * hz, ratio) < 1
 
     @given(st.floats(5, 150), st.floats(0, 1))
     def test_the_weber_fraction_is_where_three_of_four_are_right(self, hz, ratio):
         sense = FrequencySense()
         weber = weber_fraction(sense, hz, ratio)
         if math.isfinite(weber):
-            assert sense.chance_higher(hz, hz * (1 + weber), ratio) == pytest.approx(0.75)
+            assert chance_higher(sense, hz, hz * (1 + weber), ratio) == pytest.approx(0.75)
         else:
-            assert sense.chance_higher(hz, 1e6 * hz, ratio) < 0.75
+            assert chance_higher(sense, hz, 1e6 * hz, ratio) < 0.75
 
 
 class TestTheThresholdsOfThePaper:
