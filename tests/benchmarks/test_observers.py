@@ -15,7 +15,7 @@ import pytest
 import smarttouch as st
 from smarttouch.experiments.observers import FrequencySense, Interval, Nerve, SimulatedObserver
 
-from ..experiments.psychophysics.weber import weber_fraction
+from ..experiments.weber import weber_fraction
 
 RA, SAI, PC = st.Afferent
 MIDDLE = 27

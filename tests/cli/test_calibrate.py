@@ -23,7 +23,7 @@ from smarttouch.profile import load_profile
 from smarttouch.sources.preprocess import FlatField
 
 from ..boards.fresh import fresh_state, until
-from ..experiments.calibration.simulated_sensors import SimulatedPatch, View
+from ..experiments.simulated_sensors import SimulatedPatch, View
 from ..forks import Forked, emulator
 from ..whole import WHOLE
 from .conftest import PRESSED, says

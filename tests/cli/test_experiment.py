@@ -32,7 +32,7 @@ from smarttouch.running.recording import RecordedRun
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.views.screen import BlindScreen
 
-from ..experiments.psychophysics.simulated import Subject, answer_all
+from ..experiments.simulated import Subject, answer_all
 from ..raising import assert_says
 from .conftest import refused, says
 

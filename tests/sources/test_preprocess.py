@@ -15,7 +15,7 @@ from smarttouch.pages.document import open_document
 from smarttouch.sources.preprocess import FlatField, FramePreprocessor, page_per_pixel
 from smarttouch.sources.virtual_finger import PageSource
 
-from ..experiments.calibration.simulated_sensors import SimulatedPatch
+from ..experiments.simulated_sensors import SimulatedPatch
 from ..raising import raises
 
 FIELD_MM = 5.0

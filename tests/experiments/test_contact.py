@@ -13,7 +13,7 @@ from smarttouch.experiments.contact import (
     measure_contact,
 )
 
-from ...raising import raises
+from ..raising import raises
 
 
 def measured(kohm, condition):

@@ -17,10 +17,10 @@ from smarttouch.experiments.catalog import CATALOG, trials_of
 from smarttouch.experiments.trials import Answer, Setup
 from smarttouch.profile import load_profile
 
-from ...raising import raises
+from ..raising import raises
 from .sitting import sit
 
-EXAMPLE = Path(__file__).parents[3] / "examples/own_experiment.py"
+EXAMPLE = Path(__file__).parents[2] / "examples/own_experiment.py"
 MOUSE = load_profile("electric-mouse")
 
 

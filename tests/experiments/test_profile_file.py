@@ -1,6 +1,5 @@
 """A profile with some keys changed is the profile it was, else; and never half."""
 
-import os
 import tomllib
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -14,7 +13,7 @@ from smarttouch.base.files import data_folder
 from smarttouch.experiments.profile_file import ProfileFile, file_to_calibrate
 from smarttouch.profile import list_profiles, load_profile
 
-from ...raising import raises
+from ..raising import raises
 
 numbers = st.floats(0.01, 1e6, allow_nan=False)
 
@@ -107,23 +106,8 @@ def test_outputs_that_cannot_be(tmp_path, output):
     (tmp_path / "folder.toml").mkdir()
     with raises(CalibrationError, value=tmp_path / output):
         ProfileFile("electric-mouse", tmp_path / output, overwrite=True)
-
-
-def test_a_start_that_is_none(tmp_path):
     with raises(ProfileError, names="profile", value="nobody"):
         ProfileFile("nobody", tmp_path / "mine.toml")
-
-
-def test_a_disk_that_is_full(tmp_path, monkeypatch):
-    file = ProfileFile("electric-mouse", tmp_path / "mine.toml")
-
-    def fail(_number):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", fail)
-    with raises(CalibrationError, value=tmp_path / "mine.toml"):
-        file.write()
-    assert list(tmp_path.iterdir()) == []
 
 
 def calibrated(part, key, value, output, start=None, overwrite=False):

@@ -33,9 +33,9 @@ from smarttouch.running.runner import Runner
 from smarttouch.running.step import Listener, OnStep
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
-from ...played import played
-from ...raising import raises
-from ...whole import sample
+from ..played import played
+from ..raising import raises
+from ..whole import sample
 from .subject import SimulatedSubject
 
 
@@ -114,6 +114,10 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile
     wanted = [3, 9]
     run(display, profile, subjects(profile), wanted, progress, repeats=1)
     last_ma, last_ns, sites = 0.0, 0, set()
+    levels = np.array([level_of(each) for each in display.board.driver.sequences])
+    starts = levels[1:][(levels[:-1] == 0) & (levels[1:] > 0)]
+    assert len(starts) >= 2
+    assert starts.max() <= slew_ma_s(display.profile, 0) * 2 * STEP_S
     slew = float(profile.full_ma.max()) / profile.limits.ramp_s
     for sequence in display.board.driver.sequences:
         level_ma = level_of(sequence)
@@ -128,15 +132,6 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile
     for site in wanted:
         assert progress.found[site].threshold_ma == pytest.approx(1.1, rel=0.2)
         assert progress.found[site].comfort_ma == pytest.approx(1.9, rel=0.2)
-
-
-def test_runs_begin_at_zero_however_long_the_pause(profile, tmp_path, begun):
-    display = display_of(profile)
-    run(display, profile, subjects(profile), [0], begun())
-    levels = np.array([level_of(each) for each in display.board.driver.sequences])
-    starts = levels[1:][(levels[:-1] == 0) & (levels[1:] > 0)]
-    assert len(starts) >= 3
-    assert starts.max() <= slew_ma_s(display.profile, 0) * 2 * STEP_S
 
 
 @pytest.mark.parametrize("name", sample(list_profiles(), 5))
@@ -247,21 +242,9 @@ def test_a_board_that_is_lost_all_the_time(profile, tmp_path, begun):
     assert not progress.found
 
 
-@pytest.fixture
-def procedure(tmp_path):
-    def make(**options):
-        file = file_to_calibrate(
-            "thresholds", None, "electric-mouse", tmp_path / "mine.toml", False, simulated=False
-        )
-        return ThresholdProcedure(
-            start="electric-mouse", file=file, board_url="memory:", sites=[5], **options
-        )
-
-    return make
-
-
-def measured(procedure, key_at=lambda _line: None):
-    """Measure; a key is pressed when a line is shown that asks for it. Return the lines."""
+@pytest.mark.parametrize("key", STOP_KEYS)
+def test_a_person_is_instructed_and_stops(tmp_path, key):
+    """By a key; an empty one means that the terminal is gone."""
     heeding, said = [], []
 
     @contextlib.contextmanager
@@ -271,28 +254,15 @@ def measured(procedure, key_at=lambda _line: None):
 
     def say(line):
         said.append(line)
-        if (key := key_at(line)) is not None:
+        if line.startswith("electrode 5"):
             heeding[0](key)
 
-    with procedure.progress() as progress:
-        try:
-            procedure.measure(progress, keys, say, StopRequest())
-        finally:
-            found = dict(progress.found)
-    return said, found
-
-
-@pytest.mark.parametrize("key", STOP_KEYS)
-def test_a_person_is_instructed_and_stops(procedure, key):
-    """By a key; an empty one means that the terminal is gone."""
-    said = []
-
-    def press(line):
-        said.append(line)
-        return key if line.startswith("electrode 5") else None
-
-    with raises(CalibrationError, value=1):
-        measured(procedure(), press)
+    file = file_to_calibrate("thresholds", None, "electric-mouse", tmp_path / "mine.toml")
+    procedure = ThresholdProcedure(
+        start="electric-mouse", file=file, board_url="memory:", sites=[5]
+    )
+    with procedure.progress() as progress, raises(CalibrationError, value=1):
+        procedure.measure(progress, keys, say, StopRequest())
     assert "2.50 mA" in said[0]
     assert [line for line in said if line.startswith("electrode")] == said[-1:]
 

@@ -12,8 +12,8 @@ from scipy.stats import chi2, norm
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.psychometric import Counts, Model, Parameters, fit
 
-from ...raising import raises
-from ..psychophysics.simulated import Subject
+from ..raising import raises
+from .simulated import Subject
 
 MODELS = [
     Model(), Model(guess=0.5), Model(guess=0.0, at=0.75), Model(guess="free"),

@@ -20,7 +20,7 @@ from smarttouch.experiments.procedures import (
     weighted_staircase,
 )
 
-from ...raising import raises
+from ..raising import raises
 from .recovery import PROCEDURES, TASKS, recover
 from .simulated import answer_all, ask_all
 

@@ -13,7 +13,6 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.observers import (
-    GRATING_LIMIT_MM,
     BlindObserver,
     FrequencySense,
     Interval,
@@ -28,8 +27,8 @@ from smarttouch.experiments.trials import Setup
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.vibration_thresholds import sensitivity
 
-from ...raising import raises
-from ...whole import WHOLE, sample
+from ..raising import raises
+from ..whole import WHOLE, sample
 from .sitting import sit
 from .weber import chance_higher, weber_fraction
 
@@ -267,17 +266,6 @@ class TestTheTasks:
         nothing = share(200, lambda: subject.respond(task, [NOTHING], "yn"), "y")
         assert nothing == (pytest.approx(0.1, abs=0.08) if task == "felt" else 0)
 
-    def test_half_of_the_trials_at_the_criterion(self, observer):
-        subject = observer(guess=0.1, lapse=0.02, felt_afferents=2.0, enough_afferents=7.0)
-        assert subject.chance_felt(2.0) == pytest.approx(0.1 + 0.88 / 2)
-        assert subject.chance_felt(7.0, "enough") == pytest.approx(0.98 / 2)
-        assert subject.chance_felt(0.0) == pytest.approx(0.1)
-        assert subject.chance_felt(0.0, "enough") == 0
-        assert subject.chance_felt(50.0) == pytest.approx(0.98)
-
-    def test_the_grating_limit_is_right_three_times_of_four(self, observer):
-        assert chance_apart(observer(lapse=0.0), GRATING_LIMIT_MM) == pytest.approx(0.75)
-
     def test_sides_are_distinguished_in_two_intervals_or_one(self, observer, points, finger):
         subject = observer(seed=8, lapse=0.0)
         left, right = points(26), points(27)
@@ -345,11 +333,6 @@ def test_an_interval_of_silence_is_empty():
     felt = interval_of(nothing, {3: (0, 0), 4: (20, 0)})
     assert felt.time_s.shape == (0,)
     assert felt.current_ua.shape == (0, 4)
-
-
-def test_observers_by_name(profile):
-    assert make_observer("random", profile, 3) == BlindObserver(3)
-    assert isinstance(make_observer("model", profile, 0), SimulatedObserver)
 
 
 def test_two_looks_make_a_choice(observer, train):
