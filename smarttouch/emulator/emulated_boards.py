@@ -18,7 +18,7 @@ from smarttouch.base.posix import HAS_POSIX
 from smarttouch.base.registry import refuse_rest
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.link_driver import LinkDriver, SentPart
+from smarttouch.boards.link.link_driver import LinkDriver
 from smarttouch.boards.link.packet_line import PacketLine
 from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.link.sequence_encoding import ScanPart
@@ -153,9 +153,9 @@ class SimulatedDriver(LinkDriver):
         if self._suspicion:
             raise self._line.events.fault(self._suspicion)
 
-    def _note_sent(self, proved: ProvedSequence, part: ScanPart, now_ns: int) -> SentPart:
+    def _send_part(self, proved: ProvedSequence, part: ScanPart) -> None:
         self._numbers.append(proved.number)
-        return super()._note_sent(proved, part, now_ns)
+        super()._send_part(proved, part)
 
     def _start_ns(self, stamp_ns: int) -> int:
         """Return when a sequence with a time stamp begins."""

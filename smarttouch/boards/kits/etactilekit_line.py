@@ -347,19 +347,13 @@ class ETactileKitLine:
             self.line.discard_input()
             # The answer to the second byte shows whether the first was a query.
             self.line.write(PING + CHIPS)
-            answer = self.line.read(1, CHIPS_S)
-            if answer == b"\0" and self.line.read(1, CHIPS_S) == bytes([chips]):
+            if self.line.read(1, CHIPS_S) == b"\0" and self.line.read(1, CHIPS_S) == bytes([chips]):
                 return
-            if answer != bytes([chips]):
-                raise self.line.lost(
-                    "answers in a way that no known eTactileKit does "
-                    f"({answer.hex() or 'not at all'}): switch it off and on, or update it"
-                )
         for command in AT_REST:
             self.line.write(command)
         raise BoardError(
-            f"the firmware of the eTactileKit at {self.line.name} is older than commit 71adee2, "
-            "and not supported: flash the newest one of the kit's repository, "
+            f"the eTactileKit at {self.line.name} does not echo: its firmware is older than commit "
+            "71adee2, or damaged: flash the newest one of the kit's repository, "
             "aid-lab-org/eTactileKit"
         )
 

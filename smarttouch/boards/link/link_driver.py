@@ -302,20 +302,15 @@ class LinkDriver(Driver):
             proved.sequence, proved.times, can.measures, switched, self._image, room, can.max_slots
         )
 
-    def _note_sent(self, proved: ProvedSequence, part: ScanPart, now_ns: int) -> SentPart:
-        """Remember what is about to be sent, and return it."""
-        sent = SentPart(self._number, proved, part, now_ns)
-        self._sent.append(sent)
-        self._slots_sent += part.slots * proved.times
-        return sent
-
     def _send_part(self, proved: ProvedSequence, part: ScanPart) -> None:
         """Send a sequence, or a part of one, which is due when the part before has begun."""
         packets, now_ns = self._packets, self._packets.now_ns()
         if part.first:
             proved = self._line.later(proved, max(proved.due_ns, now_ns))
         with packets.news:
-            self._flight = self._note_sent(proved, part, now_ns)
+            self._flight = SentPart(self._number, proved, part, now_ns)
+            self._sent.append(self._flight)
+            self._slots_sent += part.slots * proved.times
             self._again_s = packets.now_s() + AGAIN_S
         try:
             packets.send(MessageKind.SEQUENCE, self._number, part.payload, proved=proved)
