@@ -120,7 +120,7 @@ class LinkDriver(Driver):
         self._again_s = 0.0
         self._output = output
         self._limits = limits
-        self._can: Capabilities | None = None
+        self.can: Capabilities | None = None  # of the board, once it has been asked
         self._number = 0
         self._account: tuple[Any, ...] | None = None
         """Account of the board at zero, since it was stopped."""
@@ -134,7 +134,7 @@ class LinkDriver(Driver):
         self._table: KernelTable | None = None
         self._image: KernelImage | None = None
         self._board_clock = BoardClock()
-        self._sent: deque[SentPart] = deque(maxlen=4)
+        self._sent: dict[int, SentPart] = {}  # the last of them, by their numbers
         self._volts: list[NDArray[np.float32]] = []  # voltages of the parts of a scan so far
 
     # -- the driver's interface --------------------------------------------
@@ -158,13 +158,20 @@ class LinkDriver(Driver):
         self._board_clock = BoardClock()
         if not line.reopened:
             self._packets_before = sum(self._account_before[OLD_PACKETS])
+        assert self.can is not None
         return self.can
 
     def _connect(self) -> None:
         self._line.connect(str(self.port))
 
     def write(self, proved: ProvedSequence) -> None:
-        for part in self._encoded(proved):
+        can = self.can
+        assert can is not None
+        room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
+        switched, image = can.output != "weighted", self._image
+        for part in encode_scan(
+            proved.sequence, proved.times, can.measures, switched, image, room, can.max_slots
+        ):
             self._number += 1
             self._wait_for_room()
             self._send_part(proved, part)
@@ -208,9 +215,9 @@ class LinkDriver(Driver):
         return bool(self._ask_account()[7])
 
     def aftermath(self) -> str:
-        if self._can is None:
+        if self.can is None:
             return ""
-        return f"; it shorts all electrodes within {self._can.time_to_zero_ms:g} ms of silence"
+        return f"; it shorts all electrodes within {self.can.time_to_zero_ms:g} ms of silence"
 
     @property
     def refused_packets(self) -> int:
@@ -219,12 +226,6 @@ class LinkDriver(Driver):
 
     # -- the session ---------------------------------------------------------
 
-    @property
-    def can(self) -> Capabilities:
-        """Capabilities of the board, which is open."""
-        assert self._can is not None
-        return self._can
-
     def store_kernels(self, table: KernelTable) -> None:
         self._table = table
         self._give_kernels()
@@ -232,7 +233,7 @@ class LinkDriver(Driver):
     def _give_kernels(self) -> None:
         """Give the board as many kernels as it has room for; the rest goes as currents."""
         can, self._image = self.can, None
-        if self._table is None or not can.kernel_bytes or not can.packet_bytes:
+        if self._table is None or can is None or not can.kernel_bytes or not can.packet_bytes:
             return
         image = KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
         try:
@@ -244,7 +245,7 @@ class LinkDriver(Driver):
     def _take_offer(self, answer: Message) -> None:
         """Take a board's capabilities if they fit the profile and, once its line was lost, those
         from before. A wrong board has received no more than HELLO."""
-        name, known = self._packets.name, self._can if self._line.reopened else None
+        name, known = self._packets.name, self.can if self._line.reopened else None
         found = capabilities_of(answer, name)
         if found.emergency_switch and answer.state & protocol.SWITCH_OPEN:
             raise EmergencyStopError(
@@ -259,7 +260,7 @@ class LinkDriver(Driver):
                 f"the board at {name} has {outputs} electrodes and is {found.output}, the profile "
                 f"needs {electrodes} and {wanted}: use the profile of this board"
             )
-        self._can = found
+        self.can = found
 
     def _ask_account(self) -> tuple[Any, ...]:
         """Return a REPORT: counts, mA and µC, in the order of `protocol.REPORT`."""
@@ -294,14 +295,6 @@ class LinkDriver(Driver):
 
     # -- sequences ---------------------------------------------------------
 
-    def _encoded(self, proved: ProvedSequence) -> list[ScanPart]:
-        can = self.can
-        room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
-        switched = can.output != "weighted"
-        return encode_scan(
-            proved.sequence, proved.times, can.measures, switched, self._image, room, can.max_slots
-        )
-
     def _send_part(self, proved: ProvedSequence, part: ScanPart) -> None:
         """Send a sequence, or a part of one, which is due when the part before has begun."""
         packets, now_ns = self._packets, self._packets.now_ns()
@@ -309,7 +302,8 @@ class LinkDriver(Driver):
             proved = self._line.later(proved, max(proved.due_ns, now_ns))
         with packets.news:
             self._flight = SentPart(self._number, proved, part, now_ns)
-            self._sent.append(self._flight)
+            self._sent[self._number] = self._flight
+            self._sent.pop(self._number - 4, None)
             self._slots_sent += part.slots * proved.times
             self._again_s = packets.now_s() + AGAIN_S
         try:
@@ -369,18 +363,22 @@ class LinkDriver(Driver):
 
     def _receive(self, message: Message) -> None:
         """Handle an unrequested packet."""
-        has_switch = self._can is not None and self._can.emergency_switch
-        if message.state & protocol.SWITCH_OPEN and has_switch:
+        can = self.can
+        if can is not None and can.emergency_switch and message.state & protocol.SWITCH_OPEN:
             self._packets.fail(self._emergency())
         match message.kind:
             case MessageKind.ACK if len(message.payload) == protocol.ACK.size:
-                if self._is_first_answer(message):
-                    self._note_start(message, self._packets.now_ns())
+                if sent := self._answered(message):
+                    (board_us,) = protocol.ACK.unpack(message.payload)
+                    now_ns = self._packets.now_ns()
+                    time_ns = self._board_clock.note(board_us, sent.sent_ns, now_ns)
+                    if not sent.part.first:
+                        start = SequenceStart(sent.proved.number, time_ns, board_us)
+                        self._line.events.started(start)
             case MessageKind.NAK:
                 self._refused(message)
             case MessageKind.ALIVE:
-                measures = self._can is not None and self._can.force
-                if measures and len(message.payload) == protocol.ALIVE.size:
+                if can is not None and can.force and len(message.payload) == protocol.ALIVE.size:
                     (force_mn,) = protocol.ALIVE.unpack(message.payload)
                     self._line.events.force(force_mn / 1000)
             case MessageKind.VOLTAGES:
@@ -388,19 +386,9 @@ class LinkDriver(Driver):
             case _:
                 self._packets.session.refuse()
 
-    def _note_start(self, message: Message, now_ns: int) -> None:
-        """Take the start of a sequence from its acknowledgment."""
-        (board_us,) = protocol.ACK.unpack(message.payload)
-        for sent in self._sent:
-            if sent.number == message.about:
-                time_ns = self._board_clock.note(board_us, sent.sent_ns, now_ns)
-                if not sent.part.first:
-                    start = SequenceStart(sent.proved.number, time_ns, board_us)
-                    self._line.events.started(start)
-
     def _note_volts(self, message: Message) -> None:
-        sent = next((each for each in self._sent if each.number == message.about), None)
-        if sent is None:
+        sent, can = self._sent.get(message.about), self.can
+        if sent is None or can is None:
             return self._packets.session.refuse()
         sequence, part = sent.proved.sequence, sent.part
         found = decode_volts(message.payload)
@@ -409,7 +397,7 @@ class LinkDriver(Driver):
         self._volts = [*self._volts, found] if part.first else [found]
         volts = np.concatenate(self._volts)
         if len(volts) == sequence.slots == part.first + part.slots:
-            compliance = self.can.compliance_v
+            compliance = can.compliance_v
             if compliance is not None and volts.max() > MOST_COMPLIANCES * compliance:
                 self._suspicion = (
                     f"the board measured {volts.max():.0f} V with a source of {compliance:g} V"
@@ -419,14 +407,16 @@ class LinkDriver(Driver):
             self._line.events.lift(lifted)
         return None
 
-    def _is_first_answer(self, message: Message) -> bool:
-        """Return whether a packet answers the sequence on its way; count it if it answers none."""
-        if self._flight is not None and self._flight.number == message.about:
+    def _answered(self, message: Message) -> SentPart | None:
+        """Return the sequence on its way if a packet answers it; count a packet that answers
+        none."""
+        flight = self._flight
+        if flight is not None and flight.number == message.about:
             self._flight = None
-            return True
+            return flight
         if message.about not in self._repeated:
             self._packets.session.refuse()
-        return False
+        return None
 
     def _emergency(self) -> EmergencyStopError:
         return EmergencyStopError(
@@ -443,7 +433,7 @@ class LinkDriver(Driver):
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
             # Our own part of it is sent again; REPORT counts the rest.
             return
-        if not self._is_first_answer(message):
+        if self._answered(message) is None:
             return
         self._line.events.refused()
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
