@@ -184,7 +184,7 @@ class SkinCircuit:
 
         The node's voltage is held in each step such that no charge is lost or made.
         """
-        if not duration_us:
+        if duration_us < 1e-6:
             return
         # What is left after many of the slowest time constants is nothing.
         level, steps = self._shorts_of(min(duration_us, _LONGEST_SHORT_US))

@@ -149,9 +149,6 @@ class PulseBooks(DeliveryLog):
         super().enter(number, slot, site, delivered, width_us, residual_uc, time_us, **more)
         if not self.worn:
             self.max_net_charge_uc = 0.0
-        if slot != protocol.NOTHING:
-            left_pc = round(1e6 * self.max_net_charge_uc)
-            self.measured.append((in_10_mv(delivered.source_v), left_pc))
         current = np.rint(delivered.current_ua).astype(int).tolist()
         self.kept.append((number, slot, site, round(width_us), time_us, current))
 
@@ -161,7 +158,7 @@ class Emulated:
 
     def __init__(self, electrodes, output="weighted", ramp_ms=500, worn=False):
         self._books = PulseBooks(electrodes)
-        self._books.worn, self._books.kept, self._books.measured = worn, [], []
+        self._books.worn, self._books.kept = worn, []
         session = BoardSession(itertools.count(1).__next__)
         self._board = LinkFirmware(output, self._books, session=session, ramp_ms=ramp_ms)
 
@@ -190,38 +187,18 @@ class Emulated:
         """Return the net charge that has been driven through each electrode."""
         return (1e6 * self._books.passed_uc).tolist()
 
-    def measured(self):
-        """Return voltage, 10 mV, and most charge left, pC, of each pulse since the last call."""
-        taken, self._books.measured = self._books.measured, []
-        return taken
-
-
-class Unfelt:
-    """A board whose pulses are reported without their currents."""
-
-    def __init__(self, board):
-        self.board, self.books, self.hang_up = board, board.books, board.hang_up
-        self.switch = board.switch
-
-    def feed(self, data, now_us):
-        answer, pulses = self.board.feed(data, now_us)
-        return answer, [each[:5] for each in pulses]
-
-    def advance(self, now_us):
-        answer, pulses = self.board.advance(now_us)
-        return answer, [each[:5] for each in pulses]
-
 
 class Both:
-    """The same bytes to each board; what they answer and deliver must be the same.
+    """The same bytes to each board; what they answer and deliver must be the same, of pulses that
+    are not ``felt`` all but their currents.
 
     The emulator tells of a recharge phase when it is over, the core when it begins: they are kept
     apart, in `recharges`, as number, start and currents.
     """
 
-    def __init__(self, *boards):
-        self.boards = boards
-        self.log, self.recharges = [], [[] for _ in boards]
+    def __init__(self, *boards, felt=True):
+        self.boards, self._reported = boards, None if felt else 5
+        self.said, self.recharges = b"", [[] for _ in boards]
 
     def _same(self, found):
         first, *others = found
@@ -233,24 +210,23 @@ class Both:
         told = []
         for (answer, pulses), recharges in zip(found, self.recharges, strict=True):
             own = [each for each in pulses if each[1] == protocol.NOTHING]
-            recharges += [(each[0], each[4], each[5]) for each in own]
-            told.append((answer, [each for each in pulses if each not in own]))
+            recharges += [(each[0], each[4], *each[5 : self._reported]) for each in own]
+            told.append((answer, [each[: self._reported] for each in pulses if each not in own]))
         return self._same(told)
 
     def feed(self, data, now_us):
         answer, pulses = self._told([each.feed(data, now_us) for each in self.boards])
-        self.log.append(("feed", now_us, data, answer, pulses))
+        self.said += answer
         return answer, pulses
 
     def advance(self, now_us):
         answer, pulses = self._told([each.advance(now_us) for each in self.boards])
-        self.log.append(("advance", now_us, b"", answer, pulses))
+        self.said += answer
         return answer, pulses
 
     def hang_up(self, now_us):
         for each in self.boards:
             each.hang_up(now_us)
-        self.log.append(("hang up", now_us, b"", b"", []))
 
     def switch(self, is_open):
         for each in self.boards:

@@ -10,7 +10,7 @@ from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from tests.firmware.build import WHOLE, library
-from tests.firmware.rig import Both, Core, Emulated, Talk, Unfelt, Worn
+from tests.firmware.rig import Both, Core, Emulated, Talk, Worn
 from tests.firmware.scenes import Scene, random_lists, random_table, sequence_of
 
 
@@ -33,10 +33,8 @@ def make_core():
 def test_answers_and_pulses_are_the_emulators(make_core, output, seed):
     ramp_ms = (0, 500)[seed % 2]
     boards = emulated, core = Emulated(6, output, ramp_ms), make_core(6, output, ramp_ms)
-    if output != "weighted":
-        # Impedances divide a source's current on the emulator's skin; in the core nothing does.
-        boards = [Unfelt(each) for each in boards]
-    both = Both(*boards)
+    # Impedances divide a source's current on the emulator's skin; in the core nothing does.
+    both = Both(*boards, felt=output == "weighted")
     Scene(both, seed, output=output, ramp_ms=ramp_ms).play(150)
     books = both.books()
     assert books["slots"] >= 10
@@ -57,12 +55,11 @@ def test_voltages_and_charge_are_the_emulators(make_core, output):
     core = make_core(6, output, 0).wear(Worn(6, output != "weighted"))
     boards = Emulated(6, output, 0, worn=True), core
     # What a switched board splits equally in its books, impedances divide on the skin.
-    both = Both(*(boards if output == "weighted" else [Unfelt(each) for each in boards]))
+    both = Both(*boards, felt=output == "weighted")
     scene = Scene(both, 3, output=output, worn=True)
     scene.play(60)
     scene.talk.say(MessageKind.STATUS)
-    answers = b"".join(each[3] for each in both.log)
-    found = Counter(packet.kind for packet in Deframer().feed(answers))
+    found = Counter(packet.kind for packet in Deframer().feed(both.said))
     assert found[MessageKind.VOLTAGES] > 10
     assert found[MessageKind.REPORT] > 0
 

@@ -27,7 +27,7 @@ from tests.firmware.lives import (
     rising_parts,
     session,
 )
-from tests.firmware.rig import Both, Core, Emulated, Unfelt
+from tests.firmware.rig import Both, Core, Emulated
 from tests.whole import WHOLE as IS_WHOLE
 
 SCANS = 2500 if IS_WHOLE else 150
@@ -43,8 +43,7 @@ def make_life():
         board = core = Core(built, *given)
         cores.append(core)
         if both:
-            boards = Emulated(*given), core
-            board = Both(*(boards if output == "weighted" else map(Unfelt, boards)))
+            board = Both(Emulated(*given), core, felt=output == "weighted")
         return Life(board, seed, output, ramp)
 
     yield make
