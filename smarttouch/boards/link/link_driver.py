@@ -222,7 +222,7 @@ class LinkDriver(Driver):
     @property
     def refused_packets(self) -> int:
         """Number of packets from the board that were old, of another session, or not requested."""
-        return self._packets.refused
+        return self._packets.session.refused
 
     # -- the session ---------------------------------------------------------
 

@@ -61,7 +61,6 @@ class PacketLine:
         self._receive = receive
         self._closed = threading.Event()
         self._closed.set()
-        self._refused_before = 0
         self.paused_at_s: float = -PAUSED_S  # when this computer last wrote after a long pause
         self._deframer = Deframer()
         self._answers: dict[int, Message] = {}
@@ -77,17 +76,12 @@ class PacketLine:
         """Whether a reader runs."""
         return not self._closed.is_set()
 
-    @property
-    def refused(self) -> int:
-        """Number of refused packets from the board, in all sessions."""
-        return self._refused_before + self.session.refused
-
     def open(self, line: Line) -> None:
         """Start reading from a connected line."""
         self.line = line
         self._closed.clear()
         self.fault = None
-        self._refused_before, self.session = self.refused, HostSession(self._draw)
+        self.session = HostSession(self._draw, self.session.refused)
         self._deframer = Deframer()
         self._answers.clear()
         self._last_written = self._last_packet = self.now_s()

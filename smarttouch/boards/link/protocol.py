@@ -204,7 +204,6 @@ ANSWERS = {
     MessageKind.LIMITS: MessageKind.LIMITED,
     MessageKind.KERNELS: MessageKind.KEPT,
 }
-_ANSWERS = frozenset(ANSWERS.values())
 
 
 @dataclass(frozen=True)
@@ -256,12 +255,12 @@ def draw_half() -> int:
 
 class HostSession:
     """One session with a board, from before HELLO on; ``draw`` returns 32 random bits that are not
-    all 0."""
+    all 0, and ``refused`` packets were refused in earlier ones."""
 
-    def __init__(self, draw: Callable[[], int] = draw_half) -> None:
+    def __init__(self, draw: Callable[[], int] = draw_half, refused: int = 0) -> None:
         self.number: int = draw()  # its upper half is 0 until the board has answered HELLO
         self.begun: bool = False  # whether the board has answered BEGIN
-        self.refused: int = 0  # number of packets
+        self.refused: int = refused  # number of packets
         self.sent: int = 0  # number of the last packet
         self._taken = self._offered = 0
         self._asked: dict[int, MessageKind] = {}
@@ -287,7 +286,7 @@ class HostSession:
             and message.version == VERSION
         ):
             self._taken = message.number
-            if message.kind in _ANSWERS:
+            if message.kind in ANSWERS.values():
                 taken = self._was_asked(message)
                 self.begun |= taken and message.kind == MessageKind.BEGUN
         if not taken:

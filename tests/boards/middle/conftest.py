@@ -218,7 +218,7 @@ class World:
                 assert self.refused() == before + 1, "a replay was not told of"
 
     def reach_host(self, piece):
-        before, listening = self.host.refused, self.host.session.number > HALF
+        before, listening = self.host.session.refused, self.host.session.number > HALF
         self.host.take(piece)
         if self.host.session.number > HALF:
             assert self.host.session.number in self.said.sent
@@ -226,7 +226,7 @@ class World:
         judged = self.said.judge(piece)
         if judged is not None and judged[1] and listening:
             self.replayed["host"] += 1
-            assert self.host.refused == before + 1, "a replay was not counted"
+            assert self.host.session.refused == before + 1, "a replay was not counted"
 
 
 class WorldClock:
