@@ -116,24 +116,6 @@ def emulate_sensor(
     _serve(name, device, linger, advise)
 
 
-_USES = {
-    "kajimoto61": "live --board kajimoto61:PORT --force fixed:0.9",  # kits do not measure force
-    "etactilekit": "live --board etactilekit:PORT --force fixed:0.9",
-    "link": "live --board link:PORT",
-    "serial-array": "live serial-array:PORT --force fixed:0.5",
-    "hx711": "live --force hx711:PORT --profile P",
-    "loadcell": "live --force loadcell:PORT --profile P",
-}
-
-
-def _advice(name: str, port: str) -> str:
-    use, curve = _USES[name].replace("PORT", port), ""
-    if name in ("hx711", "loadcell"):
-        numbers = f"{-ZERO_COUNTS / COUNTS_PER_N:g}, {1 / COUNTS_PER_N:g}"
-        curve = f" The curve in [force] of the profile P is [{numbers}]."
-    return f"In another terminal:\n\n  smarttouch {use}\n\nCtrl-C ends this {name}.{curve}"
-
-
 def _serve(
     name: str,
     device: Firmware,
@@ -144,7 +126,10 @@ def _serve(
     require_within(SmartTouchError, "linger", linger_s, 0, math.inf)
     # Circuits and images are small: a second thread would only slow down the host.
     with closing(line()) as opened, threadpool_limits(1):
-        Server(device, opened).serve(linger_s, _advice(name, opened.name) if advise else "")
+        url = f"{name}:{opened.name}"
+        use = f"live --board {url} --force fixed:0.9" if name in BOARDS else f"devices show {url}"
+        said = f"In another terminal:\n\n  smarttouch {use}\n\nCtrl-C ends it."
+        Server(device, opened).serve(linger_s, said if advise else "")
 
 
 class Server:
@@ -273,12 +258,13 @@ class EmulatedLoadCell(SensorFirmware):
 
     def __init__(self, force_n: float, framed: bool = False, rate_hz: float = 80.0) -> None:
         super().__init__(rate_hz)
-        self._force_n, self._framed = force_n, framed
+        self.force_n: float = force_n
+        self._framed = framed
         self._random = np.random.default_rng(0)
 
     def packet(self, number: int, time_s: float) -> bytes:
         noise = _NOISE_COUNTS * self._random.standard_normal()
-        counts = round(ZERO_COUNTS + COUNTS_PER_N * self._force_n + noise)
+        counts = round(ZERO_COUNTS + COUNTS_PER_N * self.force_n + noise)
         reading = min(max(counts, -_LARGEST_RAW - 1), _LARGEST_RAW)
         if self._framed:
             return encode_force(number, round(time_s * 1e6), reading)

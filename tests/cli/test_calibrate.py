@@ -1,11 +1,8 @@
 """All calibrations, walked through: what they show, write, and refuse to write."""
 
-import fcntl
 import os
 import re
-import struct
-import subprocess
-import termios
+import threading
 import time
 from pathlib import Path
 
@@ -15,7 +12,9 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from smarttouch.base.errors import BoardError, CalibrationError, ProfileError, SourceError
+from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.cli.calibrate import calibrate
+from smarttouch.emulator.devices import EmulatedLoadCell, Server
 from smarttouch.emulator.firmware import read_state
 from smarttouch.experiments.sensor_optics import target_for
 from smarttouch.experiments.thresholds import measuring_profile, simulated_finger
@@ -24,7 +23,6 @@ from smarttouch.sources.preprocess import FlatField
 
 from ..boards.fresh import fresh_state, until
 from ..experiments.simulated_sensors import SimulatedPatch, View
-from ..forks import Forked, emulator
 from ..whole import WHOLE
 from .conftest import PRESSED, says
 
@@ -125,31 +123,28 @@ def test_a_target_alone(run, tmp_path):
     assert (tmp_path / "target.png").exists()
 
 
-def unread(pipe):
-    """Return how many bytes whoever reads a pipe has not taken yet."""
-    return struct.unpack("i", fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)))[0]
-
-
 @pytest.fixture
 def load_cell(monkeypatch):
     """An emulated cell on a serial line; who is asked for a weight lays it on."""
-    with Forked(
-        emulator("loadcell", "rate=400", "linger=2"),
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    ) as process:  # fmt: skip
-        port = process.stdout.readline().strip()
+    cell, line = EmulatedLoadCell(0.0, framed=True, rate_hz=400), PtyLine()
+    server, over = Server(cell, line), threading.Event()
 
-        def lay_on(text, **_options):
-            process.stdin.write(f"weight {text.split()[0]}\n")
-            process.stdin.flush()
-            until(lambda: unread(process.stdin) == 0)
-            # What was sampled before is on its way.
-            time.sleep(0.1)
+    def serve():
+        while not over.is_set():
+            server.step(line.read(0.002), time.monotonic_ns())
 
-        monkeypatch.setattr("typer.prompt", lay_on)
-        yield f"loadcell:{port}"
-        process.kill()
-        process.communicate()
+    def lay_on(text, **_options):
+        cell.force_n = float(text.split()[0]) * 9.80665e-3
+        # What was sampled before is on its way.
+        time.sleep(0.1)
+
+    monkeypatch.setattr("typer.prompt", lay_on)
+    serving = threading.Thread(target=serve)
+    serving.start()
+    yield f"loadcell:{line.name}"
+    over.set()
+    serving.join()
+    line.close()
 
 
 def test_force_of_an_emulated_load_cell(run, tmp_path, load_cell):

@@ -263,9 +263,8 @@ def test_an_array_is_played_and_shown(run):
     ) as process:
         try:
             assert select.select([process.stdout], [], [], 30)[0], "it prints nothing"
-            said = [process.stdout.readline() for _ in range(3)][-1].split()
-            assert said[:2] == ["smarttouch", "live"]
-            url = said[2]
+            *command, url = [process.stdout.readline() for _ in range(3)][-1].split()
+            assert command == ["smarttouch", "devices", "show"]
             shown = run("show", url, "--seconds", 0.3)
             assert shown.exit_code == 0, shown.exception
             rows = table(shown.output)
