@@ -1,1 +1,1 @@
-"""A proved scan sequence becomes bytes on a wire: the contract of boards, their seal and stops."""
+"""A proved scan sequence becomes bytes on a wire: boards, their drivers, and what stops them."""
