@@ -33,8 +33,9 @@ def cut_strip(
     steps = max(1, math.ceil(line_px / height_px))
     rows = steps * height_px
     scale_mm = line.height_mm / rows
-    along_mm = _places(line, scale_mm * steps, steps)
-    above = round(_AROUND * rows)
+    sides_mm, above = SIDES * line.height_mm, round(_AROUND * rows)
+    width = max(1, round((line.right_mm - line.left_mm + 2 * sides_mm) / scale_mm / steps))
+    along_mm = line.left_mm - sides_mm + (np.arange(width * steps) + 0.5) * scale_mm
     across_mm = (np.arange(-above, rows + above) + 0.5) * scale_mm - line.ascent_mm
     # Columns are not tilted: strokes stay upright on a curved page.
     x_mm = np.broadcast_to(along_mm, (len(across_mm), len(along_mm)))
@@ -48,19 +49,7 @@ def cut_strip(
         borderValue=255,
     )
     own = _without_neighbors(np.asarray(wide, np.uint8), above, rows)
-    size = (len(along_mm) // steps, height_px)
-    return np.asarray(cv2.resize(own, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _places(line: TextLine, pixel_mm: float, steps: int) -> NDArray[np.float64]:
-    """Return the x of every column, at equal distances along the baseline, mm."""
-    sides_mm = SIDES * line.height_mm
-    x_mm = np.linspace(line.left_mm - sides_mm, line.right_mm + sides_mm, 400)
-    passed_mm = np.cumsum(np.hypot(np.diff(x_mm), np.diff(line.baseline_mm(x_mm))))
-    passed_mm = np.concatenate([[0.0], passed_mm])
-    columns = max(1, round(float(passed_mm[-1]) / pixel_mm)) * steps
-    wanted_mm = (np.arange(columns) + 0.5) * float(passed_mm[-1]) / columns
-    return np.interp(wanted_mm, passed_mm, x_mm)
+    return np.asarray(cv2.resize(own, (width, height_px), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArray[np.uint8]:
