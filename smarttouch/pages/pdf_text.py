@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from smarttouch.pages.grey_image import LUMA
 from smarttouch.pages.page_image import Page, TextLine
-from smarttouch.pages.pdf_layout import MADE_SPACE, SPACE, Line, Word, reading_order, split
+from smarttouch.pages.reading_order import MADE_SPACE, SPACE, Line, Word, reading_order, split
 from smarttouch.pages.text_lines import find_lines
 
 if TYPE_CHECKING:
@@ -59,11 +59,7 @@ def with_text(sheet: "pypdfium2.PdfPage", page: Page, point_mm: float, printed: 
     seen = [word for word in words if _is_seen(page, word, point_mm)]
     letters = [unicodedata.bidirectional(letter) for word in words for letter in word.text]
     is_leftward = sum(letter in ("R", "AL") for letter in letters) > letters.count("L")
-    if is_leftward:
-        _mirror(seen)
-    found = reading_order(seen, sheet.get_height())
-    if is_leftward:
-        _mirror(seen)
+    found = reading_order(seen, sheet.get_height(), is_leftward)
     lines = [_text_line(line, point_mm) for line in found]
     texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in found]
     text = "".join(texts)
@@ -188,11 +184,6 @@ def _join_spaced(words: list[Word]) -> None:
                 if after.left - before.right < _WIDER * usual:
                     before.text, before.right = before.text + after.text, after.right
                     after.text = ""
-
-
-def _mirror(words: list[Word]) -> None:
-    for word in words:
-        word.left, word.right = -word.right, -word.left
 
 
 def _text_line(line: Line, point_mm: float) -> TextLine:

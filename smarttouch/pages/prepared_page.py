@@ -35,7 +35,9 @@ def cut_strip(
     scale_mm = line.height_mm / rows
     sides_mm, above = SIDES * line.height_mm, round(_AROUND * rows)
     width = max(1, round((line.right_mm - line.left_mm + 2 * sides_mm) / scale_mm / steps))
-    along_mm = line.left_mm - sides_mm + (np.arange(width * steps) + 0.5) * scale_mm
+    along_mm = np.asarray(
+        line.left_mm - sides_mm + (np.arange(width * steps) + 0.5) * scale_mm, np.float64
+    )
     across_mm = (np.arange(-above, rows + above) + 0.5) * scale_mm - line.ascent_mm
     # Columns are not tilted: strokes stay upright on a curved page.
     x_mm = np.broadcast_to(along_mm, (len(across_mm), len(along_mm)))
@@ -74,10 +76,6 @@ def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArra
 
 LEFT_OUT = "left out: "  # beginning of the note on what is not among the lines
 FAINT = "faint marks, as of print on the back of the sheet"
-DOUBTFUL = (
-    "the order is doubtful: lines side by side may be rows of a table or columns, and are read as "
-    "columns"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +120,6 @@ def prepare_page(
     left_out = [words for words in (found.left_out, FAINT if paper.faint else "") if words]
     if left_out:
         notes.append(LEFT_OUT + ", ".join(left_out))
-    if found.doubtful:
-        notes.append(DOUBTFUL)
     return PreparedPage(
         straight, paper.cleaned, tuple(found.lines), paper.light_on_dark, tuple(notes)
     )

@@ -22,18 +22,16 @@ from smarttouch.pages.components import (
 )
 from smarttouch.pages.ink import Paper, separate_ink
 from smarttouch.pages.page_image import Page, TextLine
-from smarttouch.pages.reading_order import reading_order
+from smarttouch.pages.reading_order import Word, reading_order
 from smarttouch.pages.rows import find_rows
 
 
 @dataclass(frozen=True)
 class PageLines:
-    """Lines of a page in reading order, what was left out, in words, and whether the order is
-    doubtful."""
+    """Lines of a page in reading order, and what was left out, in words."""
 
     lines: list[TextLine]
     left_out: str = ""
-    doubtful: bool = False
 
 
 _SMALL_PX, _ENOUGH_PX = 9.0, 10.0
@@ -134,6 +132,7 @@ def _panels(ink: Ink, components: Components, height: float, scale: int) -> Ink 
 
 _HOPELESS, _MISSES = 60, 3
 """Failed rows, and additional ones per line of text, after which the rest is a picture's."""
+_HEIGHT = 0.96  # from ascender to descender, in sizes of the font
 _LONG_ROW = 11.0  # least length of a row, in letter heights, that determines its slope
 _EVEN, _FEW, _MANY, _SIMILAR, _MOST_OF_ALL = 0.85, 4, 8, 1.7, 0.8
 """Part of the letters at their levels of a line that needs few to be sure, and letters of one that
@@ -163,14 +162,20 @@ def _lines_in_ink(ink: Ink, height: float, mm_per_pixel: float, leftward: bool) 
         return PageLines([], left_out)
     baselines = _with_marks(_joined(parted, baselines), components)
     x_height, ascent, descent = _sizes(baselines)
-    left, right = np.array([[each.left, each.right] for each in baselines]).T
-    line_height = (ascent + descent) * x_height
-    order = reading_order(left, right, _levels(baselines), line_height, leftward)
-    lines = [
-        _line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel, int(order.cell[k]))
-        for k in order.indices
+    y, size = _levels(baselines), (ascent + descent) * x_height / _HEIGHT
+    words = [
+        Word("", each.left, each.right, float(y[k]), float(size[k]), -1 - k)
+        for k, each in enumerate(baselines)
     ]
-    return PageLines(lines, left_out, order.doubtful)
+    lines = [
+        _line(
+            baselines[-1 - word.place], float(x_height[-1 - word.place]), ascent, descent,
+            mm_per_pixel, cell if row.is_cells else 0,
+        )
+        for row in reading_order(words, len(ink), leftward)
+        for cell, word in enumerate(row.words, 1)
+    ]  # fmt: skip
+    return PageLines(lines, left_out)
 
 
 def _left_out(small: int, pictures: int) -> str:

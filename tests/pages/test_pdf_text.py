@@ -1,11 +1,8 @@
 """The text that a PDF brings is read as it is seen: whole words, columns, tables, visible print."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from smarttouch.pages.document import open_document
-from smarttouch.pages.pdf_layout import MADE_SPACE, SPACE, Word, reading_order
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions, upright_page
 
@@ -133,39 +130,6 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; Gas; 
         "labels", "turned", "outside", "marks of items"])  # fmt: skip
 def test_text_is_read_as_it_is_seen(tmp_path, content, words):
     assert load(pdf(tmp_path / "a.pdf", *content)).words == tuple(words)
-
-
-@given(st.lists(st.tuples(
-    st.integers(0, 40), st.integers(0, 20), st.sampled_from([6, 10, 18]),
-    st.sampled_from(["a", "12", "•", "a long word", "Label:"]), st.booleans(),
-), min_size=1, max_size=60))  # fmt: skip
-def test_no_word_is_lost_or_read_twice(placed):
-    words = [
-        Word(text, 10 * x, 10 * x + 4 * len(text), 12 * y, size, k - 10**9 * in_field, SPACE)
-        for k, (x, y, size, text, in_field) in enumerate(placed)
-    ]
-    lines = reading_order(words, 240)
-    assert sorted(map(id, words)) == sorted(id(word) for line in lines for word in line.words)
-    signs = "".join(line.text for line in lines).translate(dict.fromkeys(map(ord, "-; ")))
-    assert sorted(signs) == sorted("".join(word.text for word in words).replace(" ", ""))
-
-
-@pytest.mark.parametrize(("width", "texts"), [
-    (190, ["stood bread window considerations", "window night the a house house",
-           "considerations stood notwithstanding", "extraordinarily night garden morning a",
-           "under extraordinarily extraordinarily"]),
-    (110, ["window night the a", "considerations of", "extraordinarily a", "considerations it",
-           "some neighbourhood"]),
-])  # fmt: skip
-def test_justified_prose_is_no_table(width, texts):
-    words = []
-    for k, text in enumerate(texts):
-        parts, x = text.split(), 0.0
-        gap = (width - 5 * len("".join(parts))) / (len(parts) - 1)
-        for part in parts:
-            words.append(Word(part, x, x + 5 * len(part), 14 * k, 10, len(words), MADE_SPACE))
-            x = words[-1].right + gap
-    assert [line.text for line in reading_order(words, 800)] == texts
 
 
 @pytest.mark.parametrize("page", [

@@ -2,12 +2,11 @@
 
 import shutil
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.pages.reading_order import reading_order
+from smarttouch.pages.reading_order import MADE_SPACE, SPACE, Word, reading_order
 from smarttouch.reading.legibility import character_error_rate
 
 from ..benchmarks import page_layouts
@@ -17,11 +16,21 @@ LEFT, RIGHT, BOTH = (0, 40), (50, 90), (0, 90)
 WIDER = 4
 
 
-def order(*lines, **more):
-    """Order lines of (sides, y), 8 high; columns are wider than cells of a table."""
-    sides, y = zip(*lines, strict=True)
-    left, right = WIDER * np.array(sides, float).T
-    return reading_order(left, right, np.array(y, float), np.full(len(y), 8.0), **more).indices
+def order(*lines, leftward=False):
+    """Order lines of a picture, of (sides, y) and 8 high, and return their indices and cells."""
+    words = [
+        Word("", WIDER * left, WIDER * right, y, 8.0, -1 - k)
+        for k, ((left, right), y) in enumerate(lines)
+    ]
+    found = reading_order(words, 1000, leftward)
+    return (
+        [-1 - word.place for line in found for word in line.words],
+        [
+            cell if line.is_cells else 0
+            for line in found
+            for cell, _ in enumerate(line.words, 1)
+        ],
+    )  # fmt: skip
 
 
 def columns(*tops, count=4):
@@ -33,78 +42,82 @@ def columns(*tops, count=4):
     "lines",
     [
         columns((LEFT, 20), (RIGHT, 20)),
-        columns((LEFT, 20), (RIGHT, 32)),
+        columns((LEFT, 20), (RIGHT, 26)),
         columns((LEFT, 20), (RIGHT, 16)),
-        [(BOTH, 0), *columns((LEFT, 20), (RIGHT, 20)), (BOTH, 65),
-         *columns((LEFT, 80), (RIGHT, 80))],
-        [((30, 44), 0), *columns((LEFT, 20), (RIGHT, 20))],
+        [
+            (BOTH, 0),
+            *columns((LEFT, 20), (RIGHT, 20)),
+            (BOTH, 65),
+            *columns((LEFT, 80), (RIGHT, 80)),
+        ],
+        [((30, 54), 0), *columns((LEFT, 20), (RIGHT, 20))],
         [((0, 85), 0), *columns(((0, 25), 10), ((30, 55), 10), ((60, 85), 10))],
         [((60, 90), 0), ((0, 30), 30), (BOTH, 50), (BOTH, 60)],
         [(BOTH, 0), (LEFT, 10), (RIGHT, 10), (BOTH, 20)],
-        [*columns((LEFT, 20), (RIGHT, 20)), ((0, 15), 90), ((60, 90), 91)],
+        [*columns((LEFT, 20), (RIGHT, 20)), (BOTH, 90)],
     ],
-    ids=["columns", "lower", "higher", "headings", "narrow title", "three", "date", "parts",
-         "foot"],
-)  # fmt: skip
+    ids=["columns", "lower", "higher", "headings", "title", "three", "date", "parts", "foot"],
+)
 def test_lines_in_the_order_in_which_they_are_read(lines):
-    assert order(*lines) == list(range(len(lines)))
+    assert order(*lines) == (list(range(len(lines))), [0] * len(lines))
 
 
 @given(st.permutations(range(9)))
 def test_the_order_does_not_depend_on_how_lines_were_found(shuffled):
     lines = [(BOTH, 0), *columns((LEFT, 20), (RIGHT, 23))]
-    found = order(*(lines[k] for k in shuffled))
+    found, _ = order(*(lines[k] for k in shuffled))
     assert [shuffled[k] for k in found] == list(range(9))
-
-
-SPAN = st.tuples(st.integers(0, 100), st.integers(1, 100), st.integers(0, 100))
-
-
-@given(st.lists(SPAN, min_size=1, max_size=25), st.booleans())
-def test_every_line_is_read_once(lines, leftward):
-    left, wide, y = np.array(lines, float).T
-    found = reading_order(left, left + wide, y, np.full(len(y), 8.0), leftward)
-    assert sorted(found.indices) == list(range(len(lines)))
-    assert (found.cell >= 0).all()
 
 
 def test_scripts_from_the_right_are_read_from_the_right():
     lines = [(BOTH, 0), *columns((RIGHT, 20), (LEFT, 20))]
-    assert order(*lines, leftward=True) == list(range(9))
+    assert order(*lines, leftward=True)[0] == list(range(9))
 
 
-def test_a_table_of_figures_is_read_by_rows_and_its_cells_are_known():
-    ends = [(0, 90), (120, 150), (180, 210)]
-    text = [(0, 400)]
-    rows = [text, *[ends] * 4, text]
-    y = np.repeat(10.0 * np.arange(6), [len(row) for row in rows])
-    left, right = np.array([cell for row in rows for cell in row], float).T
-    found = reading_order(left, right, y, np.full(14, 8.0))
-    assert found.indices == list(range(14))
-    assert found.cell.tolist() == [0, *[1, 2, 3] * 4, 0]
-    assert not found.doubtful
+NARROW, CELLS, PROSE = [(0, 20), (25, 34)], [(0, 20), (25, 45)], [(0, 40), (45, 85)]
 
 
-NARROW, CELLS, PROSE = [(0, 90), (120, 150)], [(0, 90), (120, 190)], [(0, 200), (220, 420)]
+@pytest.mark.parametrize(("cells", "step", "by_rows"), [
+    (NARROW, 10, True), (CELLS, 10, False), (CELLS, 16, True), (PROSE, 10, False),
+])  # fmt: skip
+def test_rows_are_narrow_or_loose(cells, step, by_rows):
+    lines = [(cell, step * row) for row in range(5) for cell in cells]
+    found, cell = order(*lines)
+    assert found == (list(range(10)) if by_rows else [*range(0, 10, 2), *range(1, 10, 2)])
+    assert cell == [1, 2] * 5 if by_rows else [0] * 10
 
 
-@pytest.mark.parametrize(
-    ("cells", "step", "by_rows", "doubtful"),
-    [
-        (NARROW, 10, True, False),
-        ([(0, 90), (120, 165)], 10, False, True),
-        (CELLS, 10, False, False),
-        (CELLS, 16, True, False),  # looser than lines of a column
-        (PROSE, 12, False, False),
-    ],
-)
-def test_rows_are_narrow_or_loose(cells, step, by_rows, doubtful):
-    left, right = np.array(cells * 5, float).T
-    y = step * np.repeat(np.arange(5.0), 2)
-    found = reading_order(left, right, y, np.full(10, 8.0))
-    assert found.indices == (list(range(10)) if by_rows else [*range(0, 10, 2), *range(1, 10, 2)])
-    assert found.cell.any() == by_rows
-    assert found.doubtful == doubtful
+@given(st.lists(st.tuples(
+    st.integers(0, 40), st.integers(0, 20), st.sampled_from([6, 10, 18]),
+    st.sampled_from(["a", "12", "•", "a long word", "Label:"]), st.booleans(),
+), max_size=60), st.booleans())  # fmt: skip
+def test_no_word_is_lost_or_read_twice(placed, leftward):
+    words = [
+        Word(text, 10 * x, 10 * x + 4 * len(text), 12 * y, size, k - 10**9 * in_field, SPACE)
+        for k, (x, y, size, text, in_field) in enumerate(placed)
+    ]
+    lines = reading_order(words, 240, leftward)
+    assert sorted(map(id, words)) == sorted(id(word) for line in lines for word in line.words)
+    signs = "".join(line.text for line in lines).translate(dict.fromkeys(map(ord, "-; ")))
+    assert sorted(signs) == sorted("".join(word.text for word in words).replace(" ", ""))
+
+
+@pytest.mark.parametrize(("width", "texts"), [
+    (190, ["stood bread window considerations", "window night the a house house",
+           "considerations stood notwithstanding", "extraordinarily night garden morning a",
+           "under extraordinarily extraordinarily"]),
+    (110, ["window night the a", "considerations of", "extraordinarily a", "considerations it",
+           "some neighbourhood"]),
+])  # fmt: skip
+def test_justified_prose_is_no_table(width, texts):
+    words = []
+    for k, text in enumerate(texts):
+        parts, x = text.split(), 0.0
+        gap = (width - 5 * len("".join(parts))) / (len(parts) - 1)
+        for part in parts:
+            words.append(Word(part, x, x + 5 * len(part), 14 * k, 10, len(words), MADE_SPACE))
+            x = words[-1].right + gap
+    assert [line.text for line in reading_order(words, 800)] == texts
 
 
 @pytest.mark.skipif(shutil.which("tesseract") is None, reason="needs Tesseract")
