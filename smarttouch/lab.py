@@ -45,7 +45,6 @@ from smarttouch.physiology.driving_function import DrivingFunction as DrivingFun
 from smarttouch.physiology.membrane import Axon as Axon
 from smarttouch.physiology.membrane import Fiber as Fiber
 from smarttouch.physiology.membrane import threshold_ma as threshold_ma
-from smarttouch.physiology.membrane import thresholds_ma as thresholds_ma
 from smarttouch.physiology.membrane import weiss_fit as weiss_fit
 from smarttouch.physiology.potential import line_in_plane as line_in_plane
 from smarttouch.reading.braille_lines import Braille as Braille

@@ -4,6 +4,7 @@ The fit starts from what the membrane would do if it were linear, which is withi
 so, and minimizes the errors of the thresholds' logarithms.
 """
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
+from smarttouch.base.errors import DesignError
 from smarttouch.physiology.driving_function import DrivingFunction, bend_operator, passes
-from smarttouch.physiology.membrane import Axon, Fiber
+from smarttouch.physiology.membrane import Axon, Fiber, threshold_ma
 
 Array = NDArray[np.float64]
 
@@ -30,6 +32,17 @@ decide stays as the membrane would have it if it were linear."""
 _LEAST = 0.1
 """Drive at threshold below which the logarithm goes on as a straight line."""
 _NODES = 60
+
+
+def thresholds_ma(
+    potential_mv: Array, fiber: Fiber, width_us: float, step_us: float = 4.0
+) -> Array:
+    """Return the cathodic thresholds (C,), mA, in fields (C, N); NaN where nothing fires."""
+    found = np.full(len(potential_mv), np.nan)
+    for index, each in enumerate(potential_mv):
+        with contextlib.suppress(DesignError):
+            found[index] = threshold_ma(each, fiber, width_us, cathodic=True, step_us=step_us)
+    return found
 
 
 def fit(

@@ -19,7 +19,7 @@ import mrg
 import numpy as np
 import platformdirs
 from fiber_cases import FiberCases, along_mm, cases
-from fiber_fit import ThresholdError, activating, fit, threshold_error
+from fiber_fit import ThresholdError, activating, fit, threshold_error, thresholds_ma
 from numpy.typing import NDArray
 
 from smarttouch.base.files import require_folder, write_json
@@ -31,7 +31,7 @@ from smarttouch.physiology.driving_function import (
     End,
     load_driving,
 )
-from smarttouch.physiology.membrane import Fiber, threshold_ma, thresholds_ma
+from smarttouch.physiology.membrane import Fiber
 from smarttouch.profile import Profile, load_profile
 from smarttouch.views.progress import progress
 
@@ -39,8 +39,6 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 WIDTHS_US = (50.0, 100.0, 200.0, 500.0)
-_EARLY = 0.3
-"""Where the search for thresholds begins, of what the activating function predicts."""
 _MOST_MA = 50.0
 """Threshold beyond which a fiber does not fire: ten times what any board may deliver."""
 _FEWER = 3
@@ -159,8 +157,7 @@ def _thresholds(
 ) -> Array:
     """Return the thresholds of the cable model, (C,) mA; NaN where it does not fire."""
     if name != "mrg":
-        near_ma = _near(fiber, width_us, potential_mv)
-        found = thresholds_ma(potential_mv, fiber, width_us, near_ma, step_us=width_us / 50)
+        found = thresholds_ma(potential_mv, fiber, width_us, step_us=width_us / 50)
     else:
         found = _mrg_thresholds(fiber, width_us, each, potential_mv, keep)
     return np.where(found > _MOST_MA, np.nan, found)
@@ -189,17 +186,6 @@ def _mrg_thresholds(
             np.save(half, found[-1])
             half.replace(path)
     return np.concatenate(found)
-
-
-def _near(fiber: Fiber, width_us: float, potential_mv: Array) -> Array:
-    """Return where to begin to look for the thresholds, mA: well below them."""
-    first = threshold_ma(potential_mv[0], fiber, width_us, cathodic=True, step_us=5.0)
-    bends = np.diff(potential_mv, 2, axis=1).max(axis=1)
-    if fiber.end == "active":
-        bends = np.maximum(bends, potential_mv[:, 1] - potential_mv[:, 0])
-    reference = max(float(bends[0]), 1e-9)
-    ratio = np.clip(reference / np.maximum(bends, 1e-9), 0.1, 100.0)
-    return np.asarray(_EARLY * first * ratio)
 
 
 def as_json(fits: Sequence[FiberFit]) -> dict[str, Any]:

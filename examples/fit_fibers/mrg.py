@@ -66,7 +66,7 @@ class MrgFiber:
     def thresholds_ma(self, potential_mv_per_ma: Array, width_us: float, near_ma: Array) -> Array:
         """Return the thresholds in fields, (C, S) mV per mA at `along_mm`: (C,) mA.
 
-        Parameters are those of `membrane.thresholds_ma`. NaN where nothing fires.
+        `near_ma` are estimates, (C,). NaN where nothing fires.
         """
         from pyfibers import ScaledStim
 

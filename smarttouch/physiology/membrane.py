@@ -34,8 +34,6 @@ _SETTLED_US = 100.0  # once the m gates have followed (12 µs)
 _FLOOR_MA, _CEILING_MA = 1e-4, 1000.0
 _ROUNDS = (71, 17, 17)  # candidates, down to 0.1 %; many at first, as a cathode also blocks:
 # a fiber may fire only between its threshold and three times that
-_PRECISION = 0.005  # relative precision of thresholds
-_RUNG, _MOST = 1.1, 1000.0  # of a search upward: its steps, and its end over the estimate
 _PATIENCE_US = 20_000.0  # after the pulse; an action potential passes a node in about 10
 
 
@@ -199,44 +197,6 @@ def threshold_ma(
                 f"internode ({fiber.internode_mm:g} mm), and that potentials are in mV per mA"
             )
         low, high = float(candidates[first - 1]), float(candidates[first])
-    return high
-
-
-def thresholds_ma(
-    potential_mv_per_ma: ArrayLike,
-    fiber: Fiber,
-    width_us: float,
-    near_ma: ArrayLike,
-    *,
-    step_us: float = 4.0,
-) -> Array:
-    """Return the thresholds (C,), mA, of one fiber in C fields, searched for at once.
-
-    Each is found upward from below an estimate, in steps of a tenth, and then by bisection to a
-    relative precision; NaN where nothing fires up to a thousand times the estimate. A good estimate
-    saves time and changes nothing else. Potentials are as of `threshold_ma`, with their sign
-    reversed for the anodic polarity.
-    """
-    steps = max(1, int(np.ceil(width_us / step_us - 1e-9)))
-    axon = Axon(potential_mv_per_ma, fiber, width_us / steps)
-    current = 0.5 * np.asarray(near_ma, np.float64)
-    while (low := _fires(axon, current[:, None] * axon.push, steps)).any():
-        current[low] /= 4
-    high = np.full(current.size, np.nan)
-    left = np.arange(current.size)
-    most = _MOST * np.asarray(near_ma, np.float64)
-    while left.size:
-        current[left] *= _RUNG
-        fired = _fires(axon, current[left, None] * axon.push[left], steps)
-        high[left[fired]] = current[left[fired]]
-        left = left[~fired & (current[left] < most[left])]
-    found = np.flatnonzero(np.isfinite(high))
-    low_ma, high_ma = high[found] / _RUNG, high[found]
-    for _ in range(int(np.ceil(np.log2(np.log(_RUNG) / _PRECISION)))):
-        middle = np.sqrt(low_ma * high_ma)
-        fired = _fires(axon, middle[:, None] * axon.push[found], steps)
-        low_ma, high_ma = np.where(fired, low_ma, middle), np.where(fired, middle, high_ma)
-    high[found] = high_ma
     return high
 
 

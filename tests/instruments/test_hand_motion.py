@@ -61,10 +61,6 @@ def test_strokes_pass_every_electrode_over_all_of_a_texture(wide, high, across, 
         assert lanes == pytest.approx([high / 2])
 
 
-def test_rounds():
-    assert open_motion("sweep:3").duration_s > 2.5 * open_motion("sweep:").duration_s
-
-
 def test_a_recorded_way(tmp_path):
     path = tmp_path / "way.csv"
     path.write_text("force_n, time_s,x_mm,note,y_mm\n0.2,5,10,a,3\n0.6,6,14,b,1\n\n0,8,14,,1\n")
@@ -100,11 +96,6 @@ def test_errors_are_reported(url, options, about, value):
     allowed = {"motion": known, "rounds": (1, 10_000)}.get(about)
     with raises(SourceError, names=about, value=value, allowed=allowed):
         open_motion(url, **options)
-
-
-def test_too_many_strokes():
-    with raises(SourceError, names="strokes", value=lambda strokes: strokes > 10 * 9999):
-        open_motion("sweep:9999", span_mm=(10, 1000))
 
 
 @pytest.mark.parametrize(("text", "about", "value"), [

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.errors import DesignError
 from smarttouch.physiology.driving_function import FIBERS, load_driving, passes
-from smarttouch.physiology.membrane import threshold_ma, thresholds_ma
+from smarttouch.physiology.membrane import threshold_ma
 from smarttouch.physiology.potential import disc_potential
 
 from ..fit_fibers import fiber_fit
@@ -61,7 +61,7 @@ def test_thresholds_of_the_cable_under_a_disc(fiber, end, width_us):
         [s * under_a_disc(like, d, b) for d in (0.6, 1.1, 1.8) for b in (0.2, 0.7) for s in (1, -1)]
     )
     drive = load_driving(fiber, end, width_us).drive(potentials[..., None])[..., 0].max(axis=1)
-    cable = thresholds_ma(potentials, like, width_us, 1 / drive)
+    cable = fiber_fit.thresholds_ma(potentials, like, width_us)
     assert np.isfinite(cable).all()
     error = fiber_fit.threshold_error(drive, cable)
     assert error.median < 0.04
@@ -127,7 +127,7 @@ def test_an_anode_on_the_way_stops_the_spike_of_a_long_pulse(gap_mm, strong):
         driving = load_driving("trunk", "through", width_us)
         predicted = 1 / driving.highest(both)
         free = 1 / replace(driving, block=np.inf).highest(both)
-        cable = thresholds_ma(both, like, width_us, 0.4 * free, step_us=width_us / 50)
+        cable = fiber_fit.thresholds_ma(both, like, width_us, step_us=width_us / 50)
         assert predicted == pytest.approx(cable, rel=0.1)
         assert cable[0] / cable[1] >= 0.98 * ratio
     assert free[0] < 0.5 * cable[0]

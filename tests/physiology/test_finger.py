@@ -13,7 +13,6 @@ from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.driving_function import FIBERS, load_driving
 from smarttouch.physiology.finger import Finger, axon_path_points
-from smarttouch.physiology.membrane import thresholds_ma
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import load_profile
 
@@ -163,7 +162,7 @@ def test_thresholds_of_bent_branches_that_no_fit_has_seen(profile, bank, afferen
         potentials.append(potential @ kernel)
     driving = load_driving("fingertip", "passive", 200.0)
     drive = driving.drive(np.array(potentials)[..., None])[..., 0].max(axis=1)
-    cable = thresholds_ma(potentials, like, 200.0, 0.6 / drive)
+    cable = fiber_fit.thresholds_ma(np.array(potentials), like, 200.0)
     error = fiber_fit.threshold_error(drive, cable)
     assert error.cases == len(picked)
     assert error.median < 0.1
