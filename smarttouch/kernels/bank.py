@@ -242,8 +242,8 @@ def design_confined(
 ) -> KernelBank:
     """Design kernels of `Kernels.neighbors` electrodes at some sites; those of others are zero, as
     is what electrodes farther away do to a target."""
+    from smarttouch.kernels.batch_design import design_tiles
     from smarttouch.kernels.switched_design import designer, possible_modes
-    from smarttouch.kernels.tiled_design import design_tiles
 
     profile, count = _by_sources(profile), len(profile.electrodes)
     modes, columns = possible_modes(profile), dict[str, Any]()

@@ -7,11 +7,10 @@ import pytest
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.bank import design_bank, find_bank, problem_hash, write_bank
-from smarttouch.kernels.batch_design import design_sites
+from smarttouch.kernels.batch_design import design_sites, tiles_of
 from smarttouch.kernels.design_problem import Problem
 from smarttouch.kernels.kernel_tables import kernels_designed
 from smarttouch.kernels.switched_design import design_three_state
-from smarttouch.kernels.tiled_design import tiles_of
 from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.profile import load_profile
 
