@@ -1,17 +1,28 @@
 """The public names: few, described, with examples that run, and cheap to import."""
 
+import ast
+import builtins
 import doctest
+import importlib.util
 import inspect
+import os
+import re
+import shutil
 import subprocess
 import sys
 import threading
+import typing
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import smarttouch as st
+from smarttouch import lab, plugins, testing, types
 
+from .public_api import names_of
 from .raising import raises
+from .whole import sample
 
 
 def test_they_are_few_and_all_described():
@@ -133,3 +144,136 @@ def test_objects_show_themselves_in_a_line():
         assert " at 0x" not in text
     plain = (str, int, float, bool, type(None), list, dict)
     assert all(type(each) in plain for each in statistics.figures.values())
+
+
+ROOT = Path(__file__).parents[1]
+MODULES = {"types": types, "plugins": plugins, "testing": testing, "lab": lab}
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PROGRAMS = [*(ROOT / "examples").glob("*.py"), *(ROOT / "examples" / "plugins").rglob("*.py")]
+
+
+PUBLIC = {
+    "smarttouch": names_of(st) | {*MODULES},
+    **{f"smarttouch.{each}": names_of(module) for each, module in MODULES.items()},
+}
+
+
+def test_all_are_on_the_page_in_the_part_of_their_module():
+    page = (ROOT / "docs" / "reference" / "python.md").read_text("utf-8")
+    heads = {"types": "Types", "plugins": "Plug-ins", "testing": "Tests of plug-ins",
+             "lab": "Laboratory", "": "At the top"}  # fmt: skip
+    for module, head in heads.items():
+        part = re.search(rf"^## {head}\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)[1]
+        named = {*re.findall(r"^   (\w+)$", part, re.MULTILINE), *re.findall(r"`(\w+)`", part)}
+        assert names_of(MODULES.get(module, st)) - named == set(), head
+
+
+def imported(code):
+    """Yield module and name of all that a program imports from the package."""
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Import):
+            for each in node.names:
+                yield each.name, None
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            for each in node.names:
+                yield node.module, each.name
+
+
+def test_examples_and_pages_import_public_names_alone():
+    blocks = [(path.stem, path.read_text("utf-8")) for path in PROGRAMS]
+    for page in PAGES:
+        fences = re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), re.M | re.S)
+        blocks += [(page.stem, each) for each in fences]
+    assert len(blocks) > 35
+    inside = [
+        (where, module, name)
+        for where, code in blocks
+        for module, name in imported(code)
+        if module.partition(".")[0] == "smarttouch"
+        and name not in PUBLIC.get(module, ())
+        and not (name is None and module in PUBLIC)
+    ]
+    assert inside == []
+
+
+ALL = {name: getattr(st, name) for name in PUBLIC["smarttouch"] - {*MODULES}} | {
+    name: getattr(module, name) for module in (types, plugins, testing) for name in names_of(module)
+}
+
+LOCAL = {
+    **ALL, **vars(builtins),
+    "ClassVar": typing.ClassVar,
+}  # fmt: skip
+"""All that a hint may name which its module imports for type checkers alone."""
+
+
+def types_in(hint):
+    if isinstance(hint, type):
+        yield hint
+    for each in typing.get_args(hint):
+        yield from types_in(each)
+
+
+def functions_of(value):
+    """Yield the functions whose signatures users of a name see."""
+    if inspect.isfunction(value):
+        yield value
+    elif inspect.isclass(value) and value.__module__.startswith("smarttouch"):
+        for name, member in vars(value).items():
+            inner = getattr(member, "fget", None) or getattr(member, "__func__", member)
+            if (not name.startswith("_") or name == "__init__") and inspect.isfunction(inner):
+                yield inspect.unwrap(inner)
+
+
+@pytest.mark.parametrize("name", sorted(ALL))
+def test_what_its_signatures_name_is_public(name):
+    value, public = ALL[name], {id(each) for each in ALL.values()}
+    hints = []
+    for function in functions_of(value):
+        # What is imported for type checkers alone must be found among the public names.
+        hints += typing.get_type_hints(function, localns=LOCAL).values()
+    if inspect.isclass(value):
+        shown = {each for each in getattr(value, "__annotations__", ()) if each[0] != "_"}
+        found = typing.get_type_hints(value, localns=LOCAL)
+        hints += [found[each] for each in shown]
+    named = {each for hint in hints for each in types_in(hint)}
+    inside = [
+        each
+        for each in named
+        if each.__module__.startswith("smarttouch") and id(each) not in public
+    ]
+    assert inside == []
+
+
+PROGRAM = Path(__file__).with_name("misspelled.py")
+LINES = PROGRAM.read_text("utf-8").splitlines()
+WRONG = {number for number, line in enumerate(LINES, 1) if line.endswith("# wrong")}
+
+
+EXAMPLES = PROGRAM.parents[1] / "examples"
+RIGHT = [
+    EXAMPLES / f"{name}.py"
+    for name in ("analyze_recording", "irregular_array", "own_board", "own_feed", "own_imaging",
+                 "own_stimulus", "show_patterns", "two_intervals")
+]  # fmt: skip
+CHECKERS = [("mypy", "--strict"), ("pyright", "--pythonpath", sys.executable)]
+
+
+@pytest.mark.parametrize("checker", sample(CHECKERS), ids=lambda each: each[0])
+def test_misspellings_are_all_that_is_found(checker):
+    """In one run: a checker reads the package each time."""
+    if importlib.util.find_spec(checker[0]) is None:
+        pytest.skip(f"{checker[0]} is not installed")
+    if checker[0] == "pyright" and shutil.which("node") is None:
+        pytest.skip("pyright would load a Node.js of its own")
+    done = subprocess.run(
+        [sys.executable, "-m", *checker, *map(str, [PROGRAM, *RIGHT])],
+        capture_output=True, text=True, timeout=500, check=False, cwd=PROGRAM.parents[1],
+        env=os.environ | {"PYRIGHT_PYTHON_GLOBAL_NODE": "1"},
+    )  # fmt: skip
+    assert len(WRONG) >= 17
+    found = re.findall(r"(\w+)\.py:(\d+):.*error", done.stdout)
+    assert {(name, int(line)) for name, line in found} == {("misspelled", each) for each in WRONG}
+    # Which it says of how many it has read.
+    if checker[0] == "mypy":
+        assert f"checked {1 + len(RIGHT)} source files" in done.stdout

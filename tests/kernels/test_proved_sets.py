@@ -102,50 +102,6 @@ def test_what_cannot_be_judged_is_refused(profile):
         judge.judge(np.zeros((1, 16)), np.zeros((1, 16)))
 
 
-@given(
-    st.sampled_from([Afferent.RA, Afferent.SAI]), st.integers(1, 4), st.integers(0, 2**32 - 1)
-)  # fmt: skip
-def test_no_subset_breaks_a_bound(make_operator, afferent, step, seed):
-    operator = make_operator(afferent)
-    rng = np.random.default_rng(seed)
-    one = rng.choice(color_classes(operator, step))
-    on = rng.random(len(one.sites)) < rng.uniform(0.1, 1)
-    on[rng.integers(len(on))] = True
-    current = on @ one.kernels
-    level = np.zeros(64)
-    level[one.sites[on]] = 1
-    (figures,) = operator.judge.judge(current[None], level[None])
-    assert figures.off_target <= one.off_target * 1.001
-    assert figures.spill <= one.spill * 1.001
-    assert figures.total_ma <= one.totals_ma.sum() + 1e-9
-    assert (np.abs(current) <= one.electrode_ma + 1e-9).all()
-    assert figures.weakest >= one.weakest - 1e-9
-    if step > 1:
-        assert one.weakest == pytest.approx(1, abs=1e-3)
-
-
-@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
-@pytest.mark.parametrize("step", [2, 3])
-def test_the_bounds_are_reached_by_a_subset(make_operator, afferent, step):
-    """The worst node's exciting sites alone reach it: no bound is looser than it must be."""
-    judge = make_operator(afferent).judge
-    operator = make_operator(afferent)
-    # Neighbors calm what each excites: only some of them make the worst subset.
-    beside = SharedKernels(operator, np.array([18, 19, 20, 26, 28, 45]))
-    for one in [*color_classes(operator, step), beside]:
-        field, own = one.kernels @ judge.others.T, one.kernels @ judge.own.T
-        far = np.array([judge.far(np.array([site])) for site in one.sites])
-        # All that are on lie far from the node, else it would be no spill.
-        for name, each in (("off_target", field), ("spill", np.where(far, own, 0))):
-            node = np.maximum(each, 0).sum(axis=0).argmax()
-            on = each[:, node] > 0
-            level = np.zeros(64)
-            level[one.sites[on]] = 1
-            (figures,) = judge.judge((on @ one.kernels)[None], level[None])
-            # Targets of such a subset may be a little stronger than the weakest of all.
-            assert getattr(figures, name) == pytest.approx(getattr(one, name), rel=0.01)
-
-
 def test_classes_are_all_driven_sites_once(profile, changed):
     mine = changed(profile, {"output.masked": [0, 9]})
     operator = FrameOperator(FrameJudge(mine, Afferent.RA, np.full(64, 2.2)))

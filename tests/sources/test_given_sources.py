@@ -16,7 +16,6 @@ from smarttouch.running.check_recording import assert_replays
 from smarttouch.sources import open_source, source_url
 from smarttouch.sources.given_sources import (
     checked_activation,
-    checked_input,
     gray_image,
     source_of,
 )
@@ -40,20 +39,6 @@ def test_what_is_certain_is_converted(image, gray):
     made = gray_image(image, "mine:")
     assert made.dtype == np.uint8
     np.testing.assert_array_equal(made, gray)
-
-
-@pytest.mark.parametrize(
-    "image",
-    [
-        GRAY / 255, GRAY.astype(np.uint16), GRAY.astype(np.int8), GRAY[:0], GRAY[None, None],
-        np.zeros((4, 4, 2), np.uint8), np.zeros((0, 4, 3), np.uint8), GRAY.tolist(), None, "a.png",
-        np.float32(1), np.full((3, 3), np.nan),
-    ],
-)  # fmt: skip
-def test_what_would_be_a_guess_is_refused(image):
-    with raises(SourceError, names="image") as caught:
-        checked_input(Frame(image, 0), "mine:", 64)
-    assert "mine:" in str(caught.value)
 
 
 @hypothetical(
