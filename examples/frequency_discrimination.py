@@ -18,7 +18,6 @@ import matplotlib.pyplot as plt
 import smarttouch as st
 from smarttouch.lab import (
     Setup,
-    Subject,
     discrimination_figure,
     judge_answers,
     make_observer,
@@ -35,7 +34,7 @@ def sit(folder, standards, repetitions):
     setup = Setup(profile, standards=standards, repetitions=repetitions, train_s=0.5, seed=1)
     path = Path(folder) / "frequency-RA.csv"
     with open_experiment("frequency", setup, path, "S1") as sitting:
-        source = sitting.source(Subject(make_observer("model", profile, 1, finger=2)))
+        source = sitting.source(make_observer("model", profile, 1, finger=2))
         st.run(source, st.open_display("simulated:", profile), seed=1)
     return path
 

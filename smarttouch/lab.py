@@ -12,7 +12,6 @@ from smarttouch.experiments.findings import (
     discrimination_figure as discrimination_figure,
 )
 from smarttouch.experiments.findings import judge_answers as judge_answers
-from smarttouch.experiments.observers import Subject as Subject
 from smarttouch.experiments.observers import make_observer as make_observer
 from smarttouch.experiments.procedures import Condition as Condition
 from smarttouch.experiments.procedures import constant_stimuli as constant_stimuli

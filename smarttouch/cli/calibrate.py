@@ -91,9 +91,6 @@ calibrate: Commands = Commands(
 )
 
 _SIMULATED = ("emulator:", "simulated:", "memory:")
-_Simulate = Annotated[
-    bool, option("Run the whole calibration without hardware.", None, "--simulate")
-]
 _FRAMES = 16  # that are averaged
 _SourceUrl = Annotated[str | None, option("Take frames from this source, such as camera:0.", "URL")]
 _BoardUrl = Annotated[
@@ -214,11 +211,8 @@ def thresholds(
     repeats: Annotated[
         int, option("Repeat the rising current this many times.", "N", min=1, max=10)
     ] = 3,
-    seed: Annotated[
-        int, option("Set the seed of pauses, starts and the simulation.", "N", min=0)
-    ] = 0,
+    seed: Annotated[int, option("Set the seed of pauses and starts.", "N", min=0)] = 0,
     force: ForceOption = None,
-    simulate: _Simulate = False,
 ) -> None:
     """Measure at each electrode the weakest current felt and the strongest comfortable one."""
     from smarttouch.boards.open import default_profile
@@ -226,15 +220,15 @@ def thresholds(
     from smarttouch.profile.profile import require_driven
     from smarttouch.views.keys_and_signals import keyboard_listener
 
-    simulated = simulate or board.startswith("emulator:")
+    simulated = board.startswith(_SIMULATED)
     file = calibration.file("thresholds", simulated, board)
     sites = file.profile.driven
     if electrodes is not None:
         sites = require_driven(file.profile, electrodes, CalibrationError, "electrodes")
-    require_answers(simulate, board, _SIMULATED, CalibrationError)
+    require_answers(False, board, (), CalibrationError)
     procedure = ThresholdProcedure(
         start=calibration.profile or default_profile(board), file=file, board_url=board,
-        sites=sites.tolist(), repeats=repeats, seed=seed, simulate=simulate,
+        sites=sites.tolist(), repeats=repeats, seed=seed,
     )  # fmt: skip
     with procedure.progress() as progress:
         try:
@@ -256,10 +250,7 @@ def contact(
     ] = 5,
 ) -> None:
     """Find the electrodes that touch the skin, by repeated measurements of their impedance."""
-    from smarttouch.experiments.contact import (
-        judge_contact,
-        measure_contact,
-    )
+    from smarttouch.experiments.contact import judge_contact, measure_contact
     from smarttouch.running.display import open_display
 
     simulated = board.startswith("emulator:")

@@ -126,11 +126,11 @@ def _run_trials(
     """Run an experiment of trials from the first without an answer."""
     from smarttouch.base.afferent import Afferent
     from smarttouch.experiments import experiment_session as sessions
-    from smarttouch.experiments.observers import Subject, make_observer
+    from smarttouch.experiments.observers import make_observer
     from smarttouch.experiments.trials import Setup
     from smarttouch.views.screen import BlindScreen
 
-    simulate, subject = who.simulate, None
+    simulate, observer = who.simulate, None
     if simulate is not None:
         choice_of("simulate", simulate, ("model", "random"))
     require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
@@ -157,8 +157,8 @@ def _run_trials(
                 if simulate is not None:
                     anatomy, finger = run.finger(_ANATOMY, _FINGER)
                     seed = setup.seed + sitting.resumed
-                    subject = Subject(make_observer(simulate, setup.profile, seed, finger, anatomy))
-                source = sitting.source(subject)
+                    observer = make_observer(simulate, setup.profile, seed, finger, anatomy)
+                source = sitting.source(observer)
                 run.start(source, setup.profile, config, screen=BlindScreen, keys=source.keys)
         finally:
             for line in sitting.after():

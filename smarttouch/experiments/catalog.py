@@ -185,7 +185,7 @@ def _rising(train: Train, full_ma: float) -> Course:
     pressed: bool | None = None
     while pressed is None:
         for step in range(1, steps + 1):
-            pressed = yield "enough", full_ma * step / steps
+            pressed = yield full_ma * step / steps
             if pressed or pressed is None:
                 break
     return "y" if pressed else "n"

@@ -12,7 +12,7 @@ from pathlib import Path
 from smarttouch.base.errors import ExperimentError, SmartTouchError
 from smarttouch.experiments.answers import AnswerFile, Row, Value
 from smarttouch.experiments.catalog import trials_of
-from smarttouch.experiments.observers import FITTED, Subject
+from smarttouch.experiments.observers import FITTED, Observer
 from smarttouch.experiments.procedures import LIMITS, middle_and_spread
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import Answer, Setup, Trial, Trials
@@ -42,12 +42,12 @@ class ExperimentSession:
         """Whether there is no next trial."""
         return self._next is None
 
-    def source(self, subject: Subject | None = None) -> TrialSource:
-        """Return the source of its stimuli; a subject answers in place of a person."""
+    def source(self, observer: Observer | None = None) -> TrialSource:
+        """Return the source of its stimuli; an observer answers in place of a person."""
         setup = self.setup
         source = TrialSource(
             self._recorded(), setup.profile, self.title, done=self.resumed, total=setup.total,
-            gap_s=setup.gap_s, answer_s=setup.answer_s, subject=subject,
+            gap_s=setup.gap_s, answer_s=setup.answer_s, observer=observer,
         )  # fmt: skip
         source.url = f"experiment:{self.title}"
         return source

@@ -1,4 +1,4 @@
-"""Simulated observers: by thresholds, by spikes, and at random.
+"""Simulated observers: by spikes, and at random.
 
 The paper's own explanation of its thresholds (Section III-C) as a model. Pulses fire RA
 and, if they reach deep enough, PC. RA's pulses carry the frequency; but a person who has learned
@@ -25,13 +25,11 @@ from scipy.special import ndtr, ndtri
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
 from smarttouch.emulator.emulated_boards import Pulses
-from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import DeliveredSlots, fire_all
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.physiology.vibration_thresholds import best_hz, sensitivity
 from smarttouch.profile import Profile
-from smarttouch.running.delivered import strength
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,11 +177,9 @@ class Nerve:
         return Response(self.finger, spikes.fired, interval.time_s)
 
 
-_YES_OR_NO = ("felt", "enough")
 GRATING_LIMIT_MM = 0.94
 """Finest grooves whose direction a fingertip identifies (Van Boven and Johnson, Neurology 44,
 1994). Ours: places are discriminated as well as grooves, in 75 % of trials."""
-_LOOK_S = 0.25  # interval of an observer's decisions while a current rises (our own choice)
 
 
 class Observer(Protocol):
@@ -194,52 +190,10 @@ class Observer(Protocol):
     ) -> str | None:
         """Return one of the alternatives, or None for no answer.
 
-        Tasks are ``faster`` (which interval: 1 or 2), ``felt`` and ``enough`` (y or n), ``side``
-        (of the second point: l or r).
+        Tasks are ``faster`` (which interval: 1 or 2), ``felt`` (y or n, or which interval) and
+        ``side`` (of the second point: l or r).
         """
         ...
-
-
-@dataclass
-class KnownObserver:
-    """Observer that reports whether a current is felt, or enough, by given thresholds."""
-
-    profile: Profile
-    # (E,) mA: threshold_ma, enough_ma: current of an electrode that is felt, or enough, in half of
-    # the trials
-    threshold_ma: NDArray[np.float32]
-    enough_ma: NDArray[np.float32]
-    seed: int = 0
-    slope: float = 0.1  # standard deviation of both, in natural logarithms of current
-    # guess, lapse: rate of false detections, and rate at which what is felt is not noticed
-    guess: float = 0.02
-    lapse: float = 0.02
-
-    def __post_init__(self) -> None:
-        self._random = np.random.default_rng(self.seed)
-
-    def respond(
-        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
-    ) -> str | None:
-        """Return y or n, to the task felt or enough, by the strongest pulse of all."""
-        middle_ma = self.threshold_ma if task == "felt" else self.enough_ma
-        most = 0.0
-        for each in intervals:
-            share = strength(each.width_us, self.profile.pulse)[:, None] / 1000
-            ratio = np.abs(each.current_ua) * share / middle_ma
-            most = max(most, float(ratio.max(initial=0.0)))
-        above = math.log(most) / self.slope if most > 0 else -math.inf
-        chance = chance_of_yes(above, task, self.guess, self.lapse)
-        return "y" if self._random.random() < chance else "n"
-
-
-def chance_of_yes(above: float, task: str, guess: float, lapse: float) -> float:
-    """Return the probability of a yes to a stimulus so many standard deviations above the middle.
-
-    Nothing is never enough, but may be called felt.
-    """
-    guess = guess if task == "felt" else 0.0
-    return guess + (1 - guess - lapse) * float(ndtr(above))
 
 
 @dataclass
@@ -263,7 +217,6 @@ class SimulatedObserver:
     """Observer that judges the spikes of one finger, with noise and a criterion."""
 
     finger: Finger
-    bank: KernelBank  # of the finger's profile
     seed: int = 0
     # model of the perceived frequency of trains
     frequency: FrequencySense = field(default_factory=FrequencySense)
@@ -271,10 +224,7 @@ class SimulatedObserver:
     # that answers every second slot (spikes of a single RA afferent can be felt, Vallbo et al.
     # 1984).
     felt_afferents: float = 0.5
-    # afferents where it is enough in half of the trials; if not given, as many as RA pulses of the
-    # profile's strongest comfortable current fire at three of four sites
-    enough_afferents: float | None = None
-    slope: float = 0.1  # standard deviation of both, in natural logarithms of afferents
+    slope: float = 0.1  # its standard deviation, in natural logarithms of afferents
     # guess, lapse: rate of false detections, and rate at which the answer is not what was felt: of
     # two or more alternatives any one
     guess: float = 0.02
@@ -299,8 +249,8 @@ class SimulatedObserver:
         that is either passed or not (high-threshold theory, Green and Swets, Signal Detection
         Theory and Psychophysics, 1966, chapter 5).
         """
-        if task in _YES_OR_NO:
-            yes = [self._random.random() < self._chance_of(task, each) for each in intervals]
+        if task == "felt":
+            yes = [self._is_felt(each) for each in intervals]
             if len(yes) == 1:
                 return "y" if yes[0] else "n"
             tossed = int(self._random.integers(len(yes)))
@@ -308,51 +258,18 @@ class SimulatedObserver:
         if task not in self._judges:
             raise ExperimentError(
                 f"the simulated observer has no answer to {task!r}: it can answer "
-                f"{', '.join((*self._judges, *_YES_OR_NO))}"
+                f"{', '.join((*self._judges, 'felt'))}"
             )
         judged = self._judges[task](intervals)
         if judged is None or self._random.random() < self.lapse:
             return alternatives[int(self._random.integers(len(alternatives)))]
         return judged
 
-    # -- the truth ---------------------------------------------------------
-
-    def ratio(self, afferent: Afferent, site: int) -> float:
-        """Return the ratio of PC to RA spikes that a mode's pulses evoke at a site, see
-        `Response`."""
-        return self._nerve.of(self._train(afferent, [site])).ratio
-
-    def chance_felt(self, afferents: float, task: str = "felt") -> float:
-        """Return the probability that so many afferents a slot are called felt, or enough."""
-        middle = self.felt_afferents if task == "felt" else self._enough
-        above = math.log(afferents / middle) if afferents > 0 else -math.inf
-        return chance_of_yes(above / self.slope, task, self.guess, self.lapse)
-
-    # -- the tasks ---------------------------------------------------------
-
-    @cached_property
-    def _enough(self) -> float:
-        """Afferents where it is enough in half of the trials."""
-        if self.enough_afferents is not None:
-            return self.enough_afferents
-        full = self._nerve.of(self._train(Afferent.RA, range(len(self.finger.profile.electrodes))))
-        most = float(np.quantile(full.fired.sum(axis=0), 0.25))
-        return max(most, 2 * self.felt_afferents)
-
-    def _train(self, afferent: Afferent, sites: Sequence[int]) -> Interval:
-        """Return a full pulse at each of these sites, or many at one, as an interval."""
-        profile = self.finger.profile
-        which = np.resize(sites, max(20, len(sites)))
-        current_ua = 1000 * profile.full_ma[which, None] * self.bank.kernels(afferent)[which]
-        return Interval(
-            np.arange(len(which), dtype=np.float64) * 0.05,
-            np.full(len(which), profile.pulse.width_us, np.float32),
-            np.rint(current_ua).astype(np.int16),
-        )
-
-    def _chance_of(self, task: str, interval: Interval) -> float:
-        """Return the probability of a yes to what fires so many afferents in a slot."""
-        return self.chance_felt(self._nerve.of(interval).per_slot, task)
+    def _is_felt(self, interval: Interval) -> bool:
+        afferents = self._nerve.of(interval).per_slot
+        above = math.log(afferents / self.felt_afferents) if afferents > 0 else -math.inf
+        chance = self.guess + (1 - self.guess - self.lapse) * float(ndtr(above / self.slope))
+        return bool(self._random.random() < chance)
 
     def _faster(self, intervals: Sequence[Interval]) -> str | None:
         felt = [self._nerve.of(each) for each in intervals]
@@ -382,7 +299,7 @@ def make_observer(
     """Return the observer of a kind: ``model``; or ``random``, for checks."""
     if kind != "model":
         return BlindObserver(seed)
-    return SimulatedObserver(Finger(profile, finger, anatomy), load_bank(profile), seed)
+    return SimulatedObserver(Finger(profile, finger, anatomy), seed)
 
 
 Starts = dict[int, tuple[int, int]]
@@ -403,35 +320,3 @@ def interval_of(pulses: Pulses, starts: Starts) -> Interval:
     first = np.flatnonzero(np.diff(number.astype(np.int64), prepend=-1))
     within_us = before_us - np.repeat(before_us[first], np.diff(np.append(first, len(number))))
     return Interval((at[:, 0] - begin_ns) / 1e9 + within_us / 1e6, width_us, current_ua)
-
-
-@dataclass
-class Subject:
-    """Subject who answers in place of a person."""
-
-    observer: Observer
-    look_s: float = _LOOK_S  # interval of its decisions while a current rises
-    reaction_s: float = 0.0  # from such a decision to the key
-    _look_at_s: float = field(default=0.0, init=False)
-    _key_at_s: float | None = field(default=None, init=False)
-
-    def presses(
-        self, task: str, now_s: float, current_ma: float, felt: Callable[[], Interval]
-    ) -> bool:
-        """Return whether a key is pressed in a step of a rising current.
-
-        ``felt`` returns what was delivered since its last call. Where nothing flows, what was felt
-        before counts no more.
-        """
-        if current_ma == 0:
-            felt()
-            self._key_at_s, self._look_at_s = None, now_s + self.look_s
-        elif self._key_at_s is None and now_s >= self._look_at_s:
-            self._look_at_s = now_s + self.look_s
-            if self.observer.respond(task, [felt()], ("y", "n")) == "y":
-                self._key_at_s = now_s + self.reaction_s
-        if self._key_at_s is None or now_s < self._key_at_s:
-            return False
-        felt()
-        self._key_at_s, self._look_at_s = None, now_s + self.look_s
-        return True

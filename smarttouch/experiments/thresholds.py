@@ -14,7 +14,6 @@ from smarttouch.base.events import Advice, BoardRestarted, Event, FingerLifted
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.experiments.answers import NUMBER, OPTIONAL, WORDS, AnswerFile, Value
-from smarttouch.experiments.observers import KnownObserver, Subject
 from smarttouch.experiments.procedures import Condition, middle_and_spread
 from smarttouch.experiments.profile_file import ProfileFile
 from smarttouch.experiments.trial_source import TrialSource
@@ -43,7 +42,6 @@ LEAST_ROOM = 1.05  # least ratio of comfort to threshold that leaves a usable ra
 STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
 """Keys that end it at once; the empty one is a terminal that is gone."""
 _SLOWER = 0.98  # part of the largest slope at which a current rises
-_LOOK_S = 0.5  # between two decisions of the simulated subject
 _REACTION, _HURRIED, _CEILING = (
     round(each / STEP_S) for each in (REACTION_S, HURRIED_S, CEILING_S)
 )
@@ -140,7 +138,7 @@ class AscendingLimits:
         self._false_presses = self._hurried = 0
 
     def course(self) -> Course:
-        """Yield the question and the current of each step, see `Course`; return `Thresholds`."""
+        """Yield the current of each step, see `Course`; return `Thresholds`."""
         while not self._is_done():
             run = yield from self._rise()
             if run is not None:
@@ -162,13 +160,13 @@ class AscendingLimits:
         apart = len(found) > 1 and max(found) > MOST_APART * min(found)
         return not apart or len(found) >= self.repeats + EXTRA_RUNS
 
-    def _rise(self) -> Generator[tuple[str, float], bool | None, tuple[float, float] | None]:
+    def _rise(self) -> Generator[float, bool | None, tuple[float, float] | None]:
         """Yield the steps of one run from zero; return None if it has to begin again."""
         pause, levels, threshold_ma, felt_at = self._draw_pause(), [0.0], math.nan, 0
         share = self._random.uniform(*START_SHARE) if self._runs else 0.0
         start_ma = share * min((each for each, _ in self._runs), default=0.0)
         while pause > 0:
-            pressed = yield "felt", 0.0
+            pressed = yield 0.0
             if pressed is None:
                 return None
             self._false_presses += pressed
@@ -176,7 +174,7 @@ class AscendingLimits:
         while True:
             rise_ma = self._leap_ma if levels[-1] < start_ma else self._step_ma
             levels.append(min(levels[-1] + rise_ma, self.ceiling_ma))
-            pressed = yield "enough" if felt_at else "felt", levels[-1]
+            pressed = yield levels[-1]
             steps = len(levels) - 1
             if pressed is None:
                 return None
@@ -203,7 +201,7 @@ class AscendingLimits:
 
 
 _ABOUT = {"profile": WORDS, "electrodes": NUMBER, "board": WORDS, "pulse_us": NUMBER,
-          "repeats": NUMBER, "simulate": NUMBER}  # fmt: skip
+          "repeats": NUMBER}  # fmt: skip
 _COLUMNS = {
     **_ABOUT, "electrode": NUMBER, "threshold_ma": OPTIONAL, "comfort_ma": OPTIONAL,
     "spread": OPTIONAL, "runs": NUMBER, "false_presses": NUMBER, "version": WORDS,
@@ -290,22 +288,6 @@ def threshold_trials(
         say(f"electrode {site}: {found}")
 
 
-def simulated_finger(
-    profile: Profile, measuring: Profile, ceilings_ma: Sequence[float], seed: int
-) -> KnownObserver:
-    """Return an observer with electrodes that differ, none above its ceiling."""
-    random = np.random.default_rng(seed)
-    threshold_ma, enough_ma = [], []
-    for usual_ma, top_ma in zip(profile.threshold_ma.tolist(), ceilings_ma, strict=True):
-        delivered_ma = min(usual_ma * float(np.exp(0.2 * random.standard_normal())), 0.6 * top_ma)
-        threshold_ma.append(delivered_ma)
-        enough_ma.append(min(delivered_ma * random.uniform(1.5, 2.2), 0.95 * top_ma))
-    return KnownObserver(
-        measuring, np.array(threshold_ma, np.float32), np.array(enough_ma, np.float32), seed,
-        guess=0.005, lapse=0.03,
-    )  # fmt: skip
-
-
 Found = Mapping[int, Thresholds]
 Keys = Callable[[Callable[[str], None]], AbstractContextManager[None]]
 """Hands every key to a function while a block runs; an empty one is a terminal that is gone."""
@@ -360,8 +342,6 @@ class ThresholdProcedure:
     # repeats, seed: see `threshold_trials`
     repeats: int = 3
     seed: int = 0
-    # a simulated subject answers, on the board ``simulated:``, without waiting
-    simulate: bool = False
 
     def progress(self) -> Progress:
         """Return the results of an earlier session with the same settings."""
@@ -371,7 +351,7 @@ class ThresholdProcedure:
             {
                 "profile": self.start, "electrodes": len(profile.electrodes),
                 "board": self.board_url.partition(":")[0], "pulse_us": profile.pulse.width_us,
-                "repeats": self.repeats, "simulate": int(self.simulate),
+                "repeats": self.repeats,
             },
         )  # fmt: skip
 
@@ -385,17 +365,11 @@ class ThresholdProcedure:
     ) -> None:
         """Measure electrode after electrode: any key answers, and some end it at once."""
         profile, measuring = self.file.profile, measuring_profile(self.file.profile)
-        subject = None
-        if self.simulate:
-            tops_ma = [float(each) for each in measuring.full_ma]
-            finger = simulated_finger(profile, measuring, tops_ma, self.seed)
-            subject = Subject(finger, _LOOK_S, REACTION_S)
-        # A simulated subject feels simulated currents, and does not wait.
-        display = Display("simulated:" if self.simulate else self.board_url, measuring)
+        display = Display(self.board_url, measuring)
         trials = threshold_trials(
             profile, display.board, self.sites, progress, say, repeats=self.repeats, seed=self.seed
         )
-        source = TrialSource(trials, measuring, "thresholds", subject=subject)
+        source = TrialSource(trials, measuring, "thresholds")
 
         def on_key(key: str) -> None:
             if key in STOP_KEYS:
@@ -403,16 +377,15 @@ class ThresholdProcedure:
             else:
                 source.press(key)
 
-        if not self.simulate:
-            say(
-                f"Current rises to {measuring.full_ma.max():.2f} mA at most. Press a key when you "
-                "feel it, and again when it is strong enough; q or Esc stops at once."
-            )
+        say(
+            f"Current rises to {measuring.full_ma.max():.2f} mA at most. Press a key when you feel "
+            "it, and again when it is strong enough; q or Esc stops at once."
+        )
         config = RunConfig(scan="points", intensity=1.0, seed=self.seed)
         with keys(on_key):
             Runner(
                 source, display, config, force=force, stop=stop, load_kernels=single_bank,
-                listeners=[] if self.simulate else [_Prompts(source, say)],
+                listeners=[_Prompts(source, say)],
             ).run()  # fmt: skip
         if set(self.sites) - set(progress.found):
             raise self.stopped(progress)

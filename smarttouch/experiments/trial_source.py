@@ -8,7 +8,7 @@ from functools import partial
 from smarttouch.base.errors import ExperimentError, LevelNotReachedError
 from smarttouch.base.events import TrialEvent
 from smarttouch.emulator.emulated_boards import SimulatedDriver
-from smarttouch.experiments.observers import Interval, Starts, Subject, interval_of
+from smarttouch.experiments.observers import Observer, Starts, interval_of
 from smarttouch.experiments.trials import STEP_S, Answer, Train, Trial, Trials
 from smarttouch.profile import Profile
 from smarttouch.running.program import SILENT_US, STEADY, Level, Program, Shown
@@ -29,8 +29,8 @@ class TrialSource(Program):
     """Source that presents trial after trial, and sends each answer to their generator.
 
     Each begins when the intensity is there that the user has chosen; one whose current is lost
-    within an interval (paused, finger lifted, board gone) is presented again. A subject answers in
-    place of a person.
+    within an interval (paused, finger lifted, board gone) is presented again. An observer answers
+    in place of a person.
     """
 
     fixed_mode = True
@@ -46,16 +46,16 @@ class TrialSource(Program):
         total: int | None = None,  # trials; None if it depends on the answers
         gap_s: float = 0.5,  # between two intervals
         answer_s: float = 0.0,  # time limit for an answer; 0 for none
-        subject: Subject | None = None,
+        observer: Observer | None = None,
     ) -> None:
         super().__init__(profile, title)
         self._trials, self._name, self._done = trials, title, done
         self._of = "" if total is None else f" of {total}"
-        self._gap_s, self._answer_s, self._subject = gap_s, answer_s or math.inf, subject
-        self.patience_s: float = math.inf if subject is None else PATIENCE_S
+        self._gap_s, self._answer_s, self._observer = gap_s, answer_s or math.inf, observer
+        self.patience_s: float = math.inf if observer is None else PATIENCE_S
         self._pressed: deque[tuple[str, int]] = deque()
         self._starts: list[Starts] | None = None  # of a trial's intervals, while one is shown
-        self._wanted: tuple[str, float] | None = None  # newest step of a trial's course
+        self._wanted: float | None = None  # newest step of a trial's course
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
@@ -69,9 +69,9 @@ class TrialSource(Program):
 
     def start(self, run: RunContext) -> None:
         super().start(run)
-        if self._subject is not None and not isinstance(run.board.driver, SimulatedDriver):
+        if self._observer is not None and not isinstance(run.board.driver, SimulatedDriver):
             raise ExperimentError(
-                "a simulated subject responds to simulated currents only: choose the board "
+                "a simulated participant responds to simulated currents only: choose the board "
                 "simulated:"
             )
 
@@ -86,7 +86,7 @@ class TrialSource(Program):
                 f"pulses were requested at {1e6 / asked_us:.4g} Hz and sent at "
                 f"{sequence.rate_hz:.4g} Hz: this board or so many sites cannot do all frequencies"
             )
-        if self._subject is not None and result.number is not None:
+        if self._observer is not None and result.number is not None:
             discharge_us = int(sequence.discharge_us[0]) if sequence.slots else 0
             self._starts[-1][result.number] = (sequence.time_ns, discharge_us)
 
@@ -141,7 +141,7 @@ class TrialSource(Program):
             self._starts = None
         # Keys are dropped until the last pulse.
         self._pressed.clear()
-        return self._ask(trial) if self._subject is None else self._decided(trial, felt)
+        return self._ask(trial) if self._observer is None else self._decided(trial, felt)
 
     def _open(self, opened: Callable[[], float]) -> None:
         """Open a level until nothing is left to open, with a pause without current after it."""
@@ -166,33 +166,38 @@ class TrialSource(Program):
         """Make the current follow the keys from zero, no faster than the ramp."""
         course, (train,) = trial.course, trial.intervals
         assert course is not None
+        if self._observer is not None:
+            raise ExperimentError(
+                "nobody is simulated where a current follows the keys: answer at a terminal"
+            )
         # It rises by itself; only force and the user's level must be there.
         self._open(self._wait_for_force)
         full_ma = float(self._profile.full_ma[train.activation.any(axis=0)].min())
         level, before_ns, due_ns = 0.0, 0, round(STEP_S * 1e9)
         found: object = None
-        self._wanted = self._wanted or next(course)
+        self._wanted = next(course) if self._wanted is None else self._wanted
         self._say(trial.question)
         self._pressed.clear()
         self._starts = [{}]
-        if self._subject is not None:
-            self._subject.presses("", 0.0, 0.0, self._felt)
 
         def follow(since_s: float) -> float | None:
             nonlocal level, before_ns, due_ns, found
             since_ns = round(since_s * 1e9)
             while since_ns >= due_ns and self._wanted is not None:
                 due_ns += round(STEP_S * 1e9)
+                pressed = len(self._pressed)
                 try:
-                    self._wanted = course.send(self._is_pressed(since_s, *self._wanted))
+                    self._wanted = course.send(pressed > 0)
                 except StopIteration as end:
                     self._wanted, found = None, end.value
+                for _ in range(pressed):
+                    self._pressed.popleft()
             if self._wanted is None:
                 return None
             # From zero by the first step that currents take.
             risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
             most = level + risen_ns / 1e9 / self._profile.limits.ramp_s
-            level, before_ns = min(1.0, self._wanted[1] / full_ma, most), since_ns
+            level, before_ns = min(1.0, self._wanted / full_ma, most), since_ns
             return level
 
         try:
@@ -219,32 +224,15 @@ class TrialSource(Program):
             raise LevelNotReachedError("")
         return 0.0
 
-    def _is_pressed(self, since_s: float, task: str, current_ma: float) -> bool:
-        """Return whether a key was pressed in a step of a rising current."""
-        if self._subject is not None:
-            return self._subject.presses(task, since_s, current_ma, self._felt)
-        pressed = bool(self._pressed)
-        self._pressed.clear()
-        return pressed
-
-    def _felt(self) -> Interval:
-        """Return what has been delivered of a rising current since the last call."""
-        (starts,) = self._starts or [{}]
-        self._starts = [{}]
-        return self._delivered([starts])[0]
-
-    def _delivered(self, felt: list[Starts]) -> list[Interval]:
-        driver = self._context.board.driver
-        assert isinstance(driver, SimulatedDriver)
-        pulses = driver.take_pulses()
-        return [interval_of(pulses, starts) for starts in felt]
-
     def _decided(self, trial: Trial, felt: list[Starts]) -> Answer:
-        """Return the answer of a subject, who is given all pulses that the board has delivered."""
-        assert self._subject is not None
+        """Return the answer of an observer, who is given all pulses that the board delivered."""
+        driver = self._context.board.driver
+        assert self._observer is not None
+        assert isinstance(driver, SimulatedDriver)
         self.wait(SILENT_US / 1e6)
-        intervals = self._delivered(felt)
-        response = self._subject.observer.respond(trial.task, intervals, trial.alternatives)
+        pulses = driver.take_pulses()
+        intervals = [interval_of(pulses, starts) for starts in felt]
+        response = self._observer.respond(trial.task, intervals, trial.alternatives)
         if response is None:
             return self._answer(trial, "", None)
         return self._answer(trial, response, 0.0)

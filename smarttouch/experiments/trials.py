@@ -58,11 +58,10 @@ class Train:
         return replace(self, is_blank=True)
 
 
-Course = Generator[tuple[str, float], bool | None, Any]
-"""Current of one electrode that follows the keys: for each `STEP_S` it yields the question that
-the next key answers (for observers) and the current, mA; it gets whether a key was pressed
-meanwhile, or None where current was lost and it begins to rise from zero again; and returns the
-response or another result."""
+Course = Generator[float, bool | None, Any]
+"""Current of one electrode that follows the keys: for each `STEP_S` it yields the current, mA; it
+gets whether a key was pressed meanwhile, or None where current was lost and it begins to rise from
+zero again; and returns the response or another result."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.experiments.observers import FrequencySense, Interval, Nerve, SimulatedObserver
+from smarttouch.experiments.observers import FrequencySense, Interval, Nerve
 
-from ..experiments.weber import weber_fraction
+from ..experiments.weber import ratio_of, weber_fraction
 
 RA, SAI, PC = st.Afferent
 MIDDLE = 27
@@ -32,9 +32,8 @@ def test_frequency_and_detection(row, quick, profile, bank, anatomy):
     ratios, delivered_ma = {RA: [], PC: []}, {each: [] for each in (RA, SAI, PC)}
     for seed in range(1, 3 if quick else 21):
         finger = st.Finger(profile, seed, anatomy)
-        observer = SimulatedObserver(finger, bank)
         for mode, found in ratios.items():
-            found.append(observer.ratio(mode, MIDDLE))
+            found.append(ratio_of(finger, bank, mode, MIDDLE))
         for mode, found in delivered_ma.items():
             found.append(first_felt_ma(finger, bank.kernels(mode)[MIDDLE]))
     for mode, found in ratios.items():

@@ -159,8 +159,7 @@ BASES = {
     "calibrate registration": "calibrate registration --target target.png --overwrite",
     "calibrate force": "calibrate force --cell loadcell:none --output mine.toml --overwrite",
     "calibrate thresholds": (
-        f"calibrate thresholds --simulate {SMALL} --electrodes 0 --repeats 1 --output felt.toml "
-        "--overwrite"
+        f"calibrate thresholds {SMALL} --electrodes 0 --repeats 1 --output felt.toml --overwrite"
     ),
     "calibrate contact": (
         f"calibrate contact --board emulator: {SMALL} --output contact.toml --overwrite"

@@ -17,13 +17,11 @@ from smarttouch.cli.calibrate import calibrate
 from smarttouch.emulator.devices import EmulatedLoadCell, Server
 from smarttouch.emulator.firmware import read_state
 from smarttouch.experiments.sensor_optics import target_for
-from smarttouch.experiments.thresholds import measuring_profile, simulated_finger
 from smarttouch.profile import load_profile
 from smarttouch.sources.preprocess import FlatField
 
 from ..boards.fresh import fresh_state, until
 from ..experiments.simulated_sensors import SimulatedPatch, View
-from ..whole import WHOLE
 from .conftest import PRESSED, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
@@ -157,32 +155,6 @@ def test_force_of_an_emulated_load_cell(run, tmp_path, load_cell):
     assert zero_n == pytest.approx(-1.6, rel=0.01)
 
 
-def test_thresholds_of_a_simulated_subject(run, tmp_path):
-    thresholds = "thresholds --simulate --repeats 1 --electrodes 9"
-    shown = done(run(f"{thresholds} --output mine.toml"))
-    profile = load_profile(tmp_path / "mine.toml")
-    assert re.findall(r"electrode (\d+)", shown) == ["9"]
-    assert profile.calibrated["thresholds"].found.startswith("simulated: 1 electrode")
-    threshold, comfort = profile.perception.threshold_ma, profile.perception.comfort_ma
-    assert threshold[9] != 1.2
-    assert {*threshold[:9], *threshold[10:]} == {1.2}
-    assert {*comfort[:9], *comfort[10:]} == {2.4}
-    assert not (tmp_path / "mine.thresholds.csv").exists()
-
-
-@pytest.mark.skipif(not WHOLE, reason="long: with --full, as in .ci/run")
-def test_thresholds_of_a_simulated_subject_on_another_board(run, tmp_path):
-    """Current rises once at the electrode: within a fifth, as in test_threshold_session."""
-    thresholds = "thresholds --simulate --electrodes 30 --board simulated:"
-    shown = done(run(f"{thresholds} --profile kajimoto-61 --output mine.toml"))
-    assert re.findall(r"electrode (\d+)", shown) == ["30"]
-    found, usual = load_profile(tmp_path / "mine.toml").perception, load_profile("kajimoto-61")
-    measuring = measuring_profile(usual)
-    truth = simulated_finger(usual, measuring, measuring.full_ma.tolist(), 0)
-    assert found.threshold_ma[30] == pytest.approx(truth.threshold_ma[30], rel=0.2)
-    assert found.comfort_ma[30] == pytest.approx(truth.enough_ma[30], rel=0.2)
-
-
 def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
     _, port, books = start_emulator()
     arguments = ("calibrate", "thresholds", "--board", f"link:{port}", *PRESSED)
@@ -233,7 +205,6 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
     ("force --cell loadcell:none --weights 0,a", wrong(value="0,a")),
     ("thresholds", wrong()),
     ("thresholds --electrodes 64", wrong(value="64", allowed=63)),
-    ("thresholds --simulate --board link:/dev/null", wrong(value="link:/dev/null")),
     ("contact --board memory:", says(BoardError, "measure")),
     ("contact --profile nobody", says(ProfileError, "'nobody'")),
 ])  # fmt: skip

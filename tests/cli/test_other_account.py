@@ -142,8 +142,7 @@ COMMANDS = {
          "--simulate", "model", "--output", "a.csv"),
     ),
     "profile": (
-        ("calibrate", "thresholds", "--simulate", "--profile", "smarttouch-4x4", "--electrodes",
-         "0", "--repeats", "1", "--output", "mine.toml"),
+        ("calibrate", "contact", "--profile", "smarttouch-4x4", "--output", "mine.toml"),
     ),
 }  # fmt: skip
 

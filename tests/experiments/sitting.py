@@ -6,7 +6,6 @@ import numpy as np
 
 from smarttouch.base.stopping import StopRequest
 from smarttouch.experiments.experiment_session import open_experiment
-from smarttouch.experiments.observers import Subject
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
@@ -58,7 +57,7 @@ def sit(name, setup, bank, path, observer, *, stop_after=None, watch=None, contr
     """Run an experiment; stop it before the answer of a trial is written if asked to."""
     stop, told = StopRequest(), []
     with open_experiment(name, setup, path, "p1", "s1") as sitting:
-        source = sitting.source(Subject(observer))
+        source = sitting.source(observer)
 
         def observe(sent):
             if watch is not None:

@@ -19,7 +19,6 @@ from smarttouch.experiments.thresholds import (
     filled,
     measuring_profile,
     sentence,
-    simulated_finger,
     slew_ma_s,
     threshold_trials,
 )
@@ -267,8 +266,7 @@ def test_a_person_is_instructed_and_stops(tmp_path, key):
     assert [line for line in said if line.startswith("electrode")] == said[-1:]
 
 
-ABOUT = {"profile": "mouse", "electrodes": 64, "board": "emulator", "pulse_us": 200, "repeats": 3,
-         "simulate": 0}  # fmt: skip
+ABOUT = {"profile": "mouse", "electrodes": 64, "board": "emulator", "pulse_us": 200, "repeats": 3}
 
 
 def found(threshold=1.0, comfort=2.0):
@@ -312,7 +310,7 @@ def test_progress_is_read_back_and_its_settings_count(tmp_path):
 
 
 @pytest.mark.parametrize("content", [
-    "a note", "{head}a note\n", "{head}mouse,64,emulator,200,3,0,4,3,2,0,1,0,1\n",
+    "a note", "{head}a note\n", "{head}mouse,64,emulator,200,3,4,3,2,0,1,0,1\n",
 ])  # fmt: skip
 def test_progress_that_is_none(tmp_path, content):
     path = tmp_path / "p.csv"
@@ -322,11 +320,3 @@ def test_progress_that_is_none(tmp_path, content):
     path.write_text(content.replace("{head}", head), "utf-8")
     with raises((CalibrationError, ExperimentError), value=path):
         Progress(path, ABOUT)
-
-
-def test_a_simulated_finger_stays_below_the_ceiling(profile):
-    measuring = measuring_profile(profile)
-    made = simulated_finger(profile, measuring, [2.4] * 64, 3)
-    assert (made.threshold_ma < made.enough_ma).all()
-    assert (made.enough_ma < 2.4).all()
-    assert len(set(made.threshold_ma.tolist())) > 30

@@ -11,7 +11,6 @@ import pytest
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.catalog import trials_of
-from smarttouch.experiments.observers import Subject
 from smarttouch.experiments.trial_source import AGAIN, TrialSource
 from smarttouch.experiments.trials import Setup
 from smarttouch.kernels.bank import load_bank
@@ -277,12 +276,15 @@ def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, prese
     assert answer.reached == pytest.approx(level * profile.full_ma[27], abs=0.02)
 
 
-def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, take):
-    sat, rows = take(Silent(), {"repetitions": 2, "train_s": 1.0}, "discomfort")
+def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, present, take):
+    answer, results = present(lambda *_: None, "discomfort", 1.0)
     full_ma = profile.full_ma[27]
-    assert [row["response"] for row in rows] == ["n", "n"]
-    assert [row["comparison"] for row in rows] == pytest.approx([full_ma] * 2, abs=0.005)
-    assert sat.figures["max_current_ma"] == pytest.approx(full_ma, abs=0.01)
+    assert answer.response == "n"
+    assert answer.reached == pytest.approx(full_ma, abs=0.005)
+    strongest_ma = max(np.abs(each.sequence.current_ua).max(initial=0) for each in results) / 1000
+    assert strongest_ma == pytest.approx(full_ma, abs=0.01)
+    with raises(ExperimentError, names="simulated"):
+        take(Silent(), {"repetitions": 1, "train_s": 1.0}, "discomfort")
 
 
 def test_a_board_that_cannot_keep_a_frequency_is_noted(changed, profile, tmp_path):
@@ -298,7 +300,7 @@ def test_a_board_that_cannot_keep_a_frequency_is_noted(changed, profile, tmp_pat
 
 def test_only_simulated_boards_have_simulated_subjects(profile, bank):
     _, trials = trials_of("frequency", Setup(profile))
-    source = TrialSource(trials, profile, "try", subject=Subject(Silent()))
+    source = TrialSource(trials, profile, "try", observer=Silent())
     display = Display(played(profile), profile)
     runner = Runner(source, display, RunConfig(), load_kernels=lambda _profile: bank)
     with raises(ExperimentError, names="board", allowed=("simulated:",)):
