@@ -122,10 +122,12 @@ class Pipeline:
         """Kernels whose sums slots are, for a board that stores them: all of the bank, and those by
         which slots are shared, in whole numbers."""
         if in_sums and profile.output.kind == "weighted":
-            frames = self._common.frames
-            for afferent in self._common.sharing.afferents:
-                if afferent in bank.weights:
-                    frames[afferent] = FrameSlots(profile, bank, afferent)
+            frames = {
+                afferent: FrameSlots(profile, bank, afferent)
+                for afferent in self._common.sharing.afferents
+                if afferent in bank.weights
+            }
+            self._common.makers.update(frames)
             shared = {afferent: slots.kernels() for afferent, slots in frames.items()}
             self.table = self._common.table = KernelTable.of(bank.weights, shared)
             for slots in frames.values():

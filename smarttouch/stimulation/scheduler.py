@@ -39,10 +39,8 @@ class SchedulerContext:
     """What the schedulers of one run have in common."""
 
     sharing: SlotPolicy = NO_SHARING
-    frames: dict[Afferent, FrameSlots] = field(default_factory=dict)
-    """Slots that points of a class share, of all schedulers."""
-    points: dict[Afferent, PointSlots] = field(default_factory=dict)
-    """Slots of points of the other classes, of all schedulers."""
+    makers: dict[Afferent, PointSlots | FrameSlots] = field(default_factory=dict)
+    """Makers of slots, of all schedulers."""
     table: KernelTable | None = None  # kernels whose sums slots are, in whole numbers, if given
     net: NetPlan | None = None  # bound of periods by net charge, unless recharge phases return it
 
@@ -75,17 +73,16 @@ class ScanScheduler:
         pulse, self._rate_hz = profile.pulse, rates_of(profile, afferents, rate_hz, timing)
         self._vibrated, self._softness = vibrated, softness
         self._makers: dict[Afferent, PointSlots | FrameSlots] = {}
-        for each in afferents:
-            if vibrated and each is Afferent.PC:
+        for afferent in afferents:
+            if vibrated and afferent is Afferent.PC:
                 continue
-            if each in common.sharing.afferents:
-                if each not in common.frames:
-                    common.frames[each] = FrameSlots(profile, bank, each)
-                self._makers[each] = common.frames[each]
-            else:
-                if each not in common.points:
-                    common.points[each] = PointSlots(profile, bank, each, timing, common.table)
-                self._makers[each] = common.points[each]
+            if afferent not in common.makers:
+                common.makers[afferent] = (
+                    FrameSlots(profile, bank, afferent)
+                    if afferent in common.sharing.afferents
+                    else PointSlots(profile, bank, afferent, timing, common.table)
+                )
+            self._makers[afferent] = common.makers[afferent]
         self._first = next(iter(self._makers))
         self._least_us = math.ceil(1e6 / profile.limits.rate_hz)
         self._rates = PulseRates(self._rate_hz, self._least_us)
@@ -94,7 +91,7 @@ class ScanScheduler:
         self._discharges_us = constant_us(self._electrodes * len(afferents), pulse.discharge_us)
         self._limits = SafetyLimits.of(profile)
         steps_ns = 0, 2 * FIRST_NS, MOST_STEP_NS
-        self._steps = [each / self._limits.ramp_ns for each in steps_ns]
+        self._steps = [step_ns / self._limits.ramp_ns for step_ns in steps_ns]
         # Before anything is sent: the longest scan must be possible too.
         self._period_us(0, self._electrodes, self._electrodes * pulse.width_us)
         self.asked_us: int = 0
@@ -175,13 +172,13 @@ class ScanScheduler:
                 f"pulses {period_us} µs apart are not possible: the profile's limit of "
                 f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more"
             )
-        active = [Afferent(each) for each in np.flatnonzero(activation.any(axis=1)).tolist()]
+        active = list(map(Afferent, np.flatnonzero(activation.any(axis=1)).tolist()))
         if self._vibrated and Afferent.PC in active:
             active.remove(Afferent.PC)
-        if missing := [each for each in active if each not in self._makers]:
+        if missing := [afferent for afferent in active if afferent not in self._makers]:
             raise ScheduleError(
                 f"{missing[0].name} was requested and cannot be driven here: choose one of "
-                f"{', '.join(each.name for each in self._makers)}"
+                f"{', '.join(afferent.name for afferent in self._makers)}"
             )
         return tuple(active)
 
@@ -194,7 +191,9 @@ class ScanScheduler:
     ) -> Slots:
         """Return the slots of all classes that are due; none of the first if none is."""
         if len(due) > 1:
-            made = joined([self._makers[each].slots(activation[each], intensity) for each in due])
+            made = joined([
+                self._makers[afferent].slots(activation[afferent], intensity) for afferent in due
+            ])  # fmt: skip
         else:
             one = due[0] if due else self._first
             made = self._makers[one].slots(activation[one], intensity if due else 0.0)
