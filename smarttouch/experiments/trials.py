@@ -70,7 +70,7 @@ class Trial:
 
     condition: Condition
     intervals: tuple[Train, ...]  # one after another
-    task: str  # kind of question, for observers: faster, felt, side, enough …
+    task: str  # kind of question, for observers: faster, felt, side …
     question: str
     unit: str  # of the condition
     _: KW_ONLY
