@@ -1,11 +1,8 @@
 """Scan sequences from bare currents."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from smarttouch.stimulation.exposure import Exposure
-from smarttouch.stimulation.point_slots import Slots
 from smarttouch.stimulation.safety_gate import SafetyLimits, frozen
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.stimulation.sequence_limits import prove_sequence
@@ -22,12 +19,6 @@ def sequence(currents, widths=200, *, electrodes=4, discharge_us=100, **other):
         site=np.zeros(slots, np.uint16),
         **({"period_us": 20_000, "intensity": 1.0, "time_ns": 10**9} | other),
     )
-
-
-def adapted(adaptation, sequence):
-    """Return a sequence with adapted slots."""
-    slots = adaptation.apply(Slots(sequence.site, sequence.current_ua, sequence.width_us))
-    return replace(sequence, current_ua=slots.current_ua, width_us=slots.width_us)
 
 
 def prove_alone(profile, sequence):
