@@ -197,13 +197,6 @@ def require_within(
     raise error(f"{words or f'{name} {value:g}'} is out of range: give {allowed}")
 
 
-def not_offered(
-    name: str, value: str, names: Iterable[str], error: type[SmartTouchError] = SmartTouchError
-) -> SmartTouchError:
-    """Return the error of a parameter that names none of its choices."""
-    return error(f"{name} {value!r} is not offered: choose {' or '.join(names)}")
-
-
 def choice_of(
     name: str,
     text: str,
@@ -215,7 +208,7 @@ def choice_of(
     for each in known:
         if text.lower() == each.lower():
             return each
-    raise not_offered(name, text, known)
+    raise error(f"{name} {text!r} is not offered: choose {' or '.join(known)}")
 
 
 def kind_in_words(value: object) -> str:

@@ -18,20 +18,18 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:  # a module cannot be None for a type checker; users of one check first
     import fcntl
     import pty
-    import resource
     import termios
     import tty
 else:
     try:
         import fcntl
         import pty
-        import resource
         import termios
         import tty
     except ImportError:
-        fcntl = pty = resource = termios = tty = None
+        fcntl = pty = termios = tty = None
 
-__all__ = ["fcntl", "pty", "resource", "termios", "tty"]
+__all__ = ["fcntl", "pty", "termios", "tty"]
 
 HAS_POSIX: bool = fcntl is not None
 

@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import SmartTouchError, choice_of, not_offered, require_within
+from smarttouch.base.errors import SmartTouchError, choice_of, require_within
 from smarttouch.base.url_options import options_of, read_options
 from smarttouch.base.wire.device_lines import PtyLine, TcpLine
 from smarttouch.boards.link.protocol import OUTPUTS
@@ -46,12 +46,10 @@ def emulate(url: str, advise: bool = False) -> None:
     The options of a URL are those of `emulate_board` or `emulate_sensor`. With ``advise``, the
     command that uses the port is printed with it.
     """
-    name = url.partition("?")[0]
-    if name not in (*BOARDS, *SENSORS):
-        raise not_offered("emulator", name, (*BOARDS, *SENSORS))
+    name = choice_of("emulator", url.partition("?")[0], (*BOARDS, *SENSORS))
     device = emulate_board if name in BOARDS else emulate_sensor
     place, options = read_options(device, url, SmartTouchError)
-    if place != name:
+    if place.lower() != name:
         known = ", ".join(sorted(options_of(device)))
         raise SmartTouchError(f"{url!r} has an option that {name} has not: choose {known}")
     device(name, advise, **options)

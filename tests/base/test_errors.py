@@ -5,9 +5,9 @@ from contextlib import nullcontext
 
 import pytest
 
-from smarttouch.base.errors import SourceError, not_offered, require_within
+from smarttouch.base.errors import SourceError, choice_of, require_within
 
-from ..raising import assert_says, raises
+from ..raising import raises
 
 
 @pytest.mark.parametrize(("value", "lowest", "highest", "above", "within"), [
@@ -24,7 +24,8 @@ def test_numbers_and_ranges(value, lowest, highest, above, within):
         require_within(SourceError, "hz", value, lowest, highest, above=above)
 
 
-def test_a_name_that_is_none_of_the_choices():
-    error = not_offered("scan", "all", iter(["points", "auto"]), SourceError)
-    assert type(error) is SourceError
-    assert_says(error, names="scan", value="all", allowed=("points", "auto"))
+def test_a_name_is_one_of_the_choices_in_capitals_or_not():
+    choices = ["points", "auto"]
+    assert choice_of("scan", "AUTO", iter(choices)) == "auto"
+    with raises(SourceError, names="scan", value="all", allowed=("points", "auto")):
+        choice_of("scan", "all", iter(choices), SourceError)

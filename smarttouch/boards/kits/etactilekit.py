@@ -21,7 +21,7 @@ from smarttouch.base.errors import (
     BoardStoppedError,
     LineLostError,
     SequenceLateError,
-    not_offered,
+    choice_of,
 )
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.kits.current_scale import one_against_all, require_kit
@@ -103,8 +103,8 @@ class ETactileKitDriver(Driver):
         *,
         firmware: str | None = None,
     ) -> None:
-        if firmware not in (None, *FIRMWARES):
-            raise not_offered("?firmware", firmware, FIRMWARES, BoardError)
+        if firmware is not None:
+            firmware = choice_of("?firmware", firmware, FIRMWARES, BoardError)
         self._firmware = firmware
         self._scale = require_kit("etactilekit", port, output, self.default_profile)
         self.port = port
