@@ -53,34 +53,26 @@ def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
     Current, charge, pulse, rate, duty, sums and single electrodes stay limited as they are, and
     so does the rise in mA a second. ``spare_ma`` is left of charge and sums for rounding.
     """
-    full_ma, ramp_s = float(profile.full_ma.max()), profile.limits.ramp_s
-    most_ma = min(_strongest_ma(profile, spare_ma), full_ma * LONGEST_RAMP_S / ramp_s)
-    own = profile.limits.electrode_ma or (most_ma,) * len(profile.electrodes)
+    full_ma, limits = float(profile.full_ma.max()), profile.limits
+    by_charge_ma = 1000 * limits.charge_uc / profile.pulse.width_us
+    most_ma = min(
+        limits.current_ma, min(by_charge_ma, profile.total_ma) - spare_ma,
+        full_ma * LONGEST_RAMP_S / limits.ramp_s,
+    )  # fmt: skip
+    own = limits.electrode_ma or (most_ma,) * len(profile.electrodes)
     ceilings_ma = [_whole_ua(min(most_ma, each)) for each in own]
     perception = profile.perception.model_dump() | {"comfort_ma": ceilings_ma}
     # Never faster, where single electrodes keep the ceilings below what was comfortable.
-    slower = ramp_s * max(1.0, max(ceilings_ma) / full_ma)
-    limits = profile.limits.model_dump() | {"ramp_s": min(LONGEST_RAMP_S, slower)}
-    return Profile.model_validate(
-        {**profile.model_dump(), "perception": perception, "limits": limits}
-    )
-
-
-def ceiling_ma(profile: Profile, site: int, board: Board) -> float:
-    """Return the largest current of an electrode, mA: whole microamperes."""
-    own = profile.limits.electrode_ma or [math.inf] * (site + 1)
-    return _whole_ua(min(_strongest_ma(profile), own[site], board.capabilities.max_current_ma))
+    ramp_s = min(LONGEST_RAMP_S, limits.ramp_s * max(1.0, max(ceilings_ma) / full_ma))
+    return Profile.model_validate({
+        **profile.model_dump(), "perception": perception,
+        "limits": limits.model_dump() | {"ramp_s": ramp_s},
+    })  # fmt: skip
 
 
 def slew_ma_s(profile: Profile, site: int) -> float:
     """Return the largest slope of an electrode's current, mA/s."""
     return float(profile.full_ma[site]) / profile.limits.ramp_s
-
-
-def _strongest_ma(profile: Profile, spare_ma: float = 0.0) -> float:
-    limits = profile.limits
-    by_charge_ma = 1000 * limits.charge_uc / profile.pulse.width_us
-    return min(limits.current_ma, min(by_charge_ma, profile.total_ma) - spare_ma)
 
 
 def _whole_ua(current_ma: float) -> float:
@@ -271,8 +263,9 @@ def threshold_trials(
         if site in progress.found:
             continue
         for attempt in (0, 1):
+            ceiling_ma = min(float(measuring.full_ma[site]), board.capabilities.max_current_ma)
             rising = AscendingLimits(
-                ceiling_ma(profile, site, board), float(profile.threshold_ma[site]), repeats,
+                _whole_ua(ceiling_ma), float(profile.threshold_ma[site]), repeats,
                 _SLOWER * slew_ma_s(measuring, site), (seed, site, attempt),
             )  # fmt: skip
             answer = yield Trial(

@@ -15,7 +15,6 @@ from smarttouch.experiments.thresholds import (
     Progress,
     ThresholdProcedure,
     Thresholds,
-    ceiling_ma,
     filled,
     measuring_profile,
     sentence,
@@ -141,7 +140,9 @@ def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path
     progress = begun()
     run(display, profile, silent(profile), [site], progress, repeats=1)
     strongest_ma = max(level_of(each) for each in display.board.driver.sequences)
-    assert strongest_ma == pytest.approx(ceiling_ma(profile, site, display.board), abs=1.1e-3)
+    most_ma = display.board.capabilities.max_current_ma
+    ceiling_ma = min(display.profile.full_ma[site], most_ma)
+    assert strongest_ma == pytest.approx(ceiling_ma, abs=1.1e-3)
     assert strongest_ma <= profile.limits.current_ma
     assert strongest_ma * profile.pulse.width_us / 1000 <= profile.limits.charge_uc
     assert not progress.found[site].felt
