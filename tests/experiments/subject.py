@@ -55,11 +55,6 @@ class SimulatedSubject:
                 self._key_in_s = self.reaction_s * math.exp(0.25 * self._random.standard_normal())
         return False
 
-    def says_felt(self, level_ma: float, seconds: float) -> bool:
-        """Return the answer to one pulse train."""
-        self._minutes += seconds / 60
-        return self._finds(level_ma, self.threshold_ma)
-
     def _forget(self) -> None:
         self._felt = False
         self._key_in_s = None
