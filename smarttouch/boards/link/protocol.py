@@ -179,19 +179,14 @@ def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
 
 
 def pack_states(signs: NDArray[np.int16]) -> bytes:
-    slots, electrodes = signs.shape
-    row = -(-electrodes // 4)
-    codes = np.zeros((slots, row * 4), np.uint8)
-    codes[:, :electrodes] = np.where(signs < 0, 2, signs)
-    four = codes.reshape(slots, row, 4)
-    packed = four[..., 0] | four[..., 1] << 2 | four[..., 2] << 4 | four[..., 3] << 6
-    return bytes(packed.tobytes())
+    bits = np.stack([signs > 0, signs < 0], axis=-1).reshape(len(signs), 2 * signs.shape[1])
+    return np.packbits(bits, axis=1, bitorder="little").tobytes()
 
 
 def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8]:
-    codes = (packed[..., None] >> np.array([0, 2, 4, 6], np.uint8)) & 3
-    flat = codes.reshape(len(packed), packed.shape[1] * 4)[:, :electrodes]
-    return np.asarray(np.array([0, 1, -1, 2], np.int8)[flat])
+    bits = np.unpackbits(packed, axis=1, count=2 * electrodes, bitorder="little")
+    codes = bits.reshape(len(packed), electrodes, 2) @ np.array([1, 2])
+    return np.asarray(np.array([0, 1, -1, 2], np.int8)[codes])
 
 
 _HEAD = struct.Struct("<BQII")
