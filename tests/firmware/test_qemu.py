@@ -7,14 +7,10 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.base.errors import LineLostError, SilentBoardError
-from smarttouch.boards.open import make_board
-from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from tests.firmware.cortex_m3 import ELECTRODES
 from tests.firmware.rig import Talk
-from tests.firmware.scenes import random_lists, random_table, sequence_of
 from tests.waiting import until
 
 
@@ -23,53 +19,6 @@ def machine(start_cortex_m3):
     """Return the name of a port to the firmware, and its record of pulses so far."""
     machine = start_cortex_m3(counts=True)
     return f"link:{machine.name}", machine.pulses
-
-
-@pytest.mark.usefixtures("patient_boards")
-def test_kernels_go_there_and_their_sums_flow(start_cortex_m3, monkeypatch, tmp_path):
-    # Beside busy processes a byte takes this machine some milliseconds, and now and then more.
-    monkeypatch.setattr("smarttouch.boards.link.packet_line.ANSWER_S", 10)
-    for left in reversed(range(3)):
-        (folder := tmp_path / f"{left}").mkdir()
-        machine = start_cortex_m3(folder, counts=True)
-        try:
-            wanted = _sums_sent(f"link:{machine.name}")
-            break
-        except (LineLostError, SilentBoardError):
-            if not left:
-                raise
-    told = machine.pulses()
-    np.testing.assert_array_equal(told["current_ua"], wanted)
-    _check_times(told, 350)
-
-
-def _sums_sent(port):
-    """Send sums of kernels to a board that keeps these; return their currents."""
-    limits = SafetyLimits(ELECTRODES, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
-    rng = np.random.default_rng(0)
-    table = random_table(rng, 20, ELECTRODES)
-    wanted = []
-    with make_board(port, limits, Output(kind="weighted")) as board:
-        assert "Cortex-M3" in board.capabilities.firmware
-        board.keep_kernels(table)
-        start = board.clock.now_ns()
-        for step in range(16):
-            lists = random_lists(rng, table, 0 if step == 0 else 12, loud=300 * step)
-            now_ns = board.clock.now_ns()
-            # Long enough for this processor to compute the next slot.
-            rest_us = np.full(len(lists.first) - 1, 250, np.uint16)
-            # Intensity rises while current is scheduled: here all of the time.
-            sequence = sequence_of(
-                lists, time_ns=now_ns - start + 1, intensity=min(1.0, 0.07 * step),
-                period_us=50_000, discharge_us=rest_us,
-            )  # fmt: skip
-            board.send(sequence)
-            wanted += sequence.current_ua.tolist()
-            board.drain()
-            time.sleep(max(0.0, 0.05 - (board.clock.now_ns() - now_ns) / 1e9))
-        report = board.report()
-        assert (report.violations, report.slots) == (0, len(wanted))
-    return wanted
 
 
 class OverSocket:
