@@ -67,14 +67,13 @@ class Kajimoto61Driver(Driver):
         self._step_ua = COUNTS_PER_BYTE * self.ua_per_count
         most = self._scale.most_counts(limits, WIDTH_US, COUNTS_PER_BYTE)
         self._largest = np.minimum(LARGEST, most)
-        self._limits = limits
         # When the next packet may go, and the period of the last one; None begins a new grid.
         self._next_ns: int | None = None
         self._skipped, self._note_ns = 0, 0
         self._period_ns = 0
 
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
-        self._line, self._limits, self._next_ns = line, limits, None
+        self._line, self._next_ns = line, None
         if line.reopened and line.identity is None:
             raise BoardError(
                 f"the board at {self.port} was lost; it has no USB serial number and cannot be "
