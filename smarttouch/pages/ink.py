@@ -43,7 +43,7 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     grey = ~grey if light_on_dark else grey
     small, factor = grey, 1
     while factor < 4 and small.size >= 80_000:
-        small, factor = _halved(small), 2 * factor
+        small, factor = halved(small), 2 * factor
     paper = _find_paper(small, min(_WINDOW_PX / factor, math.sqrt(small.size) / 12))
     # Single pixels, not averages: they have the grain of the page.
     flat = cv2.resize(grey, paper.shape[::-1], interpolation=cv2.INTER_NEAREST)
@@ -124,7 +124,7 @@ def reduced(grey: Grey, pixels: int) -> Grey:
     return np.asarray(cv2.resize(grey, None, fx=part, fy=part, interpolation=cv2.INTER_AREA))
 
 
-def _halved(grey: Grey) -> Grey:
+def halved(grey: Grey) -> Grey:
     """Return an image of half the size, averaged; a whole factor is fastest."""
     height, width = (max(1, side // 2) for side in grey.shape)
     even = grey[: 2 * height, : 2 * width]

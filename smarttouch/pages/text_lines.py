@@ -14,16 +14,16 @@ from smarttouch.pages.components import (
     Ink,
     are_pictures,
     find_components,
+    find_rows,
     find_rules,
     like_letters,
     part_lines,
     usual_height,
     without_specks,
 )
-from smarttouch.pages.ink import Paper, separate_ink
+from smarttouch.pages.ink import Paper, halved, separate_ink
 from smarttouch.pages.page_image import Page, TextLine
 from smarttouch.pages.reading_order import Word, reading_order
-from smarttouch.pages.rows import find_rows
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,7 @@ def _coarser(ink: Ink) -> tuple[Ink, int, Components, float | None]:
 
 def _halved(ink: Ink) -> Ink:
     """Return ink at half the size; a line as thin as a pixel stays."""
-    height, width = (max(1, side // 2) for side in ink.shape)
-    even = ink[: 2 * height, : 2 * width].view(np.uint8) * np.uint8(255)
-    return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA) > 126)
+    return halved(ink.view(np.uint8) * np.uint8(255)) > 126
 
 
 _LEAST_SIDES, _LEAST_BOX, _LEAST_INK = (2.5, 5.0), 0.8, 0.35
@@ -141,7 +139,6 @@ _OWN, _AROUND, _FOREIGN, _NEAR_FOREIGN = (-1.8, 0.6), (-1.7, 0.5), 0.1, 0.5
 """Extent of a line around its baseline, in x-heights, and of the ink around it, in letter heights;
 most foreign ink there, relative to its own and for each of its letters, also of an even line."""
 _PLACES = 20  # points along a line
-_PARTS = 10  # steps in which a bend is followed
 
 
 def _lines_in_ink(ink: Ink, height: float, mm_per_pixel: float, leftward: bool) -> PageLines:
@@ -267,10 +264,8 @@ def _levels(lines: list[Baseline]) -> Floats:
     slope_at = _slopes([line for line in lines if _length(line.letters) > _LONG_ROW])
     x = np.array([(line.left + line.right) / 2 for line in lines])
     y = np.array([line.middle_y for line in lines])
-    step = x / _PARTS
-    for _ in range(_PARTS):
-        y, x = y - slope_at(x, y) * step, x - step
-    return y
+    middle = (x.min() + x.max()) / 2
+    return np.asarray(y - slope_at((x + middle) / 2, y) * (x - middle))
 
 
 _REACH, _FARTHEST, _ABOVE, _BELOW = 1.2, 3.5, 1.6, 0.5
@@ -278,7 +273,6 @@ _REACH, _FARTHEST, _ABOVE, _BELOW = 1.2, 3.5, 1.6, 0.5
 baseline, in x-heights."""
 _THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
 """Shorter and longer side of a dot, a dash or a single letter, in x-heights."""
-_FAR = 5.0  # distance of lines, in x-heights, that have nothing to do with each other
 _MEETING, _ONE_BASELINE, _ONE_SIZE = 1.2, 0.35, 1.5
 """White, offset of baselines, in x-heights, and ratio of sizes up to which two lines are one."""
 
@@ -322,7 +316,6 @@ def _joined(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
             size = min(line.x_height, other.x_height)
             if (
                 line.left - other.right < _MEETING * size
-                and abs(line.middle_y - other.middle_y) < _FAR * size
                 and max(line.x_height, other.x_height) < _ONE_SIZE * size
                 and np.abs(other.at(start) - line.at(start)) < _ONE_BASELINE * size
             ):
@@ -333,12 +326,11 @@ def _joined(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
     return found
 
 
-_SAME, _CAPITALS = 0.15, 0.08
-"""Difference of x-heights of one print, and part of tall letters below which all are capitals."""
-_CAPITAL, _MIXED = 1.42, 0.15
-"""Height of a capital, in x-heights, and part of lines that shows these where most show those."""
-_ASCENT, _DESCENT, _FEWEST = (1.25, 1.35), (0.35, 0.25), 0.03
-"""Usual and least ascent and descent, in x-heights, and part of letters that must show others."""
+_SAME, _CAPITALS, _CAPITAL = 0.15, 0.08, 1.42
+"""Difference of x-heights of one print; part of tall letters below which all are capitals; height
+of a capital, in x-heights."""
+_ASCENT, _DESCENT = (1.25, 1.65), (0.35, 0.65)
+"""Ranges of ascent and descent, in x-heights."""
 
 
 def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
@@ -346,29 +338,16 @@ def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
 
     Lines of one print share their size; those of capitals and figures measure taller.
     """
-    size = np.array([line.x_height for line in lines])
-    above, below = (
-        np.concatenate([reach / x for reach, x in zip(reaches, size, strict=True)])
-        for reaches in ([line.rise for line in lines], [line.fall for line in lines])
-    )
-    ascent, descent = (
-        float(np.quantile(far, 0.8)) + 0.03 if len(far) > _FEWEST * len(reach) else usual
-        for usual, far, reach in (
-            (_ASCENT[0], above[above > _ASCENT[1]], above),
-            (_DESCENT[0], below[below > _DESCENT[1]], below),
-        )
-    )
-    length = np.array([line.right - line.left for line in lines])
-    most = _weighted_median(size, length)
-    lower = np.abs(size * _CAPITAL / most - 1) < _SAME / 2
-    if length[lower].sum() > _MIXED * length.sum():
-        # Most lines are measured by their figures.
-        most = _weighted_median(size[lower], length[lower])
+    size, length = np.array([(line.x_height, line.right - line.left) for line in lines]).T
     tall = np.array([np.mean(line.rise > 1.25 * line.x_height) for line in lines])
-    capitals = (tall < _CAPITALS) & (np.abs(size / most / _CAPITAL - 1) < _SAME)
-    size = np.where(capitals, size / _CAPITAL, size)
+    capitals = np.abs(size / _weighted_median(size, length) / _CAPITAL - 1) < _SAME
+    size = np.where(capitals & (tall < _CAPITALS), size / _CAPITAL, size)
     near = np.abs(size[:, None] / size - 1) < _SAME
-    return np.array([_weighted_median(size[k], length[k]) for k in near]), ascent, descent
+    size = np.array([_weighted_median(size[k], length[k]) for k in near])
+    above = np.concatenate([line.rise / x for line, x in zip(lines, size, strict=True)])
+    below = np.concatenate([line.fall / x for line, x in zip(lines, size, strict=True)])
+    ascent = float(np.clip(np.quantile(above, 0.93) + 0.03, *_ASCENT))
+    return size, ascent, float(np.clip(np.quantile(below, 0.97) + 0.03, *_DESCENT))
 
 
 def _weighted_median(values: Floats, weight: Floats) -> float:

@@ -1,8 +1,7 @@
 """F measure and least time of ink over pages with truth, beside other methods.
 
 Run ``python -m tests.benchmarks.contest_pages FOLDER``; of each page the folder
-has ``NAME_source.png`` and ``NAME_target.png``, in which ink is black. Wolf's method
-is among them where doxapy is installed.
+has ``NAME_source.png`` and ``NAME_target.png``, in which ink is black.
 """
 
 import math
@@ -15,11 +14,6 @@ import numpy as np
 from skimage.filters import threshold_sauvola
 
 from smarttouch.pages.ink import separate_ink
-
-try:
-    import doxapy
-except ImportError:
-    doxapy = None
 
 ROUNDS = 10
 NOISE = 40
@@ -39,21 +33,12 @@ def otsu(grey):
     return cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY_INV | cv2.THRESH_OTSU)[1] > 0
 
 
-def wolf(grey):
-    """Return the ink by doxa's threshold of Wolf, 2004."""
-    ink = np.empty(grey.shape, np.uint8)
-    method = doxapy.Binarization(doxapy.Binarization.Algorithms.WOLF)
-    method.initialize(grey)
-    method.to_binary(ink, {"window": 75, "k": 0.2})
-    return ink == 0
-
-
 METHODS = {
     "separate_ink": lambda grey: separate_ink(grey).ink,
     "closed background, Otsu": closed,
     "Otsu": otsu,
     "Sauvola (51 px)": lambda grey: grey <= threshold_sauvola(grey, 51, k=0.15),
-} | ({"Wolf (doxa)": wolf} if doxapy else {})
+}
 
 
 def sheets_of_noise():
