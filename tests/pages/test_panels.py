@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from skimage import data
 
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import prepare_page
@@ -54,10 +53,3 @@ def test_large_letters_are_no_panels(size):
     cv2.putText(grey, "BOB8%", (30, 300), cv2.FONT_HERSHEY_SIMPLEX, size, 20, 8 * size)
     cleaned = prepare_page(Page(grey, 0.1)).cleaned
     assert (cleaned[grey == 20] < 100).all()
-
-
-def test_a_picture_is_no_panel():
-    page = print_page(some_lines(8, 40), size_pt=11, dpi=150).page
-    grey = np.pad(page.grey, ((330, 0), (0, 0)), constant_values=235)
-    grey[30:300, 60:330] = cv2.resize(data.camera(), (270, 270))
-    assert 8 <= len(find_lines(Page(grey, page.mm_per_pixel))) <= 9
