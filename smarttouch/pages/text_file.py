@@ -178,7 +178,8 @@ def _format_of_zip(path: Path) -> str:
 
 
 def _not_read(path: Path, kind: str) -> PageError:
-    return PageError(f"{path} is {kind}, which is not read: save it as PDF, DOCX or plain text")
+    remedy = "convert it to .brf" if "PEF" in kind else "save it as PDF, DOCX or plain text"
+    return PageError(f"{path} is {kind}, which is not read: {remedy}")
 
 
 def _prepared(path: Path, kind: str, data: bytes) -> tuple[bytes, int, bool]:

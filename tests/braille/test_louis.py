@@ -37,15 +37,6 @@ def test_what_is_missing(table):
 
 
 @needs_liblouis
-def test_one_may_become_many():
-    code = LouisCode("en-ueb-g1.ctb")
-    # An undefined character is shown by its number, eight cells.
-    shown = code.encode("中")
-    assert len(shown) == 8
-    assert code.encode("中" * 500) == shown * 500
-
-
-@needs_liblouis
 @pytest.mark.parametrize(
     "table", ["none.ctb", "", ",", "a" * 5000, "two\nlines.ctb", "en-ueb-g1.ctb,no.x"]
 )

@@ -1,8 +1,5 @@
 """Any kind of image becomes the same grey picture, as a page and as a frame."""
 
-import struct
-import zlib
-
 import cv2
 import numpy as np
 import pytest
@@ -67,20 +64,6 @@ def white_is_zero(path):
     Image.fromarray(INK.astype(np.uint16) * 16).save(path, tiffinfo=tags)
 
 
-def deep_grey_alpha(path):
-    """Write 10 bits in 16, grey with alpha, which Pillow cannot write."""
-    grey = np.rint(PRINT * (1023 / 255))
-    rows = np.dstack([grey, np.full_like(grey, 65535)]).astype(">u2").reshape(len(PRINT), -1)
-    raw = b"".join(b"\0" + row.tobytes() for row in rows)
-    parts = [(b"IHDR", struct.pack(">IIBBBBB", *PRINT.shape[::-1], 16, 4, 0, 0, 0))]
-    parts += [(b"IDAT", zlib.compress(raw)), (b"IEND", b"")]
-    chunks = (
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-        for name, data in parts
-    )
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
-
-
 def animation(path):
     first = Image.fromarray(PRINT)
     first.save(path, save_all=True, append_images=[Image.fromarray(INK)], duration=40)
@@ -93,7 +76,6 @@ KINDS = {
     **{f"deep-{bits}.png": deep(bits) for bits in range(8, 17)},
     **{f"color-{bits}.{kind}": deep(bits, color=True)
        for bits in (10, 12, 16) for kind in ("png", "tif")},
-    "grey-alpha-10.png": deep_grey_alpha,
     "white-is-zero.tif": white_is_zero,
     "float-1.tif": pillow(lambda: Image.fromarray(np.float32(PRINT / 255))),
     "float-255.tif": pillow(lambda: Image.fromarray(np.float32(PRINT))),
@@ -173,11 +155,6 @@ def test_a_picture_with_print_goes_on_around_itself(light, around):
     grey = to_grey(np.pad(window, ((around, around), (around, around), (0, 0))))
     assert (grey[:around] == (255 if light else 0)).all()
     np.testing.assert_array_equal(grey[around:-around, around:-around], window[..., 0])
-
-
-def test_faint_print_on_transparent_ground_is_seen():
-    faint = np.dstack([np.full_like(PRINT, 255)] * 3 + [INK // 3])
-    np.testing.assert_array_equal(to_grey(faint), 255 - INK // 3)
 
 
 def test_frames_stay_comparable():

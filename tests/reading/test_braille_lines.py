@@ -66,12 +66,10 @@ def cells(last):
     return st.text(st.characters(min_codepoint=0x2800, max_codepoint=last), min_size=1, max_size=9)
 
 
-def delivered(name, line, eight=False, lost=False):
+def delivered(name, line, eight=False):
     profile, bank = array(name)
     layout = cell_layout(profile, eight)
     shown = layout.line(line)
-    if lost:
-        shown.image[:] = 255
     # One pulse for each place is enough for a machine.
     motion = Braille().motion(profile, profile.electrodes.cell_mm[0] * 20)
     picture = deliver_pulses(shown, LineDelivery(profile, bank, Braille().tone, motion)).picture
@@ -85,10 +83,6 @@ def test_what_is_delivered_is_what_was_asked_for(name, six, eight):
     assert delivered(name, six) == six
     if name in ("electric-mouse", "optacon-24x6"):
         assert delivered(name, eight, eight=True) == eight
-
-
-def test_dots_that_were_not_delivered_are_missed():
-    assert delivered("electric-mouse", "⠿⠿", lost=True) == "⠀⠀"
 
 
 @pytest.mark.parametrize(("name", "attributes"), [

@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ReadingError, SafetyError
@@ -15,7 +13,7 @@ from smarttouch.imaging.line_picture import PIXELS_PER_PITCH, LinePicture
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import delivered_spikes, response_quality
+from smarttouch.physiology.response import delivered_spikes
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile, load_profile
 from smarttouch.reading.legibility import (
@@ -59,11 +57,6 @@ def test_known_rates(truth, text, rate):
 def test_what_makes_no_difference(one, other):
     assert normalize(one) == normalize(other) == other
     assert character_error_rate(one, other) == 0
-
-
-@given(st.text(max_size=30))
-def test_normalizing_twice_changes_nothing_more(text):
-    assert normalize(normalize(text)) == normalize(text)
 
 
 def test_there_must_be_a_truth_and_the_extra(monkeypatch):
@@ -200,20 +193,6 @@ def test_patterns_of_lines_before_change_no_spike(anatomy):
         assert all(np.array_equal(shared[each], alone[each]) for each in alone)
         fired += sum(int(each.sum()) for each in alone.values())
     assert fired > 500
-
-
-def test_silent_is_of_what_was_meant_and_not_of_what_was_delivered(delivered):
-    """The measure of `ResponseQuality`, which letters and the window have too."""
-    profile, line = delivered
-    wide = replace(line, meant={2: np.ones(16, np.bool_)})
-    finger = Finger(profile, 1, "paper")
-    found = read_at_nerve([wide], finger, [Afferent.RA])
-    assert found.silent_points > 0.5
-    period_us = {2: round(1e6 / profile.pulse.rate_hz)}
-    counts = delivered_spikes(finger, line.numbers, line.width_us, line.current_ua, period_us)[2]
-    quality = response_quality(finger, counts, wide.meant[2], [Afferent.RA])
-    assert found.silent_points == quality.silent_points
-    assert found.misplaced == pytest.approx(quality.misplaced, nan_ok=True)
 
 
 @pytest.fixture(scope="module")
