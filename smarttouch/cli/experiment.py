@@ -273,5 +273,3 @@ def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
             about = f"{each.answers.standard:g}: " if compares else ""
             if each.verdict is not None:
                 console.print(f"{about}no threshold: {each.verdict}", soft_wrap=True)
-            for note in each.notes:
-                console.print(f"{about}{note}", style="dim", soft_wrap=True)

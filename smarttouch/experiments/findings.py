@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import betaincinv
 
 from smarttouch.experiments.answers import Answers, AnswerTable
 from smarttouch.experiments.psychometric import Array, Bounded, Counts, Fit, Model, fit
@@ -22,8 +21,6 @@ MOST_UNANSWERED = 0.5
 SAME_INTERVAL = 0.95
 """Share of answers for the same interval above which answers do not depend on the stimulus."""
 FLAT = 0.02  # significance level of the test against answers independent of the comparison
-POOR = 0.01
-"""Goodness of fit below which it is called poor."""
 _FALLING = -2.58  # trend, in standard deviations, of falling answers: one in two hundred by chance
 _CURVE_POINTS = 301
 _BOUNDED = ("threshold", "weber", "middle", "lower", "lower_weber")
@@ -99,32 +96,6 @@ class Finding:
     def lower_weber(self) -> Bounded | None:
         """Lower threshold as a part of the standard, from it; negative."""
         return self._relative(self.lower)
-
-    @property
-    def goodness(self) -> float | None:
-        """Goodness of fit, 0 to 1, see `Fit`; None where it is not informative."""
-        return None if self.verdict or self.fit is None else self.fit.goodness
-
-    @property
-    def notes(self) -> list[str]:
-        """Warnings about a threshold that is reported."""
-        if self.verdict or self.fit is None or self.threshold is None:
-            return []
-        notes = []
-        if self.fit.sudden:
-            around = self.fit.bounded(0.5).value
-            notes.append(f"answers change too suddenly around {around:.4g} to determine the slope")
-        lowest, highest = self.answers.comparison.min(), self.answers.comparison.max()
-        if self.threshold.low < lowest or self.threshold.high > highest:
-            notes.append(
-                f"the interval reaches beyond what was tested, {lowest:.4g} to {highest:.4g}"
-            )
-        if self.goodness is not None and self.goodness < POOR:
-            notes.append(
-                f"the curve fits poorly (deviance {self.fit.deviance:.1f}, "
-                f"p {self.goodness:.3f}): answers may have drifted, or follow another curve"
-            )
-        return notes
 
     def _at(self, part: float) -> Bounded | None:
         return None if self.verdict or self.fit is None else self.fit.bounded(part)
@@ -244,10 +215,7 @@ def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
                 name: each.fit and float(getattr(each.fit.parameters, name)[0])
                 for name in ("spread", "lapse", "guess")
             },
-            "deviance": each.fit and each.fit.deviance,
-            "goodness": each.goodness,
             "verdict": each.verdict,
-            "notes": each.notes,
         }
         for each in findings
     ]
@@ -256,26 +224,19 @@ def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
 def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str]]:
     """Return a heading, and a row of words for each finding that has a threshold."""
     share = findings[0].model.share if findings else 0.0
-    heading = ["n", f"{share:.0%} at", "spread", "lapse", "p"]
+    heading = ["n", f"{share:.0%} at", "spread", "lapse"]
     if compares:
         heading = ["standard", *heading[:2], "Weber", "lower", "middle", *heading[2:]]
     rows = [heading]
     for each in findings:
         assert each.fit is not None
-        goodness = "" if each.goodness is None else f"{each.goodness:.2f}"
         cells = [str(each.answers.answered), in_words(each.threshold)]
         if compares:
             lower = "" if each.lower_weber is None else f"{each.lower_weber.value:.0%}"
             cells += [in_percent(each.weber), lower, f"{each.fit.bounded(0.5).value:.3g}"]
             cells.insert(0, f"{each.answers.standard:g}")
-        rows.append(
-            [
-                *cells,
-                f"{each.fit.parameters.spread[0]:.2g}",
-                f"{each.fit.parameters.lapse[0]:.2f}",
-                goodness,
-            ]
-        )
+        spread, lapse = each.fit.parameters.spread[0], each.fit.parameters.lapse[0]
+        rows.append([*cells, f"{spread:.2g}", f"{lapse:.2f}"])
     return rows
 
 
@@ -302,64 +263,53 @@ def _ends(found: Bounded | None) -> dict[str, float | None] | None:
 
 
 _TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)  # of comparison / standard
-_FEWEST_FOR_INTERVAL = 3  # answers at a comparison; with fewer an interval hides the rest
-
 Series = tuple[AnswerTable, Sequence[Finding]]  # results of one file
 
 
 def discrimination_figure(series: Sequence[Series]) -> "Figure":
-    """Draw shares of answers above, thresholds below.
+    """Draw shares of answers, a panel for each series with a curve of each standard.
 
-    With standards: one panel of each series with a curve of each standard, and one with the
-    thresholds of all. Without: one panel with a curve of each series, thresholds on it.
+    Where all have a standard, the thresholds of all are drawn below, relative to it.
     """
-    if not all(found.standard for _, findings in series for found in findings):
-        return _without_standards(series)
-    figure = new_figure(max(5.2, 4.6 * len(series)), 5.6)
-    grid = figure.add_gridspec(2, len(series))
+    compares = all(found.standard for _, findings in series for found in findings)
+    figure = new_figure(max(5.2, 4.6 * len(series)), 5.6 if compares else 3.2)
+    grid = figure.add_gridspec(1 + compares, len(series))
     for index, (table, findings) in enumerate(series):
         axes = figure.add_subplot(grid[0, index])
         for place, found in enumerate(findings):
-            shift = 1 + 0.006 * (place - len(findings) / 2)  # intervals would hide each other
-            _draw_shares(axes, found, found.standard, shift, SERIES_COLORS[place % 6],
-                         f"{found.standard:g} {table.unit}".rstrip())  # fmt: skip
+            unit, label = found.standard or 1.0, f"{found.standard:g} {table.unit}".rstrip()
+            _draw_shares(axes, found, unit, SERIES_COLORS[place % 6], label)
         axes.axhline(findings[0].model.share, color=GREY, lw=0.5, ls=":")
-        axes.axvline(1.0, color=GREY, lw=0.5)
-        axes.set_xscale("log")
-        low, high = axes.get_xlim()
-        ticks = [each for each in _TICKS if low <= each <= high]
-        axes.set_xticks(ticks, [f"{each:g}" for each in ticks])
-        axes.minorticks_off()
-        axes.legend(frameon=False, fontsize=7, title="standard", title_fontsize=7)
-        plain(axes, table.name, "comparison / standard", f"share {findings[0].said}")
-    _draw_thresholds(figure.add_subplot(grid[1, :]), series)
+        if compares:
+            axes.axvline(1.0, color=GREY, lw=0.5)
+            axes.set_xscale("log")
+            low, high = axes.get_xlim()
+            ticks = [each for each in _TICKS if low <= each <= high]
+            axes.set_xticks(ticks, [f"{each:g}" for each in ticks])
+            axes.minorticks_off()
+            axes.legend(frameon=False, fontsize=7, title="standard", title_fontsize=7)
+        stimulus = "comparison / standard" if compares else f"stimulus{_unit(series)}"
+        plain(axes, table.name, stimulus, f"share {findings[0].said}")
+    if compares:
+        _draw_thresholds(figure.add_subplot(grid[1, :]), series)
     return figure
 
 
-def binomial_interval(k: Array, n: Array) -> tuple[Array, Array]:
-    """Return Clopper and Pearson's exact 95 % interval of k successes in n trials (1934)."""
-    tail = 0.025
-    low = betaincinv(np.maximum(k, 0.5), n - k + 1, tail)
-    high = betaincinv(k + 1, np.maximum(n - k, 0.5), 1 - tail)
-    return np.where(k > 0, low, 0.0), np.where(k < n, high, 1.0)
-
-
-def _draw_shares(
-    axes: Any, found: Finding, unit: float, shift: float, color: str, label: str
-) -> None:
-    """Draw shares, their intervals, and the curve through them against stimulus / unit."""
+def _draw_shares(axes: Any, found: Finding, unit: float, color: str, label: str) -> None:
+    """Draw shares, larger where there are more answers, the curve through them, and the interval
+    of the threshold on it, against stimulus / unit."""
     stimulus, n, k = found.counts
-    low, high = binomial_interval(k, n)
-    share, enough = k / n, n >= _FEWEST_FOR_INTERVAL
-    # Drawn as lists: Matplotlib 3.10 takes an array of one number for the number itself.
-    reach = np.maximum([share - low, high - share], 0)[:, enough].tolist()
-    x = stimulus / unit * shift
-    axes.errorbar(x[enough], share[enough], reach, fmt="none", ecolor=color, lw=0.6, alpha=0.4)
-    axes.scatter(x, share, 8 + 2 * np.minimum(n, 10), color=[color], label=label, lw=0, zorder=3)
+    size = 8 + 2 * np.minimum(n, 10)
+    axes.scatter(stimulus / unit, k / n, size, color=[color], label=label, lw=0, zorder=3)
     axes.set_ylim(-0.04, 1.04)
-    if found.curve is not None:
-        x, share = found.curve
-        axes.plot(x / unit, share, "--" if found.threshold is None else "-", color=color, lw=1.2)
+    if found.curve is None:
+        return
+    x, share = found.curve
+    axes.plot(x / unit, share, "--" if found.threshold is None else "-", color=color, lw=1.2)
+    if found.threshold is not None:
+        value, low, high = found.threshold
+        ends = np.clip([low, high], stimulus[0], stimulus[-1]) / unit
+        axes.plot(ends, [np.interp(value, x, share)] * 2, color=color, lw=3, alpha=0.4)
 
 
 def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
@@ -391,27 +341,6 @@ def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
     axes.legend(frameon=False, fontsize=7, ncols=len(series))
     share = series[0][1][0].model.share
     plain(axes, "", f"standard{_unit(series)}", f"{share:.0%} threshold, change / standard")
-
-
-def _without_standards(series: Sequence[Series]) -> "Figure":
-    """Draw shares against the stimulus itself; thresholds lie on the curves, with intervals."""
-    figure = new_figure(5.2, 3.2)
-    axes = figure.subplots()
-    for index, (table, findings) in enumerate(series):
-        color = SERIES_COLORS[index % 6]
-        for found in findings:
-            label = table.name + (", no threshold" if found.threshold is None else "")
-            _draw_shares(axes, found, 1.0, 1.0, color, label)
-            if found.threshold is None or found.curve is None:
-                continue
-            value, low, high = found.threshold
-            share = np.interp(value, *found.curve)
-            ends = np.clip([low, high], found.counts.stimulus.min(), found.counts.stimulus.max())
-            axes.plot(ends, [share, share], color=color, lw=3, alpha=0.4)
-            axes.plot([value], [share], "|", ms=14, color=color)
-    axes.legend(frameon=False, fontsize=7)
-    plain(axes, "", f"stimulus{_unit(series)}", f"share {series[0][1][0].said}")
-    return figure
 
 
 def _unit(series: Sequence[Series]) -> str:

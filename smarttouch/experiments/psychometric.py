@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtrc, ndtr, ndtri
+from scipy.special import ndtr, ndtri
 
 from smarttouch.base.errors import ExperimentError
 
@@ -36,11 +36,7 @@ _NARROWEST, _WIDEST = 1 / 40, 1.0
 by which intervals of simulated subjects hold 92 to 98 % of thresholds)."""
 _EDGE = 0.05
 """Part of a span: an interval that ends closer than this to the edge of the grid is unbounded."""
-_STEEP = 0.05  # weight of spreads near the narrowest that the answers do not exclude
 _NOTHING = 1e-7  # weight of places that a finer grid leaves out
-_BY_LEVEL = 4
-"""Fewest answers at each comparison; with fewer, comparisons were mostly placed adaptively, or the
-deviance is uninformative (McCullagh and Nelder, *Generalized Linear Models*, 1989, sec. 4.4.5)."""
 
 
 class Counts(NamedTuple):
@@ -168,30 +164,6 @@ class Fit:
         middle = self._quantiles(self.model.level)[0] - ndtri(self.model.level) * spread
         others = (np.array([self.weights @ each]) for each in (lapse, guess))
         return Parameters(middle, spread, *others)
-
-    @property
-    def deviance(self) -> float:
-        """Twice the log likelihood that the best function loses against the observed shares."""
-        n, k = self.counts.n, self.counts.k
-        return float(2 * (log_likelihood(k / n, n, k) - self.log_likelihoods.max()))
-
-    @property
-    def sudden(self) -> bool:
-        """Whether functions as steep as there are fit well: no answer says how steep it is."""
-        steep = self.functions.spread < 1.5 * _NARROWEST * (self.ends[1] - self.ends[0])
-        return float(self.weights[steep].sum()) > _STEEP
-
-    @property
-    def goodness(self) -> float | None:
-        """Chance that answers of this very function fit no better; None where that says nothing.
-
-        The deviance is chi squared, with as many degrees of freedom as there are comparisons
-        beyond the parameters.
-        """
-        free = len(self.counts.n) - (4 if self.model.guess == "free" else 3)
-        if free < 1 or self.counts.n.min() < _BY_LEVEL:
-            return None
-        return float(chdtrc(free, max(0.0, self.deviance)))
 
     def bounded(self, part: float) -> Bounded:
         """Return the stimulus at which F equals the given part of 1, and its interval."""

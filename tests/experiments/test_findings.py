@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 
 from smarttouch.experiments.answers import Answers, usual_model
 from smarttouch.experiments.findings import (
-    POOR,
-    binomial_interval,
     discrimination_figure,
     judge_answers,
 )
@@ -21,8 +19,6 @@ from smarttouch.views.figure_style import save
 
 from ..said import numbers_in
 from .simulated import Subject, answer_all, as_answers, ask_all, of_counts
-
-RATIO = 2 ** (np.arange(-9, 10, 2) / 9)
 
 
 def session(answers, standard=30.0, repetitions=10, seed=0):
@@ -41,7 +37,6 @@ def verdict(answers):
     assert found.verdict
     assert found.reason
     assert found.threshold is found.weber is found.middle is found.lower is None
-    assert found.notes == []
     return found
 
 
@@ -54,8 +49,6 @@ def test_a_good_subject():
     assert found.weber.value == pytest.approx(found.threshold.value / 30 - 1)
     assert found.lower_weber.value < 0 < found.weber.value
     assert found.lower.value < found.middle.value < found.threshold.value
-    assert found.goodness > 0.01
-    assert found.notes == []
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -123,8 +116,6 @@ def test_separated_answers_are_reported():
     assert found.threshold.high - found.threshold.low > 0.6 * (high - low)
     # All curves with their middle between the two fit alike.
     assert low < found.fit.bounded(0.5).value < high
-    assert found.fit.sudden
-    assert f"{found.fit.bounded(0.5).value:.4g}" in found.notes[0]
 
 
 def test_one_sided_and_of_two_intervals_are_tested_against_guessing():
@@ -138,20 +129,6 @@ def test_one_sided_and_of_two_intervals_are_tested_against_guessing():
     assert judge_answers(right, usual_model([right])).verdict is None
     felt = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10])
     assert verdict(felt).reason == "flat"
-
-
-def test_an_interval_beyond_the_range_is_reported():
-    answers = of_counts(30 * RATIO, [10] * 10, [2, 3, 2, 4, 3, 6, 5, 6, 7, 8], standard=30.0)
-    found = judge_answers(answers, usual_model([answers]))
-    assert found.threshold.high > 60
-    assert any(numbers(each) == [15, 60] for each in found.notes)
-
-
-def test_a_poor_fit_is_reported():
-    answers = of_counts(30 * RATIO, [20] * 10, [0, 9, 0, 9, 1, 19, 8, 20, 9, 20], standard=30.0)
-    found = judge_answers(answers, usual_model([answers]))
-    assert found.goodness < POOR
-    assert any(f"{found.fit.deviance:.1f}" in each for each in found.notes)
 
 
 @settings(deadline=None)
@@ -177,8 +154,6 @@ def test_nothing_crashes_it(trials, standard, guess):
     assert (found.verdict is None) == (found.threshold is not None) == (not found.reason)
     if found.threshold is not None:
         assert found.threshold.low <= found.threshold.high
-        assert found.threshold.high > found.threshold.low or found.notes
-    assert all(isinstance(each, str) for each in found.notes)
 
 
 def test_which_model():
@@ -244,7 +219,7 @@ def test_two_modes():
         "30 Hz", "60 Hz", "75 Hz", "90 Hz",
     ]  # fmt: skip
     dots = np.asarray(ra.collections[-1].get_offsets())
-    assert dots[:, 0] == pytest.approx(RATIOS, rel=0.02)
+    assert dots[:, 0] == pytest.approx(RATIOS)
     assert dots[:, 1] == pytest.approx([0, 0.2, 0.8, 1.0])
     # A curve of each but the last; dashed where it gives no threshold.
     curves = [line for line in ra.lines if len(line.get_xdata()) == 50]
@@ -270,11 +245,8 @@ def test_without_standards(tmp_path):
     figure = discrimination_figure(
         [series("one", felt, unit="mA"), series("two", nothing, unit="mA")]
     )
-    (axes,) = figure.axes
-    one, two = (each.get_text() for each in axes.get_legend().get_texts())
-    assert one == "one"
-    # More is said of the series that has no threshold.
-    assert two.startswith("two, ")
+    axes, other = figure.axes
+    assert (axes.get_title(loc="left"), other.get_title(loc="left")) == ("one", "two")
     assert "(mA)" in axes.get_xlabel()
     assert "felt" in axes.get_ylabel()
     # The interval of the threshold, at the share that the curve has there.
@@ -282,10 +254,3 @@ def test_without_standards(tmp_path):
     assert interval == pytest.approx(np.array([[1, 0.5], [2, 0.5]]), abs=1e-6)
     save(figure, tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 10_000
-
-
-def test_binomial_interval():
-    """Clopper and Pearson: none of ten, 1 - 0.025^(1/10); all; and 5 of 10 from tables."""
-    low, high = binomial_interval(np.array([0.0, 10, 5]), np.full(3, 10.0))
-    assert low == pytest.approx([0, 0.025**0.1, 0.1871], abs=1e-4)
-    assert high == pytest.approx([1 - 0.025**0.1, 1, 0.8129], abs=1e-4)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import chi2, norm
+from scipy.stats import norm
 
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.psychometric import Counts, Model, Parameters, fit
@@ -43,7 +43,6 @@ def test_any_answers_give_estimates_in_their_intervals_that_rise_with_the_share(
     shares = found(np.linspace(counts.stimulus[0] / 3, 3 * counts.stimulus[-1], 50))
     assert ((shares >= 0) & (shares <= 1)).all()
     assert (np.diff(shares) >= -1e-12).all()
-    assert found.deviance >= -1e-6
     bounded = np.array([found.bounded(part) for part in (0.1, 0.5, 0.75, 0.9)])
     assert (bounded[1:] >= bounded[:-1]).all()
     value, low, high = bounded.T
@@ -107,19 +106,6 @@ def test_an_interval_without_an_end():
     found = fit(counts, Model()).bounded(0.99)
     assert found.low < found.value < math.inf
     assert math.isinf(found.high)
-
-
-def test_goodness():
-    share = Subject(36.0, 0.25).probability(STIMULUS)
-    good = counts_of(STIMULUS, np.full(10, 20), np.round(20 * share))
-    assert fit(good, Model()).goodness > 0.2
-    odd = np.where(np.arange(10) % 2, np.minimum(20, 20 * share + 9), np.maximum(0, 20 * share - 9))
-    poor = fit(counts_of(STIMULUS, np.full(10, 20), np.round(odd)), Model())
-    assert poor.goodness == pytest.approx(chi2.sf(poor.deviance, 7))
-    assert poor.goodness < 0.01
-    each = np.geomspace(15, 60, 60)
-    said = np.random.default_rng(1).random(60) < Subject(36.0, 0.5).probability(each)
-    assert fit(counts_of(each, np.ones(60), said), Model()).goodness is None
 
 
 @pytest.mark.parametrize(("arguments", "value"), [
