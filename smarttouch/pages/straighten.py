@@ -25,7 +25,6 @@ _LEAST_SIDES = 3  # fewest visible edges; the fourth may be the edge of the phot
 _ROUGH = 0.02  # tolerance of an outline with four corners, as a part of its length
 _LOOSE_PX = 5.0  # largest distance of a side's points from it, in that image
 _INSET = 0.006  # part of the sheet left out at its blurred edges
-_LARGEST_ANGLE = 35.0  # largest deviation of a corner from a right angle, in degrees
 
 
 def find_sheet(grey: Grey) -> Corners | None:
@@ -106,10 +105,8 @@ def _is_sheet(corners: Corners, outline: NDArray[np.int32], paper: Grey) -> bool
     """Return whether four corners are those of a sheet with a darker background."""
     area = cv2.contourArea(corners.astype(np.float32))
     sides = np.roll(corners, -1, axis=0) - corners
-    angle = np.degrees(np.arctan2(sides[:, 1], sides[:, 0]))
-    turn = (np.roll(angle, -1) - angle) % 360
     filled = cv2.contourArea(outline) / max(area, 1.0)
-    if np.abs(turn - 90).max() > _LARGEST_ANGLE or abs(filled - 1) > 1 - _LEAST_FILLED:
+    if abs(filled - 1) > 1 - _LEAST_FILLED:
         return False
     seen = 0
     for corner, side in zip(corners, sides, strict=True):
