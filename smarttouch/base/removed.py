@@ -12,12 +12,14 @@ COMMANDS = {
 }
 OPTIONS = {
     "--adaptive": "run smarttouch experiment run 'detection?procedure=questplus&site=N'",
+    "--at": "leave it out; usual_model of smarttouch.lab takes it",
     "--bank": "leave it out; kernels are kept where runs find them",
     "--compare": "design one kind after the other; the profile's output.kind decides",
     "--dot-pitch-mm": "give --size-mm, the side of the target",
     "--finger": "give --set finger=[ANATOMY:]SEED",
     "--frames": "leave it out; 16 frames are averaged",
     "--function": "leave it out; the curve is the cumulative normal, as in the paper",
+    "--guess": "leave it out; usual_model of smarttouch.lab takes it",
     "--help-all": "--help prints all options",
     "--lapse": "leave it out; a tenth of the answers may be lapses",
     "--light-on-dark": "give --set light_on_dark",
@@ -28,7 +30,7 @@ OPTIONS = {
     "--overwrite": "remove the file, or give another name",
     "--password": "give --password-file FILE, or answer at the terminal",
     "--quiet": "send the output elsewhere, as by > /dev/null",
-    "--rate": "give --set rate_hz=HZ",
+    "--rate": "give --set rate_hz=HZ; an experiment takes 'NAME?rate_hz=HZ'",
     "--robust": "leave it out; kernels are designed for the nominal finger",
     "--save": "record with smarttouch live SOURCE --record FILE.mcap",
     "--schema": "st.Profile.model_json_schema() in Python has it",
@@ -38,6 +40,7 @@ OPTIONS = {
     "--subject": "give --set subject=NAME; experiment run has --subject",
     "--three-state": "leave it out; the profile's output.kind decides",
     "--vibrators": "give --set vibrators=FILE.wav or --set vibrators=sound:",
+    "--weights": "type each weight when it is asked for",
     "--yes": "press Enter when everything is in place",
 }
 URLS = {

@@ -1,6 +1,6 @@
 """``smarttouch calibrate``: one device on one finger, measured, and written to a profile."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -49,18 +49,12 @@ class CalibrationOptions(OptionGroup):
         )
 
 
-def weights_laid(listed: Sequence[float] | None) -> Iterator[float]:
-    """Yield the grams that a user lays on a load cell: those listed, or those typed in."""
+def _weights_laid() -> Iterator[float]:
+    """Yield the grams that a user lays on a load cell and types in."""
     from smarttouch.experiments.force_curve import parse_grams
 
-    for grams in listed or ():
-        _answer(f"{grams:g} g on the cell, at rest. Then press Enter")
-        yield grams
-    while listed is None:
-        answer = _answer("Grams on the cell, at rest (Enter: no more)")
-        if not answer:
-            return
-        yield parse_grams(answer)[0]
+    while answer := _answer("Grams on the cell, at rest (Enter: no more)"):
+        yield parse_grams(answer)
 
 
 def _answer(question: str) -> str:
@@ -180,21 +174,16 @@ def force(
     cell: Annotated[
         str | None, option("Read this load cell: hx711:PORT or loadcell:PORT.", "URL")
     ] = None,
-    weights: Annotated[
-        str | None,
-        option("List the weights in grams, in order; you are asked otherwise.", "G,G,..."),
-    ] = None,
     seconds: Annotated[float, option("Read each weight for this time.", "S")] = 2.0,
 ) -> None:
     """Measure the load cell's curve with known weights; one given twice shows hysteresis."""
-    from smarttouch.experiments.force_curve import fit_curve, parse_grams, weigh_on
+    from smarttouch.experiments.force_curve import fit_curve, weigh_on
 
     require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)
-    listed = None if weights is None else parse_grams(weights)
     file = calibration.file("force")
     if cell is None:
         raise CalibrationError("give --cell hx711:PORT or --cell loadcell:PORT")
-    found = fit_curve(weigh_on(cell, weights_laid(listed), seconds), file.profile.force)
+    found = fit_curve(weigh_on(cell, _weights_laid(), seconds), file.profile.force)
     file.set("force.curve", found.curve)
     finish(file, "force", found.sentence())
 

@@ -167,7 +167,6 @@ def try_out(
     """Drive each electrode in turn against all others, from zero up to a small current."""
     import sys
 
-    from smarttouch.boards.open import may_touch_a_finger
     from smarttouch.running.display import open_display
     from smarttouch.running.step import OnEvent
     from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
@@ -176,16 +175,12 @@ def try_out(
     display = open_display(url, profile)
     sites = range(len(display.profile.electrodes)) if electrode is None else [electrode]
     require_site(display.profile, sites[-1])
-    if current_ma is None:
-        if may_touch_a_finger(url) and not sys.stdin.isatty():
-            raise SmartTouchError(
-                "there is no keyboard to end it with, and a finger may be on the board: give "
-                f"--current-ma, for example {_WALK_MA:g}"
-            )
-        current_ma = _WALK_MA
-    if seconds is None and not sys.stdin.isatty():
-        message = "there is no keyboard to wait for: give --seconds"
-        raise SmartTouchError(message)
+    if not sys.stdin.isatty() and (seconds is None or current_ma is None):
+        raise SmartTouchError(
+            "there is no keyboard to go on and to end it with: give --seconds and --current-ma, "
+            f"for example {_WALK_MA:g}"
+        )
+    current_ma = _WALK_MA if current_ma is None else current_ma
     walk, stop = Walk(display.profile, current_ma, seconds, sites), command_stop()
 
     def say(event: "Event") -> None:

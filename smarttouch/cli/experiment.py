@@ -20,6 +20,7 @@ from smarttouch.cli.options import (
     option,
     output_file,
     parse_afferent,
+    read_form,
     require_answers,
     takes_options,
 )
@@ -28,7 +29,6 @@ from smarttouch.views.keys_and_signals import drives_a_board
 if TYPE_CHECKING:
     from smarttouch.experiments.answers import AnswerTable
     from smarttouch.experiments.findings import Finding
-    from smarttouch.experiments.psychometric import Guess
 
 _ANATOMY = "paper"
 _FINGER = 2  # full RA pulses of the concentric electrode reach no afferent of the first
@@ -72,14 +72,12 @@ def run_listed(
         argument(
             "An experiment, free, or a file of yours; all are listed without one. Options "
             "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27', "
-            "also trials, two_intervals, train_s, gap_s and answer_s.",
+            "also rate_hz, where it is not compared, trials, two_intervals, train_s, gap_s and "
+            "answer_s.",
             "NAME|FILE.py",
         ),
     ] = None,
     mode: ClassOption = "RA",
-    rate_hz: Annotated[
-        float | None, option("Set the rate of pulses, where it is not compared.", "HZ", "--rate")
-    ] = None,
 ) -> None:
     """Run an experiment; the same command continues it later.
 
@@ -90,26 +88,13 @@ def run_listed(
     if text is None:
         _list_all()
         return
-    name, options = _options_of(text)
-    if rate_hz is not None:
-        options["rate_hz"] = rate_hz
+    from smarttouch.experiments.trials import Setup
+
+    name, options = read_form(Setup, text, ExperimentError, but=("seed",))
     if name == "free":
         _run_free(run, who, mode, options)
     else:
         _run_trials(run, who, name, mode, options)
-
-
-def _options_of(text: str) -> tuple[str, dict[str, Any]]:
-    """Return the name of an experiment, and the options that follow it."""
-    from smarttouch.base.url_options import options_of, read_options
-    from smarttouch.experiments.trials import Setup
-
-    others = ("rate_hz", "seed")
-    name, given = read_options(Setup, text, ExperimentError, others)
-    if "?" in name:
-        known = ", ".join(sorted(options_of(Setup, others)))
-        raise ExperimentError(f"{name!r} has an option that there is not: choose {known}")
-    return name, given
 
 
 def _list_all() -> None:
@@ -208,14 +193,6 @@ def fit(
     ],
     x: Annotated[str, option("Name the column of what was compared.", "COLUMN")] = "comparison",
     y: Annotated[str, option("Name the column of answers: 1, 0 or empty.", "COLUMN")] = "success",
-    guess: Annotated[
-        str | None,
-        option("Set the share of successes by guessing: a number, equal (to lapses) or free.", "G"),
-    ] = None,
-    at: Annotated[
-        float | None,
-        option("Set the share of successes at the threshold, not halfway from guessing.", "0..1"),
-    ] = None,
     plot: Annotated[Path | None, output_file("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -231,30 +208,18 @@ def fit(
 
     if plot is not None:
         figure_style.require_drawable(plot)
-    guessed = None if guess is None else _parse_guess(guess)
     found: list[tuple[AnswerTable, list[Finding]]] = []
     for path in files:
         table = read_table(path, x, y)
         if sum(each.stem == path.stem for each in files) > 1:
             table = replace(table, name=str(path))
-        model = usual_model(table.answers, guessed, at)
+        model = usual_model(table.answers)
         found.append((table, [judge_answers(each, model) for each in table.answers]))
     _print(found)
     if json_file is not None:
         write_json(json_file, {table.name: as_figures(findings) for table, findings in found})
     if plot is not None:
         figure_style.save(discrimination_figure(found), plot)
-
-
-def _parse_guess(text: str) -> "Guess":
-    match text:
-        case "equal" | "free":
-            return text
-    try:
-        return float(text)
-    except ValueError:
-        message = f"guess {text!r} is not offered: give a share such as 0.5, equal or free"
-        raise ExperimentError(message) from None
 
 
 def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:

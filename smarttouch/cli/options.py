@@ -3,7 +3,7 @@
 import inspect
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -78,15 +78,17 @@ def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
     return expanded
 
 
-def read_form(form: Callable[..., _T], text: str, error: type[SmartTouchError]) -> tuple[str, _T]:
-    """Return a name, and what a function makes of the options that follow it after ``?``."""
+def read_form(
+    form: Callable[..., Any], text: str, error: type[SmartTouchError], but: Collection[str] = ()
+) -> tuple[str, dict[str, Any]]:
+    """Return a name, and the options of a function that follow it after ``?``."""
     from smarttouch.base.url_options import options_of, read_options
 
-    name, given = read_options(form, text, error)
+    name, given = read_options(form, text, error, but)
     if "?" in name:
-        known = ", ".join(sorted(options_of(form)))
+        known = ", ".join(sorted(options_of(form, but)))
         raise error(f"{name!r} has an option that there is not: choose {known}")
-    return name, form(**given)
+    return name, given
 
 
 def parse_mode(mode: str) -> Mode:

@@ -125,7 +125,8 @@ class FormOptions(OptionGroup):
         from smarttouch.reading.braille_lines import Braille
         from smarttouch.reading.letter_shapes import Shapes
 
-        text, form = read_form(_Form, self.kind or usual, ReadingError)
+        text, given = read_form(_Form, self.kind or usual, ReadingError)
+        form = _Form(**given)
         if choice_of("kind", text, ("shapes", "braille")) == "shapes":
             return Shapes(), form.speed_mm_s
         return Braille(table_of(form.table, language)), form.speed_mm_s

@@ -105,15 +105,14 @@ def weigh_on(url: str, weights: Iterable[float], seconds: float) -> list[Weighin
         return [weigh(cell, grams, seconds) for grams in weights]
 
 
-def parse_grams(text: str) -> list[float]:
-    """Return what ``0,20,50`` names."""
+def parse_grams(text: str) -> float:
+    """Return a weight, g, as somebody typed it."""
     try:
-        grams = [float(each) for each in text.split(",")]
+        grams = float(text)
     except ValueError:
-        grams = [math.nan]
-    if not all(0 <= each < math.inf for each in grams):
-        message = f"weights {text!r} are not understood: give grams like 0,20,50,100"
-        raise CalibrationError(message)
+        grams = math.nan
+    if not 0 <= grams < math.inf:
+        raise CalibrationError(f"{text!r} is not a weight: give grams, such as 20")
     return grams
 
 
