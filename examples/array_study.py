@@ -10,10 +10,9 @@ a Dask cluster; here a small one is run in this process.
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import matplotlib.pyplot as plt
 from joblib import parallel_config
 
-from smarttouch.lab import STUDY_NAMES, Study, run_study, study_figure, study_sums, study_table
+from smarttouch.lab import Study, run_study, study_sums, study_table
 
 study = Study(
     title="Two arrays, two modes",
@@ -31,14 +30,9 @@ with TemporaryDirectory() as folder, parallel_config("threading", n_jobs=1):
 print(rows[0])
 
 # %%
-# Medians over fingers.
+# Medians over fingers: how many letters are misread, how many points are silent, how many spikes
+# are of another class, and how many are felt beyond a pitch of every electrode of the letter.
 found = study_sums(rows)
 heading, lines = study_table(found)
 for line in [heading, *lines]:
     print("".join(cell.ljust(24 if column == 1 else 11) for column, cell in enumerate(line)))
-
-# %%
-# A dot for each finger: how many letters are misread, how many points are silent, how many spikes
-# are of another class, and how many are felt beyond a pitch of every electrode of the letter.
-study_figure(found, STUDY_NAMES, study.title)
-plt.show()

@@ -16,9 +16,7 @@ from smarttouch.experiments.observers import make_observer as make_observer
 from smarttouch.experiments.procedures import Condition as Condition
 from smarttouch.experiments.procedures import constant_stimuli as constant_stimuli
 from smarttouch.experiments.study_plan import Study as Study
-from smarttouch.experiments.study_run import STUDY_NAMES as STUDY_NAMES
 from smarttouch.experiments.study_run import run_study as run_study
-from smarttouch.experiments.study_run import study_figure as study_figure
 from smarttouch.experiments.study_run import study_sums as study_sums
 from smarttouch.experiments.study_run import study_table as study_table
 from smarttouch.experiments.trials import Answer as Answer

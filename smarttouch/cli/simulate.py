@@ -99,21 +99,16 @@ def study(
     ] = None,
 ) -> None:
     """Run a grid of fingers, profiles, modes, scans, letters and pages, or continue one."""
-    from importlib.util import find_spec
-
     from smarttouch.base.terminal import print_table
     from smarttouch.experiments.study_plan import load_study
     from smarttouch.experiments.study_run import (
         ROWS_FILE,
-        STUDY_NAMES,
         TABLE_NOTE,
         on_cluster,
         run_study,
-        study_figure,
         study_sums,
         study_table,
     )
-    from smarttouch.views import figure_style
     from smarttouch.views.progress import bank_progress, progress
 
     asked = load_study(plan)
@@ -123,10 +118,6 @@ def study(
         progress("Fingers") as advance,
     ):
         rows = run_study(asked, plan.parent, output, designing, advance)
-    sums, made = study_sums(rows), [output / ROWS_FILE]
-    if find_spec("matplotlib"):
-        made.append(output / "study.png")
-        figure_style.save(study_figure(sums, STUDY_NAMES, asked.title), made[-1])
-    heading, lines = study_table(sums)
+    heading, lines = study_table(study_sums(rows))
     print_table(lines, heading, title=asked.title, note=TABLE_NOTE, ruled=True, left=2)
-    print(*made, sep="\n")
+    print(output / ROWS_FILE)

@@ -1,18 +1,15 @@
-"""A study from its plan to table, summary and figure, finger by finger, on all cores, resumable."""
+"""A study from its plan to table and summary, finger by finger, on all cores, resumable."""
 
 import csv
 import hashlib
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import make_folder, read_text, write_bytes
@@ -28,10 +25,6 @@ from smarttouch.experiments.study_plan import (
 )
 from smarttouch.physiology.anatomy import Anatomy
 from smarttouch.physiology.response import ignore_nan, middle_90
-from smarttouch.views.figure_style import GREY, SERIES_COLORS, new_figure, plain
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 VERSION = 3  # version of the rows, raised when the same study would get others
 ROWS_FILE = "rows.csv"
@@ -124,16 +117,9 @@ def _kept(path: Path) -> list[StudyRow] | None:
 
 
 MEASURES = ("error", "silent_points", "wrong_class", "misplaced")
-STUDY_NAMES = {
-    "error": "read wrongly",
-    "silent_points": "silent points",
-    "wrong_class": "spikes of another class",
-    "misplaced": "misplaced spikes",
-}
 TABLE_NOTE = (
     "Medians and middle 90 % of fingers, of means over patterns: read wrongly, silent points, "
-    "spikes of another class, misplaced ones. Best on: fingers on which no other choice is read "
-    "with fewer errors. mA: mean total current of a slot."
+    "spikes of another class, misplaced ones. mA: mean total current of a slot."
 )
 _CHOSEN = ("profile", "mode", "scan", "intensity")
 
@@ -145,8 +131,6 @@ class Summed:
     anatomy: str
     label: str  # what the choice is, where choices of the study differ
     fingers: dict[str, list[float]]  # mean over patterns of each of `MEASURES`, by finger
-    # part of the fingers on which no other choice is read with fewer errors; ties count for all
-    best: float
     total_ma: float  # mean total current of a slot
 
     def interval(self, measure: str) -> tuple[float, float, float]:
@@ -163,23 +147,11 @@ def study_sums(rows: Sequence[StudyRow]) -> list[Summed]:
     for row in rows:
         label = ", ".join(_said(row, name) for name in differ) or row.mode
         groups[row.anatomy, label][row.finger].append(row)
-    errors = {
-        key: {seed: fmean(row.error for row in them) for seed, them in by_finger.items()}
-        for key, by_finger in groups.items()
-    }
-    least: dict[tuple[str, int], float] = {}
-    for (anatomy, _), each in errors.items():
-        for seed, error in each.items():
-            least[anatomy, seed] = min(error, least.get((anatomy, seed), error))
     return [
         Summed(
             anatomy,
             label,
             {name: [_mean(them, name) for them in by_finger.values()] for name in MEASURES},
-            fmean(
-                error <= least[anatomy, seed] + 1e-9
-                for seed, error in errors[anatomy, label].items()
-            ),
             fmean(row.total_ma for them in by_finger.values() for row in them),
         )
         for (anatomy, label), by_finger in groups.items()
@@ -188,12 +160,12 @@ def study_sums(rows: Sequence[StudyRow]) -> list[Summed]:
 
 def study_table(found: Iterable[Summed]) -> tuple[list[str], list[list[str]]]:
     """Return a heading, and medians with the middle 90 % of each choice and anatomy in words."""
-    heading = ["anatomy", "choice", "errors", "silent", "wrong", "misplaced", "best on", "mA"]
+    heading = ["anatomy", "choice", "errors", "silent", "wrong", "misplaced", "mA"]
     rows = [
         [
             each.anatomy, each.label,
             *("{:.3f} ({:.2f}-{:.2f})".format(*each.interval(name)) for name in MEASURES),
-            f"{each.best:.0%}", f"{each.total_ma:.2f}",
+            f"{each.total_ma:.2f}",
         ]
         for each in found
     ]  # fmt: skip
@@ -207,52 +179,6 @@ def _said(row: StudyRow, name: str) -> str:
 
 def _mean(rows: Iterable[StudyRow], name: str) -> float:
     return ignore_nan(fmean, (getattr(row, name) for row in rows))
-
-
-_ROW_IN = 0.34
-_PANEL_IN = 2.3
-
-
-def study_figure(found: Sequence[Summed], names: Mapping[str, str], title: str) -> "Figure":
-    """Draw each measure in a panel: a dot for each finger, a line at the median of a choice."""
-    anatomies = list(dict.fromkeys(each.anatomy for each in found))
-    labels = list(dict.fromkeys(each.label for each in found))
-    rows = len(labels) * len(anatomies)
-    figure = new_figure(2.4 + _PANEL_IN * len(names), 1.5 + _ROW_IN * rows)
-    panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
-    random = np.random.default_rng(0)
-    for axes, (measure, name) in zip(panels, names.items(), strict=True):
-        for each in found:
-            place = labels.index(each.label) * (len(anatomies) + 0.6) + anatomies.index(
-                each.anatomy
-            )
-            color = SERIES_COLORS[anatomies.index(each.anatomy) % len(SERIES_COLORS)]
-            values = np.array([one for one in each.fingers[measure] if np.isfinite(one)])
-            if not len(values):
-                continue
-            aside = random.uniform(-0.3, 0.3, len(values))
-            axes.scatter(values, place + aside, s=6, color=color, alpha=0.45, linewidths=0)
-            axes.plot([np.median(values)] * 2, [place - 0.42, place + 0.42], color="black", lw=1.6)
-        plain(axes, "", name)
-        most = max(0.1, axes.get_xlim()[1])
-        axes.set_xlim(-0.03 * most, most)
-        axes.grid(axis="x", color="#e6e6e6", linewidth=0.6)
-        axes.set_axisbelow(True)
-    middle = (len(anatomies) - 1) / 2
-    panels[0].set_yticks(
-        [index * (len(anatomies) + 0.6) + middle for index in range(len(labels))], labels
-    )
-    panels[0].set_ylim(len(labels) * (len(anatomies) + 0.6) - 1, -0.6)
-    for index, anatomy in enumerate(anatomies):
-        color = SERIES_COLORS[index % len(SERIES_COLORS)]
-        panels[0].scatter([], [], s=14, color=color, label=anatomy)
-    panels[0].plot([], [], color="black", lw=1.6, label="median")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", fontsize=8,
-        frameon=False, ncols=len(anatomies) + 1,
-    )  # fmt: skip
-    figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=GREY)
-    return figure
 
 
 _ANSWERS_WITHIN_S = 10

@@ -11,10 +11,8 @@ from smarttouch.base.errors import ProfileError, SmartTouchError
 from smarttouch.experiments import study_run
 from smarttouch.experiments.study_plan import Grid, Study, from_csv, load_study
 from smarttouch.experiments.study_run import (
-    STUDY_NAMES,
     on_cluster,
     run_study,
-    study_figure,
     study_sums,
     study_table,
 )
@@ -91,11 +89,8 @@ def test_a_broken_part_is_made_again(tmp_path, broken):
 def test_the_summary_is_by_choice(rows):
     found = study_sums(rows)
     assert [each.label for each in found] == ["RA, 0.5", "RA, 1", "SAI, 0.5", "SAI, 1"]
-    assert all(0 <= each.best <= 1 for each in found)
     heading, lines = study_table(found)
     assert {len(line) for line in lines} == {len(heading)}
-    figure = study_figure(found, STUDY_NAMES, "small")
-    assert len(figure.axes) == len(STUDY_NAMES)
 
 
 @pytest.mark.parametrize("plan", sample(PLANS), ids=lambda each: each.stem)
