@@ -225,7 +225,7 @@ def test_two_modes(program, tmp_path):
     lines = said.splitlines()
     assert lines[0] == "RA, Hz"
     assert lines[1].split() == [
-        "standard", "n", "75%", "at", "Weber", "lower", "middle", "spread", "lapse", "p",
+        "standard", "n", "75%", "at", "Weber", "lower", "middle", "spread", "lapse",
     ]  # fmt: skip
     (without,) = (line for line in lines if line.startswith("75: "))
     assert "200 of 200" in without
