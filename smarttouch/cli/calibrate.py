@@ -176,7 +176,7 @@ def force(
     ] = None,
     seconds: Annotated[float, option("Read each weight for this time.", "S")] = 2.0,
 ) -> None:
-    """Measure the load cell's curve with known weights; one given twice shows hysteresis."""
+    """Measure the load cell's curve with known weights."""
     from smarttouch.experiments.force_curve import fit_curve, weigh_on
 
     require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)

@@ -72,8 +72,7 @@ def run_listed(
         argument(
             "An experiment, free, or a file of yours; all are listed without one. Options "
             "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27', "
-            "also rate_hz, where it is not compared, trials, two_intervals, train_s, gap_s and "
-            "answer_s.",
+            "also rate_hz, where it is not compared, trials, train_s, gap_s and answer_s.",
             "NAME|FILE.py",
         ),
     ] = None,

@@ -120,22 +120,17 @@ def _faster(setup: Setup, standards: tuple[float, ...], highest_hz: float) -> Pr
 
 
 def detection(setup: Setup) -> Trials:
-    """Ask whether anything is felt; or, in two intervals, in which.
+    """Ask whether anything is felt.
 
     A condition is the current of the strongest electrode of the site's kernel, mA; at 0 nothing
     flows.
     """
-    two, (threshold_ma, full_ma) = setup.two_intervals, _currents_ma(setup)
+    threshold_ma, full_ma = _currents_ma(setup)
     train = setup.train([setup.place], setup.pulse_hz)
 
     def trial(condition: Condition) -> Trial:
         current_ma = condition.comparison
         shown = replace(train, level=min(1.0, current_ma / full_ma)) if current_ma else train
-        if two:
-            return in_two_intervals(
-                condition, shown, shown.blank(), "felt", "in which did you feel it?", "mA",
-                exact=True,
-            )  # fmt: skip
         return Trial(
             condition, (shown if current_ma else train.blank(),), "felt", "did you feel it? y or n",
             "mA", target="y" if current_ma else "n", exact=True,
@@ -143,13 +138,13 @@ def detection(setup: Setup) -> Trials:
 
     if setup.is_constant:
         levels = sorted({min(round(threshold_ma * each, 3), full_ma) for each in LEVELS})
-        pairs = [(0.0, each) for each in (levels if two else [0.0, *levels])]
-        procedure = setup.constant(pairs, two)
+        pairs = [(0.0, each) for each in [0.0, *levels]]
+        procedure = setup.constant(pairs, two_intervals=False)
     else:
         low, high = (threshold_ma * each for each in _DETECTION_RANGE)
         procedure = adaptive(
             setup.procedure, 1.5 * threshold_ma, _DETECTION_STEP, low, min(high, full_ma), 0.0,
-            setup.trials, two, setup.seed,
+            setup.trials, two_intervals=False, seed=setup.seed,
         )  # fmt: skip
     yield from ask(procedure, trial)
 

@@ -74,28 +74,14 @@ class ForceFound:
         """Root of the mean square error."""
         return float(np.sqrt(np.mean(self.off_n**2)))
 
-    @property
-    def noise_n(self) -> float:
-        """Noise of a single reading."""
-        return float(np.median([each.spread for each in self.weighings])) * abs(self.slope_n)
-
-    @property
-    def hysteresis_n(self) -> float:
-        """Largest difference between two weighings of one weight; NaN if none came twice."""
-        grams = np.array([each.grams for each in self.weighings])
-        twice = [self.off_n[grams == each] for each in np.unique(grams)]
-        return max((float(np.ptp(each)) for each in twice if len(each) > 1), default=math.nan)
-
     def sentence(self) -> str:
         """Return the sentence for the profile."""
         grams = [each.grams for each in self.weighings]
-        twice = f", hysteresis {self.hysteresis_n:.4f} N ({self.hysteresis_n / self.full_n:.1%})"
         return (
             f"line through {len(grams)} weighings from {min(grams):g} to {max(grams):g} g, zero "
             f"at {self.zero:.6g}, {self.slope_n:.4g} N a count, residual rms "
             f"{self.residual_n:.4f} N ({self.residual_n / self.full_n:.2%} of full force), worst "
-            f"{np.abs(self.off_n).max():.4f} N, noise {self.noise_n:.4f} N"
-            + ("" if math.isnan(self.hysteresis_n) else twice)
+            f"{np.abs(self.off_n).max():.4f} N"
         )
 
 
@@ -132,11 +118,8 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
 
 
 def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
-    """Fit a line to weighings of three weights or more.
-
-    One weight given twice, on the way up and on the way down, gives the hysteresis. Residuals are
-    judged by the law's full force.
-    """
+    """Fit a line to weighings of three weights or more; residuals are judged by the law's full
+    force."""
     grams = np.array([each.grams for each in weighings])
     reading = np.array([each.reading for each in weighings])
     _require_weights(grams, law)

@@ -86,22 +86,13 @@ class OpticsFound:
     # each kind or more.
     uneven_before: float
     uneven_after: float
-    # from frame to frame, of the usual pixel, on white, grey levels; NaN of one frame
-    noise_levels: float
-    dark_level: float  # of the usual pixel, grey levels
-    # dead, hot: pixels that do not answer light, and that shine in the dark
-    dead: int
-    hot: int
-    frames: tuple[int, int]  # dark and white frames used
 
     def sentence(self) -> str:
         """Return the sentence for the profile."""
         columns, rows = self.field.gain.shape[::-1]
         return (
             f"{columns} × {rows} pixels, blank paper uneven by {self.uneven_before:.1%} before and "
-            f"{self.uneven_after:.1%} after, noise {self.noise_levels:.1f} grey levels, "
-            f"{self.dead} dead and {self.hot} hot pixels, {self.frames[0]} dark and "
-            f"{self.frames[1]} white frames"
+            f"{self.uneven_after:.1%} after, {self.field.broken} dead or hot pixels"
         )
 
 
@@ -115,16 +106,7 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
             f"blank paper is still uneven by {after:.1%} after correction, above "
             f"{MOST_UNEVEN:.0%}: use blank paper, hold it still, and take more with --frames"
         )
-    stack = np.stack(list(white)).astype(np.float32)
-    noise = float(np.median(stack.std(axis=0, ddof=1))) if len(stack) > 1 else float("nan")
-    broken = field.gain == 0
-    hot = broken & (field.dark > np.median(field.dark) + 1)
-    span = mean_image(white) - mean_image(dark)
-    dead = broken & (span < 0.5 * np.median(span))
-    return OpticsFound(
-        field, before, after, noise, float(np.median(field.dark)), int(dead.sum()),
-        int((hot & ~dead).sum()), (len(dark), len(white)),
-    )  # fmt: skip
+    return OpticsFound(field, before, after)
 
 
 def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
@@ -236,8 +218,6 @@ class RegistrationFound:
     electrode_pixel: NDArray[np.float64]  # (E, 2): column and row at which each electrode looks
     markers: int  # number of markers recognized
     correlation: float  # of the image with the target there, 1 where they are alike
-    tilt_deg: float  # by how much a square on the page is foreshortened
-    mirrored: bool  # the sensor sees the page as in a mirror
 
     @property
     def outside(self) -> NDArray[np.intp]:
@@ -251,8 +231,7 @@ class RegistrationFound:
         """Return the sentence for the profile."""
         return (
             f"{self.markers} markers in {self.shape[1]} × {self.shape[0]} pixels, correlation "
-            f"{self.correlation:.3f}; tilt {self.tilt_deg:.1f}°"
-            + (", mirrored" if self.mirrored else "")
+            f"{self.correlation:.3f}"
             + (f"; {len(self.outside)} electrodes look beyond the image" * bool(len(self.outside)))
         )
 
@@ -294,11 +273,8 @@ def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> 
     homography = grown @ mirror @ to_working @ np.linalg.inv(target.to_mm)
     homography /= homography[2, 2]
     places_mm = profile.electrodes.position_mm / profile.optics.magnification
-    axes, mirrored = _linear(homography)
-    tilt_deg = float(np.degrees(np.arccos(min(1.0, axes[1] / axes[0]))))
     registered = RegistrationFound(
-        homography, (rows, columns), apply(homography, places_mm), len(found[0]) // 4, correlation,
-        tilt_deg, mirrored,
+        homography, (rows, columns), apply(homography, places_mm), len(found[0]) // 4, correlation
     )  # fmt: skip
     _require_in_view(registered)
     return registered
@@ -341,13 +317,6 @@ def _aligned(working: Gray, modules: Matrix, pixels: Matrix) -> tuple[Matrix, fl
         # It goes astray where nothing fits.
         return np.eye(3), 0.0
     return np.asarray(fitted, np.float64), float(correlation)
-
-
-def _linear(homography: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
-    """Return pixels per millimeter along both axes at the view's middle; whether mirrored."""
-    offset = homography[:2, 2:] @ homography[2:, :2] / homography[2, 2]
-    linear = (homography[:2, :2] - offset) / homography[2, 2]
-    return np.linalg.svd(linear, compute_uv=False), bool(np.linalg.det(linear) < 0)
 
 
 def _require_in_view(found: RegistrationFound) -> None:

@@ -137,7 +137,6 @@ class Setup:
     standards: str = ""  # frequencies of standards, Hz, as in 15,30
     repetitions: int | None = None  # of each condition
     trials: int | None = None  # of each standard, where answers choose the next
-    two_intervals: bool = False  # detection: in which of two, and not yes or no
     site: int | None = None  # the middle one if None
     train_s: float | None = None  # the experiment's own if None
     gap_s: float = 0.5  # between two intervals

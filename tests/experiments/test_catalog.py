@@ -98,16 +98,6 @@ def test_detection_has_blanks_and_counts_in_milliamperes():
             assert train.level * MOUSE.full_ma[9] == pytest.approx(current_ma)
 
 
-def test_detection_in_two_intervals_has_a_blank_of_the_same_level():
-    _, trials = begun("detection", two_intervals=True)
-    for trial in trials:
-        own = trial.condition.comparison_interval - 1
-        assert [each.is_blank for each in trial.intervals] == [own == 1, own == 0]
-        first, second = trial.intervals
-        assert (first.level, first.pulses) == (second.level, second.pulses)
-        assert trial.target == str(own + 1)
-
-
 @pytest.mark.parametrize("procedure", ["constant", "staircase", "questplus"])
 def test_no_level_is_above_the_strongest(changed, procedure):
     tight = changed(MOUSE, {"perception.comfort_ratio": 1.05})

@@ -314,11 +314,3 @@ def test_the_model_sits_every_experiment(profile, bank, tmp_path, name):
     assert all(row["response"] for row in rows)
     easy = sorted(rows, key=lambda row: abs(row["comparison"]))[-2:]
     assert all(row["response"] == row["target"] for row in easy)
-
-
-def test_the_model_finds_detection_in_two_intervals(profile, bank, tmp_path):
-    setup = Setup(profile, repetitions=3, train_s=0.1, two_intervals=True)
-    sit("detection", setup, bank, tmp_path / "rows.csv", make_observer("model", profile, 1))
-    rows = sorted(read_rows(tmp_path / "rows.csv"), key=lambda row: row["comparison"])
-    assert sum(row["success"] for row in rows[-6:]) >= 5
-    assert sum(row["success"] for row in rows[:9]) <= 8
