@@ -80,9 +80,9 @@ def run_listed(
 ) -> None:
     """Run an experiment; the same command continues it later.
 
-    Keys: the answers that the screen names, r to repeat the trial, and those of live; q to continue
-    another time. With free: ↑ ↓ for the amplitude, ← → for the rate, [ ] for the site, 1 to 9 to
-    mark what is perceived; every change is an event of the recording.
+    Keys: the answers that the screen names, and those of live; q to continue another time. With
+    free: ↑ ↓ for the amplitude, ← → for the rate, [ ] for the site, 1 to 9 to mark what is
+    perceived; every change is an event of the recording.
     """
     if text is None:
         _list_all()

@@ -34,10 +34,6 @@ class Finding:
     model: Model
     fit: Fit | None  # none where there is no function to speak of
     verdict: str | None = None  # why no threshold can be reported, in one sentence; None if one can
-    # the same for programs: "unanswered", "too few", "one interval", "always", "never", "one
-    # comparison", "falling", "flat" or "outside"; empty if one can
-    reason: str = ""
-    beyond: int = 0  # 1 or -1 where the threshold lies above or below all comparisons, 0 else
 
     @property
     def standard(self) -> float:
@@ -110,63 +106,54 @@ class Finding:
 def judge_answers(answers: Answers, model: Model) -> Finding:
     """Fit the answers to one standard, or give the reason why not."""
 
-    def none(reason: str, why: str, beyond: int = 0, found: Fit | None = None) -> Finding:
-        return Finding(answers, model, found, why, reason, beyond)
+    def none(why: str, found: Fit | None = None) -> Finding:
+        return Finding(answers, model, found, why)
 
-    unusable = _unusable(answers)
-    if unusable:
-        return none(*unusable)
+    if unusable := _unusable(answers):
+        return none(unusable)
     counts = answers.counts()
     low, high = float(counts.stimulus[0]), float(counts.stimulus[-1])
     total, successes = int(counts.n.sum()), int(counts.k.sum())
     said = Finding(answers, model, None).said
     if successes == total:
-        return none("always", f"always {said}, {total} times: a threshold lies below {low:.4g}", -1)
+        return none(f"always {said}, {total} times: a threshold lies below {low:.4g}")
     if successes == 0:
-        return none(
-            "never", f"never {said} in {total} answers: a threshold lies above {high:.4g}", 1
-        )
+        return none(f"never {said} in {total} answers: a threshold lies above {high:.4g}")
+    share = successes / total
     if len(counts.stimulus) == 1:
-        return none(
-            "one comparison",
-            f"{said} {successes / total:.0%} of {total} times, but all were at {low:.4g}",
-        )
+        return none(f"{said} {share:.0%} of {total} times, but all were at {low:.4g}")
     found = fit(counts, model, answers.standard)
     if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
         if _trend(counts) < _FALLING:
             return none(
-                "falling",
                 f"the higher the comparison, the more rarely {said}: the keys, or comparison and "
-                "standard, are mixed up",
+                "standard, are mixed up"
             )
         return none(
-            "flat",
-            f"answers do not depend on the comparison: {said} {successes / total:.0%} of {total} "
-            f"times, without a clear rise from {low:.4g} to {high:.4g}; more trials may show one",
+            f"answers do not depend on the comparison: {said} {share:.0%} of {total} "
+            f"times, without a clear rise from {low:.4g} to {high:.4g}; more trials may show one"
         )
     threshold = found.bounded(model.level).value
     low, high = (float(each) for each in model.stimulus(found.ends))
     if not low <= threshold <= high:
-        beyond = 1 if threshold > high else -1
-        end = f"above {high:.4g}" if beyond > 0 else f"below {low:.4g}"
+        end = f"above {high:.4g}" if threshold > high else f"below {low:.4g}"
         why = f"{model.share:.0%} is not within the range tested: the threshold lies {end}"
-        return none("outside", why, beyond, found)
+        return none(why, found)
     return Finding(answers, model, found)
 
 
-def _unusable(answers: Answers) -> tuple[str, str] | None:
-    """Return the reason why answers cannot be fitted, as a short name and as a sentence."""
+def _unusable(answers: Answers) -> str | None:
+    """Return the reason why answers cannot be fitted."""
     answered, presented = answers.answered, answers.presented
     if answered < (1 - MOST_UNANSWERED) * presented:
-        return "unanswered", f"only {answered} of {presented} trials were answered"
+        return f"only {answered} of {presented} trials were answered"
     if answered < FEWEST_ANSWERS:
-        why = f"{answered} answers are too few: at least {FEWEST_ANSWERS} are needed"
-        return "too few", why
+        return f"{answered} answers are too few: at least {FEWEST_ANSWERS} are needed"
     chosen = answers.chosen()
     if sum(chosen) >= FEWEST_ANSWERS and max(chosen) > SAME_INTERVAL * sum(chosen):
         word = "first" if chosen[0] > chosen[1] else "second"
         words = f"{max(chosen)} of {sum(chosen)} times, whatever came in it"
-        return "one interval", f"the {word} interval was chosen {words}"
+        return f"the {word} interval was chosen {words}"
     return None
 
 
@@ -233,7 +220,11 @@ def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str
         cells = [str(each.answers.answered), in_words(each.threshold)]
         if compares:
             lower = "" if each.lower_weber is None else f"{each.lower_weber.value:.0%}"
-            cells += [in_percent(each.weber), lower, f"{each.fit.bounded(0.5).value:.3g}"]
+            cells += [
+                f"{each.weber.value:.0%}" if each.weber else "",
+                lower,
+                f"{each.fit.bounded(0.5).value:.3g}",
+            ]
             cells.insert(0, f"{each.answers.standard:g}")
         spread, lapse = each.fit.parameters.spread[0], each.fit.parameters.lapse[0]
         rows.append([*cells, f"{spread:.2g}", f"{lapse:.2f}"])
@@ -246,14 +237,6 @@ def in_words(found: Bounded | None) -> str:
         return ""
     low, high = (f"{each:.3g}" if math.isfinite(each) else "…" for each in found[1:])
     return f"{found.value:.3g} ({low}–{high})"
-
-
-def in_percent(found: Bounded | None) -> str:
-    """Return a part with its interval, in percent."""
-    if found is None:
-        return ""
-    low, high = (f"{round(100 * each)}" if math.isfinite(each) else "…" for each in found[1:])
-    return f"{found.value:.0%} ({low} to {high})"
 
 
 def _ends(found: Bounded | None) -> dict[str, float | None] | None:
@@ -313,7 +296,7 @@ def _draw_shares(axes: Any, found: Finding, unit: float, color: str, label: str)
 
 
 def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
-    """Draw thresholds as parts of their standards; an arrow points to those beyond the range."""
+    """Draw thresholds as parts of their standards, where there are any."""
     axes.axhline(0, color=GREY, lw=0.6)
     for index, (table, findings) in enumerate(series):
         color = SERIES_COLORS[index % 6]
@@ -327,15 +310,6 @@ def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
             reach = np.where(np.isinf(reach), np.abs(value), reach).tolist()
             axes.errorbar(standard * aside, value, reach, fmt=style, color=color, ms=4, lw=1,
                           capsize=2.5, label=f"{table.name}, {name}")  # fmt: skip
-        for each in findings:
-            if each.threshold is None:
-                ends = each.counts.stimulus[[0, -1]] / each.standard - 1
-                place = {1: ends[1], -1: ends[0], 0: 0.0}[each.beyond]
-                words = {1: f"↑ above\n{place:.2g}", -1: f"↓ below\n{place:.2g}", 0: "none"}
-                axes.text(each.standard * aside, place, words[each.beyond], color=color,
-                          fontsize=7, ha="center", va="center")  # fmt: skip
-                axes.update_datalim([(each.standard, place)])
-    axes.autoscale_view()
     standards = sorted({each.standard for _, findings in series for each in findings})
     axes.set_xticks(standards, [f"{each:g}" for each in standards])
     axes.legend(frameon=False, fontsize=7, ncols=len(series))

@@ -160,16 +160,6 @@ def weighted_staircase(
     where the target share of answers are successes (Kaernbach, Perception & Psychophysics 49,
     1991, Eq. 1). A trial without an answer is shown again, and counts as one of the most trials.
     """
-    if not (0 < lowest <= start <= highest and lowest < highest):
-        raise ExperimentError(
-            f"a staircase cannot begin at {start:g} in a range from {lowest:g} to {highest:g}: "
-            "begin within it, above 0"
-        )
-    if not (step > 0 and 0 < target < 1):
-        raise ExperimentError(
-            f"a staircase needs a step above 0 and a target between 0 and 1, not {step:g} and "
-            f"{target:g}"
-        )
     intervals = _intervals(two_intervals, seed)
 
     def trials() -> Procedure:
@@ -216,10 +206,6 @@ def quest_plus(
     what is expected of it given the parameters: the same stimulus, found without one posterior for
     each. No answer leaves the posterior as it is, and uses the trial.
     """
-    if not 0 < lowest < highest:
-        raise ExperimentError(
-            f"stimuli from {lowest:g} to {highest:g} are no range: begin above 0, and below its end"
-        )
     low, high = math.log(lowest), math.log(highest)
     places = np.linspace(low, high, _STIMULI)
     spreads = (high - low) * np.geomspace(_NARROWEST, _WIDEST, _SLOPES)

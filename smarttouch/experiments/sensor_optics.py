@@ -240,11 +240,6 @@ def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> 
     """Fit the place on the page of each pixel, from one image (H, W) of the target or a mean of
     several."""
     rows, columns = image.shape
-    if min(rows, columns) < FEWEST_PIXELS:
-        raise CalibrationError(
-            f"an image of {columns} × {rows} pixels is too coarse: {FEWEST_PIXELS} a side are "
-            "needed"
-        )
     scale = _WORKING_SIDE / min(rows, columns)
     size = round(columns * scale), round(rows * scale)
     method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC

@@ -18,7 +18,6 @@ from smarttouch.stimulation.ramp import FIRST_NS, MOST_STEP_NS
 PAUSE_S = 0.5  # least time between an answer and the next trial
 PATIENCE_S = 10.0  # for the current of a trial, where nobody is there who could press harder
 MOST_SPOILED = 10  # times that one trial's current may be lost
-AGAIN = "r"  # key that repeats a trial
 _SPOILED = 0.5
 """Part of the requested intensity below which current was lost within an interval. A key moves it
 by less; where milliamperes count, nothing may."""
@@ -59,8 +58,8 @@ class TrialSource(Program):
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Keys of all answers, and the key that repeats a trial."""
-        named = "12ynr\n\r" + "".join(map(chr, range(ord("A"), ord("Z") + 1)))
+        """Keys of all answers."""
+        named = "12yn\n\r" + "".join(map(chr, range(ord("A"), ord("Z") + 1)))
         return {key: partial(self.press, key) for key in (*named, "left", "right")}
 
     def press(self, key: str) -> None:
@@ -122,8 +121,8 @@ class TrialSource(Program):
                 trial = None
         self.title = f"{self._name}: over"
 
-    def _attempt(self, trial: Trial) -> Answer | None:
-        """Present a trial and ask; return None if it is to be felt again."""
+    def _attempt(self, trial: Trial) -> Answer:
+        """Present a trial and ask."""
         self._say("")
         self.wait(PAUSE_S)
         felt: list[Starts] = []
@@ -237,13 +236,13 @@ class TrialSource(Program):
             return self._answer(trial, "", None)
         return self._answer(trial, response, 0.0)
 
-    def _ask(self, trial: Trial) -> Answer | None:
-        """Wait for a key; return None if the trial is to be felt again."""
-        self._say(trial.question + (f", {AGAIN} again" if not trial.exact else ""))
-        asked_ns, keys = self.now_ns, [*trial.answers] + [AGAIN] * (not trial.exact)
+    def _ask(self, trial: Trial) -> Answer:
+        """Wait for a key."""
+        self._say(trial.question)
+        asked_ns = self.now_ns
 
         def is_answered() -> bool:
-            while self._pressed and self._pressed[0][0] not in keys:
+            while self._pressed and self._pressed[0][0] not in trial.answers:
                 self._pressed.popleft()
             return bool(self._pressed)
 
@@ -251,9 +250,6 @@ class TrialSource(Program):
         if not is_answered():
             return self._answer(trial, "", None)
         key, pressed_ns = self._pressed.popleft()
-        if key == AGAIN:
-            self._tell("trial", " felt again")
-            return None
         return self._answer(trial, trial.answers[key], max(0, pressed_ns - asked_ns) / 1e9)
 
     def _answer(

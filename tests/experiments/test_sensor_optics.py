@@ -216,8 +216,8 @@ def test_the_target_as_it_is_printed(tmp_path, profile):
     (np.full(COARSE, 200, np.uint8), "no marker"),
     (np.zeros(COARSE, np.uint8), "no marker"),
     (np.random.default_rng(1).integers(0, 256, COARSE, np.uint8), "no marker"),
-    (np.zeros((2, 2), np.uint8), "2 × 2 pixels"),
-    (np.zeros((3, 64), np.uint8), "64 × 3 pixels"),
+    (np.zeros((2, 2), np.uint8), "no marker"),
+    (np.zeros((3, 64), np.uint8), "no marker"),
 ])  # fmt: skip
 def test_no_target_is_one_sentence(profile, image, words):
     with pytest.raises(CalibrationError, match=words):

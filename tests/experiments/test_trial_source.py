@@ -11,7 +11,7 @@ import pytest
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.catalog import trials_of
-from smarttouch.experiments.trial_source import AGAIN, TrialSource
+from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import Setup
 from smarttouch.kernels.bank import load_bank
 from smarttouch.running.config import RunConfig
@@ -199,7 +199,7 @@ def test_keys_before_the_question_do_not_count_nor_those_that_are_no_answer(pres
         if source.title.endswith("second") and not early:
             early.append(source.keys["1"]())
         if is_asking(source):
-            assert source.title.endswith(f"1 or 2, {AGAIN} again")
+            assert source.title.endswith("1 or 2")
             began_ns.append(time_ns)
             source.keys["y"]()
             if time_ns >= began_ns[0] + 10**9:
@@ -208,37 +208,6 @@ def test_keys_before_the_question_do_not_count_nor_those_that_are_no_answer(pres
     answer, _ = present(press, answer_s=5.0)
     assert answer.response == "2"
     assert answer.rt_s == pytest.approx(1.0, abs=0.05)
-
-
-def test_a_trial_is_felt_again_on_request(present):
-    asked = []
-
-    def press(source, _):
-        if is_asking(source):
-            asked.append(source.keys["1" if asked else "r"]())
-
-    answer, results = present(press, answer_s=5.0)
-    assert answer.response == "1"
-    numbers = [each.input.number for each in results if each.tactile.activation.max() == 1]
-    # Two intervals twice, each pattern with a number of its own and as many pulses.
-    counts = [numbers.count(each) for each in dict.fromkeys(numbers)]
-    assert len(counts) == 4
-    assert counts[:2] == counts[2:]
-    assert numbers == sorted(numbers)
-
-
-def test_where_currents_count_a_trial_comes_once(present):
-    asked = []
-
-    def press(source, _):
-        if source.title.endswith("did you feel it? y or n"):
-            asked.append(source.title)
-            source.keys["r" if len(asked) < 20 else "y"]()
-
-    answer, results = present(press, "detection")
-    assert answer.response == "y"
-    numbers = [each.input.number for each in results if each.tactile.activation.max() == 1]
-    assert len(set(numbers)) <= 1
 
 
 def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(present):
