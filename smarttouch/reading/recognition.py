@@ -37,7 +37,7 @@ line, word, left, top, width, height, confidence, text."""
 STRIP_MARGIN = 0.25
 """White margin around a strip, relative to its height. Over noisy and blurred strips, 1.6 % of the
 characters were wrong with it, 3.1 % with 0.15 and 2.3 % with 0.45."""
-_STRIP_PX, _NARROWER = 32, 0.9
+_STRIP_PX, _NARROWER = 32, 0.85
 """Height of lines for recognition, ascender to descender, and factor to their width: recognition
 takes as long as a line is wide, and this costs no letters."""
 SURE = 0.6  # mean confidence below which a page is reported as poorly recognized
