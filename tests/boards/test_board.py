@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from smarttouch.base.errors import BoardError, BoardStoppedError, LineLostError
+from smarttouch.base.errors import BoardError, BoardStoppedError
 from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
@@ -186,24 +186,6 @@ def test_halting_ends_the_start_of_an_emulator():
     assert isinstance(opening.halted(), BoardStoppedError)
     process = board.driver.process._process
     assert process is None or process.poll() is not None
-
-
-def test_halting_ends_the_wait_for_a_port_that_is_gone(monkeypatch, deaf_port):
-    """The line breaks in a send, and does not come back."""
-    monkeypatch.setattr("smarttouch.boards.line.RECOVER_S", 600.0)
-    board = make_board("link:/dev/nowhere", KIT_LIMITS, OUTPUT)
-    thread = threading.Thread(target=recover, args=(board, raised := []), daemon=True)
-    thread.start()
-    board.halt()
-    thread.join(PATIENCE_S)
-    assert [type(error) for error in raised] == [BoardStoppedError]
-
-
-def recover(board, raised):
-    try:
-        board._recover(LineLostError("the line broke"))
-    except BoardError as error:
-        raised.append(error)
 
 
 class Noting(MemoryDriver):

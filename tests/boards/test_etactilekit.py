@@ -116,18 +116,6 @@ def test_a_run_to_the_byte(script, make):
     assert (report.sequences, report.slots, report.pulses, report.most_pulses) == (3, 3, 12, 12)
 
 
-def test_a_pattern_that_is_there_is_not_sent_again(script, make):
-    seen = readings(0, 2000, 0, 0)
-    again = [go(seen), stop(seen)]
-    script(
-        *OPEN, *settings(), *shown(seen, 0, 220, 0, 0), *again,
-        *again, *ZERO,
-    )  # fmt: skip
-    with make() as board:
-        deliver(board, anodic(0, 0), *(anodic(2200, step) for step in (1, 2, 3)))
-        assert board.report().slots == 3
-
-
 @pytest.mark.parametrize(("event", "lifted"), [("0 lift", True), ("0 touch", False)])
 def test_a_finger_that_is_gone_is_known_by_the_load_beside_it(monkeypatch, event, lifted):
     limits = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
@@ -137,19 +125,6 @@ def test_a_finger_that_is_gone_is_known_by_the_load_beside_it(monkeypatch, event
     )
     kit.run([(kit.clock.time_ns + i * 20 * MS, sequence, 1) for i in range(5)])
     assert kit.host.lifted == lifted
-
-
-def test_a_lost_echo_brings_no_current_and_the_next_frame_goes_on(script, make):
-    seen = readings(0, 900, 0, 0)
-    fresh = [ZEROS, (QUIET + bytes(4) + PING, b"\x04")]
-    script(
-        *OPEN, *settings(), (load(heights(0, 100, 0, 0))[0], b""), *fresh,
-        *shown(seen, 0, 101, 0, 0), *ZERO,
-    )  # fmt: skip
-    with make() as board:
-        deliver(board, anodic(0, 0), anodic(1000), anodic(1010, 2))
-        assert (board.acknowledged, board.refused) == (2, 1)
-        assert board.report().slots == 1
 
 
 def test_a_board_that_never_echoes_again_is_reported(script, make):
@@ -165,20 +140,6 @@ def test_a_board_that_never_echoes_again_is_reported(script, make):
     # Even if nothing is sent any more: its last pattern may still be running.
     with raises(LineLostError, names="board"):
         board.close()
-
-
-def test_settings_that_were_not_confirmed_are_set_again(script, make):
-    seen = readings(0, 900, 0, 0)
-    first, second = settings(anodic=0, between=50)
-    fresh = [ZEROS, (QUIET + bytes(4) + PING, b"\x04")]
-    # What of the cathodic ones has arrived, nobody knows: the anodic ones go out again.
-    again = [first, (second[0], b""), *fresh, *settings()]
-    script(
-        *OPEN, *settings(), *shown(seen, 0, 100, 0, 0), *again, *shown(seen, 0, 101, 0, 0), *ZERO
-    )
-    with make() as board:
-        deliver(board, anodic(0, 0), anodic(1000), anodic(1000, 2, cathodic=True), anodic(1010, 3))
-        assert (board.acknowledged, board.refused) == (3, 1)
 
 
 def test_a_scan_that_is_too_long_for_its_period_never_leaves():

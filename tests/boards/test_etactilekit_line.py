@@ -259,15 +259,6 @@ def test_no_byte_of_a_pattern_looks_like_a_command(levels):
         assert level - 9.99 * counts.max() <= max(6, 12 * 9.99 + 6)
 
 
-def test_settings_of_a_sequence():
-    assert settings_of(anodic(1000)) == Settings(100, 50, 50, True)
-    assert settings_of(anodic(1000, cathodic=True, period_us=16_667)) == Settings(
-        100, 50, 60, False
-    )
-    assert Settings(100, 50, 60, True).period_ns == 16_666_000
-    assert Settings(100, 50, 60, True).scan_us(32, 10) == 5120
-
-
 @pytest.mark.parametrize(("wrong", "attributes"), [
     ("polarity", {}),
     ("width", {}),
@@ -368,14 +359,6 @@ T = 20_000_000
 @pytest.fixture
 def lock():
     return ScanLock(T)
-
-
-def test_without_a_bracket_only_ranges_are_known(lock):
-    lock.learn(Span(0, T // 4 + 5000))  # too wide
-    assert lock.last is None
-    assert lock.starts(Span(0, 0), Span(T // 2, T // 2)) == (0, 1)
-    assert lock.starts(Span(0, 0), Span(5 * T, 5 * T)) == (4, 6)
-    assert lock.starts(Span(0, T), Span(3 * T + T // 2, 4 * T)) == (2, 5)
 
 
 def test_what_is_not_renewed_or_contradicted_is_forgotten(lock):

@@ -3,7 +3,6 @@
 import fcntl
 import os
 import signal
-import threading
 import time
 from dataclasses import replace
 
@@ -19,7 +18,7 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from tests.boards.fresh import deliver
 
-from ..raising import assert_says, raises
+from ..raising import raises
 
 pytestmark = pytest.mark.realtime
 
@@ -109,34 +108,6 @@ def test_a_board_stopped_by_another_program_is_reported(make_limits, make_sequen
         board.driver._packets.send(MessageKind.STOP)
         with raises(BoardError):
             send_on(board, make_sequence)
-
-
-def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch):
-    """From another thread, while a send is halfway through its bytes."""
-    with make_board("emulator:", make_limits()) as board:
-        deliver(board, make_sequence(0))
-        write, halfway, raised = board._line._port.write, threading.Event(), []
-
-        def slowly(data):
-            time.sleep(0.005)
-            halfway.set()
-            return write(data)
-
-        def send():
-            try:
-                board.send(make_sequence(1, slots=4000, period_us=3_000_000, level_ua=70))
-            except BoardError as error:
-                raised.append(error)
-
-        monkeypatch.setattr(board._line._port, "write", slowly)
-        thread = threading.Thread(target=send)
-        thread.start()
-        assert halfway.wait(60)
-        board.stop()
-        thread.join(60)
-        assert not thread.is_alive()
-        assert_says(raised[0])
-        assert board.report().slots == 0
 
 
 def test_a_program_that_reads_from_the_port_is_named_once(make_limits, make_sequence, monkeypatch):

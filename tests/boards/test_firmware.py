@@ -9,11 +9,8 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardRestartedError
-from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.open import make_board
-from smarttouch.emulator.firmware import read_slots
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.scan_sequence import KernelLists
 from tests.boards.fresh import deliver, fresh_state, until
 from tests.boards.test_contract import (
     AT_ANY_LINE,
@@ -23,7 +20,7 @@ from tests.boards.test_contract import (
     without_repeating,
 )
 from tests.firmware.build import WHOLE
-from tests.firmware.scenes import random_table, sequence_of
+from tests.firmware.scenes import random_table
 
 from ..raising import raises
 
@@ -43,39 +40,6 @@ class TestFirmware(Contract):
             return "link:" + start_firmware(*options, output=kind)[1]
 
         return url
-
-    def lists(self, table, count):
-        rng = np.random.default_rng(count)
-        kernel = rng.permutation(len(table.weights))[:count].astype(np.uint16)
-        amplitude = rng.integers(0, 1200, count).astype(np.uint16)
-        return KernelLists(table, np.arange(count + 1), kernel, amplitude)
-
-    def test_kernels_are_kept_and_lists_of_them_delivered(self, make_board):
-        table = random_table(np.random.default_rng(0), 40, self.electrodes)
-        with make_board() as board:
-            board.keep_kernels(table)
-            sizes, send = [], board.driver._packets.send
-
-            def told(kind, *rest, **more):
-                if kind == MessageKind.SEQUENCE:
-                    sizes.append(len(rest[1]))
-                return send(kind, *rest, **more)
-
-            board.driver._packets.send = told
-            deliver(board, self.sequence(0))
-            sequence = sequence_of(self.lists(table, 30), time_ns=10**9, intensity=self.intensity)
-            board.send(sequence)
-            board.drain(30)
-            # What is acknowledged late is sent again, as it was.
-            assert sorted(set(sizes)) == [10, 10 + 4 + 4 + 30 * 4]
-            board.send(
-                sequence_of(sequence.sums, time_ns=2 * 10**9, sums=None, intensity=self.intensity)
-            )
-            board.drain(30)
-        state = fresh_state(self.folder)
-        slots = read_slots(self.folder)["current_ua"]
-        np.testing.assert_array_equal(slots, np.tile(sequence.current_ua, (2, 1)))
-        assert (state["violations"], state["unsafe"], state["reason"]) == (0, 0, "stop")
 
 
 @WHOLE

@@ -12,16 +12,10 @@ from smarttouch.base.errors import (
     BoardRestartedError,
     BoardStoppedError,
     LineLostError,
-    OtherDeviceError,
-    SilentBoardError,
 )
-from smarttouch.boards.board import RESTARTS, Board
 from smarttouch.boards.kits.etactilekit_line import zero_anywhere
-from smarttouch.boards.open import MemoryDriver
-from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..raising import raises
-from ..whole import sample
 from .conftest import FIRMWARES
 from .fresh import HANGS_S
 
@@ -103,21 +97,6 @@ def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
         send_on(hosted, 2)
         assert hosted.state()["slots"] > before
         assert board.refused <= 2
-    hosted.assert_zero()
-
-
-@pytest.mark.usefixtures("patient_boards")
-@pytest.mark.parametrize("hosted", [
-    "link", "link C", "etactilekit", "etactilekit newest", FIRMWARES[1],
-], indirect=True)  # fmt: skip
-@pytest.mark.parametrize("change", sample([cut_short, double_one]))
-def test_a_reply_that_is_not_whole(hosted, change):
-    with hosted.board:
-        send_on(hosted, 4)
-        hosted.line.to_host = once(change)
-        send_on(hosted, 6)
-        # A piece may hold more than one reply, on a busy machine, and spoil the next.
-        assert hosted.board.acknowledged >= 6
     hosted.assert_zero()
 
 
@@ -203,54 +182,3 @@ def test_a_stop_of_a_board_that_is_away_says_whether_it_goes_on(hosted, known_by
     assert isinstance(raised[0], LineLostError if goes_on else BoardStoppedError)
     with said():
         hosted.board.close()
-
-
-LOST = LineLostError("the line broke")
-
-
-def failing(*errors):
-    """Return a start that fails so, one after another, and then does not."""
-    left = list(errors)
-
-    def start():
-        if left:
-            raise left.pop(0)
-
-    return start, left
-
-
-def restart(start):
-    """Let a board recover from a loss, whose driver opens as `start` says."""
-    limits = SafetyLimits(
-        electrodes=4, current_ma=2.0, pulse_us=200.0, charge_uc=0.4, rate_hz=50.0, duty=0.5,
-        ramp_s=1.0, full_ma=2.0,
-    )  # fmt: skip
-    driver = MemoryDriver("", limits)
-    with Board(driver, limits, on_a_finger=False, claimed_time=True) as board:
-        opens = driver.open
-        driver.open = lambda line, limits: start() or opens(line, limits)
-        board._recover(LOST)
-
-
-@pytest.mark.parametrize("kind", [LineLostError, SilentBoardError])
-@pytest.mark.parametrize("again", range(RESTARTS))
-def test_what_is_lost_again_meanwhile_is_begun_again(kind, again):
-    start, left = failing(*[kind("again")] * again)
-    restart(start)
-    assert left == []
-
-
-def test_the_first_loss_is_reported_where_it_does_not_come_back():
-    start, left = failing(*[LineLostError("again")] * (RESTARTS + 1))
-    with pytest.raises(LineLostError) as error:
-        restart(start)
-    assert (error.value, len(left)) == (LOST, 1)
-
-
-@pytest.mark.parametrize("kind", [BoardError, OtherDeviceError, BoardStoppedError])
-def test_what_trying_again_does_not_mend_is_tried_once(kind):
-    start, left = failing(kind("no"), kind("no"))
-    with pytest.raises(BoardError) as error:
-        restart(start)
-    assert len(left) == 1
-    assert isinstance(error.value, BoardStoppedError) == (kind is BoardStoppedError)

@@ -74,14 +74,6 @@ def test_an_output_beside_the_pattern_latches_a_kit(start_faulty, make_limits, m
     assert find_latch(board.device) is not None
 
 
-def test_sound_boards_stay_as_they_are(start_emulator, make_limits, make_sequence):
-    _, port = start_emulator()
-    board = make_board(f"link:{port}", make_limits())
-    for _ in range(2):
-        deliver(board, make_sequence)
-    assert find_latch(board.device) is None
-
-
 def test_a_record_outlives_its_process_and_is_private(tmp_path, make_limits):
     latch("USB 1234:5678 A1", "a fault")
     latch("USB 1234:5678 A1", "a later one")

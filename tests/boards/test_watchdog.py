@@ -24,7 +24,7 @@ from smarttouch.boards.kits import watchdog, watched_port
 from smarttouch.boards.kits.watched_port import WatchedPort
 
 from ..raising import raises
-from .fresh import alive, until
+from .fresh import until
 
 pytestmark = pytest.mark.realtime
 
@@ -102,17 +102,6 @@ def test_closing_ends_at_zero_and_lets_go_of_the_port(board, port, armed):
     port.close()
     assert board.read() == (TWICE if armed else b"")
     assert port._process.wait(20) == watchdog.GONE
-    open_port(board.name).close()
-
-
-@pytest.mark.parametrize("whom", ["it", "its group"])
-def test_a_host_that_is_killed_leaves_zero_and_no_process(board, host, whom):
-    process, watched_by = host
-    assert board.read(7) == b"pattern"
-    kill = os.kill if whom == "it" else os.killpg
-    kill(process.pid, signal.SIGKILL)
-    assert board.read() == TWICE
-    until(lambda: not alive(watched_by))
     open_port(board.name).close()
 
 

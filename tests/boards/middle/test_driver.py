@@ -51,24 +51,6 @@ def lose(world, direction, kind):
     middle.pass_on = swallow
 
 
-def test_on_a_quiet_line_nothing_is_refused(world, board):
-    for _ in range(10):
-        write(board, sequence())
-        world.wait(35)
-    board.drain()
-    report = board.report()
-    board.close()
-    assert (board.acknowledged, board.refused, board.driver.refused_packets) == (10, 0, 0)
-    assert (report.sequences, report.slots, report.refused_packets) == (10, 10, 0)
-    board.open()
-    send(board)
-    assert (board.driver.refused_packets, board.report().refused_packets, world.refused()) == (
-        0,
-        0,
-        0,
-    )
-
-
 @pytest.mark.parametrize("lost", [("to_host", MessageKind.ACK), ("to_board", MessageKind.SEQUENCE)])
 def test_a_lost_packet_is_made_up_for_without_delivering_twice(world, board, lost):
     lose(world, *lost)
