@@ -16,7 +16,7 @@ import serial
 
 from smarttouch.emulator.__main__ import main
 from smarttouch.emulator.devices import EmulatedLoadCell, SensorArray, SensorFirmware, Server
-from smarttouch.emulator.firmware import DeliveryLog, Firmware, read_slots, read_state
+from smarttouch.emulator.firmware import read_slots, read_state
 from smarttouch.sources import open_source
 from smarttouch.sources.force import open_force
 from smarttouch.sources.sensor_protocol import CellReading, MessageStream, TextReadings
@@ -171,24 +171,6 @@ class Counter(SensorFirmware):
         return b"%03d;" % number
 
 
-class Answering(Firmware):
-    """A board that answers what it receives, and notes what happens to it."""
-
-    def __init__(self):
-        self.books, self.heard, self.calls = DeliveryLog(1), b"", []
-
-    def feed(self, data, now_ns):
-        self.heard += data
-        return data
-
-    def advance(self, now_ns):
-        self.calls.append(now_ns // MS)
-        return b""
-
-    def hang_up(self, now_ns):
-        self.calls.append("hung up")
-
-
 @pytest.mark.parametrize(("room", "acts", "taken"), [
     # A packet at each deadline, and none without a host.
     (99, ([5], *range(100, 151)), b"000;001;002;003;004;005;"),
@@ -212,31 +194,6 @@ def test_what_a_sensor_sends(room, acts, taken):
             case now_ms:
                 server.step(b"", now_ms * MS)
     assert line.taken == taken
-
-
-def test_a_boards_answers_wait_for_a_host_that_reads_later_and_not_for_ever():
-    board, line = Answering(), FakeLine(room=3)
-    server = Server(board, line)
-    server.step(b"abcd", 0)
-    server.step(b"efgh", MS)
-    line.room = 100
-    server.step(b"", 2 * MS)
-    assert line.taken == b"abcdefgh"
-    line.room, board.backlog = 0, 8
-    for now_ms, data in enumerate((b"ijkl", b"mnop", b"qrst"), 3):
-        server.step(data, now_ms * MS)
-    line.room = 100
-    server.step(b"", 6 * MS)
-    assert line.taken == b"abcdefghijklmnop"
-
-
-def test_a_board_goes_on_without_a_host():
-    board, line = Answering(), FakeLine()
-    server = Server(board, line)
-    for now_ms, data in enumerate((None, b"a", b"", None, None)):
-        server.step(data, now_ms * MS)
-    assert (board.heard, line.taken) == (b"a", b"a")
-    assert board.calls == [0, 2, "hung up", 3, 4]
 
 
 def test_an_array_moves_from_right_to_left():

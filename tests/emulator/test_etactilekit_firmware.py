@@ -20,9 +20,6 @@ class Rig:
     def say(self, now_ms, text):
         return self.board.feed(bytes.fromhex(text), int(now_ms * MS))
 
-    def feed(self, now_ms, data):
-        return self.board.feed(data, int(now_ms * MS))
-
     def advance(self, now_ms):
         assert self.board.advance(int(now_ms * MS)) == b""
         return self.books.slots

@@ -9,7 +9,6 @@ from smarttouch.emulator.skin import EmulatedFinger
 
 MS = 1_000_000
 ZERO = b"\xff" + bytes(ELECTRODES)
-SLOT_MS = 0.208
 
 
 def frame(**intensities):
@@ -61,17 +60,6 @@ def test_electrodes_come_in_order_and_only_those_that_are_on(board, books):
     assert slots["site"].tolist() == [2, 11, 60]
     assert slots["time_us"].tolist() == [0, 208, 416]
     assert slots["slot"].tolist() == [0, 1, 2]
-
-
-def test_a_scan_goes_slot_after_slot(board, books):
-    board.feed(frame(e1=50, e2=50, e3=50), 0)
-    for now_ms, slots in ((0, 1), (0.207, 1), (0.209, 2), (0.5, 3)):
-        board.advance(int(now_ms * MS))
-        assert books.slots == slots
-    assert books.state == "driving"
-    board.advance(int(0.625 * MS))
-    assert (books.state, books.reason, books.sequences) == ("shorted", "end", 2)
-    assert not board.busy
 
 
 def test_a_short_packet_waits_for_ever_and_zeros_are_the_way_out(board, books):

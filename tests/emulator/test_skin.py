@@ -5,14 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.integrate import solve_ivp, trapezoid
+from scipy.integrate import solve_ivp
 
 from smarttouch.base.errors import BoardError
 from smarttouch.emulator.skin import (
-    CAPACITANCE_F,
     FORMS,
-    PARALLEL_OHM,
-    SERIES_OHM,
     EmulatedFinger,
     SkinCircuit,
 )
@@ -114,20 +111,6 @@ def test_a_short_circuit_is_solved_and_keeps_the_charge(seed, duration_us):
     skin._shorts_of.cache_clear()
     skin.short(duration_us)
     assert skin.residual_uc.sum() == pytest.approx(total_uc, abs=1e-6)
-
-
-def test_the_source_pays_for_what_is_stored_and_lost():
-    """Constant current: the work is the series loss, the leak's loss and what is stored."""
-    skin = SkinCircuit(2, spread=0)
-    delivered = skin.pulse(np.array([1000.0, -1000]), 100)
-    amps, seconds, tau = 1e-3, 100e-6, PARALLEL_OHM * CAPACITANCE_F
-    time = np.linspace(0, seconds, 20_001)
-    volts = amps * PARALLEL_OHM * (1 - np.exp(-time / tau))
-    work = 2 * trapezoid(amps * (amps * SERIES_OHM + volts), time)
-    lost = 2 * trapezoid(amps**2 * SERIES_OHM + volts**2 / PARALLEL_OHM, time)
-    stored = float((skin.residual_uc**2 / skin.capacitance_f).sum()) * 1e-12 / 2
-    assert work == pytest.approx(lost + stored, rel=1e-6)
-    assert delivered.source_v == pytest.approx(2 * (amps * SERIES_OHM + volts[-1]))
 
 
 PULSES = st.lists(

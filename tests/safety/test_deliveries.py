@@ -7,7 +7,6 @@ import pytest
 
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
-from smarttouch.emulator.skin import Delivered
 
 from .bounds import Bounds
 from .by_hand import FULL
@@ -108,15 +107,3 @@ def test_pulses_that_were_taken():
     assert judge_pulses(taken, FULL) == []
     assert judge_pulses(replace(taken, width_us=np.array([200, 201.0])), FULL) == ["width"]
     assert judge_pulses(Pulses.taken(numbers, np.array([200, 200]), current + 2), FULL) != []
-
-
-def test_books_keep_every_pulse_with_its_time(tmp_path):
-    books = DeliveryLog(4, tmp_path)
-    current = np.array([100.4, -100.4, 0, 0])
-    for time_us in (7, 2**40):
-        delivered = Delivered(current, current * 50, np.zeros(4), 1.0)
-        books.enter(1, 0, 0, delivered, 50, np.zeros(4), time_us)
-    books.write()
-    kept = Pulses.of_books(tmp_path)
-    assert kept.time_us.tolist() == [7, 2**40]
-    np.testing.assert_allclose(kept.charge_pc[0], current * 50, rtol=1e-6)
