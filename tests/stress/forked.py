@@ -5,8 +5,6 @@ takes a hundredth. `Emulated` notes when its last pulse began.
 """
 
 import contextlib
-import faulthandler
-import json
 import mmap
 import os
 import signal
@@ -14,7 +12,6 @@ import struct
 import sys
 import termios
 import time
-from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -26,7 +23,6 @@ from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.views import keys_and_signals
 
 KINDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 FLOWS_UA = 20
@@ -112,16 +108,6 @@ def _host(arguments, state, out, terminal, delay_s):
     os.environ["XDG_STATE_HOME"] = str(state)
     os.environ["TERM"] = "xterm"
     quiet(out, terminal)
-    by_force = keys_and_signals._give_up
-
-    def tell_and_give_up(number):
-        with (Path(state) / "forced").open("a") as file:
-            file.write(f"{sys.argv}\n")
-            file.flush()
-            faulthandler.dump_traceback(file)
-        by_force(number)
-
-    keys_and_signals._give_up = tell_and_give_up
     # As long as a program takes that imports, and has told nobody of itself.
     time.sleep(delay_s)
     sys.argv = ["smarttouch", *map(str, arguments)]
@@ -185,26 +171,3 @@ def wait_for_end(process, seconds):
             return os.waitstatus_to_exitcode(status), time.monotonic() - begin
         time.sleep(0.002)
     return None, time.monotonic() - begin
-
-
-def spread(work, count, workers, folder):
-    """Do work for each of so many numbers, in some forks at once; return all that it returned.
-
-    It is given a number and a folder of its own, and returns what JSON can hold.
-    """
-    processes = []
-    for worker in range(workers):
-        own = Path(folder) / f"{worker}"
-        own.mkdir()
-        processes.append(os.fork())
-        if processes[-1] == 0:
-            run_and_exit(lambda own=own, worker=worker: _work(work, count, worker, workers, own))
-    for process in processes:
-        os.waitpid(process, 0)
-    files = [Path(folder) / f"{worker}" / "found.json" for worker in range(workers)]
-    return [each for file in files for each in json.loads(file.read_text())]
-
-
-def _work(work, count, worker, workers, own):
-    found = [work(each, own) for each in range(worker, count, workers)]
-    (own / "found.json").write_text(json.dumps(found))

@@ -9,7 +9,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from forked import KINDS, Emulated, spread, start_host, stuck_terminal, wait_for_end
+from forked import KINDS, Emulated, start_host, stuck_terminal, wait_for_end
 
 LONGEST_START_S = 4.0
 """A run drives its board well before that."""
@@ -43,18 +43,17 @@ def one(draw, number, kind, stuck, folder):
     }  # fmt: skip
 
 
-def main(count, stuck, workers, seed):
-    """Send so many signals, to so many runs with a stuck terminal; print what came of it."""
-
-    def work(each, folder):
-        draw = random.Random(1000 * seed + each)
-        number, kind = NUMBERS[each % 3], list(KINDS)[(each + each // 3) % 3]
-        return one(draw, number, kind, each < stuck, folder)
-
+def main(count, stuck, seed):
+    """Send so many signals, to so many runs with a stuck terminal; print what came of each."""
     with tempfile.TemporaryDirectory() as folder:
-        found = spread(work, count, workers, folder)
-        forced = [file.read_text() for file in Path(folder).glob("*/forced")]
-    json.dump({"runs": found, "forced": forced}, sys.stdout)
+        found = [
+            one(
+                random.Random(1000 * seed + each), NUMBERS[each % 3],
+                list(KINDS)[(each + each // 3) % 3], each < stuck, Path(folder),
+            )
+            for each in range(count)
+        ]  # fmt: skip
+    json.dump(found, sys.stdout)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from forked import KINDS, Emulated, spread, start_host, wait_for_end
+from forked import KINDS, Emulated, start_host, wait_for_end
 
 AT_ONCE = 2
 """Runs that start against one stop: as many as the budget of a user lets open."""
@@ -48,15 +48,11 @@ def one(draw, folder):
     return [each | board.ended() for each, board in zip(found, boards, strict=True)]
 
 
-def main(count, workers, seed):
+def main(count, seed):
     """Let so many runs start against stops; print what came of each."""
-
-    def work(each, folder):
-        return one(random.Random(1000 * seed + each), folder)
-
-    rounds = -(-count // AT_ONCE)
     with tempfile.TemporaryDirectory() as folder:
-        found = [run for runs in spread(work, rounds, workers, folder) for run in runs]
+        rounds = range(-(-count // AT_ONCE))
+        found = [run for each in rounds for run in one(random.Random(1000 * seed + each), folder)]
     json.dump(found, sys.stdout)
 
 

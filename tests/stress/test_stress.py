@@ -15,7 +15,6 @@ import pytest
 from ..forks import Forked
 
 COUNT = int(os.environ.get("SMARTTOUCH_STRESS", "1"))
-WORKERS = int(os.environ.get("SMARTTOUCH_STRESS_WORKERS", "2"))
 WITHIN_S = float(os.environ.get("SMARTTOUCH_STRESS_WITHIN_S", "inf"))
 """Give 1 on a quiet machine: only there it is the run that takes the time."""
 SEED = int(os.environ.get("SMARTTOUCH_STRESS_SEED", "1"))
@@ -34,7 +33,7 @@ def stress(script, *numbers):
 
 
 def test_signals_end_runs_with_the_board_at_zero():
-    runs = stress("signals.py", 3 * COUNT, COUNT, WORKERS, SEED)["runs"]
+    runs = stress("signals.py", 3 * COUNT, COUNT, SEED)
     assert len(runs) == 3 * COUNT
     for run in runs:
         assert run["code"] is not None, run
@@ -45,7 +44,7 @@ def test_signals_end_runs_with_the_board_at_zero():
 
 
 def test_no_starting_run_survives_a_stop():
-    runs = stress("stops.py", max(4, COUNT), WORKERS, SEED)
+    runs = stress("stops.py", max(4, COUNT), SEED)
     assert len(runs) >= max(COUNT, 4)
     for run in runs:
         # A run that drove its board was found; one that was only starting opened none.
