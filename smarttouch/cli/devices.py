@@ -195,9 +195,7 @@ def try_out(
 
     with keyboard_listener(on_key):
         run_walk(walk, display, [OnEvent(say)], stop, force)
-    typer.echo(f"{len(walk.pulsed)} of {len(sites)} electrodes got pulses; all are at zero.")
-    if walk.missed:
-        typer.echo(f"No pulse came through: {', '.join(map(str, walk.missed))}.")
+    typer.echo("All electrodes are at zero.")
 
 
 def _print_impedance(found: "Impedance") -> None:

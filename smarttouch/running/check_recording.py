@@ -20,13 +20,11 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 KEPT = 20  # differences listed in a report; all are counted
 
-_UNITS = {
-    "slots": "", "period_us": " µs", "intensity": "", "time_ns": " ns", "recharge_us": " µs",
-    "vibration": "", "recharge_ua": " µA", "site": "", "width_us": " µs", "discharge_us": " µs",
-    "current_ua": " µA",
-}  # fmt: skip
-"""Compared quantities of a sequence, with their units."""
-_SIDE = {"vibration": "electrode", "recharge_ua": "electrode"}  # of rows (E,)
+_COMPARED = (
+    "slots", "period_us", "intensity", "time_ns", "recharge_us", "vibration", "recharge_ua",
+    "site", "width_us", "discharge_us", "current_ua",
+)  # fmt: skip
+"""Quantities of a sequence, by slot and electrode or one of both."""
 
 
 @dataclass
@@ -148,18 +146,17 @@ def _again(recorded: RecordedStep, pipeline: Pipeline) -> ScanSequence:
 def _differences(recorded: RecordedStep, was: ScanSequence, now: ScanSequence) -> Iterator[str]:
     """Yield a sentence for each number that differs."""
     given = recorded.step.input
-    head = f"frame {given.number} at {given.time_ns / 1e9:.3f} s"
-    for name, unit in _UNITS.items():
+    for name in _COMPARED:
         old, new = (_values(each, name) for each in (was, now))
         if old.shape != new.shape:
             # Slots that moved would differ in everything.
             return
         for place in np.argwhere(old != new).tolist():
-            # Of arrays (S, E), (S,) and (E,).
-            names = ("slot", "electrode") if old.ndim == 2 else (_SIDE.get(name, "slot"),)
-            where = "".join(f", {side} {at}" for side, at in zip(names, place, strict=False))
             one, other = (values[tuple(place)].item() for values in (old, new))
-            yield f"{head}{where}: {name} {one!r}{unit} recorded, {other!r}{unit} now"
+            yield (
+                f"frame {given.number} at {given.time_ns / 1e9:.3f} s: {name}{place or ''} "
+                f"{one!r} recorded, {other!r} now"
+            )
 
 
 def _values(sequence: ScanSequence, name: str) -> NDArray[Any]:

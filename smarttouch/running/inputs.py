@@ -180,13 +180,6 @@ class Inputs:
             words = f"no ink was seen in the first {NO_INK_NS / 1e9:g} s: nothing can be felt"
             self.emit(Advice(time_ns, words))
 
-    def notes(self) -> list[str]:
-        """Return notes for the user after the run."""
-        inkless = self._inkless_since_ns is not None and not self.statistics.active
-        if not inkless or self._said_inkless:
-            return []
-        return ["no ink was seen: nothing could be felt"]
-
     def begins_at_zero(self, time_ns: int, now_ns: int) -> bool:
         """Return whether intensity will begin at zero with the input that is read next."""
         state, before = self.controls.state(time_ns), self._before

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,6 @@ Level = float | Callable[[float], float | None]
 it by None."""
 CANCELED: ContextVar[threading.Event | None] = ContextVar("canceled", default=None)
 """Event that ends what the current thread or task shows."""
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -312,13 +311,7 @@ class Program(Source, Listener):
         self, pattern: Pattern, seconds: float, level: Level = 1.0, rate_hz: float | None = None
     ) -> Shown:
         """Show a pattern as `show` does, while other tasks go on; ends with its task."""
-        return await self._awaited(partial(self.show, pattern, seconds, level, rate_hz=rate_hz))
-
-    async def rise_async(self, level: float = 1.0, pattern: Pattern | None = None) -> float:
-        """Open a level as `rise` does, while other tasks go on; ends with its task."""
-        return await self._awaited(partial(self.rise, level, pattern))
-
-    async def _awaited(self, call: Callable[[], _T]) -> _T:
+        call = partial(self.show, pattern, seconds, level, rate_hz=rate_hz)
         canceled = threading.Event()
         token = CANCELED.set(canceled)
         running = asyncio.ensure_future(asyncio.to_thread(call))

@@ -27,8 +27,8 @@ from smarttouch.running.recording_format import (
     StepDecoder,
     digest_of,
 )
-from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
 
+_TOLD = ("subject", "note", "sensor", "force", "board")  # settings in a summary
 _MOST_BYTES = 2**40  # largest recording: a month
 _MOST_RECORD_BYTES = 128 * 2**20  # largest chunk: ours have some MB, and perhaps a large image
 
@@ -205,35 +205,19 @@ class RecordedRun:
             ) from None
 
     def steps(self) -> Generator[RecordedStep, None, None]:
-        """Yield all steps that are complete, in order; RecordingError at a number that no run can
-        have.
-        """
+        """Yield all steps that are complete, in order."""
         decoder = StepDecoder(len(self.profile.electrodes))
         for topic, message in self.messages():
-            step = decoder.take(topic, message.sequence, message.data)
+            at_ns = message.log_time - self.started_unix_ns
+            step = decoder.take(topic, message.sequence, message.data, at_ns)
             if step is not None:
-                self._require_times(step, message.log_time - self.started_unix_ns)
                 yield step
         self.broken_steps = decoder.broken
-
-    def _require_times(self, recorded: RecordedStep, at_ns: int) -> None:
-        """Raise if a replay would wait too long for a step, which the file has at a time."""
-        time_ns, period_us = recorded.step.input.time_ns, recorded.step.sequence.period_us
-        if time_ns != at_ns or not 1 <= period_us <= LONGEST_PERIOD_US:
-            raise RecordingError(
-                f"{self.path} has an impossible step {at_ns / 1e9:.3f} s after its start: its time "
-                f"is {time_ns / 1e9:.3f} s and its period {period_us} µs"
-            )
 
     @cached_property
     def arrays(self) -> RunArrays:
         """All numbers of the run, read at their first use."""
         return _arrays(self.steps(), len(self.profile.electrodes))
-
-    def images(self) -> Iterator[NDArray[np.uint8] | None]:
-        """Yield the image of each step, (H, W) uint8; None where there is none."""
-        for each in self.steps():
-            yield each.step.input.image
 
     def contents(self, topic: str) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield the time of each message of a topic, ns since the start, and its content."""
@@ -320,28 +304,17 @@ def describe(path: Path) -> list[tuple[str, str]]:
     recording = RecordedRun(path)
     settings, steps = recording.settings, [step for _, step in recording.contents("/step")]
     modes = Counter(step["mode"] for step in steps)
-    last = steps[-1] if steps else {"acknowledged": 0, "refused": 0}
     slots = sum(step["slots"] for step in steps)
-    lost = sum(step["sent"] is None for step in steps)
     strongest_ma = max((step["strongest_ma"] for step in steps), default=0.0)
     versions = json.loads(recording.about["versions"])
     began = datetime.fromtimestamp(recording.started_unix_ns / 1e9, UTC)
     rows = [
         ("began", f"{began:%Y-%m-%d %H:%M:%S} UTC"),
         ("lasted", f"{recording.seconds:.1f} s"),
-        ("subject", str(settings.get("subject") or "not given")),
-        ("note", str(settings.get("note") or "none")),
         ("profile", f"{recording.profile.name}, {recording.profile.title}"),
-        ("source", str(settings.get("sensor"))),
-        ("force", str(settings.get("force") or "the source's or the board's")),
-        ("board", str(settings.get("board"))),
-        ("mode", ", ".join(f"{mode} {count:,}" for mode, count in modes.items()) or "none"),
-        (
-            "sequences",
-            f"{len(steps):,}, {slots:,} slots; {last['acknowledged']:,} acknowledged, "
-            f"{last['refused']:,} refused, {lost:,} lost with the board",
-        ),
-        ("strongest", f"{strongest_ma:.2f} mA through one electrode"),
+        *((name, str(settings.get(name) or "none")) for name in _TOLD),
+        ("sequences", ", ".join(f"{mode} {count:,}" for mode, count in modes.items()) or "none"),
+        ("strongest", f"{strongest_ma:.2f} mA through one electrode, in {slots:,} slots"),
         ("versions", ", ".join(f"{name} {value}" for name, value in versions.items())),
         ("file", f"{path.stat().st_size / 1e6:.2f} MB"),
         *((f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events),

@@ -27,6 +27,7 @@ from smarttouch.running.step import FirstPulse, Step, StepResult
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.scan_sequence import ScanSequence, SelectivityReport, SlotPolicy
+from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
 
 FORMAT = "2"  # version of the format, raised when older readers can no longer read it
 METADATA = "smarttouch"  # name of the metadata record that describes the run
@@ -202,13 +203,16 @@ class StepDecoder:
     _image_number: int = -1
     _sequences: OrderedDict[int, ScanSequence] = field(default_factory=OrderedDict)
 
-    def take(self, topic: str, index: int, data: bytes) -> RecordedStep | None:
-        """Return the step in a message; None for others, and for invalid ones."""
+    def take(self, topic: str, index: int, data: bytes, at_ns: int) -> RecordedStep | None:
+        """Return the step in a message of a time; None for others, and for invalid ones."""
         try:
             if topic == "/frame":
                 self._image, self._image_index = _image_of(json.loads(data)), index
             elif topic == "/step":
-                message = json.loads(data)
+                message, longest_us = json.loads(data), LONGEST_PERIOD_US
+                # Else a replay would wait for ever.
+                if message["time_ns"] != at_ns or not 0 < message["period_us"] <= longest_us:
+                    raise ValueError("not a time of this run")
                 return RecordedStep(index, self._step(index, message), message)
         except _INVALID:
             self.broken += 1

@@ -119,7 +119,6 @@ class Runner:
                 notes = [words for words in self._notes() if words not in reported]
                 for words in [*_account(report, board.dose), *notes]:
                     self._emit(Note(self._now_ns, words))
-                statistics.notes += loop.inputs.notes()
             except BoardStoppedError:
                 ended = stop.reason or ended
                 raise

@@ -1,12 +1,11 @@
 """Pulses on one electrode after another, while someone feels or watches."""
 
-import contextlib
 import math
 from collections.abc import Iterable, Sequence
 from typing import ClassVar
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import BoardError, SmartTouchError, require_within
+from smarttouch.base.errors import SmartTouchError, require_within
 from smarttouch.base.events import Note
 from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import single_bank
@@ -18,8 +17,6 @@ from smarttouch.running.runner import Runner
 from smarttouch.running.step import Listener
 from smarttouch.sources.force import ForceSource
 
-PATIENCE = 4  # longest wait at an electrode for its first pulse, in units of the time for each
-
 
 class ElectrodeReached(Note):
     """The walk reached an electrode."""
@@ -29,8 +26,7 @@ class Walk(Program):
     """Pulses on one electrode after another; on each, current rises from zero.
 
     Each electrode gets ``current_ma`` against all others, for ``seconds`` or until `go_on`; masked
-    ones are left out. By the board's report those in ``pulsed`` got a pulse, and those in
-    ``missed``, which it reached too, got none.
+    ones are left out.
     """
 
     fixed_mode: ClassVar[bool] = True
@@ -50,10 +46,7 @@ class Walk(Program):
         full_ma = float(profile.full_ma.max())
         words = f"{current_ma:g} mA, where {full_ma:g} mA are the strongest comfortable current,"
         require_within(SmartTouchError, "current_ma", current_ma, 0, full_ma, words, above=True)
-        self.pulsed: list[int] = []
-        self.missed: list[int] = []
-        self._delivered, self._leaves = 0, False
-        self._current_ma, self._seconds = current_ma, seconds
+        self._leaves, self._current_ma, self._seconds = False, current_ma, seconds
         self._sites = range(len(profile.electrodes)) if sites is None else sites
 
     def go_on(self) -> None:
@@ -73,31 +66,13 @@ class Walk(Program):
                     self._try(site, most_ma)
 
     def _try(self, site: int, most_ma: float) -> None:
-        """Send pulses to one electrode until its time is over, which is longer until it got one."""
-        self.missed.append(site)
+        """Send pulses to one electrode until its time is over."""
         self._leaves, began_ns = False, self.now_ns
         # From zero: intensity rises no faster than the ramp.
         self._pulse(site, 0.0)
-        # By now all that was sent for the electrode before has flowed.
-        slots = self._slots()
-        while True:
-            if site in self.missed and self._slots() > slots:
-                self.missed.remove(site)
-                self.pulsed.append(site)
-            # A board that was switched off meanwhile counts from zero again.
-            slots = min(slots, self._delivered)
-            # By the time of what was sent: a computer that stood still has tried nothing.
-            most_s = (self._seconds or math.inf) * (PATIENCE if site in self.missed else 1)
-            if self._leaves or self.now_ns - began_ns >= most_s * 1e9:
-                break
+        # By the time of what was sent: a computer that stood still has tried nothing.
+        while not self._leaves and self.now_ns - began_ns < 1e9 * (self._seconds or math.inf):
             self._pulse(site, most_ma)
-
-    def _slots(self) -> int:
-        """Return how many slots the board has delivered, as far as it has said so."""
-        # Whatever keeps it from that is raised by the next send.
-        with contextlib.suppress(BoardError):
-            self._delivered = self._context.board.report().slots
-        return self._delivered
 
     def _pulse(self, site: int, current_ma: float) -> None:
         profile, activation = self._profile, self._nothing.copy()

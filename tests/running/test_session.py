@@ -233,7 +233,7 @@ def test_a_task_that_is_canceled_ends_its_pattern():
     touch, results = session()
 
     async def main():
-        await touch.rise_async()
+        await touch.show_async(RING, 0.1)
         showing, before = asyncio.create_task(touch.show_async(RING, 30.0)), len(results)
         while len(results) == before:
             await asyncio.sleep(0.01)
