@@ -86,6 +86,7 @@ calibrate: Commands = Commands(
 
 _SIMULATED = ("emulator:", "simulated:", "memory:")
 _FRAMES = 16  # that are averaged
+_REPEATS = 5  # measurements of impedance
 _SourceUrl = Annotated[str | None, option("Take frames from this source, such as camera:0.", "URL")]
 _BoardUrl = Annotated[
     str,
@@ -98,26 +99,17 @@ _BoardUrl = Annotated[
 def optics(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
-    dark: Annotated[
-        str | None, option("Take dark frames from this source, such as frames:FOLDER.", "URL")
-    ] = None,
-    white: Annotated[
-        str | None, option("Take frames of white paper from this source.", "URL")
-    ] = None,
 ) -> None:
     """Measure dark level and gain of every pixel, covered and on blank white paper."""
     from smarttouch.experiments import sensor_optics
 
     file = calibration.file("optics")
-    sources = [each for each in (dark or source, white or source) if each is not None]
-    if len(sources) < 2:
-        raise CalibrationError("give --source, or --dark and --white")
-    asked = ("Cover the sensor: no light.", "Put it on blank white paper, in its usual light.")
+    if source is None:
+        raise CalibrationError("give --source")
     seen = []
-    for url, question in zip(sources, asked, strict=True):
-        if url == source:
-            _answer(f"{question} Then press Enter")
-        seen.append(sensor_optics.images_of(url, file.profile, _FRAMES, corrected=False))
+    for asked in ("Cover the sensor: no light.", "Put it on blank white paper, in usual light."):
+        _answer(f"{asked} Then press Enter")
+        seen.append(sensor_optics.images_of(source, file.profile, _FRAMES, corrected=False))
     found = sensor_optics.measure_optics(*seen)
     field_file = file.beside("flat-field.npz")
     file.set("optics.flat_field", field_file.name)
@@ -130,10 +122,6 @@ def registration(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
     target: Annotated[Path | None, option("Write the target, to be printed.", "FILE.png")] = None,
-    size_mm: Annotated[
-        float | None,
-        option("Set the side of the target; it suits the sensor's field otherwise.", "MM"),
-    ] = None,
 ) -> None:
     """Find each electrode's position in the sensor's image with a printed target."""
     from smarttouch.experiments.sensor_optics import images_of, register, target_for
@@ -142,7 +130,7 @@ def registration(
 
     output = calibration.output
     begun = str(output) if output is not None and output.exists() else DEFAULT_PROFILE
-    made = target_for(load_profile(calibration.profile or begun), size_mm)
+    made = target_for(load_profile(calibration.profile or begun))
     if target is not None:
         if target.exists() and not calibration.overwrite:
             message = f"{target} exists already: give another file, or add --overwrite"
@@ -200,7 +188,6 @@ def thresholds(
     repeats: Annotated[
         int, option("Repeat the rising current this many times.", "N", min=1, max=10)
     ] = 3,
-    seed: Annotated[int, option("Set the seed of pauses and starts.", "N", min=0)] = 0,
     force: ForceOption = None,
 ) -> None:
     """Measure at each electrode the weakest current felt and the strongest comfortable one."""
@@ -217,7 +204,7 @@ def thresholds(
     require_answers(False, board, (), CalibrationError)
     procedure = ThresholdProcedure(
         start=calibration.profile or default_profile(board), file=file, board_url=board,
-        sites=sites.tolist(), repeats=repeats, seed=seed,
+        sites=sites.tolist(), repeats=repeats,
     )  # fmt: skip
     with procedure.progress() as progress:
         try:
@@ -234,9 +221,6 @@ def thresholds(
 def contact(
     calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",
-    repeats: Annotated[
-        int, option("Repeat the measurement this many times.", "N", min=1, max=100)
-    ] = 5,
 ) -> None:
     """Find the electrodes that touch the skin, by repeated measurements of their impedance."""
     from smarttouch.experiments.contact import judge_contact, measure_contact
@@ -245,7 +229,7 @@ def contact(
     simulated = board.startswith("emulator:")
     file = calibration.file("contact", simulated, board)
     chosen = file.profile
-    found = judge_contact(measure_contact(lambda: open_display(board, chosen).opened(), repeats))
+    found = judge_contact(measure_contact(lambda: open_display(board, chosen).opened(), _REPEATS))
     masked = found.masked(chosen)
     still = sorted(set(chosen.output.masked) - set(found.broken))
     if still:

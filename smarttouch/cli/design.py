@@ -46,7 +46,6 @@ def design(
 
     All of a new profile are designed once and kept for its runs.
     """
-    from smarttouch.base.errors import DesignError
     from smarttouch.base.files import write_json
     from smarttouch.kernels import kernel_tables
     from smarttouch.kernels.switched_design import possible_modes
@@ -57,15 +56,7 @@ def design(
     chosen = load_profile(profile)
     if site is not None:
         require_site(chosen, site)
-    modes = possible_modes(chosen)
-    if afferent is not None:
-        if afferent not in modes and not any_node:
-            offered = tuple(each.name for each in modes)
-            raise DesignError(
-                f"mode {afferent.name} is not possible with the board of {profile}: it offers "
-                f"{', '.join(offered) or 'none'}"
-            )
-        modes = [afferent]
+    modes = possible_modes(chosen) if afferent is None else [afferent]
     with bank_progress() as progress:
         shown = _kernels(chosen, modes, site, any_node, progress)
     if site is None:

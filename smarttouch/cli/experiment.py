@@ -112,6 +112,7 @@ def _run_trials(
     from smarttouch.experiments import experiment_session as sessions
     from smarttouch.experiments.observers import make_observer
     from smarttouch.experiments.trials import Setup
+    from smarttouch.profile import DEFAULT_PROFILE
     from smarttouch.views.screen import BlindScreen
 
     simulate, observer = who.simulate, None
@@ -119,7 +120,8 @@ def _run_trials(
         choice_of("simulate", simulate, ("model", "random"))
     require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
     afferent = parse_afferent(mode)
-    if name == "frequency" and afferent is Afferent.RA and run.takes_usual_profile:
+    usual = run.profile is None and run.load_profile().name == DEFAULT_PROFILE
+    if name == "frequency" and afferent is Afferent.RA and usual:
         # The electrode of the paper's own experiment (III-C).
         run = replace(run, profile="concentric")
     setup = Setup(run.load_profile(), afferent, **options)

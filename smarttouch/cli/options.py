@@ -195,14 +195,6 @@ class RunOptions(OptionGroup):
         return self.board or (self._chosen and self._chosen.defaults.board) or "simulated:"
 
     @property
-    def takes_usual_profile(self) -> bool:
-        """True if no profile is given, and the board asks for none of its own."""
-        from smarttouch.boards.open import default_profile
-        from smarttouch.profile import DEFAULT_PROFILE
-
-        return self.profile is None and default_profile(self.board_url) == DEFAULT_PROFILE
-
-    @property
     def on_a_finger(self) -> bool:
         """True if there may be a finger on the board."""
         from smarttouch.boards.open import may_touch_a_finger

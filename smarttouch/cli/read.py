@@ -227,8 +227,11 @@ def braille(
         return
     if source is None:
         raise BrailleError("nothing to read is given: give a text or a file, or --tables")
-    if output is not None:
-        _require_new_brf(output, back)
+    if output is not None and (back or output.suffix.lower() != ".brf" or output.exists()):
+        raise BrailleError(
+            f"cannot write {output}: only cells are written, to a .brf file that is not there yet; "
+            "redirect what is printed instead"
+        )
     say = partial(typer.echo, err=True)
     code = open_table(table_of(table, document.languages))
     material = ReadingMaterial(*document.recognition(source), say)
@@ -247,15 +250,6 @@ def braille(
         pages = cells.laid_out(columns, rows)
         write_bytes(output, format_brf(pages), BrailleError)
         print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
-
-
-def _require_new_brf(output: Path, back: bool) -> None:
-
-    if back or output.suffix.lower() != ".brf":
-        message = "only cells are written, to a .brf file: redirect what is printed instead"
-        raise BrailleError(f"cannot write {output}: {message}")
-    if output.exists():
-        raise BrailleError(f"{output} is there already: give another name, or remove it")
 
 
 def _print_cells(lines: list[str]) -> None:

@@ -171,18 +171,17 @@ class PageTarget:
         write_bytes(path, content.getvalue(), CalibrationError)
 
 
-def target_for(profile: Profile, size_mm: float | None = None) -> PageTarget:
-    """Return the target for a sensor, somewhat larger than its field, or of about a given side."""
+def target_for(profile: Profile) -> PageTarget:
+    """Return the target for a sensor, somewhat larger than its field."""
     optics = profile.optics
-    pixels = min(optics.sensor_columns, optics.sensor_rows)
-    if size_mm is None:
-        if pixels < FEWEST_PIXELS:
-            raise CalibrationError(
-                f"{optics.sensor_columns} × {optics.sensor_rows} pixels are too coarse for a "
-                f"target: {FEWEST_PIXELS} a side are needed; set optics.rotation_deg, offset_x_mm "
-                "and offset_y_mm by hand, or give the size if the sensor is finer than that"
-            )
-        size_mm = FIELD_SHARE * min(optics.field_width_mm, optics.field_height_mm)
+    if min(optics.sensor_columns, optics.sensor_rows) < FEWEST_PIXELS:
+        raise CalibrationError(
+            f"{optics.sensor_columns} × {optics.sensor_rows} pixels are too coarse for a "
+            f"target: {FEWEST_PIXELS} a side are needed; set optics.rotation_deg, offset_x_mm "
+            "and offset_y_mm by hand, or optics.sensor_columns and sensor_rows if the sensor is "
+            "finer than that"
+        )
+    size_mm = FIELD_SHARE * min(optics.field_width_mm, optics.field_height_mm)
     require_within(CalibrationError, "size_mm", size_mm, *_SIZES_MM)
     return PageTarget(max(1, round(size_mm / MODULES * DOTS_PER_MM)) / DOTS_PER_MM)
 

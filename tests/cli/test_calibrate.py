@@ -60,20 +60,28 @@ def save(folder, images):
         Image.fromarray(image).save(folder / f"{number:03}.png")
 
 
-def test_one_profile_for_all(run, tmp_path, profile):
+def test_one_profile_for_all(run, tmp_path, profile, monkeypatch):
     patch = SimulatedPatch(dead=2)
     save(tmp_path / "dark", patch.images(6, light=False))
     save(tmp_path / "white", patch.images(6, light=True))
+
+    def put_there(question, **_options):
+        (tmp_path / "now").unlink(missing_ok=True)
+        kind = "dark" if "Cover" in question else "white" if "white" in question else "seen"
+        (tmp_path / "now").symlink_to(tmp_path / kind)
+        return ""
+
+    monkeypatch.setattr("typer.prompt", put_there)
     view = View(zoom=0.85).render(target_for(profile), profile.optics, (64, 64))
     save(tmp_path / "seen", [view])
-    optics = "optics --dark frames:dark --white frames:white --output mine.toml"
+    optics = "optics --source frames:now --output mine.toml"
     shown = done(run(optics))
     assert "2 dead or hot" in shown
     mine = load_profile(tmp_path / "mine.toml")
     assert mine.calibrated["optics"].found in " ".join(shown.split())
     field_before = FlatField.load(mine.optics.flat_field).gain
     assert field_before.shape == (64, 64)
-    done(run("registration --source frames:seen --output mine.toml", typed="\n"))
+    done(run("registration --source frames:now --output mine.toml"))
     mine = load_profile(tmp_path / "mine.toml")
     assert set(mine.calibrated) == {"optics", "registration"}
     assert mine.optics.homography is not None
@@ -115,9 +123,9 @@ def test_registration_of_a_camera(run, tmp_path, profile):
 
 
 def test_a_target_alone(run, tmp_path):
-    result = run("registration --target target.png --size-mm 12")
+    result = run("registration --target target.png")
     assert result.exit_code == 0, result.exception
-    assert "12 mm" in result.output
+    assert " mm across" in result.output
     assert (tmp_path / "target.png").exists()
 
 
@@ -178,7 +186,7 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
     monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
     events = ("event=0 open 5", "event=0 short 9")
     _, port, _ = start_emulator(32, "etactilekit", *events)
-    shown = done(run(f"contact --board etactilekit:{port} --repeats 2 --output mine.toml"))
+    shown = done(run(f"contact --board etactilekit:{port} --output mine.toml"))
     profile = load_profile(tmp_path / "mine.toml")
     assert profile.title == load_profile("etactilekit-32").title
     assert profile.output.masked == (5, 9)
@@ -193,14 +201,13 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
 def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
     _, port, _ = start_emulator(16, "link", "output=three-state", "event=0 lift")
     small = f"contact --board link:{port} --profile smarttouch-4x4"
-    lifted = run(f"{small} --repeats 1 --output mine.toml")
+    lifted = run(f"{small} --output mine.toml")
     wrong("electrode")(lifted.exception)
     assert not (tmp_path / "mine.toml").exists()
 
 
 @pytest.mark.parametrize(("arguments", "check"), [
     ("optics", wrong()),
-    ("optics --dark frames:none", wrong("white")),
     ("optics --source nothing:", says(SourceError, value="nothing:")),
     ("optics --source frames:none", says(SourceError, " none:")),
     ("registration", wrong()),
