@@ -19,7 +19,7 @@ from smarttouch.cli.options import (
 from smarttouch.cli.read import DocumentOptions
 
 simulate: Commands = Commands(
-    help="Put pages or a study on simulated fingers.",
+    help="Put pages on a simulated board, or a study on simulated fingers.",
     no_args_is_help=True,
 )
 
@@ -74,8 +74,7 @@ def simulate_page(
         found = legibility_of_shapes(text, reading, true_text, advance)
     if json_file is not None:
         about = {"source": source, "profile": chosen.name, "rows": rows_of(chosen), "notes": notes}
-        figures = {name: value for name, value in vars(found).items() if name != "delivered"}
-        write_json(json_file, about | figures)
+        write_json(json_file, about | vars(found))
     print_table([
         ("characters", str(len(found.truth))), ("lines", str(found.lines)),
         ("error rate, page", "-" if true_text is None else f"{found.page_error_rate:.3f}"),
@@ -98,7 +97,7 @@ def study(
         str | None, option("Compute on the Dask scheduler at tcp://HOST:8786.", "ADDRESS")
     ] = None,
 ) -> None:
-    """Run a grid of fingers, profiles, modes, scans, letters and pages, or continue one."""
+    """Run a grid of fingers, profiles, modes, scans and letters, or continue one."""
     from smarttouch.base.terminal import print_table
     from smarttouch.experiments.study_plan import load_study
     from smarttouch.experiments.study_run import (

@@ -42,7 +42,7 @@ def run_study(
 ) -> list[StudyRow]:
     """Run a study, or what is left of it, and return its table, which is also in ``rows.csv``.
 
-    Rows are by profile, anatomy, finger, choice and letter, then by page. The work goes through
+    Rows are by profile, anatomy, finger, choice and letter. The work goes through
     `joblib.Parallel`: on all cores, or wherever ``joblib.parallel_config`` sends it. Rows of
     finished fingers are kept in the folder, each finger's in a file of its own, and are used again
     where all that they depend on is the same.
@@ -56,13 +56,11 @@ def run_study(
     rows: dict[Path, list[StudyRow] | None] = {}
     missing: list[tuple[Path, Callable[[], list[StudyRow]]]] = []
     for shown in grid.shown():
-        makes = None
         for finger in grid.fingers():
             path = parts / f"{_key(shown, *finger)[:24]}.csv"
             rows[path] = _kept(path)
             if rows[path] is None:
-                makes = makes or shown.ready()
-                missing.append((path, partial(makes, *finger)))
+                missing.append((path, partial(shown.made, *finger)))
     done = len(rows) - len(missing)
     with closing(_made([each for _, each in missing])) as made:
         for index, found in made:

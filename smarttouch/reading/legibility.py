@@ -3,7 +3,7 @@
 import math
 import unicodedata
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
 
@@ -20,7 +20,6 @@ from smarttouch.imaging.array_window import pixel_pitch_mm
 from smarttouch.imaging.line_picture import LinePicture
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.physiology.anatomy import Anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import (
     FIELD_MM,
@@ -229,7 +228,6 @@ class Legibility:
     """Legibility of letter shapes: error rates of what Tesseract read, and its texts.
 
     ``page_error_rate`` is that of the page itself, None where the other is compared with its text.
-    ``delivered`` has the lines and languages of each page.
     """
 
     character_error_rate: float
@@ -238,7 +236,6 @@ class Legibility:
     page_text: str
     truth: str
     lines: int
-    delivered: Sequence[tuple[Sequence[DeliveredLine], str]] = ()
 
 
 def legibility_of_shapes(
@@ -258,7 +255,6 @@ def legibility_of_shapes(
     page_texts: list[str] = []
     texts: list[str] = []
     total = 0
-    delivered: list[tuple[list[DeliveredLine], str]] = []
     for page in source.prepared():
         indices = range(len(page.lines))
         page_texts += [text for _, text in recognized_lines(page, options, source.note)]
@@ -267,7 +263,6 @@ def legibility_of_shapes(
         for line in deliver_lines(lines, reading):
             shown.append(line)
             progress(total + len(shown), total + len(lines))
-        delivered.append((shown, options.languages))
         texts.append(read_pictures([each.picture for each in shown], options.languages))
         total += len(indices)
     page_text, text = "\n".join(page_texts), "\n".join(texts)
@@ -279,25 +274,6 @@ def legibility_of_shapes(
         page_text=page_text,
         truth=compared,
         lines=total,
-        delivered=delivered,
-    )
-
-
-def legibility_on_finger(
-    found: Legibility, reading: LineDelivery, seed: int, anatomy: str | Anatomy
-) -> tuple[NerveReading, float]:
-    """Return a finger's response to delivered shapes, without pictures, and the error rate
-    there.
-    """
-    lines = [line for page, _ in found.delivered for line in page]
-    response = read_at_nerve(lines, Finger(reading.profile, seed, anatomy), reading.mode.afferents)
-    pictures = iter(response.pictures)
-    texts = [
-        read_pictures([next(pictures) for _ in page], languages)
-        for page, languages in found.delivered
-    ]
-    return replace(response, pictures=[], shown=[]), character_error_rate(
-        found.truth, "\n".join(texts)
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from smarttouch.base.errors import ProfileError, SmartTouchError
 from smarttouch.experiments import study_run
-from smarttouch.experiments.study_plan import Grid, Study, from_csv, load_study
+from smarttouch.experiments.study_plan import Study, from_csv, load_study
 from smarttouch.experiments.study_run import (
     on_cluster,
     run_study,
@@ -99,26 +99,6 @@ def test_the_plans_of_the_documentation_s_tables_run(tmp_path, plan):
     short = study.model_copy(update={"fingers": 1, "letters": "T"})
     rows = study_run.run_study(short, plan.parent, tmp_path)
     assert {row.anatomy for row in rows} == set(short.anatomies)
-
-
-def test_a_page_is_read_on_fingers(tmp_path):
-    page = Study(
-        title="page", anatomies=("paper",), fingers=1, letters="", pages=("text:it",),
-    )  # fmt: skip
-    try:
-        (row,) = study_run.run_study(page, Path(), tmp_path)
-    except SmartTouchError as error:
-        if "Tesseract" in str(error):
-            pytest.skip(str(error))
-        raise
-    assert (row.pattern, row.finger) == ("text:it", 1)
-    assert row.error >= 0
-    assert 0 <= row.silent_points <= 1
-
-
-def test_a_long_text_is_a_page_and_no_file(tmp_path):
-    text = "text:" + 300 * "it "
-    assert Grid(SMALL, tmp_path).file(text) == text
 
 
 @pytest.mark.parametrize(("text", "about"), [
