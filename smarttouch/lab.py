@@ -15,10 +15,10 @@ from smarttouch.experiments.findings import judge_answers as judge_answers
 from smarttouch.experiments.observers import make_observer as make_observer
 from smarttouch.experiments.procedures import Condition as Condition
 from smarttouch.experiments.procedures import constant_stimuli as constant_stimuli
-from smarttouch.experiments.study_plan import Study as Study
-from smarttouch.experiments.study_run import run_study as run_study
-from smarttouch.experiments.study_run import study_sums as study_sums
-from smarttouch.experiments.study_run import study_table as study_table
+from smarttouch.experiments.study import Study as Study
+from smarttouch.experiments.study import run_study as run_study
+from smarttouch.experiments.study import study_sums as study_sums
+from smarttouch.experiments.study import study_table as study_table
 from smarttouch.experiments.trials import Answer as Answer
 from smarttouch.experiments.trials import Setup as Setup
 from smarttouch.experiments.trials import Train as Train

@@ -99,10 +99,10 @@ def study(
 ) -> None:
     """Run a grid of fingers, profiles, modes, scans and letters, or continue one."""
     from smarttouch.base.terminal import print_table
-    from smarttouch.experiments.study_plan import load_study
-    from smarttouch.experiments.study_run import (
+    from smarttouch.experiments.study import (
         ROWS_FILE,
         TABLE_NOTE,
+        load_study,
         on_cluster,
         run_study,
         study_sums,

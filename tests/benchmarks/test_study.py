@@ -1,11 +1,10 @@
 """Studies: rows of 1, 2 and 4 Dask workers, and what a finger costs."""
 
-from pathlib import Path
-
 import pytest
 
-from smarttouch.experiments.study_plan import Grid, Study, rows_of_letters
+from smarttouch.experiments.study import Study, rows_of_letters, study_letters
 from smarttouch.physiology.anatomy import load_anatomy
+from smarttouch.profile import load_profile
 
 STUDY = Study(
     title="small", profiles=("smarttouch-4x4",), anatomies=("paper",), fingers=8, letters="LT"
@@ -16,9 +15,8 @@ STUDY = Study(
 def test_a_finger_with_26_letters_and_two_scans(benchmark, quick, anatomy):
     letters = "LT" if quick else Study(title="all").letters
     study = Study(title="scans", scans=("points", "auto"), letters=letters)
-    grid = Grid(study, Path())
     (name,) = study.profiles
-    shown = grid.letters(name)
-    profile = grid.profiles[name]
+    profile = load_profile(name)
+    shown = study_letters(study, name, profile)
     rows = benchmark(rows_of_letters, profile, shown, load_anatomy(anatomy), anatomy, 1)
     assert len(rows) == 2 * len(letters)

@@ -8,9 +8,11 @@ import joblib
 import pytest
 
 from smarttouch.base.errors import ProfileError, SmartTouchError
-from smarttouch.experiments import study_run
-from smarttouch.experiments.study_plan import Study, from_csv, load_study
-from smarttouch.experiments.study_run import (
+from smarttouch.experiments.study import (
+    ROWS_FILE,
+    Study,
+    from_csv,
+    load_study,
     on_cluster,
     run_study,
     study_sums,
@@ -35,7 +37,7 @@ def one_process():
 
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory):
-    return study_run.run_study(SMALL, Path(), tmp_path_factory.mktemp("whole"))
+    return run_study(SMALL, Path(), tmp_path_factory.mktemp("whole"))
 
 
 def test_each_finger_gets_each_letter_in_each_choice(rows):
@@ -55,35 +57,29 @@ def test_a_study_goes_on_where_it_was_interrupted(rows, tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        study_run.run_study(SMALL, Path(), tmp_path, progress=interrupt)
-    assert not (tmp_path / study_run.ROWS_FILE).exists()
+        run_study(SMALL, Path(), tmp_path, progress=interrupt)
+    assert not (tmp_path / ROWS_FILE).exists()
     made = []
-    assert (
-        study_run.run_study(SMALL, Path(), tmp_path, progress=lambda *done: made.append(done))
-        == rows
-    )
+    assert run_study(SMALL, Path(), tmp_path, progress=lambda *done: made.append(done)) == rows
     assert made == [(3, 3)]
-    assert from_csv((tmp_path / study_run.ROWS_FILE).read_text()) == rows
+    assert from_csv((tmp_path / ROWS_FILE).read_text()) == rows
 
 
 def test_more_fingers_are_added_to_those_that_are_there(rows, tmp_path):
     fewer = SMALL.model_copy(update={"fingers": 2})
-    assert study_run.run_study(fewer, Path(), tmp_path) == [row for row in rows if row.finger <= 2]
+    assert run_study(fewer, Path(), tmp_path) == [row for row in rows if row.finger <= 2]
     made = []
-    assert (
-        study_run.run_study(SMALL, Path(), tmp_path, progress=lambda *done: made.append(done))
-        == rows
-    )
+    assert run_study(SMALL, Path(), tmp_path, progress=lambda *done: made.append(done)) == rows
     assert made == [(3, 3)]
 
 
 @pytest.mark.parametrize("broken", ["finger,letter\n1,L\n", 'finger\n"' + 200_000 * "x"])
 def test_a_broken_part_is_made_again(tmp_path, broken):
     one = SMALL.model_copy(update={"fingers": 1, "intensities": (1.0,), "modes": ("RA",)})
-    found = study_run.run_study(one, Path(), tmp_path)
+    found = run_study(one, Path(), tmp_path)
     (part,) = (tmp_path / "parts").iterdir()
     part.write_text(broken)
-    assert study_run.run_study(one, Path(), tmp_path) == found
+    assert run_study(one, Path(), tmp_path) == found
 
 
 def test_the_summary_is_by_choice(rows):
@@ -97,7 +93,7 @@ def test_the_summary_is_by_choice(rows):
 def test_the_plans_of_the_documentation_s_tables_run(tmp_path, plan):
     study = load_study(plan)
     short = study.model_copy(update={"fingers": 1, "letters": "T"})
-    rows = study_run.run_study(short, plan.parent, tmp_path)
+    rows = run_study(short, plan.parent, tmp_path)
     assert {row.anatomy for row in rows} == set(short.anatomies)
 
 
@@ -156,7 +152,7 @@ def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
 
 
 def test_a_missing_scheduler_is_an_error(monkeypatch):
-    monkeypatch.setattr("smarttouch.experiments.study_run._ANSWERS_WITHIN_S", 0.2)
+    monkeypatch.setattr("smarttouch.experiments.study._ANSWERS_WITHIN_S", 0.2)
     with (
         raises(SmartTouchError, value="tcp://127.0.0.1:1"),
         on_cluster("tcp://127.0.0.1:1"),
