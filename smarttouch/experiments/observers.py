@@ -12,9 +12,9 @@ put in by the first, and explains nothing.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Protocol
 
@@ -61,46 +61,37 @@ FITTED = (
 """What to know of a modeled participant's answers to frequencies."""
 
 
-@dataclass(frozen=True)
-class FrequencySense:
-    """Model of perceived frequency: its mean, and the discrimination of two trains.
+SPREAD = math.log1p(BASE_WEBER) / float(math.sqrt(2) * ndtri(0.75))
+"""Standard deviation of the logarithm of one perceived frequency."""
 
-    Perceived is the soft minimum of the pulses' frequency f and of the highest frequency L
-    that the activity of PC and RA lets believe: (f^−n + L^−n)^(−1/n), with noise on its
-    logarithm.
+
+@cache
+def _learned() -> tuple[Array, Array]:
+    """Return frequencies of vibration, and the ratio of PC to RA at each."""
+    # Up to the best frequency of PC: beyond it the ratio falls again.
+    hz = np.geomspace(ALONE_HZ, best_hz(Afferent.PC), 200)
+    return hz, sensitivity(Afferent.PC, hz) / sensitivity(Afferent.RA, hz)
+
+
+def believable_hz(ratio: float) -> float:
+    """Return the highest frequency perceived at a ratio of PC to RA, Hz.
+
+    It is the frequency of a mechanical vibration to which PC and RA, each of what it answers at its
+    best, answer in that ratio (paper, Fig. 2). No PC at all means that the vibration lies where
+    only RA answers: below `ALONE_HZ`.
     """
-
-    weber: float = BASE_WEBER  # 75 % threshold where L is far away
-    sharpness: float = SHARPNESS
-
-    def believable_hz(self, ratio: float) -> float:
-        """Return the highest frequency perceived at a ratio of PC to RA, Hz.
-
-        It is the frequency of a mechanical vibration to which PC and RA, each of what it
-        answers at its best, answer in that ratio (paper, Fig. 2). No PC at all means that
-        the vibration lies where only RA answers: below `ALONE_HZ`.
-        """
-        hz, ratios = self._learned
-        return float(np.interp(ratio, ratios, hz))
-
-    @cached_property
-    def _learned(self) -> tuple[Array, Array]:
-        # Up to the best frequency of PC: beyond it the ratio falls again.
-        hz = np.geomspace(ALONE_HZ, best_hz(Afferent.PC), 200)
-        return hz, sensitivity(Afferent.PC, hz) / sensitivity(Afferent.RA, hz)
-
-    @cached_property
-    def spread(self) -> float:
-        """Standard deviation of the logarithm of one perceived frequency."""
-        return math.log1p(self.weber) / float(math.sqrt(2) * ndtri(0.75))
-
-    def perceived_hz(self, hz: float, ratio: float) -> float:
-        """Return the perceived frequency of a train, without noise, Hz."""
-        n, limit_hz = self.sharpness, self.believable_hz(ratio)
-        return float((hz**-n + limit_hz**-n) ** (-1 / n))
+    hz, ratios = _learned()
+    return float(np.interp(ratio, ratios, hz))
 
 
-Floats = NDArray[np.float32]
+def perceived_hz(hz: float, ratio: float) -> float:
+    """Return the perceived frequency of a train at a ratio of PC to RA, without noise, Hz.
+
+    It is the soft minimum of the pulses' frequency and of the highest that is believed.
+    """
+    limit_hz = believable_hz(ratio)
+    return float((hz**-SHARPNESS + limit_hz**-SHARPNESS) ** (-1 / SHARPNESS))
+
 
 _LONGEST_US = 60_000  # longest pause that counts in full: refractory times are shorter
 
@@ -218,8 +209,6 @@ class SimulatedObserver:
 
     finger: Finger
     seed: int = 0
-    # model of the perceived frequency of trains
-    frequency: FrequencySense = field(default_factory=FrequencySense)
     # afferents that fire in a slot, on average, where in half of the trials it is felt. Ours: one
     # that answers every second slot (spikes of a single RA afferent can be felt, Vallbo et al.
     # 1984).
@@ -235,10 +224,6 @@ class SimulatedObserver:
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
         self._nerve = Nerve(self.finger, self.seed)
-        self._judges: dict[str, Callable[[Sequence[Interval]], str | None]] = {
-            "faster": self._faster,
-            "side": self._side,
-        }
 
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
@@ -255,12 +240,12 @@ class SimulatedObserver:
                 return "y" if yes[0] else "n"
             tossed = int(self._random.integers(len(yes)))
             return alternatives[yes.index(True) if sum(yes) == 1 else tossed]
-        if task not in self._judges:
+        if task not in ("faster", "side"):
             raise ExperimentError(
-                f"the simulated observer has no answer to {task!r}: it can answer "
-                f"{', '.join((*self._judges, 'felt'))}"
+                f"the simulated observer has no answer to {task!r}: it can answer faster, side, "
+                "felt"
             )
-        judged = self._judges[task](intervals)
+        judged = self._faster(intervals) if task == "faster" else self._side(intervals)
         if judged is None or self._random.random() < self.lapse:
             return alternatives[int(self._random.integers(len(alternatives)))]
         return judged
@@ -275,8 +260,8 @@ class SimulatedObserver:
         felt = [self._nerve.of(each) for each in intervals]
         if any(each.hz == 0 for each in felt):
             return None
-        perceived = np.log([self.frequency.perceived_hz(each.hz, each.ratio) for each in felt])
-        return self._larger(perceived, self.frequency.spread)
+        perceived = np.log([perceived_hz(each.hz, each.ratio) for each in felt])
+        return self._larger(perceived, SPREAD)
 
     def _side(self, intervals: Sequence[Interval]) -> str | None:
         """Return the side of the second point from the first."""

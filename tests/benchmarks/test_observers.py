@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.experiments.observers import FrequencySense, Interval, Nerve
+from smarttouch.experiments.observers import Interval, Nerve, believable_hz
 
 from ..experiments.weber import ratio_of, weber_fraction
 
@@ -28,7 +28,7 @@ LEVELS = np.arange(0.2, 1.005, 0.02)
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize("anatomy", ["paper", "branched"])
 def test_frequency_and_detection(row, quick, profile, bank, anatomy):
-    sense, limits = FrequencySense(), {}
+    limits = {}
     ratios, delivered_ma = {RA: [], PC: []}, {each: [] for each in (RA, SAI, PC)}
     for seed in range(1, 3 if quick else 21):
         finger = st.Finger(profile, seed, anatomy)
@@ -38,10 +38,10 @@ def test_frequency_and_detection(row, quick, profile, bank, anatomy):
             found.append(first_felt_ma(finger, bank.kernels(mode)[MIDDLE]))
     for mode, found in ratios.items():
         weber = {
-            f"{hz} Hz": spread([weber_fraction(sense, hz, ratio) for ratio in found])
+            f"{hz} Hz": spread([weber_fraction(hz, ratio) for ratio in found])
             for hz in STANDARDS_HZ
         }
-        limits[mode] = np.median([sense.believable_hz(ratio) for ratio in found])
+        limits[mode] = np.median([believable_hz(ratio) for ratio in found])
         row(
             "75 % threshold of frequency, median and middle 90 % of fingers",
             {

@@ -14,12 +14,13 @@ from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.observers import (
     BlindObserver,
-    FrequencySense,
     Interval,
     Nerve,
     SimulatedObserver,
+    believable_hz,
     interval_of,
     make_observer,
+    perceived_hz,
 )
 from smarttouch.experiments.trials import Setup
 from smarttouch.physiology.finger import Finger
@@ -28,7 +29,7 @@ from smarttouch.physiology.vibration_thresholds import sensitivity
 from ..raising import raises
 from ..whole import WHOLE, sample
 from .sitting import sit
-from .weber import chance_higher, ratio_of, weber_fraction
+from .weber import ratio_of, weber_fraction
 
 RA, SAI, PC = Afferent
 MIDDLE = 27
@@ -150,33 +151,22 @@ class TestNerve:
             assert np.linalg.norm(found - profile.electrodes.position_mm[site]) < 1.0
 
 
-class TestFrequencySense:
+class TestPerceivedFrequency:
     def test_without_pc_nothing_above_where_the_curves_meet_is_believed(self):
-        assert FrequencySense().believable_hz(0) == pytest.approx(65)
+        assert believable_hz(0) == pytest.approx(65)
 
     @pytest.mark.parametrize("hz", [70, 100, 125, 200])
     def test_a_ratio_is_believed_as_the_vibration_that_causes_it(self, hz):
         ratio = float(sensitivity(PC, hz) / sensitivity(RA, hz))
-        assert FrequencySense().believable_hz(ratio) == pytest.approx(hz, rel=1e-3)
+        assert believable_hz(ratio) == pytest.approx(hz, rel=1e-3)
 
     def test_pc_alone_is_believed_up_to_its_best_frequency(self):
-        assert FrequencySense().believable_hz(math.inf) == pytest.approx(250)
+        assert believable_hz(math.inf) == pytest.approx(250)
 
     @given(st.floats(1, 200), st.floats(1.001, 2), st.floats(0, 3))
     def test_higher_is_never_felt_lower_and_never_above_what_is_believed(self, hz, factor, ratio):
-        sense = FrequencySense()
-        low, high = sense.perceived_hz(hz, ratio), sense.perceived_hz(factor * hz, ratio)
-        assert low <= high <= min(factor * hz, sense.believable_hz(ratio)) * (1 + 1e-9)
-        assert 0.5 <= chance_higher(sense, hz, factor * hz, ratio) < 1
-
-    @given(st.floats(5, 150), st.floats(0, 1))
-    def test_the_weber_fraction_is_where_three_of_four_are_right(self, hz, ratio):
-        sense = FrequencySense()
-        weber = weber_fraction(sense, hz, ratio)
-        if math.isfinite(weber):
-            assert chance_higher(sense, hz, hz * (1 + weber), ratio) == pytest.approx(0.75)
-        else:
-            assert chance_higher(sense, hz, 1e6 * hz, ratio) < 0.75
+        low, high = perceived_hz(hz, ratio), perceived_hz(factor * hz, ratio)
+        assert low <= high <= min(factor * hz, believable_hz(ratio)) * (1 + 1e-9)
 
 
 class TestTheThresholdsOfThePaper:
@@ -185,9 +175,7 @@ class TestTheThresholdsOfThePaper:
     def test_in_ra_mode_frequency_is_lost_above_60_hz(self, observer, bank):
         subject = observer()
         ratio = ratio_of(subject.finger, bank, RA, MIDDLE)
-        weber = {
-            hz: weber_fraction(subject.frequency, hz, ratio) for hz in (15, 30, 45, 60, 75, 90)
-        }
+        weber = {hz: weber_fraction(hz, ratio) for hz in (15, 30, 45, 60, 75, 90)}
         assert max(weber[15], weber[30], weber[45]) < 0.20
         assert 0.27 < weber[60] < 0.35
         assert weber[75] == pytest.approx(0.70, abs=0.03)
@@ -196,7 +184,7 @@ class TestTheThresholdsOfThePaper:
     def test_in_pc_mode_it_goes_on(self, observer, bank):
         subject = observer()
         ratio = ratio_of(subject.finger, bank, PC, MIDDLE)
-        weber = {hz: weber_fraction(subject.frequency, hz, ratio) for hz in (45, 60, 75, 90, 100)}
+        weber = {hz: weber_fraction(hz, ratio) for hz in (45, 60, 75, 90, 100)}
         assert max(weber.values()) < 0.22
 
     @pytest.mark.parametrize(
@@ -205,7 +193,7 @@ class TestTheThresholdsOfThePaper:
     def test_trials_agree_with_the_closed_form(self, observer, bank, train, afferent, standard_hz):
         subject = observer(seed=7, lapse=0.0)
         ratio = ratio_of(subject.finger, bank, afferent, MIDDLE)
-        weber = weber_fraction(subject.frequency, standard_hz, ratio)
+        weber = weber_fraction(standard_hz, ratio)
         standard = train(standard_hz, afferent, seconds=0.2)
         comparison = train(standard_hz * (1 + weber), afferent, seconds=0.2)
         right = share(300, lambda: subject.respond("faster", [standard, comparison], "12"), "2")
@@ -283,13 +271,6 @@ def test_slots_of_an_interval_keep_their_times(parts):
     assert np.isin(current_ua[:, 0], felt.current_ua[:, 0]).tolist() == [
         each in starts for each in number
     ]
-
-
-def test_an_interval_of_silence_is_empty():
-    nothing = (np.zeros(0, np.uint32), np.zeros(0, np.float32), np.zeros((0, 4), np.int16))
-    felt = interval_of(nothing, {3: (0, 0), 4: (20, 0)})
-    assert felt.time_s.shape == (0,)
-    assert felt.current_ua.shape == (0, 4)
 
 
 def test_two_looks_make_a_choice(observer, train):
