@@ -144,30 +144,6 @@ def test_no_other_session_goes_on(tmp_path, name, wanted):
         assert file.rows == [ROW]
 
 
-@pytest.mark.parametrize(("column", "cell"), [
-    ("comparison", b""), ("comparison", b"nan"), ("success", b"2"), ("seed", b"x"),
-])  # fmt: skip
-def test_a_bad_line_is_named(tmp_path, column, cell):
-    path = written(tmp_path / "a.csv", [ROW, ROW])
-    lines = path.read_bytes().split(b"\n")
-    cells = lines[2].split(b",")
-    cells[list(COLUMNS).index(column)] = cell
-    path.write_bytes(b"\n".join([*lines[:2], b",".join(cells), b""]))
-    with raises(ExperimentError, names=column) as caught:
-        read_rows(path)
-    assert f"{path}, line 3:" in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("data", "about"), [(b"\xff\xfe\x00\n", "file"), (b"a,b\n1,2\n", "thisRepN"), (b"", "empty")]
-)
-def test_what_is_no_such_file(tmp_path, data, about):
-    path = tmp_path / "a.csv"
-    path.write_bytes(data)
-    with raises(ExperimentError, names=about, value=path):
-        read_rows(path)
-
-
 def test_where_there_is_no_file_and_none_can_be(tmp_path):
     with raises(ExperimentError, names="file", value=tmp_path / "none.csv"):
         read_rows(tmp_path / "none.csv")
@@ -219,12 +195,6 @@ def test_our_own(tmp_path):
         # Judged higher in the first, not judged higher in the second: the first both times.
         assert each.chosen() == (2, 0)
         assert [part.tolist() for part in each.counts()] == [[39], [2], [1]]
-
-
-def test_a_cut_line_is_dropped(tmp_path):
-    path = written(tmp_path / "a.csv", [ROW, ROW])
-    path.write_bytes(path.read_bytes()[:-20])
-    assert read_table(path).answers[0].presented == 1
 
 
 @pytest.mark.parametrize(("text", "comparison", "success"), [
@@ -282,8 +252,6 @@ def test_what_is_no_file_of_answers(tmp_path, text, attributes, line):
         assert f"line {line}:" in str(caught.value)
 
 
-def test_no_file_and_no_standard(tmp_path):
-    with raises(ExperimentError, value=tmp_path / "none.csv"):
-        read_table(tmp_path / "none.csv")
+def test_no_standard(tmp_path):
     with raises(ExperimentError, names="standard", value="base"):
         read_table(saved(tmp_path, "comparison,success\n1,1\n"), standard="base")

@@ -135,14 +135,6 @@ def test_the_second_point_is_as_far_right_as_stated():
         assert (trial.target, trial.success) == ("r" if right_mm > 0 else "l", "r")
 
 
-def test_every_experiment_has_a_question_and_answers():
-    for name in CATALOG:
-        trial = begun(name)[1][0]
-        assert trial.question
-        assert trial.words
-        assert trial.success in trial.alternatives
-
-
 @pytest.mark.parametrize(("name", "options", "value", "allowed"), [
     ("hearing", {}, "hearing", tuple(CATALOG)),
     ("localization", {"procedure": "staircase"}, "staircase", ("constant",)),

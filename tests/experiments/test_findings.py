@@ -1,20 +1,19 @@
 """A threshold where there is one, a sentence where there is none, and the chart of both."""
 
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.experiments.answers import Answers, usual_model
+from smarttouch.experiments.answers import Answers, AnswerTable, usual_model
 from smarttouch.experiments.findings import (
     discrimination_figure,
     judge_answers,
 )
 from smarttouch.experiments.procedures import constant_stimuli, ratio_pairs
-from smarttouch.experiments.psychometric import Counts, Model
+from smarttouch.experiments.psychometric import Model
 from smarttouch.views.figure_style import save
 
 from .simulated import Subject, answer_all, as_answers, ask_all, of_counts
@@ -162,84 +161,43 @@ def test_which_model():
     assert usual_model([frequency], 0.5, 0.8) == Model(guess=0.5, at=0.8)
 
 
-RATIOS = np.array([0.5, 0.75, 1.25, 2.0])
-N = np.full(4, 10.0)
+@pytest.fixture(scope="module")
+def found():
+    """Return what is found for a standard by a good subject, and by one who guesses."""
+    good = Subject(36.0, 0.25).probability
+    procedure = constant_stimuli(ratio_pairs([30.0]), 30)
+    answers = answer_all(procedure, good, 3), session(lambda each, n: n % 2 == 0, 60.0)
+    return [judge_answers(each, usual_model([each])) for each in answers]
 
 
-def finding(standard, counts, curve=None, threshold=None, lower=None):
-    """Return what the chart takes of a `Finding`."""
-    return SimpleNamespace(
-        standard=standard, counts=Counts(*counts), curve=curve, threshold=threshold, lower=lower,
-        said="judged higher" if standard else "felt",
-        model=SimpleNamespace(share=0.75 if standard else 0.5),
-    )  # fmt: skip
-
-
-def judged(standard, threshold=None, lower=None, curve=True):
-    stimulus = standard * RATIOS
-    line = np.stack([np.linspace(stimulus[0], stimulus[-1], 50), np.linspace(0, 1, 50)])
-    counts = stimulus, N, np.array([0.0, 2, 8, 10])
-    return finding(standard, counts, line if curve else None, threshold, lower)
-
-
-def series(name, *findings, unit="Hz"):
-    return SimpleNamespace(name=name, unit=unit), findings
-
-
-def bars(axes):
-    """Return what error bars show in data coordinates: of each, points (P, 2)."""
-    return [each.lines[0].get_xydata() for each in axes.containers]
-
-
-def test_two_modes():
-    figure = discrimination_figure(
-        [
-            series(
-                "RA",
-                judged(30.0, (36.0, 33.0, 39.0), (27.0, 25.5, 28.5)),
-                judged(60.0, (90.0, 75.0, np.inf)),
-                judged(75.0),
-                judged(90.0, curve=False),
-            ),
-            series("PC", judged(60.0, (66.0, 63, 69)), judged(90.0)),
-        ]
-    )
+def test_two_modes_in_a_figure(found, tmp_path):
+    series = [(AnswerTable(name, "Hz", ()), found) for name in ("RA", "PC")]
+    figure = discrimination_figure(series)
     ra, pc, thresholds = figure.axes
     assert (ra.get_title(loc="left"), pc.get_title(loc="left")) == ("RA", "PC")
-    assert [each.get_text() for each in ra.get_legend().get_texts()] == [
-        "30 Hz", "60 Hz", "75 Hz", "90 Hz",
-    ]  # fmt: skip
-    dots = np.asarray(ra.collections[-1].get_offsets())
-    assert dots[:, 0] == pytest.approx(RATIOS)
-    assert dots[:, 1] == pytest.approx([0, 0.2, 0.8, 1.0])
-    # A curve of each but the last; dashed where it gives no threshold.
-    curves = [line for line in ra.lines if len(line.get_xdata()) == 50]
-    assert [line.get_linestyle() for line in curves] == ["-", "-", "--"]
-    upper, lower, other, _ = bars(thresholds)
-    assert upper[:2] == pytest.approx(np.array([[30, 0.2], [60, 0.5]]), rel=0.01)
-    assert np.isnan(upper[2:, 1]).all()
-    assert lower[0] == pytest.approx([30, -0.1], rel=0.01)
-    assert upper[1, 0] < 60 < other[0, 0]
+    assert [each.get_text() for each in ra.get_legend().get_texts()] == ["30 Hz", "60 Hz"]
+    dots = np.asarray(ra.collections[0].get_offsets())
+    assert dots[:, 0] == pytest.approx(found[0].counts.stimulus / 30)
+    assert dots[:, 1] == pytest.approx(found[0].counts.k / found[0].counts.n)
+    weber = found[0].weber
+    points, lower, other, _ = (each.lines[0].get_xydata() for each in thresholds.containers)
+    assert points[0] == pytest.approx([30, weber.value], rel=0.01)
+    assert lower[0] == pytest.approx([30, found[0].lower_weber.value], rel=0.01)
+    assert points[0, 0] < 30 < other[0, 0]
+    assert np.isnan(points[1, 1])
     (segment, *_) = thresholds.containers[0].lines[2][0].get_segments()
-    assert segment[:, 1] == pytest.approx([0.1, 0.3])
+    assert segment[:, 1] == pytest.approx([weber.low, weber.high])
     assert "75%" in thresholds.get_ylabel()
-    assert [tick.get_text() for tick in thresholds.get_xticklabels()] == ["30", "60", "75", "90"]
-
-
-def test_without_standards(tmp_path):
-    line = np.stack([np.linspace(0, 3, 40), np.linspace(0, 1, 40)])
-    k = np.array([0.0, 3, 7, 10])
-    felt = finding(0.0, (np.array([0.0, 1, 2, 3]), N, k), line, (1.5, 1, 2))
-    nothing = finding(0.0, (np.array([1.0, 2]), N[:2], np.zeros(2)))
-    figure = discrimination_figure(
-        [series("one", felt, unit="mA"), series("two", nothing, unit="mA")]
-    )
-    axes, other = figure.axes
-    assert (axes.get_title(loc="left"), other.get_title(loc="left")) == ("one", "two")
-    assert "(mA)" in axes.get_xlabel()
-    assert "felt" in axes.get_ylabel()
-    # The interval of the threshold, at the share that the curve has there.
-    (interval,) = [line.get_xydata() for line in axes.lines if line.get_linewidth() == 3]
-    assert interval == pytest.approx(np.array([[1, 0.5], [2, 0.5]]), abs=1e-6)
     save(figure, tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_a_figure_without_standards():
+    answers = of_counts([0, 1, 2, 3], [20] * 4, [1, 6, 14, 20])
+    found = judge_answers(answers, usual_model([answers]))
+    (axes,) = discrimination_figure([(AnswerTable("one", "mA", ()), [found])]).axes
+    assert "(mA)" in axes.get_xlabel()
+    assert "felt" in axes.get_ylabel()
+    (interval,) = [line.get_xydata() for line in axes.lines if line.get_linewidth() == 3]
+    assert interval[:, 0] == pytest.approx([found.threshold.low, found.threshold.high])
+    assert interval[:, 1] == pytest.approx(found.fit(np.full(2, found.threshold.value)), abs=0.02)

@@ -8,11 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.answers import usual_model
-from smarttouch.experiments.findings import judge_answers
 from smarttouch.experiments.procedures import (
     RATIOS,
-    STANDARDS_HZ,
     constant_stimuli,
     interleave,
     quest_plus,
@@ -23,17 +20,6 @@ from smarttouch.experiments.procedures import (
 from ..raising import raises
 from .recovery import PROCEDURES, TASKS, recover
 from .simulated import answer_all, ask_all
-
-
-def test_the_papers_experiment():
-    pairs = ratio_pairs()
-    assert {standard for standard, _ in pairs} == {15, 30, 45, 60, 75}
-    ratios = np.array([comparison / standard for standard, comparison in pairs])
-    assert (ratios.min(), ratios.max()) == pytest.approx((0.5, 2.0), rel=1e-4)
-    # Symmetric, alike in logarithms, and never the standard itself.
-    assert np.log(RATIOS) == pytest.approx(-np.log(RATIOS[::-1]))
-    assert np.diff(np.log(RATIOS)) == pytest.approx(np.full(9, np.log(4) / 9))
-    assert len(ask_all(constant_stimuli(pairs))) == len(STANDARDS_HZ) * 10 * 10
 
 
 @settings(deadline=None)
@@ -117,16 +103,6 @@ def test_ends_where_the_range_does(answer):
 def test_nothing_is_no_experiment():
     with raises(ExperimentError, value=0):
         constant_stimuli([])
-
-
-def test_quest_plus_comes_to_a_known_threshold():
-    answers = answer_all(
-        quest_plus(5.0, 80.0, 0.0, two_intervals=False), lambda ma: float(ma > 21.0)
-    )
-    found = judge_answers(answers, usual_model([answers])).threshold
-    assert found.value == pytest.approx(21.0, rel=0.08)
-    assert found.high / found.low < 1.4
-    assert not answers.interval.any()
 
 
 def test_interleaved_mixes_them_all():

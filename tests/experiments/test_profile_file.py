@@ -5,7 +5,6 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import CalibrationError, ProfileError
@@ -44,18 +43,6 @@ def test_only_what_is_set_changes_and_comments_stay(name, tmp_path):
     assert timedelta(0) <= datetime.now(UTC) - noted["when"] < timedelta(minutes=1)
     assert profile == load_profile(tmp_path / "mine.toml")
     assert profile.force.curve == (0.5, 2e-6)
-
-
-@settings(max_examples=25, deadline=None)
-@given(values=st.lists(numbers, min_size=64, max_size=64), found=st.text(max_size=60))
-def test_any_numbers_and_words_are_read_back(tmp_path_factory, values, found):
-    output = tmp_path_factory.mktemp("profile") / "mine.toml"
-    file = ProfileFile("electric-mouse", output)
-    file.set("output.impedance_kohm", values)
-    file.note("contact", found)
-    profile = file.write()
-    assert list(profile.output.impedance_kohm) == values
-    assert profile.calibrated["contact"].found == found
 
 
 def test_nothing_is_overwritten_unless_requested(tmp_path):

@@ -17,7 +17,7 @@ from smarttouch.experiments.sensor_optics import (
     uncorrected,
 )
 from smarttouch.imaging.registration import Registration
-from smarttouch.profile import list_profiles, load_profile
+from smarttouch.profile import load_profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 
 from ..raising import raises
@@ -157,29 +157,6 @@ def test_a_mirror_in_the_optics_is_allowed_for(profile):
     found = register(np.ascontiguousarray(image[:, ::-1]), profile, target)
     there = plain.electrode_pixel * (-1, 1) + (63, 0)
     assert found.electrode_pixel == pytest.approx(there, abs=0.2)
-
-
-def test_dirt_and_lost_markers_hardly_count(profile):
-    target = target_for(profile)
-    image = View(turn_deg=10, zoom=0.8).render(target, profile.optics, FINE)
-    clean = register(image, profile, target)
-    dirty = image.copy()
-    dirty[60:75, 300:312] = 40
-    column, row = apply(clean.homography, np.array([[2.6, 0.0]]))[0].astype(int)
-    dirty[row - 30 : row + 31, column - 30 : column + 31] = 190
-    found = register(dirty, profile, target)
-    assert found.markers < clean.markers
-    assert found.electrode_pixel == pytest.approx(clean.electrode_pixel, abs=1)
-
-
-@pytest.mark.parametrize("name", [n for n in list_profiles() if n != "smarttouch-4x4"])
-def test_every_sensor_that_is_fine_enough_has_a_target(name):
-    profile = load_profile(name)
-    optics, target = profile.optics, target_for(profile)
-    shape = optics.sensor_rows, optics.sensor_columns
-    view = View(tilt_deg=12, toward_deg=40, turn_deg=5, offset_mm=(0.1, -0.05), zoom=0.9)
-    found = register(view.render(target, optics, shape), profile, target)
-    assert true_error(found, profile, view, shape).max() < TENTH
 
 
 def test_a_sensor_too_coarse_for_any_target():

@@ -152,14 +152,6 @@ def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(take):
         take(Perfect(), controls=Controls(ControlState(Mode.RA, 0.0)))
 
 
-def test_nobody_answers(take):
-    """Every trial comes again once, at the end."""
-    sat, rows = take(Silent())
-    assert len(rows) == 20
-    assert {(row["response"], row["success"], row["rt"]) for row in rows} == {("", None, None)}
-    assert sat.events("response 2:") == ["response 2: none"]
-
-
 @pytest.fixture
 def present(profile, bank):
     """Return a function that runs one trial, whose keys another presses at each step."""
