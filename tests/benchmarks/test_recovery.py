@@ -11,7 +11,7 @@ import os
 
 import pytest
 
-from ..experiments.recovery import PROCEDURES, TASKS, recover
+from ..experiments.simulated import PROCEDURES, TASKS, recover
 
 SUBJECTS = int(os.environ.get("SMARTTOUCH_SUBJECTS", "200"))
 

@@ -12,7 +12,7 @@ from smarttouch.experiments.thresholds import MOST_HURRIED, AscendingLimits
 from smarttouch.experiments.trials import STEP_S
 
 from ..whole import sample
-from .subject import SimulatedSubject
+from .simulated import SimulatedSubject
 
 CEILING_MA = 5.0
 FINGERS = int(os.environ.get("SMARTTOUCH_FINGERS", "40"))

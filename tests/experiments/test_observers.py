@@ -122,14 +122,6 @@ class TestNerve:
         assert spikes[-1][RA] > spikes[-1][PC] > 0
         assert found[-1].ratio > 0.5
 
-    def test_a_shorter_pulse_fires_fewer(self, finger, train):
-        nerve = Nerve(finger)
-        short, full, weak = (
-            nerve.of(train(50, PC, **how)).per_slot
-            for how in ({"width_us": 100}, {}, {"level": 0.5})
-        )
-        assert weak < short < full
-
     def test_the_frequency_is_that_of_ra_where_sai_pulses_between(self, finger, train):
         slow, fast = train(20), train(80, SAI, level=0.5)
         both = joined(slow, replace(fast, time_s=fast.time_s + 0.003))

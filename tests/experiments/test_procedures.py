@@ -18,8 +18,7 @@ from smarttouch.experiments.procedures import (
 )
 
 from ..raising import raises
-from .recovery import PROCEDURES, TASKS, recover
-from .simulated import answer_all, ask_all
+from .simulated import PROCEDURES, TASKS, answer_all, ask_all, recover
 
 
 @settings(deadline=None)

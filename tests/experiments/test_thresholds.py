@@ -34,7 +34,7 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 from ..played import played
 from ..raising import raises
 from ..whole import sample
-from .subject import SimulatedSubject
+from .simulated import SimulatedSubject
 
 
 @pytest.fixture
