@@ -11,6 +11,7 @@ from PIL import Image
 
 from smarttouch.base.errors import BrailleError, PageError, ReadingError
 from smarttouch.braille.brf import format_brf
+from smarttouch.braille.cells import dots_to_cells
 from smarttouch.braille.code_tables import open_table
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import load_bank
@@ -29,7 +30,6 @@ from smarttouch.reading.recognition import RecognitionOptions
 
 from ..raising import raises
 from ..whole import WHOLE, sample
-from .delivered_cells import decode
 
 ARRAYS = ["electric-mouse", "etactilekit-32", "optacon-24x6", "smarttouch-4x4"]
 
@@ -73,7 +73,11 @@ def delivered(name, line, eight=False):
     # One pulse for each place is enough for a machine.
     motion = Braille().motion(profile, profile.electrodes.cell_mm[0] * 20)
     picture = deliver_pulses(shown, LineDelivery(profile, bank, Braille().tone, motion)).picture
-    return decode(picture, layout, len(line))
+    dots = 8 if eight else 6
+    rows, columns = layout.dots_of(dots_to_cells(np.ones((len(line), dots), bool)))
+    across, down = layout.pitch_mm
+    on = picture.at((columns + 0.5) * across, (rows + 0.5) * down) > 0.5
+    return dots_to_cells(on.reshape(len(line), dots))
 
 
 @pytest.mark.parametrize("name", sample(ARRAYS))

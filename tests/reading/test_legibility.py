@@ -112,20 +112,6 @@ def test_nothing_unsafe_is_delivered(way, make_line, reading):
         deliver_pulses(make_line(), LineDelivery(too_much, way.bank, way.tone, way.motion))
 
 
-def test_values_count_where_their_electrodes_were(reading):
-    picture = LinePicture(reading.electrodes, 40.0)
-    values = np.zeros(64, np.float32)
-    values[8 * 3 + 5] = 1.0
-    picture.add(20.0, values)
-    picture.add(-100.0, np.ones(64, np.float32))
-    row, column = np.unravel_index(picture.values().argmax(), picture.values().shape)
-    x_mm, y_mm = reading.electrodes.position_mm[8 * 3 + 5]
-    assert (column + 0.5) / 2 == pytest.approx(20.0 + x_mm, abs=0.3)
-    assert (row + 0.5) / 2 == pytest.approx(8.0 + y_mm, abs=0.3)
-    assert (picture.values() > 0.5).sum() < 20
-    assert picture.picture(64).shape == (64, 160)
-
-
 def test_plain_shapes_are_on_or_off_and_graded_ones_are_not():
     ink = np.linspace(0, 1, 11).astype(np.float32)
     plain, graded = ink.copy(), ink.copy()

@@ -1,6 +1,8 @@
 """The picture of what was felt shows current where it was delivered."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.source_contract import Frame, Pose, Sheet
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.views.delivered_drawing import PageDrawing
+from smarttouch.views.figure_style import require_drawable
 
 from ..raising import raises
 
@@ -140,3 +143,9 @@ def test_save(drawing, tmp_path):
     path = tmp_path / "none" / "felt.png"
     with raises(SmartTouchError, names="file", value=path):
         drawing.save(path)
+
+
+def test_without_matplotlib_a_figure_is_refused_before_any_work(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with raises(SmartTouchError, names="pip install 'smarttouch[plot]'"):
+        require_drawable(Path("figure.svg"))

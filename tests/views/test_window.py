@@ -12,8 +12,12 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
 import smarttouch as st
+from smarttouch.base.afferent import Mode
 from smarttouch.base.events import Note, RunFailed, TrialEvent
-from smarttouch.views.window_pages import LOST_S, MOST_PAGES
+from smarttouch.base.stopping import StopRequest
+from smarttouch.running.inputs import STEP, Controls, ControlState
+from smarttouch.views import window_pages
+from smarttouch.views.window_pages import LOST_S, MOST_PAGES, Steering
 from smarttouch.views.window_server import MOST_MESSAGE_BYTES
 
 from ..waiting import until
@@ -96,8 +100,10 @@ def test_what_is_no_message_ends_a_page_and_nothing_else(running):
     with running() as run:
         before = run.state()
         wrong = [
-            "", "seen ", "do", "do ", "do more ", "do key:q", "steer 1", "stop now", "{}",
-            "x" * (MOST_MESSAGE_BYTES + 1), b"stop", noise.randbytes(200),
+            "", "seen ", "do", "do ", "do more ", "do most", "do level:", "do level:x",
+            "do mode:PC", "do mode:nothing", "do key:q", "do key:", "do stop",
+            "steer 1", "stop now", "{}", "x" * (MOST_MESSAGE_BYTES + 1), b"stop",
+            noise.randbytes(200),
             *("".join(map(chr, noise.choices(range(1, 0xD800), k=40))) for _ in range(5)),
         ]  # fmt: skip
         for message in wrong:
@@ -263,10 +269,58 @@ def test_what_asks_for_no_current_stops_where_another_page_steers(running, asked
         assert run.ended() == "the window"
 
 
-def test_a_level_beyond_the_limit_is_refused_in_words(running):
+@pytest.mark.parametrize("level", ["1.5", "-0.1", "nan", "inf"])
+def test_a_level_beyond_the_limit_is_refused_in_words(running, level):
     with running() as run, connect(run) as socket:
-        socket.send("do level:1.5")
-        assert "1.5" in update_where(socket, lambda each: "refused" in each)["refused"]
+        socket.send(f"do level:{level}")
+        assert level in update_where(socket, lambda each: "refused" in each)["refused"]
         assert run.state().level == 1
         socket.send("do level:0.25")
         until(lambda: run.state().level == 0.25)
+
+
+def steering(alone=True, most=1.0):
+    """Return the requests of pages of no server, and what they steer."""
+    controls = Controls(ControlState(Mode.RA, 0.5), (Mode.RA, Mode.SAI))
+    controls.most, stop, pressed = most, StopRequest(), []
+    keys = {"r": lambda: pressed.append("r")}
+    return Steering(controls, stop, keys, alone=alone), controls, stop, pressed
+
+
+def test_requests_of_a_page_act_as_keys():
+    pages, controls, stop, pressed = steering(most=0.5 + STEP)
+    for what, expected in (
+        ("more", ControlState(Mode.RA, 0.5 + STEP)),
+        ("more", ControlState(Mode.RA, 0.5 + STEP)),
+        ("less", ControlState(Mode.RA, 0.5)),
+        ("mode:SAI", ControlState(Mode.SAI, 0.5)),
+        ("pause", ControlState(Mode.SAI, 0.5, paused=True)),
+        ("pause", ControlState(Mode.SAI, 0.5, paused=True)),
+        ("resume", ControlState(Mode.SAI, 0.5)),
+        ("level:0.25", ControlState(Mode.SAI, 0.25)),
+        ("none", ControlState(Mode.SAI, 0.0)),
+        ("key:r", ControlState(Mode.SAI, 0.0)),
+    ):
+        assert pages.act(1, what)
+        assert controls.state(0) == expected
+    assert pressed == ["r"]
+    assert not stop.event.is_set()
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_page_that_falls_silent_steers_no_longer(monkeypatch, alone):
+    now_s = [100.0]
+    monkeypatch.setattr(window_pages.time, "monotonic", lambda: now_s[0])
+    steer, controls, _, _ = steering(alone)
+    steer.steer(1)
+    now_s[0] += 0.9 * LOST_S
+    steer.look_after()
+    steer.note_alive(1)
+    now_s[0] += 0.9 * LOST_S
+    steer.note_alive(2)
+    steer.look_after()
+    assert steer.page == 1
+    now_s[0] += 0.2 * LOST_S
+    steer.look_after()
+    assert steer.page is None
+    assert controls.state(0).paused is alone
