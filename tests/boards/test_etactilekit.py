@@ -55,22 +55,15 @@ def stop(now=NOTHING):
     return (b"\xff" + QUIET + PING, now + b"\x04")
 
 
-def shown(seen, *counts):
-    """A pattern that is loaded, let through and seen."""
-    return [load(heights(*counts)), go(), ask(seen), stop(seen)]
-
-
 ZERO = [stop(), load(NOTHING)]
 OPEN = [*HELLO, *ZERO]
 
 
-def settings(width=100, discharge=50, rate=50, anodic=1, between=10):
-    once = (
-        QUIET + END + b"\xf9\0" + END + b"\xf8\0" + END + bytes([0xF6, between, 0]) + END
-        + bytes([0xFD, anodic]) + END + bytes([0xFA, width, 0]) + END + bytes([0xF7, discharge])
-        + END
-    )  # fmt: skip
-    return [load(NOTHING), (once * 2 + (bytes([0xF6, rate, 0]) + END) * 2 + PING, b"\x04")]
+ONCE = (
+    QUIET + END + b"\xf9\0" + END + b"\xf8\0" + END + b"\xf6\x0a\0" + END + b"\xfd\x01" + END
+    + b"\xfa\x64\0" + END + b"\xf7\x32" + END
+)  # fmt: skip
+SETTINGS = [load(NOTHING), (ONCE * 2 + (b"\xf6\x32\0" + END) * 2 + PING, b"\x04")]
 
 
 def anodic(level_ua, step=1, sites=(1,), cathodic=False, width=100, period_us=20_000):
@@ -102,7 +95,7 @@ def test_a_run_to_the_byte(script, make):
     # tells of its pulse.
     seen = readings(0, 2000, 0, 0)
     script(
-        *OPEN, *settings(), load(heights(0, 220, 0, 0)), go(), ask(NOTHING), ask(seen), stop(seen),
+        *OPEN, *SETTINGS, load(heights(0, 220, 0, 0)), go(), ask(NOTHING), ask(seen), stop(seen),
         load(heights(0, 110, 110, 0)), go(seen), stop(readings(0, 1000, 1000, 0)), *ZERO,
     )  # fmt: skip
     with make() as board:
@@ -131,7 +124,7 @@ def test_a_board_that_never_echoes_again_is_reported(script, make):
     ping = (QUIET + bytes(4) + PING, b"")
     silent = [ZEROS, ping, ping]
     script(
-        *OPEN, *settings(), (load(heights(0, 100, 0, 0))[0], b""), *silent, (stop()[0], b""),
+        *OPEN, *SETTINGS, (load(heights(0, 100, 0, 0))[0], b""), *silent, (stop()[0], b""),
         *silent,
     )  # fmt: skip
     board = make()

@@ -290,10 +290,6 @@ def test_a_run_in_the_main_thread_ends_by_itself_and_then_the_program(number, co
 class TestCommands:
     """Commands of the command line end by signals and stops, also before a board is open."""
 
-    @pytest.fixture
-    def forced(self):
-        return []
-
     @pytest.mark.parametrize(("number", "name"), [
         (signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP"),
     ])  # fmt: skip

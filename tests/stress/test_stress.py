@@ -23,9 +23,9 @@ ZERO_MS = float(os.environ.get("SMARTTOUCH_STRESS_ZERO_MS", "1000"))
 pytestmark = [pytest.mark.realtime, pytest.mark.timeout(240 + 60 * COUNT)]
 
 
-def stress(script, *numbers):
-    """Run one of the scripts beside this one; return what it found."""
-    command = [sys.executable, Path(__file__).with_name(script), *map(str, numbers)]
+def stress(*given):
+    """Run the script beside this one; return what it found."""
+    command = [sys.executable, Path(__file__).with_name("runs.py"), *map(str, given)]
     with Forked(command, stdout=subprocess.PIPE) as process:
         said, _ = process.communicate()
     assert process.returncode == 0
@@ -33,7 +33,7 @@ def stress(script, *numbers):
 
 
 def test_signals_end_runs_with_the_board_at_zero():
-    runs = stress("signals.py", 3 * COUNT, COUNT, SEED)
+    runs = stress("signals", 3 * COUNT, COUNT, SEED)
     assert len(runs) == 3 * COUNT
     for run in runs:
         assert run["code"] is not None, run
@@ -44,7 +44,7 @@ def test_signals_end_runs_with_the_board_at_zero():
 
 
 def test_no_starting_run_survives_a_stop():
-    runs = stress("stops.py", max(4, COUNT), SEED)
+    runs = stress("stops", max(4, COUNT), SEED)
     assert len(runs) >= max(COUNT, 4)
     for run in runs:
         # A run that drove its board was found; one that was only starting opened none.

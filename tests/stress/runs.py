@@ -1,17 +1,21 @@
-"""Hosts and emulated boards as forks of one process that has imported everything.
+"""Runs that are ended at random instants: ``signals COUNT STUCK SEED`` and ``stops COUNT SEED``.
 
-A program that is started takes a second of processor time; a fork of one that has begun
-takes a hundredth. `Emulated` notes when its last pulse began.
+Hosts and emulated boards are forks of one process that has imported everything. A program that is
+started takes a second of processor time; a fork of one that has begun takes a hundredth.
 """
 
 import contextlib
+import json
 import mmap
 import os
+import random
 import signal
 import struct
 import sys
+import tempfile
 import termios
 import time
+from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -24,6 +28,15 @@ from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
 
+LONGEST_START_S = 4.0
+"""A run drives its board well before that."""
+NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+AT_ONCE = 2
+"""Runs that start against one stop: as many as the budget of a user lets open."""
+WITHIN_S = 1.5
+RUNS_FOR_S = 6.0
+"""Longest time from the last start to the stop: a run drives its board well before that."""
+IMPORTING_S = 0.8
 KINDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 FLOWS_UA = 20
 ALONE_S = 0.3
@@ -171,3 +184,83 @@ def wait_for_end(process, seconds):
             return os.waitstatus_to_exitcode(status), time.monotonic() - begin
         time.sleep(0.002)
     return None, time.monotonic() - begin
+
+
+def signalled(draw, number, kind, stuck, folder):
+    """Start a run, end it by a signal, and return what came of it."""
+    board = Emulated(kind)
+    run = ["live", "--board", board.url, "--force", "fixed:1", "--seconds", "60"]
+    ends = None
+    if stuck:
+        *ends, name = stuck_terminal(b"+" * 20)
+        host = start_host(run, folder, terminal=name)
+    else:
+        run += ["--intensity", "1"]
+        host = start_host(run, folder, out=folder / "out")
+    after_s = draw.uniform(0.0, LONGEST_START_S)
+    time.sleep(after_s)
+    board.flag()
+    os.kill(host, number)
+    code, took_s = wait_for_end(host, 15.0)
+    if code is None:
+        os.kill(host, signal.SIGKILL)
+        os.waitpid(host, 0)
+    for end in ends or ():
+        os.close(end)
+    return {
+        "signal": signal.Signals(number).name, "board": kind, "stuck": stuck,
+        "after_s": after_s, "code": code, "took_s": took_s, **board.ended(),
+    }  # fmt: skip
+
+
+def stopped(draw, folder):
+    """Start some runs at random instants before a stop; return what came of each, and of it."""
+    state = Path(tempfile.mkdtemp(dir=folder))
+    boards = [Emulated(draw.choice(list(KINDS))) for _ in range(AT_ONCE)]
+    starts = sorted(draw.uniform(0.0, WITHIN_S) for _ in boards)
+    begin, hosts = time.monotonic(), []
+    for board, start_s in zip(boards, starts, strict=True):
+        time.sleep(max(0.0, begin + start_s - time.monotonic()))
+        run = ["live", "--board", board.url, "--force", "fixed:1", "--intensity", "1"]
+        run += ["--seconds", "60"]
+        delay_s = draw.uniform(0.0, IMPORTING_S)
+        hosts.append(start_host(run, state, out=state / "out", delay_s=delay_s))
+    # Later than the last, by more than the system's steps of the time when it was started.
+    time.sleep(draw.uniform(0.02, RUNS_FOR_S))
+    for board in boards:
+        board.flag()
+    code, took_s = wait_for_end(start_host(["stop"], state, out=state / "stop"), 15.0)
+    found, said = [], (state / "stop").read_text()
+    for board, host in zip(boards, hosts, strict=True):
+        own, _ = wait_for_end(host, 2.0)
+        if own is None:
+            os.kill(host, signal.SIGKILL)
+            os.waitpid(host, 0)
+        found.append(
+            {"board": board.kind, "code": own, "stop": code, "stop_s": took_s, "said": said}
+        )
+    return [each | board.ended() for each, board in zip(found, boards, strict=True)]
+
+
+def signals(count, stuck, seed, folder):
+    """Send so many signals, to so many runs with a stuck terminal."""
+    kinds = list(KINDS)
+    return [
+        signalled(
+            random.Random(1000 * seed + each), NUMBERS[each % 3], kinds[(each + each // 3) % 3],
+            each < stuck, Path(folder),
+        )
+        for each in range(count)
+    ]  # fmt: skip
+
+
+def stops(count, seed, folder):
+    """Let so many runs start against stops."""
+    rounds = range(-(-count // AT_ONCE))
+    return [run for each in rounds for run in stopped(random.Random(1000 * seed + each), folder)]
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as own:
+        each_found = {"signals": signals, "stops": stops}[sys.argv[1]](*map(int, sys.argv[2:]), own)
+    json.dump(each_found, sys.stdout)
