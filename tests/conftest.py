@@ -24,6 +24,7 @@ from smarttouch.sources.source_contract import Frame, Pose
 
 from . import forks
 from .firmware import build
+from .safety import displays
 from .safety.watch import Watch
 from .whole import WHOLE
 
@@ -233,18 +234,7 @@ def make_bank():
 @pytest.fixture(scope="session")
 def changed():
     """Return a maker of profiles that differ from one in keys such as ``skin.medium``."""
-
-    def change(profile, keys):
-        table = profile.model_dump()
-        for key, value in keys.items():
-            *tables, last = key.split(".")
-            inner = table
-            for name in tables:
-                inner = inner[name]
-            inner[last] = value
-        return type(profile).model_validate(table)
-
-    return change
+    return displays.changed
 
 
 @pytest.fixture(scope="session")

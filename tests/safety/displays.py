@@ -34,21 +34,23 @@ CHANGED = {
 """Of which shipped profile each is a change, and of which keys."""
 
 
-@cache
-def display(name):
-    """Return a shipped profile, or a changed one by its name in `CHANGED`."""
-    if name not in CHANGED:
-        return load_profile(name)
-    usual, keys = CHANGED[name]
-    usual = load_profile(usual)
-    table = usual.model_dump()
+def changed(profile, keys):
+    """Return a profile that differs from one in keys such as ``skin.medium``."""
+    table = profile.model_dump()
     for key, value in keys.items():
         *tables, last = key.split(".")
         inner = table
         for each in tables:
             inner = inner[each]
         inner[last] = value
-    return type(usual).model_validate(table)
+    return type(profile).model_validate(table)
+
+
+@cache
+def display(name):
+    """Return a shipped profile, or a changed one by its name in `CHANGED`."""
+    usual, keys = CHANGED.get(name, (name, {}))
+    return changed(load_profile(usual), keys)
 
 
 def display_names():
