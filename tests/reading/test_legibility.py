@@ -13,8 +13,6 @@ from smarttouch.imaging.line_picture import PIXELS_PER_PITCH, LinePicture
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import delivered_spikes
-from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile, load_profile
 from smarttouch.reading.legibility import (
     DeliveredLine,
@@ -159,26 +157,6 @@ def test_a_line_that_is_never_delivered_is_not_felt(delivered):
     found = read_at_nerve([nothing], Finger(profile, 1, "paper"), [Afferent.RA])
     assert not found.pictures[0].values().any()
     assert np.isnan(found.silent_points)
-
-
-@pytest.mark.parametrize("anatomy", ["paper", "branched"])
-def test_patterns_of_lines_before_change_no_spike(anatomy):
-    """A page's slots, with one model for all lines and with a new one for each: to the bit."""
-    profile = load_profile("smarttouch-4x4")
-    finger, rng = Finger(profile, 1, anatomy), np.random.default_rng(1)
-    kernels = load_bank(profile).kernels(Afferent.RA) * profile.full_ma[:, None] * 1000
-    model, fired = SpikeModel(finger), 0
-    for _ in range(4):
-        site, level = rng.integers(0, 16, 600), rng.uniform(0.3, 1, 600)
-        current_ua = np.rint(kernels[site] * level[:, None]).astype(np.int16)
-        numbers, width_us = np.arange(600, dtype=np.uint32) // 6, np.full(600, 200, np.float32)
-        slots = numbers, width_us, current_ua, dict.fromkeys(range(100), 20_000)
-        shared = delivered_spikes(finger, *slots, model=model)
-        alone = delivered_spikes(finger, *slots)
-        assert shared.keys() == alone.keys()
-        assert all(np.array_equal(shared[each], alone[each]) for each in alone)
-        fired += sum(int(each.sum()) for each in alone.values())
-    assert fired > 500
 
 
 @pytest.fixture(scope="module")
