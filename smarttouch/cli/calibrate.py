@@ -185,9 +185,6 @@ def thresholds(
     electrodes: Annotated[
         str | None, option("Measure these electrodes; all that are not masked otherwise.", "0-7,12")
     ] = None,
-    repeats: Annotated[
-        int, option("Repeat the rising current this many times.", "N", min=1, max=10)
-    ] = 3,
     force: ForceOption = None,
 ) -> None:
     """Measure at each electrode the weakest current felt and the strongest comfortable one."""
@@ -204,7 +201,7 @@ def thresholds(
     require_answers(False, board, (), CalibrationError)
     procedure = ThresholdProcedure(
         start=calibration.profile or default_profile(board), file=file, board_url=board,
-        sites=sites.tolist(), repeats=repeats,
+        sites=sites.tolist(),
     )  # fmt: skip
     with procedure.progress() as progress:
         try:

@@ -153,17 +153,13 @@ def new(
     ],
     grid: Annotated[str, option("Use a grid instead of a table.", "ROWSxCOLUMNS")] = "",
     pitch_mm: Annotated[float, option("Set the pitch of the grid.", "MM", "--pitch")] = 2.0,
-    diameter_mm: Annotated[
-        float, option("Set the diameter of its discs.", "MM", "--diameter")
-    ] = 1.0,
     like: Annotated[str, option("Start from this profile.", "NAME|FILE")] = "electric-mouse",
     overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
 ) -> None:
     """Write a profile for editing: a copy with its comments, or one with another array."""
     from smarttouch.base.errors import ProfileError
-    from smarttouch.base.files import require_replaceable, write_bytes
+    from smarttouch.base.files import write_bytes
     from smarttouch.experiments.profile_file import ProfileFile
-    from smarttouch.profile import load_profile
     from smarttouch.profile.electrodes import grid_of
     from smarttouch.profile.toml_files import as_toml
 
@@ -172,19 +168,14 @@ def new(
         raise ProfileError(
             "a table and --grid are given: leave one out, or both for a copy", key="table"
         )
+    copied = ProfileFile(like, file, overwrite)
     if not tables and not grid:
-        copied = ProfileFile(like, file, overwrite)
         copied.write()
         typer.echo(f"written: {copied.output}")
         return
-    require_replaceable(file, ProfileError)
-    if file.exists() and not overwrite:
-        raise ProfileError(
-            f"{file} is there already: give another name, or add --overwrite", key="file"
-        )
-    table = grid_of(grid, pitch_mm, diameter_mm) if grid else tables[0]
+    table = grid_of(grid, pitch_mm) if grid else tables[0]
     title = table.stem if isinstance(table, Path) else str(table)
-    made = load_profile(like).with_electrodes(table, f"{title}, else as {like}")
+    made = copied.profile.with_electrodes(table, f"{title}, else as {like}")
     write_bytes(file, as_toml(made).encode(), ProfileError)
     kind = made.output.kind
     typer.echo(f"written: {file}, {len(made.electrodes)} electrodes, output.kind = {kind}")

@@ -132,8 +132,6 @@ ModeOption = Annotated[
     str, option("Choose the class that is stimulated: RA, SAI, PC or natural.", "CLASS")
 ]
 JsonOption = Annotated[Path | None, output_file("Write the results as JSON.", "FILE", "--json")]
-
-
 ForceOption = Annotated[
     str | None,
     option("Measure finger force by hx711:PORT or loadcell:PORT, or state it by fixed:N.", "URL"),

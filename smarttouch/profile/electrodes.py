@@ -348,7 +348,7 @@ def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
     return made
 
 
-def grid_of(size: str, pitch_mm: float, diameter_mm: float) -> GridLayout:
+def grid_of(size: str, pitch_mm: float, diameter_mm: float = 1.0) -> GridLayout:
     """Return a grid of discs, of a size like ``5x5``: rows and columns."""
     found = re.fullmatch(r"(\d+)x(\d+)", size)
     if found is None:
