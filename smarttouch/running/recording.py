@@ -67,14 +67,11 @@ class RunArrays:
     site: NDArray[np.uint16]
     recharge_us: NDArray[np.int64]
     recharge_ua: NDArray[np.int16]
-    volts: NDArray[np.float32]
-    volts_step: NDArray[np.int64]
 
 
 _SLOTS = ("current_ua", "width_us", "discharge_us", "site")
 _COMPUTED = {
-    "step", "sent", "first_pulse_us", "activation", "first_slot", "recharge_ua", "volts",
-    "volts_step", *_SLOTS,
+    "step", "sent", "first_pulse_us", "activation", "first_slot", "recharge_ua", *_SLOTS,
 }  # fmt: skip
 _NUMBERS = [each.name for each in fields(RunArrays) if each.name not in _COMPUTED]
 """Arrays of the numbers that a step's message has by the same name."""
@@ -83,7 +80,6 @@ _NUMBERS = [each.name for each in fields(RunArrays) if each.name not in _COMPUTE
 def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
     columns: dict[str, list[Any]] = {each.name: [] for each in fields(RunArrays)}
     row_of: dict[int | None, int] = {}  # by the board's number
-    index_of: dict[int, int] = {}  # by the time of the sequence
     columns["first_slot"].append(0)
     for row, recorded in enumerate(steps):
         step, sent, sequence = recorded.step, recorded.sent, recorded.step.sequence
@@ -102,10 +98,6 @@ def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
         if sent.first_pulse is not None and sent.first_pulse.number in row_of:
             pulsed = row_of[sent.first_pulse.number]
             columns["first_pulse_us"][pulsed] = sent.first_pulse.latency_us
-        index_of[sequence.time_ns] = recorded.index
-        for measured, volts in step.observed:
-            columns["volts"].append(volts)
-            columns["volts_step"].append(index_of.get(measured.time_ns, -1))
     sides = {
         "current_ua": (electrodes,),
         "activation": (3, electrodes),
@@ -117,7 +109,7 @@ def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
         kind: Any = get_args(each.type)[-1]
         kind = (get_args(kind) or (kind,))[0]
         values: Any = columns[each.name]
-        if each.name in (*_SLOTS, "volts"):
+        if each.name in _SLOTS:
             values = np.concatenate([np.empty(0, kind), *values])
         arrays[each.name] = np.array(values, kind).reshape(-1, *sides.get(each.name, ()))
     return RunArrays(**arrays)

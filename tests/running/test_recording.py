@@ -209,9 +209,8 @@ def test_the_page_describes_each_array(golden):
     assert {name for name, _, _ in rows} == arrays.keys()
     sizes = {
         "N": len(arrays["step"]), "N+1": len(arrays["step"]) + 1, "S": len(arrays["site"]),
-        "E": 64, "V": len(arrays["volts"]), "M": len(arrays["volts_step"]), "3": 3,
+        "E": 64, "3": 3,
     }  # fmt: skip
-    assert sizes["V"] > sizes["M"] > 3
     for name, shape, kind in rows:
         sides = [side for side in shape.replace(" ", "").split(",") if side]
         assert arrays[name].shape == tuple(sizes[side] for side in sides)
