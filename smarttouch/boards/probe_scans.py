@@ -60,29 +60,22 @@ def probe_sequences(
 ) -> Iterator[ScanSequence]:
     """Yield scans that rise from zero to `PROBE_MA`, without masked electrodes. The last one is the
     measurement; those before it keep the rise within the ramp if each is delivered to its end."""
-    peak_ma = min(PROBE_MA, 0.9 * limits.current_ma, 0.9 * limits.full_ma)
-    if limits.electrode_ma is not None:
-        peak_ma = min(peak_ma, 0.9 * min(limits.electrode_ma))
+    most_ma = min(limits.current_ma, limits.full_ma, *(limits.electrode_ma or ()))
+    peak_ma = min(PROBE_MA, 0.9 * most_ma)
     if peak_ma < 0.02:
         raise BoardError(f"the limits allow {peak_ma * 1000:.0f} µA: too little to measure with")
     top = peak_ma / limits.full_ma
-    rise_s = limits.ramp_s * top
     # Only the time of passes with current counts towards the rise.
-    step_us = max(_SLOWEST_US, int(np.ceil(1.05e6 * rise_s / _STEPS)))
+    step_us = max(_SLOWEST_US, int(np.ceil(1.05e6 * limits.ramp_s * top / _STEPS)))
     sites = np.delete(np.arange(limits.electrodes), limits.masked).tolist()
     cathodic = output is None or "cathodic" in output.polarities
     time_ns = 0
     for step in range(_STEPS + 1):
         part = step / _STEPS
-        level_ua = round(1000 * peak_ma * part)
-        if in_pairs:
-            current_ua, driven = _pairs(limits.electrodes, sites if level_ua else [], level_ua)
-            probe = _scan(limits, current_ua, driven, PROBE_US, top * part, time_ns, 100, step_us)
-        else:
-            probe = one_each(
-                limits, level_ua, PROBE_US, top * part, time_ns, cathodic=cathodic,
-                sites=sites, masked=limits.masked, period_us=step_us,
-            )  # fmt: skip
+        probe = one_each(
+            limits, round(1000 * peak_ma * part), PROBE_US, top * part, time_ns, cathodic=cathodic,
+            sites=sites, masked=limits.masked, period_us=step_us, in_pairs=in_pairs,
+        )  # fmt: skip
         yield probe
         time_ns += 1000 * probe.period_us
 
@@ -99,56 +92,36 @@ def one_each(
     masked: tuple[int, ...] = (),
     discharge_us: int = 100,
     period_us: int = 0,
+    in_pairs: bool = False,
 ) -> ScanSequence:
     """Return a scan of one slot for each site (all if not given): ``level_ua`` through it, returned
     equally by the other electrodes; no slots if that is 0. Masked ones take no share, as an open
-    one would need all the voltage there is."""
+    one would need all the voltage there is. In pairs, one near site returns it, each in a slot of
+    its own: over a scan each site carries as much of either sign."""
     electrodes = limits.electrodes
     driven = list(range(electrodes) if sites is None else sites) if level_ua else []
-    currents = np.zeros((len(driven), electrodes), np.int16)
-    for current, site in zip(currents, driven, strict=True):
+    if in_pairs:
+        strides = range(1, min(_PAIRS, len(driven) // 2) + 1)
+        returns = [[site] for stride in strides for site in np.roll(driven, -stride).tolist()]
+        driven = driven * len(strides)
+    else:
         # From the driven electrode on: the nearest ones take the remainder.
-        others = ((site + step) % electrodes for step in range(1, electrodes))
-        returns = [other for other in others if other not in masked]
-        share, rest = divmod(level_ua, len(returns))
-        current[returns] = -share
-        current[returns[:rest]] -= 1
+        others = [[(site + step) % electrodes for step in range(1, electrodes)] for site in driven]
+        returns = [[other for other in each if other not in masked] for each in others]
+    currents = np.zeros((len(driven), electrodes), np.int16)
+    for current, site, back in zip(currents, driven, returns, strict=True):
+        share, rest = divmod(level_ua, len(back))
+        current[back] = -share
+        current[back[:rest]] -= 1
         current[site] = level_ua
-    currents = currents if cathodic else -currents
-    return _scan(limits, currents, driven, width_us, intensity, time_ns, discharge_us, period_us)
-
-
-def _pairs(electrodes: int, sites: list[int], level_ua: int) -> tuple[NDArray[np.int16], list[int]]:
-    """Return a slot for each pair of near electrodes, (S, E) µA, and their first ones: over a scan
-    each electrode carries as much of either sign."""
-    strides = range(1, min(_PAIRS, len(sites) // 2) + 1)
-    first = sites * len(strides)
-    second = [site for stride in strides for site in np.roll(sites, -stride).tolist()]
-    currents = np.zeros((len(first), electrodes), np.int16)
-    slots = np.arange(len(first))
-    currents[slots, first], currents[slots, second] = level_ua, -level_ua
-    return currents, first
-
-
-def _scan(
-    limits: SafetyLimits,
-    current_ua: NDArray[np.int16],
-    sites: list[int],
-    width_us: int,
-    intensity: float,
-    time_ns: int,
-    discharge_us: int,
-    period_us: int,
-) -> ScanSequence:
-    slots = len(current_ua)
+    slots = len(currents)
     slot_us = max(width_us + discharge_us, int(np.ceil(width_us / limits.duty))) + _SWITCHING_US
-    shortest = int(np.ceil(1e6 / limits.rate_hz))
     return ScanSequence(
-        current_ua=current_ua,
+        current_ua=currents if cathodic else -currents,
         width_us=np.full(slots, width_us, np.uint16),
         discharge_us=np.full(slots, discharge_us, np.uint16),
-        site=np.asarray(sites, np.uint16),
-        period_us=max(period_us, shortest, slots * slot_us),
+        site=np.asarray(driven, np.uint16),
+        period_us=max(period_us, int(np.ceil(1e6 / limits.rate_hz)), slots * slot_us),
         intensity=intensity if slots else 0.0,
         time_ns=time_ns,
     )
