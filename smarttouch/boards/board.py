@@ -210,10 +210,13 @@ class Board:
     def _open_driver(self, *, again: bool) -> None:
         self._line.reopened = again
         try:
-            self.capabilities = self.driver.open(self._line, replace(self._limits))
-            if not isinstance(self.capabilities, Capabilities):
-                kind = type(self.driver).__name__
-                raise BoardError(f"{kind}.open returns no Capabilities: return those of the device")
+            self.capabilities = can = self.driver.open(self._line, replace(self._limits))
+            electrodes = self._limits.electrodes
+            if not isinstance(can, Capabilities) or can.electrodes != electrodes:
+                raise BoardError(
+                    f"{type(self.driver).__name__}.open does not return Capabilities of a board "
+                    f"of {electrodes} electrodes: use the profile of this board"
+                )
             self._line.require_running()
         except BaseException:
             self._close_driver()
@@ -229,7 +232,7 @@ class Board:
 
     def _close_driver(self) -> None:
         self._ending.set()
-        self._wake()
+        self._drop_waiting()
         if self._sender is not None and self._sender is not threading.current_thread():
             self._sender.join(ENDS_WITHIN_S)
         try:
@@ -261,14 +264,11 @@ class Board:
         self._require_own_process()
         if self._opened:
             self._opened = self._line.reopened = False
-            try:
+            with contextlib.ExitStack() as stack:
+                stack.callback(lambda: leave(self, at_zero=self._zeroed))
+                stack.callback(setattr, self, "_ready", False)
+                stack.callback(self._close_driver)
                 self.stop()
-            finally:
-                try:
-                    self._close_driver()
-                finally:
-                    self._ready = False
-                    leave(self, at_zero=self._zeroed)
             if self._fault_found is not None:
                 raise self._fault_found
 
@@ -290,9 +290,14 @@ class Board:
             try:
                 self._line._bar()
             finally:
-                self._wake(drop=True)
+                self._drop_waiting()
                 if self._ready:
-                    self._confirm_zero()
+                    try:
+                        self._line._put_at_zero()
+                    except (BoardClosedError, LineLostError):
+                        # Where silence is zero, only the first loss needs a report.
+                        if not self._is_lost or self.capabilities.time_to_zero_ms is None:
+                            raise
             self._zeroed = True
 
     def halt(self) -> None:
@@ -301,28 +306,11 @@ class Board:
         self._halted = True
         self.stop()
 
-    def _confirm_zero(self) -> None:
-        try:
-            self._line._put_at_zero()
-        except (BoardClosedError, LineLostError):
-            # Where silence is zero, only the first loss needs a report.
-            if not self._is_lost or self.capabilities.time_to_zero_ms is None:
-                raise
-
-    def _wake(self, *, drop: bool = False) -> None:
-        """Wake threads that wait; ``drop`` the sequence that waits for the sender thread."""
+    def _drop_waiting(self) -> None:
+        """Drop the sequence that waits for the sender thread, and wake threads that wait."""
         with self._news:
-            self._waiting = None if drop else self._waiting
+            self._waiting = None
             self._news.notify_all()
-
-    def _refusal(self) -> BoardError:
-        """Return the error of a call after a stop."""
-        if self._fault_found is not None:
-            return self._fault_found
-        again = "open a new display" if self._halted else "open it again"
-        return BoardStoppedError(
-            f"the board was stopped, all electrodes are at zero: {again} before sending"
-        )
 
     def _latch(self, reason: str) -> BoardFaultError:
         """Put the board at zero for good and record its fault; return the error to raise."""
@@ -487,10 +475,8 @@ class Board:
             )
         # A stop may come while the driver asks its device.
         with contextlib.suppress(BoardStoppedError):
-            while time.monotonic() < deadline_s and not self._stopped.is_set():
-                if not self.driver.is_busy():
-                    break
-                self._stopped.wait(0.002)
+            while time.monotonic() < deadline_s and self.driver.is_busy():
+                self._line.pause(0.002)
         self._stopped.wait(max(0.0, min(deadline_s, self._over_s) - time.monotonic()))
 
     # -- the sender thread -------------------------------------------------
@@ -556,7 +542,7 @@ class Board:
                 self._fail(error)
                 break
         self._busy = False
-        self._wake()
+        self._drop_waiting()
 
     def _fail(self, error: Exception) -> None:
         fault = error

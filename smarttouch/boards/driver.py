@@ -84,7 +84,7 @@ class Driver(ABC):
 
     @abstractmethod
     def write(self, proved: ProvedSequence) -> None:
-        """Send a sequence to the device, by `Line.drive` or within `Line.current`."""
+        """Send a sequence to the device, by `Line.write` or within `Line.current`."""
 
     @abstractmethod
     def zero(self) -> None:

@@ -113,48 +113,37 @@ class Line:
 
     # -- writing -----------------------------------------------------------
 
-    def write(self, data: bytes) -> None:
-        """Write bytes that cause no current.
+    def write(self, data: bytes, proved: ProvedSequence | None = None) -> None:
+        """Write bytes to the port.
+
+        Parameters
+        ----------
+        data : bytes
+        proved : ProvedSequence, optional
+            The sequence that they let the device deliver; None for bytes that cause no current.
 
         Raises
         ------
+        SequenceLateError
+            If it is too late for the sequence, or its current would rise too fast.
         BoardStoppedError
             If the board was stopped, and this is not called by `Driver.zero`.
         LineLostError
             If the connection is lost.
         """
-        with self.current():
-            self._write(data)
-
-    def drive(self, data: bytes, proved: ProvedSequence) -> None:
-        """Write the bytes that let the device deliver a sequence.
-
-        Raises
-        ------
-        SequenceLateError
-            If it is too late for it, or its current would rise too fast.
-        BoardStoppedError
-            If the board was stopped.
-        LineLostError
-            If the connection is lost.
-        """
-        with self.current(proved):
-            self._write(data, proved.write_before_ns)
+        with self.current(proved), self._open_port("cannot be written to") as port:
+            if proved is None:
+                port.write(data[:PIECE])
+            elif not write_before(port, data[:PIECE], proved.write_before_ns, self.now_ns):
+                raise self.late()
+            for at in range(PIECE, len(data), PIECE):
+                self.require_running()
+                port.write(data[at : at + PIECE])
 
     @contextlib.contextmanager
     def current(self, proved: ProvedSequence | None = None) -> Iterator[None]:
-        """Hold the lock of `Board.stop` for a write to a device that is not a port.
-
-        Parameters
-        ----------
-        proved : ProvedSequence, optional
-            The sequence that the write delivers; None for one that causes no current.
-
-        Raises
-        ------
-        SequenceLateError, BoardStoppedError
-            As `drive`.
-        """
+        """Hold the lock of `Board.stop` for a write to a device that is not a port; arguments and
+        errors as of `write`."""
         with contextlib.ExitStack() as stack:
             stack.enter_context(uninterrupted())
             if not self._lock.acquire(timeout=BLOCKED_S if self._is_zeroing else -1):
@@ -200,16 +189,6 @@ class Line:
         if self.now_ns() > proved.write_before_ns or not self._gate.permits(proved):
             raise self.late()
 
-    def _write(self, data: bytes, latest_ns: int | None = None) -> None:
-        with self._open_port("cannot be written to") as port:
-            if latest_ns is None:
-                port.write(data[:PIECE])
-            elif not write_before(port, data[:PIECE], latest_ns, self.now_ns):
-                raise self.late()
-            for at in range(PIECE, len(data), PIECE):
-                self.require_running()
-                port.write(data[at : at + PIECE])
-
     # -- reading -----------------------------------------------------------
 
     def read(self, count: int, within_s: float) -> bytes:
@@ -222,13 +201,10 @@ class Line:
         self, data: bytes, count: int, within_s: float, proved: ProvedSequence | None = None
     ) -> bytes:
         """Write bytes and return the answer, at most ``count`` bytes; no other question of any
-        thread comes between. The bytes deliver a sequence if one is given, as those of `drive`."""
+        thread comes between. The bytes deliver a sequence if one is given, as those of `write`."""
         with self._dialogue:
             self.discard_input()
-            if proved is None:
-                self.write(data)
-            else:
-                self.drive(data, proved)
+            self.write(data, proved)
             return self.read(count, within_s)
 
     def read_some(self) -> bytes:
@@ -284,7 +260,12 @@ class Line:
     def require_running(self) -> None:
         """Raise BoardStoppedError if the board was stopped, but not within `Driver.zero`."""
         if self.is_stopped:
-            raise self._board._refusal()
+            if self._board._fault_found is not None:
+                raise self._board._fault_found
+            again = "open a new display" if self._board._halted else "open it again"
+            raise BoardStoppedError(
+                f"the board was stopped, all electrodes are at zero: {again} before sending"
+            )
 
     def has_newer(self) -> bool:
         """Return whether a newer sequence waits, which ends the repetitions of this one."""

@@ -1,9 +1,7 @@
-"""Boards by URL: their drivers, the one that keeps sequences in memory, and what is plugged in."""
+"""Boards by URL: their drivers, and one that keeps sequences in memory."""
 
 from dataclasses import replace
 from typing import Any
-
-from serial.tools import list_ports
 
 from smarttouch.base.errors import BoardError
 from smarttouch.base.registry import Registry, refuse_rest
@@ -44,34 +42,22 @@ def make_board(
 ) -> Board:
     """Return the board of a URL, not opened yet; its driver's options may stand in the URL, as in
     ``emulator:?books=FOLDER``."""
-    driver = make_driver(url, limits, output, **options)
-    return Board(driver, limits, output, **_WITHOUT_FINGER.get(_name(url), {}))
-
-
-def make_driver(
-    url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
-) -> Driver:
-    """Return the driver for a board's URL; see `make_board`."""
     opener, rest = BOARDS.find(url)
     rest, from_url = read_options(opener, rest, BoardError, but=("output",))
     driver: Driver = opener(rest, replace(limits), output, **{**from_url, **options})
     BOARDS.require_kind(driver, url)
-    return driver
+    return Board(driver, limits, output, **_WITHOUT_FINGER.get(url.partition(":")[0], {}))
 
 
 def may_touch_a_finger(url: str) -> bool:
     """Return whether there may be a finger on the board of a URL."""
     BOARDS.find(url)
-    return _name(url) not in _WITHOUT_FINGER
+    return url.partition(":")[0] not in _WITHOUT_FINGER
 
 
 def default_profile(url: str) -> str:
     """Return the name of the shipped profile that goes with a board's URL."""
     return str(getattr(BOARDS.find(url)[0], "default_profile", DEFAULT_PROFILE))
-
-
-def _name(url: str) -> str:
-    return url.partition(":")[0]
 
 
 class MemoryDriver(Driver):
@@ -100,13 +86,3 @@ class MemoryDriver(Driver):
 
     def zero(self) -> None:
         """Nothing flows."""
-
-
-def serial_ports() -> list[tuple[str, str]]:
-    """Return the serial ports of the system with their descriptions; none is opened."""
-    # Built-in ports without hardware have no description.
-    return sorted(
-        (port.device, port.description)
-        for port in list_ports.comports()
-        if port.description != "n/a"
-    )

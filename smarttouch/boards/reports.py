@@ -6,7 +6,7 @@ import time
 from dataclasses import asdict, dataclass, replace
 from itertools import compress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 Polarity = Literal["anodic", "cathodic"]
 LONGEST_REPEAT = 0xFFFF
-BOTH: tuple[Polarity, ...] = ("anodic", "cathodic")
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class Capabilities:
     time_to_zero_ms: float | None
     """Longest time from the host's silence to zero current; None if it has no limit."""
     firmware: str
-    polarities: tuple[Polarity, ...] = BOTH
+    polarities: tuple[Polarity, ...] = ("anodic", "cathodic")
     acknowledges: bool = True
     measures: bool = False
     """Whether it measures the voltage of each slot."""
@@ -57,21 +56,13 @@ class Capabilities:
     """Longest time from the end of this program to zero, if a watchdog process ensures that."""
 
     def require(self, sequence: ScanSequence, times: int) -> None:
-        """Raise BoardError unless the board can deliver a sequence a number of times."""
-        if (electrodes := sequence.current_ua.shape[1]) != self.electrodes:
-            raise BoardError(
-                f"the sequence is for {electrodes} electrodes, the board has "
-                f"{self.electrodes}: use the profile of this board"
-            )
+        """Raise BoardError unless the board can deliver what the gate allows of a sequence."""
         if sequence.recharge_ua is not None and not self.recharges:
             raise BoardError(
                 "the sequence ends with a recharge phase, and this board makes none: leave it out"
             )
-        is_integer = isinstance(times, (int, np.integer)) and not isinstance(times, bool)
-        if not is_integer or not 1 <= times <= LONGEST_REPEAT:
-            raise BoardError(
-                f"{times} repetitions are not possible: a whole number from 1 to {LONGEST_REPEAT}"
-            )
+        if isinstance(times, (int, np.integer)) and times > LONGEST_REPEAT:
+            raise BoardError(f"{times} repetitions are not possible: at most {LONGEST_REPEAT}")
 
     def describe(self) -> list[tuple[str, str]]:
         """Return the capabilities as names and values, for display."""
@@ -147,21 +138,19 @@ class HostStatistics:
         """Add a sequence that was scanned ``times`` times, or at least that and at most ``most``
         times; ``again`` if the sequence itself has been counted before."""
         most, old = times if most is None else most, self.report
-        self.report = replace(old, sequences=old.sequences + (not again))
-        if not sequence.slots or not most:
-            return
         pulses = int(np.count_nonzero(sequence.current_ua))
-        peaks_ua = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1)
+        peaks_ua = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1) * (most > 0)
         charges_pc = peaks_ua * sequence.width_us
         self._ledger.add(sequence, times)
         self._unsure_uc += (most - times) * float(charges_pc.sum()) / 1e6
         self.report = replace(
-            self.report,
+            old,
+            sequences=old.sequences + (not again),
             slots=old.slots + times * sequence.slots,
             pulses=old.pulses + times * pulses,
             most_pulses=(old.most_pulses or 0) + most * pulses,
-            max_current_ma=max(old.max_current_ma, float(peaks_ua.max()) / 1000),
-            max_charge_uc=max(old.max_charge_uc, float(charges_pc.max()) / 1e6),
+            max_current_ma=max(old.max_current_ma, float(peaks_ua.max(initial=0)) / 1000),
+            max_charge_uc=max(old.max_charge_uc, float(charges_pc.max(initial=0)) / 1e6),
             max_net_charge_uc=max(old.max_net_charge_uc, self._ledger.worst_uc + self._unsure_uc),
         )
 
@@ -188,19 +177,6 @@ class Impedance:
     def lifted(self) -> bool:
         """True if nothing touches the electrodes."""
         return all(name == "open" for name in self.condition)
-
-    def figures(self) -> dict[str, Any]:
-        """Return the values for a JSON file; open electrodes have no number."""
-        kohm = [
-            None if condition == "open" else float(f"{value:.4g}")
-            for value, condition in zip(self.kohm, self.condition, strict=True)
-        ]
-        return {
-            "impedance_kohm": kohm,
-            "condition": self.condition,
-            "current_ma": self.current_ma,
-            "masked": self.broken,
-        }
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import (
     Commands,
     ForceOption,
-    JsonOption,
     ProfileOption,
     argument,
     option,
@@ -33,10 +32,14 @@ def list_devices(context: typer.Context) -> None:
     # Nothing is opened, and no unknown device gets a byte.
     if context.invoked_subcommand is not None:
         return
-    from smarttouch.boards.open import BOARDS, serial_ports
+    from serial.tools import list_ports
+
+    from smarttouch.boards.open import BOARDS
     from smarttouch.sources.camera import cameras
 
-    rows = serial_ports()
+    # Built-in ports without hardware have no description.
+    ports = [each for each in list_ports.comports() if each.description != "n/a"]
+    rows = sorted((port.device, port.description) for port in ports)
     rows += [(f"camera:{number}", name) for number, name in cameras()]
     if rows:
         print_table(rows, ("port", "what the system says of it"), left=2)
@@ -137,16 +140,13 @@ def clear(url: _Url, profile: ProfileOption = None) -> None:
 
 @devices.command()
 @drives_a_board
-def measure(url: _Url, profile: ProfileOption = None, json_file: JsonOption = None) -> None:
+def measure(url: _Url, profile: ProfileOption = None) -> None:
     """Measure the impedance of every electrode on the finger, with small currents."""
-    from smarttouch.base.files import write_json
     from smarttouch.running.display import open_display
 
     with open_display(url, profile).opened() as board:
         found = board.measure()
     _print_impedance(found)
-    if json_file is not None:
-        write_json(json_file, found.figures())
 
 
 @devices.command("test")

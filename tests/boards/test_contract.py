@@ -11,7 +11,7 @@ from smarttouch.base.errors import BoardError
 from smarttouch.base.posix import prioritized
 from smarttouch.boards.board import Board
 from smarttouch.boards.link.protocol import Rule
-from smarttouch.boards.open import make_driver
+from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import probe_sequences
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
@@ -168,7 +168,7 @@ class Contract(DriverContract):
         self.output = Output(kind=self.output_kind, polarities=polarities)
         options = {"books": self.folder} if url == "emulator:" else {}
         here = url(self.output.kind) if callable(url) else url
-        self.driver = make_driver(here, limits, self.output, **options)
+        self.driver = make_board(here, limits, self.output, **options).driver
         self.keep_sent()
         return self.driver
 

@@ -27,7 +27,7 @@ from smarttouch.boards.kits.etactilekit_line import (
     settings_of,
     zero_anywhere,
 )
-from smarttouch.boards.open import make_driver
+from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
@@ -218,7 +218,7 @@ class Deaf(ETactileKitFirmware):
 )
 def test_an_unknown_option_is_named(option, about, value):
     with raises(BoardError, names=about, value=value):
-        make_driver(f"etactilekit:x?{option}", LIMITS)
+        make_board(f"etactilekit:x?{option}", LIMITS)
 
 
 def test_a_smaller_kit_than_the_profile_is_refused(meet):

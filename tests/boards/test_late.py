@@ -7,7 +7,7 @@ from smarttouch.base.errors import SafetyError, SequenceLateError
 from smarttouch.boards.board import Board
 from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
 from smarttouch.boards.link.protocol import MessageKind
-from smarttouch.boards.open import MemoryDriver, make_driver
+from smarttouch.boards.open import MemoryDriver, make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -136,7 +136,7 @@ def test_what_waits_while_the_level_is_closed_is_not_sent(script):
 
 def emulated(clock):
     """Return an emulated board for which it can be too late."""
-    driver = make_driver("emulator:", limits(8))
+    driver = make_board("emulator:", limits(8)).driver
     return Board(driver, limits(8), clock=clock, claimed_time=True)
 
 

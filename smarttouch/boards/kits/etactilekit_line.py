@@ -388,10 +388,7 @@ class ETactileKitLine:
         # A late answer must not be taken for this one's.
         self.line.discard_input()
         begun_ns = self.line.now_ns()
-        if drives is None:
-            self.line.write(data)
-        else:
-            self.line.drive(data, drives)
+        self.line.write(data, drives)
         answer = self.line.read(expected, ECHO_S)
         span = Span(begun_ns, self.line.now_ns())
         if len(answer) != expected or answer[-1:] != self._echo:

@@ -159,7 +159,7 @@ class Kajimoto61Driver(Driver):
             sent_ns = line.now_ns()
             proved = line.later(proved, next_ns)
             try:
-                line.drive(packet, proved)
+                line.write(packet, proved)
             except LineLostError:
                 # The scan may have been made.
                 line.events.delivered(proved, 0, most=1)

@@ -170,7 +170,7 @@ class PacketLine:
         proved: ProvedSequence | None = None,
     ) -> None:
         """Write the next packet of the session; one that delivers a sequence is refused as
-        `Line.drive` says."""
+        `Line.write` says."""
         try:
             # Numbered under the lock, so that packets leave in order.
             with self.line.current():
@@ -186,11 +186,8 @@ class PacketLine:
             self._last_packet = now_s
 
     def _put(self, packet: bytes, proved: ProvedSequence | None) -> None:
-        if proved is None:
-            # The leading zero ends any half packet on the line.
-            self.line.write(b"\0" + packet)
-        else:
-            self.line.drive(packet, proved)
+        # A leading zero ends any half packet on the line.
+        self.line.write(b"\0" * (proved is None) + packet, proved)
 
     def stop_blindly(self) -> None:
         """Write a STOP to a line that has failed, which may still carry it."""
