@@ -107,7 +107,7 @@ class Board:
         output: Output | None = None,
         *,
         clock: Clock | None = None,
-        late_ns: int | None = None,
+        late_ns: int = LATE_NS,
         on_a_finger: bool = True,
         claimed_time: bool = False,
     ) -> None:
@@ -130,7 +130,7 @@ class Board:
         self._limits = limits.on(output)
         # Waits for a deadline need to be exact only where the host times the pulses.
         self.clock: Clock = clock or MonotonicClock(None if driver.queued else 0)
-        self._late_ns = LATE_NS if late_ns is None else late_ns
+        self._late_ns = late_ns
         self._gate = SafetyGate(self._limits, None if claimed_time else self.clock)
         self._line = Line(self)
         self._stopped = self._line._stopped
@@ -302,7 +302,6 @@ class Board:
 
     def halt(self) -> None:
         """Stop for good, from any thread; a board that is being opened fails to open."""
-        self._require_own_process()
         self._halted = True
         self.stop()
 
