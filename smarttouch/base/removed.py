@@ -12,7 +12,6 @@ COMMANDS = {
 }
 OPTIONS = {
     "--adaptive": "run smarttouch experiment run 'detection?procedure=questplus&site=N'",
-    "--at": "leave it out; usual_model of smarttouch.lab takes it",
     "--bank": "leave it out; kernels are kept where runs find them",
     "--compare": "design one kind after the other; the profile's output.kind decides",
     "--dark": "give --source; the sensor is covered when it asks",

@@ -194,6 +194,10 @@ def fit(
     ],
     x: Annotated[str, option("Name the column of what was compared.", "COLUMN")] = "comparison",
     y: Annotated[str, option("Name the column of answers: 1, 0 or empty.", "COLUMN")] = "success",
+    at: Annotated[
+        float | None,
+        option("Set the share of successes at the threshold, not halfway from guessing.", "0..1"),
+    ] = None,
     plot: Annotated[Path | None, output_file("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -214,7 +218,7 @@ def fit(
         table = read_table(path, x, y)
         if sum(each.stem == path.stem for each in files) > 1:
             table = replace(table, name=str(path))
-        model = usual_model(table.answers)
+        model = usual_model(table.answers, at=at)
         found.append((table, [judge_answers(each, model) for each in table.answers]))
     _print(found)
     if json_file is not None:

@@ -256,8 +256,13 @@ def test_others_answers(program, tmp_path):
     ]
     (tmp_path / "a.csv").write_text("\n".join(["mA;ok", *felt]))
 
-    program("a.csv", "--x=mA", "--y=ok", "--json=a.json", "--plot=a.svg")
-    (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+    def fitted(*options):
+        program("a.csv", "--x=mA", "--y=ok", "--json=a.json", *options)
+        (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+        return found
+
+    assert fitted("--at=0.6")["at"] == 0.6
+    found = fitted("--plot=a.svg")
     assert found["standard"] is found["weber"] is None
     assert found["at"] == 0.5
     assert 0 < found["guess"] < 0.3
