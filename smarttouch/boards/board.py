@@ -550,7 +550,8 @@ class Board:
             fault.__cause__ = error
         with self._news:
             self._is_lost = self._is_lost or isinstance(fault, LineLostError)
-            self._failure = self._failure or fault
+            if self._failure is None or isinstance(self._failure, SequenceLateError):
+                self._failure = fault
             self._news.notify_all()
         if fault is not error:
             # Its pattern would be shown on with nobody to end it.

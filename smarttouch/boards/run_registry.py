@@ -322,9 +322,13 @@ def _read(path: Path) -> str:
 
 def _write(path: Path, text: str) -> None:
     draft = path.with_name(f".{uuid4().hex}.draft")
-    draft.touch(0o600)
-    draft.write_text(text)
-    draft.replace(path)
+    try:
+        draft.touch(0o600)
+        draft.write_text(text)
+        draft.replace(path)
+    except OSError:
+        draft.unlink(missing_ok=True)
+        raise
 
 
 @contextmanager

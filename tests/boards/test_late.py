@@ -1,9 +1,11 @@
 """A sequence more than 100 ms late never reaches a board, and the next begins at zero."""
 
+import threading
+
 import pytest
 
 from smarttouch.base.clock import LATE_NS
-from smarttouch.base.errors import SafetyError, SequenceLateError
+from smarttouch.base.errors import BoardRestartedError, SafetyError, SequenceLateError
 from smarttouch.boards.board import Board
 from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
 from smarttouch.boards.link.protocol import MessageKind
@@ -164,3 +166,31 @@ def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
         until(lambda: again.count(MessageKind.SEQUENCE) > tried + 1)
         assert len(written) <= before + 1
         monkeypatch.undo()
+
+
+class Lost(MemoryDriver):
+    """A driver whose board is too late, and whose line is lost before anybody hears of that."""
+
+    queued, idle_s, opened = True, 0.01, 0
+
+    def open(self, line, limits):
+        self.opened += 1
+        self.was_late = threading.Event()
+        return super().open(line, limits)
+
+    def write(self, proved):
+        self.was_late.set()
+        raise self._line.late()
+
+    def idle(self):
+        if self.was_late.is_set() and self.opened == 1:
+            raise self._line.lost("was pulled out")
+
+
+def test_a_line_that_is_lost_after_a_late_sequence_is_connected_again():
+    with board_of(Lost, 8, "") as board:
+        board.send(pulses(8, 0))
+        assert until(lambda: board._is_lost)
+        with pytest.raises(BoardRestartedError):
+            board.send(pulses(8, 1))
+        assert board.driver.opened == 2
