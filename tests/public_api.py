@@ -19,8 +19,9 @@ MESSAGE = re.compile(r"since (\d+)\.(\d+), removed in (\d+)\.(\d+): use (\S.*)")
 
 
 def names_of(module):
-    """Return the public names of a module."""
-    return {each for each in getattr(module, "__all__", vars(module)) if each[0] != "_"}
+    """Return the public names of a module; pytest adds others to what is installed with it."""
+    names = getattr(module, "__all__", vars(module))
+    return {each for each in names if each[0] != "_" and each.isidentifier()}
 
 
 def described(name, value):
