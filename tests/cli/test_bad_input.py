@@ -152,6 +152,7 @@ BASES = {
     "experiment run": (
         "experiment run detection?trials=1&procedure=questplus --simulate random --subject x"
     ),
+    "experiment fit": "experiment fit {answers}",
     "devices test": "devices test emulator: --profile line-7 --seconds 0.05 --current-ma 0.5",
     "calibrate scale": "calibrate scale emulator: --volts 1 --ohm 1000",
     "devices show": "devices show text:i --seconds 0.1",
@@ -224,8 +225,12 @@ def assert_in_order(arguments, code, err, interrupted):
 
 @pytest.mark.timeout(0)
 def test_numbers(tmp_path):
+    answers = tmp_path / "answers.csv"
+    answers.write_text("standard,comparison,success\n" + "1,0.5,0\n1,1,1\n1,2,1\n" * 9)
     golden = Path(__file__).parent.parent / "running" / "goldens" / "ra.mcap"
-    bases = {name: base.format(golden=golden).split() for name, base in BASES.items()}
+    bases = {
+        name: base.format(golden=golden, answers=answers).split() for name, base in BASES.items()
+    }
     runs = chosen_runs()
     for name, base in bases.items():
         if name in {name for name, _, _ in runs}:
