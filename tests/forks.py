@@ -17,6 +17,7 @@ import socket
 import subprocess
 import sys
 import threading
+import warnings
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -72,8 +73,11 @@ class _Itself:
         # What waits to be written would be written twice.
         for each in (sys.stdout, sys.stderr):
             each.flush()
-        if number := os.fork():
-            return number
+        with warnings.catch_warnings():
+            # The child uses nothing of the program's other threads.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            if number := os.fork():
+                return number
         # Nothing of the program: what it does at its end, on a signal, with its files.
         atexit._clear()
         signal.set_wakeup_fd(-1)
