@@ -45,7 +45,7 @@ def test_repetitions_are_whole_numbers(limits, opened, times):
     assert refused(gate, pulses(1), times) == "times"
     with make_board("memory:", limits) as board:
         open_level(board.send, pulses(0), limits)
-        with pytest.raises(BoardError, match="repetitions"):
+        with pytest.raises(SafetyError, match="times"):
             board.send(pulses(1), times=times)
         board.send(pulses(1), times=np.int64(2))
 
