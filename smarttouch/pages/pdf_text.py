@@ -36,6 +36,8 @@ _BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # codes of symbol fonts
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
 _FINE = 1000.0  # parts of a point in which PDFium gives places
 _MOST_UNKNOWN = 0.05  # part of a text's characters that mean nothing
+_VOWELS, _VOWEL_SHARE, _FEWEST = frozenset("aeiouyæœø"), (0.22, 0.62), 40
+"""Part of Latin letters that are vowels in any language; fewest letters that show wrong codes."""
 _COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 4
 """Pixels, heights, contrast and number of the spots that may be print beside the text."""
 _FAINT = 12  # levels of contrast below which print is not seen
@@ -62,10 +64,8 @@ def with_text(sheet: "pypdfium2.PdfPage", page: Page, point_mm: float, printed: 
     found = reading_order(seen, sheet.get_height(), is_leftward)
     lines = [_text_line(line, point_mm) for line in found]
     texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in found]
-    text = "".join(texts)
-    unknown = sum(unicodedata.category(sign)[0] == "C" or sign == "\ufffd" for sign in text)
-    if 2 * len(turned) > len(signs) or unknown > _MOST_UNKNOWN * len(text):
-        return _pictured(page, "most of its text is turned or unknown")
+    if 2 * len(turned) > len(signs) or not _makes_sense("".join(texts)):
+        return _pictured(page, "most of its text is turned or makes no sense")
     others = _print_beside(page, words + turned, point_mm)
     if sum(map(_length, others)) > _MOSTLY * sum(map(_length, lines)):
         return _pictured(page, "much of its print is not in its text")
@@ -198,6 +198,17 @@ def _text_line(line: Line, point_mm: float) -> TextLine:
         descent_mm=_DESCENT * size,
         cell=int(line.is_cells),
     )
+
+
+def _makes_sense(text: str) -> bool:
+    """Return whether a text has neither unknown nor wrong codes."""
+    unknown = sum(unicodedata.category(sign)[0] == "C" or sign == "\ufffd" for sign in text)
+    # Accents become marks of their own.
+    plain = unicodedata.normalize("NFD", text.lower())
+    latin = [sign for sign in plain if sign.isalpha() and "LATIN" in unicodedata.name(sign, "")]
+    share = sum(sign in _VOWELS for sign in latin) / max(1, len(latin))
+    wrong = len(latin) >= _FEWEST and not _VOWEL_SHARE[0] < share < _VOWEL_SHARE[1]
+    return unknown <= _MOST_UNKNOWN * len(text) and not wrong
 
 
 def _length(line: TextLine) -> float:

@@ -1,5 +1,7 @@
 """The text that a PDF brings is read as it is seen: whole words, columns, tables, visible print."""
 
+import string
+
 import pytest
 
 from smarttouch.pages.document import open_document
@@ -243,3 +245,13 @@ def test_print_that_is_not_read_is_named(tmp_path, turned):
     notes = []
     upright_page(7, page, RecognitionOptions(), notes.append)
     assert sum(note.startswith("page 7: ") and page.notes[0] in note for note in notes) == 1
+
+
+def test_wrong_codes_are_not_believed(tmp_path):
+    letters = string.ascii_lowercase
+    shifted = str.maketrans(letters, letters[3:] + letters[:3])
+    content = [(x, y, text.translate(shifted)) for x, y, text in columns(PROSE)]
+    page = load(pdf(tmp_path / "a.pdf", *content))
+    assert page.lines == ()
+    assert len(page.notes) == 1
+    assert load(pdf(tmp_path / "b.pdf")).notes == ()
