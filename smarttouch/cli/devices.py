@@ -18,7 +18,6 @@ from smarttouch.views.keys_and_signals import command_stop, drives_a_board
 
 if TYPE_CHECKING:
     from smarttouch.base.events import Event
-    from smarttouch.boards.reports import Impedance
 
 
 devices: Commands = Commands(
@@ -146,7 +145,16 @@ def measure(url: _Url, profile: ProfileOption = None) -> None:
 
     with open_display(url, profile).opened() as board:
         found = board.measure()
-    _print_impedance(found)
+    rows = [
+        (str(index), "-" if condition == "open" else f"{kohm:.1f}", condition.removeprefix("good"))
+        for index, (kohm, condition) in enumerate(zip(found.kohm, found.condition, strict=True))
+    ]
+    print_table(rows, ("electrode", "kohm", ""), left=3)
+    if found.lifted:
+        typer.echo("No electrode touches anything: put the finger on, and measure again.")
+    elif found.broken:
+        typer.echo("Open or shorted electrodes. To plan around them, in the profile:\n")
+        typer.echo(f"[output]\nmasked = {list(found.broken)}")
 
 
 @devices.command("test")
@@ -196,16 +204,3 @@ def try_out(
     with keyboard_listener(on_key):
         run_walk(walk, display, [OnEvent(say)], stop, force)
     typer.echo("All electrodes are at zero.")
-
-
-def _print_impedance(found: "Impedance") -> None:
-    rows = [
-        (str(index), "-" if condition == "open" else f"{kohm:.1f}", condition.removeprefix("good"))
-        for index, (kohm, condition) in enumerate(zip(found.kohm, found.condition, strict=True))
-    ]
-    print_table(rows, ("electrode", "kohm", ""), left=3)
-    if found.lifted:
-        typer.echo("No electrode touches anything: put the finger on, and measure again.")
-    elif found.broken:
-        typer.echo("Open or shorted electrodes. To plan around them, in the profile:\n")
-        typer.echo(f"[output]\nmasked = {list(found.broken)}")

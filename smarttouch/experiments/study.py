@@ -257,7 +257,7 @@ def run_study(
 def _beside(folder: Path, name: str) -> str | Path:
     """Return a file that lies beside the study, or the name as it is."""
     there = folder / name
-    return there if os.path.isfile(there) else name  # noqa: PTH113, as it takes any name
+    return there if os.path.isfile(there) else name  # noqa: PTH113 (Path raises on long names)
 
 
 def _key(digest: str | None, profile: Profile, anatomy: Anatomy, name: str, seed: int) -> str:
@@ -273,7 +273,7 @@ def _made(
     many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)
     made = many(delayed(_numbered)(index, each) for index, each in enumerate(work))
     try:
-        for each in made:  # noqa: UP028, as the other way would close it outside of this
+        for each in made:  # noqa: UP028 (close it below, not here)
             yield each
     finally:
         with warnings.catch_warnings():

@@ -248,6 +248,7 @@ def _timed(points: NDArray[np.float64], speed_mm_s: float) -> NDArray[np.float64
 USUAL_CPI = 800.0  # default counts per inch of most mice
 _FOLDER = Path("/dev/input")
 _WAIT_S = 0.1
+_LOST = "some motion of the mouse was lost: the machine is too busy"
 _GROUP = "join the group input (sudo usermod -aG input $USER) and log in again"
 
 
@@ -286,8 +287,6 @@ class EvdevMotion(HandMotion):
 
     def close(self) -> None:
         """Close the mouse."""
-        if self._closed:
-            return
         self._closed = True
         self._thread.join()
         with contextlib.suppress(OSError):
@@ -311,12 +310,7 @@ class EvdevMotion(HandMotion):
                     if event.type == ecodes.EV_REL and event.code in moves:
                         self._counts[moves[event.code]] += event.value
                     elif event.type == ecodes.EV_SYN and event.code == ecodes.SYN_DROPPED:
-                        self._note_lost()
-
-    def _note_lost(self) -> None:
-        words = "some motion of the mouse was lost: the machine is too busy"
-        if words not in self.notes:
-            self.notes.append(words)
+                        self.notes[:] = dict.fromkeys([*self.notes, _LOST])
 
 
 def _open(path: str) -> "InputDevice[str]":
@@ -338,17 +332,13 @@ def _open(path: str) -> "InputDevice[str]":
 
 def _first_mouse() -> "InputDevice[str]":
     evdev = _evdev()
-    for path in sorted(evdev.list_devices(), key=_natural):
+    for path in sorted(evdev.list_devices(), key=lambda name: (len(name), name)):
         with contextlib.suppress(OSError):
             device: InputDevice[str] = evdev.InputDevice(path, readonly=True)
             if _is_mouse(device):
                 return device
             device.close()
     raise SourceError(f"no mouse among what you may read in {_FOLDER}: plug one in, or {_GROUP}")
-
-
-def _natural(path: str) -> tuple[int, str]:
-    return len(path), path
 
 
 def _is_mouse(device: "InputDevice[str]") -> bool:
