@@ -57,6 +57,16 @@ def announced():
     return len(list(registry_folder().glob("*.json")))
 
 
+FIVE = Capabilities(5, "weighted", 5.0, 8, time_to_zero_ms=0.0, firmware="plain")
+
+
+@pytest.mark.parametrize("answer", [None, FIVE])
+def test_a_device_of_another_kind_is_not_opened(monkeypatch, answer):
+    monkeypatch.setattr(Unlined, "open", lambda *_: answer)
+    with pytest.raises(BoardError, match="4 electrodes"), plain():
+        pass
+
+
 def test_a_board_that_two_threads_open_at_once_is_announced_and_opened_once(monkeypatch):
     within, goes_on = threading.Event(), threading.Event()
 
