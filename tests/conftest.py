@@ -22,11 +22,11 @@ from smarttouch.boards.kits import watchdog
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.sources.source_contract import Frame, Pose
 
-from . import forks
 from .firmware import build
 from .safety import displays
 from .safety.watch import Watch
-from .whole import WHOLE
+from .support import processes
+from .support.full import WHOLE
 
 PATIENCE_S, NEVER_LATE_NS = 5, 60_000_000_000
 PATIENT_WATCHDOG = (
@@ -122,7 +122,7 @@ def patient_boards(monkeypatch):
     users have.
     """
     changes = dict(PATIENT)
-    monkeypatch.setattr(forks.Forked, "changes", changes)
+    monkeypatch.setattr(processes.Forked, "changes", changes)
     for name, value in changes.items():
         monkeypatch.setattr(name, value)
     # As long as the contract of boards lets one take to zero.
@@ -171,9 +171,9 @@ def one_thread():
 def forked_emulators(one_thread):
     """Let each ``emulator:`` of this process start a fork."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smarttouch.emulator.emulated_boards.subprocess", forks.forked_boards())
+        patch.setattr("smarttouch.emulator.emulated_boards.subprocess", processes.forked_boards())
         yield
-    forks.Forked.end()
+    processes.Forked.end()
 
 
 @pytest.fixture(scope="session", autouse=True)

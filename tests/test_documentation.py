@@ -16,9 +16,9 @@ from typer.main import get_command
 
 from smarttouch.cli import app
 
-from .forks import PROGRAM, Forked
 from .reading.real_brltty import free_port
-from .whole import WHOLE
+from .support.full import WHOLE
+from .support.processes import PROGRAM, Forked
 
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"

@@ -9,7 +9,7 @@ import pytest
 
 import smarttouch as st
 
-from .whole import sample
+from .support.full import sample
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))

@@ -21,8 +21,8 @@ import smarttouch as st
 from smarttouch import lab, plugins, testing, types
 
 from .public_api import names_of
-from .raising import raises
-from .whole import sample
+from .support.checks import raises
+from .support.full import sample
 
 
 def test_they_are_few_and_all_described():

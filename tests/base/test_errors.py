@@ -7,7 +7,7 @@ import pytest
 
 from smarttouch.base.errors import SourceError, choice_of, require_within
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 @pytest.mark.parametrize(("value", "lowest", "highest", "above", "within"), [

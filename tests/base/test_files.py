@@ -26,7 +26,7 @@ from smarttouch.base.files import (
     write_bytes,
 )
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 @pytest.fixture

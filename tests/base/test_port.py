@@ -22,8 +22,8 @@ from smarttouch.base.wire.port import (
     write_before,
 )
 
-from ..raising import raises
-from ..waiting import until
+from ..support.checks import raises
+from ..support.runs import until
 
 
 @pytest.mark.parametrize("name", [

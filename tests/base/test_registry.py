@@ -19,8 +19,8 @@ from smarttouch.sources import SOURCES, open_source
 from smarttouch.sources.force import FORCES, open_force
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
-from ..installed import install
-from ..raising import raises
+from ..support.checks import raises
+from ..support.packages import install
 
 BOARD = """
 from smarttouch.boards.driver import Driver

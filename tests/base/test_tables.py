@@ -7,7 +7,7 @@ import pytest
 from smarttouch.base.errors import SourceError
 from smarttouch.base.tables import finite, read_csv
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from smarttouch.base import terminal
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.terminal import PlainStream, guarded_output, printable
 
-from ..raising import raises
+from ..support.checks import raises
 
 OBEYED = (
     *range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F),

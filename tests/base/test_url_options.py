@@ -15,7 +15,7 @@ from smarttouch.profile import load_profile
 from smarttouch.sources import open_source
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 def opener(

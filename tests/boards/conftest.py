@@ -25,9 +25,9 @@ from tests.boards.fresh import fresh_state, starter
 from tests.firmware.build import WHOLE
 from tests.firmware.conftest import start_cortex_m3, start_firmware
 
-from ..forks import emulator
 from ..safety.bounds import WHOLE as WHOLE_RISE
 from ..safety.bounds import Bounds
+from ..support.processes import emulator
 
 SECOND = 10**9
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from smarttouch.emulator.firmware import STATE_FILE, read_state
 
-from ..forks import Forked
-from ..waiting import HANGS_S, until
+from ..support.processes import Forked
+from ..support.runs import HANGS_S, until
 
 __all__ = ["HANGS_S", "until"]
 

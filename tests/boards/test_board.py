@@ -18,7 +18,7 @@ from smarttouch.boards.run_registry import registry_folder
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
-from ..raising import raises
+from ..support.checks import raises
 from .runs import PATIENCE_S
 
 LIMITS = SafetyLimits(

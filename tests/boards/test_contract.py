@@ -21,8 +21,8 @@ from smarttouch.profile.device import Output
 from smarttouch.testing.driver_contract import DriverContract, SentPulse, planned_pulses
 from tests.boards.fresh import deliver, fresh_state, until
 
-from ..raising import raises
-from ..whole import WHOLE
+from ..support.checks import raises
+from ..support.full import WHOLE
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 

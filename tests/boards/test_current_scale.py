@@ -14,7 +14,7 @@ from smarttouch.boards.probe_scans import one_each
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
-from ..raising import raises
+from ..support.checks import raises
 
 KINDS = tuple(NOMINAL_UA)
 ELECTRODES = {"kajimoto61": 61, "etactilekit": 8}

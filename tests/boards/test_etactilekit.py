@@ -15,7 +15,7 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.fresh import deliver
 from tests.boards.manual_kit import MS, ManualClock, ManualKit, proved
 
-from ..raising import raises
+from ..support.checks import raises
 
 LIMITS = SafetyLimits(4, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
 PING, END, LOAD = b"\xf4", bytes(3), b"\xfb\x02\xfe"

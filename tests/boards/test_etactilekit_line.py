@@ -36,8 +36,8 @@ from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.manual_kit import ManualClock, ManualPort, manual_line
 
-from ..raising import raises
-from ..whole import WHOLE, sample
+from ..support.checks import raises
+from ..support.full import WHOLE, sample
 
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 # Left by hosts before: pulses of a milliampere on all electrodes, sense pulses, half commands.

@@ -18,7 +18,7 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from tests.boards.fresh import deliver
 
-from ..raising import raises
+from ..support.checks import raises
 
 pytestmark = pytest.mark.realtime
 

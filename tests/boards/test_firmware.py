@@ -22,7 +22,7 @@ from tests.boards.test_contract import (
 from tests.firmware.build import WHOLE
 from tests.firmware.scenes import random_table
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 @without_repeating(

@@ -13,7 +13,7 @@ from smarttouch.boards.probe_scans import one_each
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.manual_kit import MS, ManualKit
 
-from ..whole import WHOLE
+from ..support.full import WHOLE
 
 PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "150" if WHOLE else "50"))
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)

@@ -13,7 +13,7 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-from ..raising import raises
+from ..support.checks import raises
 from .fresh import deliver
 
 ZERO = bytes([0xFF]) + bytes(61)

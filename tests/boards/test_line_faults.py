@@ -15,7 +15,7 @@ from smarttouch.base.errors import (
 )
 from smarttouch.boards.kits.etactilekit_line import zero_anywhere
 
-from ..raising import raises
+from ..support.checks import raises
 from .conftest import FIRMWARES
 from .fresh import HANGS_S
 

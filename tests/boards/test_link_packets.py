@@ -34,7 +34,7 @@ from smarttouch.emulator.link_rules import Room
 from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
 from tests.firmware.scenes import random_table, sequence_of
 
-from ..raising import raises
+from ..support.checks import raises
 from .fresh import until
 from .payloads import sequence_payload
 

@@ -11,8 +11,8 @@ from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import MessageKind, decode, encode
 
-from ..raising import assert_says
-from ..whole import sample
+from ..support.checks import assert_says
+from ..support.full import sample
 
 CHIPS = b"\xf5"
 ALL = pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit"], indirect=True)

@@ -13,7 +13,7 @@ from smarttouch.profile import load_profile
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
-from ..raising import raises
+from ..support.checks import raises
 
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 WIDE = SafetyLimits(24, 5.0, 200, 0.5, 200, 0.8, 0.5, 2.4)

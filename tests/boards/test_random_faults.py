@@ -16,7 +16,7 @@ from smarttouch.base.errors import BoardError, BoardRestartedError
 from smarttouch.emulator.firmware import read_state
 from tests.boards.conftest import FIRMWARES
 from tests.boards.fresh import HANGS_S
-from tests.whole import WHOLE
+from tests.support.full import WHOLE
 
 SECONDS = float(os.environ.get("SMARTTOUCH_FAULT_SECONDS", "2" if WHOLE else "1"))
 pytestmark = pytest.mark.realtime

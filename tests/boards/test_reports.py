@@ -12,7 +12,7 @@ from smarttouch.boards.open import make_board
 from smarttouch.boards.reports import HostStatistics, clear_latch, find_latch, latch
 from smarttouch.profile.device import Output
 
-from ..forks import PROGRAM, Forked
+from ..support.processes import PROGRAM, Forked
 from .fresh import starter
 
 pytestmark = pytest.mark.usefixtures("patient_boards")

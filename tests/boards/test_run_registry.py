@@ -21,7 +21,7 @@ from smarttouch.boards import run_registry
 from smarttouch.boards.run_registry import registry_folder, stop_all, stopped_since_start
 from smarttouch.cli.live import stop
 
-from ..raising import raises
+from ..support.checks import raises
 from .fresh import until
 from .runs import Display, exit_code, in_child, until_zero
 

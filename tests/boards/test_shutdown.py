@@ -17,7 +17,7 @@ from smarttouch.boards.shutdown import enter, expect, running_command, stoppable
 from smarttouch.profile.ceilings import CEILING_USER_MA
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
-from ..raising import raises
+from ..support.checks import raises
 from .fresh import until
 from .runs import ANSWERED_S, PATIENCE_S, Display, exit_code, in_child
 

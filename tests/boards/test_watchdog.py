@@ -23,7 +23,7 @@ from smarttouch.base.wire.port import open_port
 from smarttouch.boards.kits import watchdog, watched_port
 from smarttouch.boards.kits.watched_port import WatchedPort
 
-from ..raising import raises
+from ..support.checks import raises
 from .fresh import until
 
 pytestmark = pytest.mark.realtime

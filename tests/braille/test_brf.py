@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import BrailleError
 from smarttouch.braille.brf import format_brf, parse_brf, read_brf
 
-from ..raising import raises
+from ..support.checks import raises
 
 LINES = st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x283F), max_size=45)
 PAGES = st.lists(st.lists(LINES, min_size=1, max_size=5), max_size=4)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import BrailleError
 from smarttouch.braille.cells import cells_to_dots, dots_to_cells
 
-from ..raising import raises
+from ..support.checks import raises
 
 LINES = st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF))
 

@@ -9,8 +9,7 @@ from smarttouch.braille import louis
 from smarttouch.braille.code_tables import MISSING_NOTE, known_tables, open_table
 from smarttouch.braille.grade1 import Grade1
 
-from ..raising import raises
-from ..said import numbers_in
+from ..support.checks import numbers_in, raises
 from .liblouis import needs_liblouis
 
 SIX_DOTS = set(map(chr, range(0x2800, 0x2840)))

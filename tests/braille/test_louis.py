@@ -8,7 +8,7 @@ from smarttouch.base.errors import BrailleError
 from smarttouch.braille.code_tables import open_table
 from smarttouch.braille.louis import LouisCode
 
-from ..raising import raises
+from ..support.checks import raises
 from .liblouis import needs_liblouis
 
 

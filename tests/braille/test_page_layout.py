@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import BrailleError
 from smarttouch.braille.page_layout import join, lay_out
 
-from ..raising import raises
+from ..support.checks import raises
 
 WORDS = st.text(st.sampled_from("⠁⠃⠿⠐"), min_size=1, max_size=12)
 PARAGRAPHS = st.lists(st.lists(WORDS, max_size=8).map("⠀".join), max_size=6)

@@ -22,8 +22,8 @@ from smarttouch import cli
 from smarttouch.base.errors import SmartTouchError
 
 from ..boards.fresh import starter
-from ..forks import PROGRAM, Forked, emulator
-from ..raising import assert_says
+from ..support.checks import assert_says
+from ..support.processes import PROGRAM, Forked, emulator
 
 PRESSED = ("--force", "fixed:1")
 """Where nothing measures force on a board that a finger may be on."""

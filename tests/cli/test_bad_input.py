@@ -27,7 +27,7 @@ from smarttouch.base.errors import (
 from smarttouch.cli import app
 from smarttouch.profile.toml_files import profile_path
 
-from ..forks import PROGRAM, Forked
+from ..support.processes import PROGRAM, Forked
 from .conftest import refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")

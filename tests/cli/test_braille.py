@@ -11,7 +11,7 @@ from smarttouch.base.errors import BrailleError
 from smarttouch.braille import louis
 from smarttouch.braille.code_tables import DEFAULT_TABLE, known_tables
 
-from ..forks import PROGRAM
+from ..support.processes import PROGRAM
 from .conftest import says
 
 

@@ -13,7 +13,7 @@ from smarttouch.cli.options import RunOptions
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.profile.toml_files import profile_path
 
-from ..whole import sample
+from ..support.full import sample
 from .conftest import refused, says
 
 KEYS = {

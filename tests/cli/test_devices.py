@@ -18,7 +18,7 @@ from smarttouch.cli.devices import devices
 from smarttouch.emulator.firmware import STATE_FILE, read_slots, read_state
 
 from ..boards.fresh import fresh_state, until
-from ..forks import PROGRAM, Forked
+from ..support.processes import PROGRAM, Forked
 from .conftest import PRESSED, refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")

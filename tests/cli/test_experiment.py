@@ -32,7 +32,7 @@ from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.views.screen import BlindScreen
 
 from ..experiments.simulated import Subject, answer_all
-from ..raising import assert_says
+from ..support.checks import assert_says
 from .conftest import refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")

@@ -11,7 +11,7 @@ from smarttouch.emulator.firmware import read_state
 from smarttouch.running.pipeline import Pipeline
 
 from ..boards.fresh import fresh_state, until
-from ..forks import Forked
+from ..support.processes import Forked
 from .conftest import PRESSED
 
 PATIENCE_S = 60

@@ -17,8 +17,8 @@ from smarttouch.emulator.firmware import read_slots
 from smarttouch.profile import list_profiles, load_profile
 
 from ..boards.fresh import fresh_state
-from ..forks import PROGRAM, Forked
-from ..whole import sample
+from ..support.full import sample
+from ..support.processes import PROGRAM, Forked
 from .conftest import panels, refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")

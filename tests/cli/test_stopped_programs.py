@@ -14,7 +14,7 @@ from smarttouch.emulator.firmware import read_state
 from smarttouch.running.recording import RecordedRun
 
 from ..boards.fresh import starter, until
-from ..whole import WHOLE
+from ..support.full import WHOLE
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 

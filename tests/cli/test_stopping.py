@@ -13,7 +13,7 @@ from smarttouch.boards.run_registry import registry_folder
 from smarttouch.emulator.firmware import read_state
 
 from ..boards.fresh import until
-from ..forks import PROGRAM, Forked
+from ..support.processes import PROGRAM, Forked
 from .conftest import PRESSED
 
 pytestmark = pytest.mark.usefixtures("patient_boards")

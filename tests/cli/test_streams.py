@@ -14,8 +14,8 @@ from smarttouch.base.files import data_folder
 from smarttouch.running.check_recording import check_recording
 from smarttouch.running.recording import RecordedRun
 
-from ..forks import PROGRAM, Forked
-from ..whole import sample
+from ..support.full import sample
+from ..support.processes import PROGRAM, Forked
 
 SHORT = "live text:i --profile smarttouch-4x4 --seconds 0.2 --board simulated:"
 EVIL = "a\x1b]0;owned\x07\x1b[31m\x9b5m\u202eb"

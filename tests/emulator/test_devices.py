@@ -22,7 +22,7 @@ from smarttouch.sources.force import open_force
 from smarttouch.sources.sensor_protocol import CellReading, MessageStream, TextReadings
 
 from ..boards.fresh import starter, until
-from ..forks import Forked, emulator
+from ..support.processes import Forked, emulator
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 

@@ -34,7 +34,7 @@ from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable
 from tests.boards.payloads import encode_lists, limits_payload, sequence_payload
 from tests.firmware.scenes import sequence_of
 
-from ..raising import raises
+from ..support.checks import raises
 
 MS = 1_000_000
 E = 6

@@ -14,8 +14,8 @@ from smarttouch.emulator.skin import (
     SkinCircuit,
 )
 
-from ..raising import raises
-from ..whole import sample
+from ..support.checks import raises
+from ..support.full import sample
 
 HEALTHY = SkinCircuit(16).series_ohm
 

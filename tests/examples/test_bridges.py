@@ -14,7 +14,7 @@ from PIL import Image
 
 import smarttouch as st
 
-from ..waiting import until
+from ..support.runs import until
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 

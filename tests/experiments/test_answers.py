@@ -12,7 +12,7 @@ from smarttouch.base.errors import ExperimentError
 from smarttouch.base.version import __version__
 from smarttouch.experiments.answers import COLUMNS, AnswerFile, read_rows, read_table
 
-from ..raising import raises
+from ..support.checks import raises
 
 ABOUT = {"experiment": "frequency", "procedure": "constant", "participant": "p1", "session": "1",
          "seed": 7}  # fmt: skip

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from smarttouch.experiments.thresholds import MOST_HURRIED, AscendingLimits
 from smarttouch.experiments.trials import STEP_S
 
-from ..whole import sample
+from ..support.full import sample
 from .simulated import SimulatedSubject
 
 CEILING_MA = 5.0

@@ -17,7 +17,7 @@ from smarttouch.experiments.catalog import CATALOG, trials_of
 from smarttouch.experiments.trials import Answer, Setup
 from smarttouch.profile import load_profile
 
-from ..raising import raises
+from ..support.checks import raises
 from .sitting import sit
 
 EXAMPLE = Path(__file__).parents[2] / "examples/own_experiment.py"

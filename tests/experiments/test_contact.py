@@ -13,7 +13,7 @@ from smarttouch.experiments.contact import (
     measure_contact,
 )
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 def measured(kohm, condition):

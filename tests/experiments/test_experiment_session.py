@@ -13,8 +13,8 @@ from smarttouch.experiments.experiment_session import open_experiment
 from smarttouch.experiments.trials import Answer, Setup
 from smarttouch.profile import load_profile
 
-from ..raising import raises
-from ..whole import WHOLE
+from ..support.checks import raises
+from ..support.full import WHOLE
 from .sitting import Perfect, sit
 
 SHORT = {"repetitions": 1, "standards": "30", "train_s": 0.15}

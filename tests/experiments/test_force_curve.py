@@ -8,8 +8,8 @@ import pytest
 from smarttouch.base.errors import CalibrationError
 from smarttouch.experiments.force_curve import STANDARD_GRAVITY, fit_curve, weigh
 
-from ..raising import raises
-from ..whole import WHOLE
+from ..support.checks import raises
+from ..support.full import WHOLE
 from .simulated_sensors import SimulatedCell
 
 UP_AND_DOWN = (0, 20, 50, 75, 100, 75, 50, 20, 0)

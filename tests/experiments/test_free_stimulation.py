@@ -18,9 +18,9 @@ from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import Listener
 
-from ..looping import loop_through
-from ..played import played
-from ..raising import raises
+from ..support.checks import raises
+from ..support.runs import loop_through
+from ..support.scans import played
 
 
 @pytest.fixture(scope="module")

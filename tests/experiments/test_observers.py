@@ -26,8 +26,8 @@ from smarttouch.experiments.trials import Setup
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.vibration_thresholds import sensitivity
 
-from ..raising import raises
-from ..whole import WHOLE, sample
+from ..support.checks import raises
+from ..support.full import WHOLE, sample
 from .sitting import sit
 from .weber import ratio_of, weber_fraction
 

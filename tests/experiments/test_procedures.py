@@ -17,7 +17,7 @@ from smarttouch.experiments.procedures import (
     weighted_staircase,
 )
 
-from ..raising import raises
+from ..support.checks import raises
 from .simulated import PROCEDURES, TASKS, answer_all, ask_all, recover
 
 

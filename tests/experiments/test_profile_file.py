@@ -12,7 +12,7 @@ from smarttouch.base.files import data_folder
 from smarttouch.experiments.profile_file import ProfileFile, file_to_calibrate
 from smarttouch.profile import list_profiles, load_profile
 
-from ..raising import raises
+from ..support.checks import raises
 
 numbers = st.floats(0.01, 1e6, allow_nan=False)
 

@@ -12,7 +12,7 @@ from scipy.stats import norm
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.psychometric import Counts, Model, Parameters, fit
 
-from ..raising import raises
+from ..support.checks import raises
 from .simulated import Subject
 
 MODELS = [

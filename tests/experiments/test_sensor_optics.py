@@ -20,7 +20,7 @@ from smarttouch.imaging.registration import Registration
 from smarttouch.profile import load_profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 
-from ..raising import raises
+from ..support.checks import raises
 from .simulated_sensors import SimulatedPatch, View
 
 

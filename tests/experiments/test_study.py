@@ -19,8 +19,8 @@ from smarttouch.experiments.study import (
     study_table,
 )
 
-from ..raising import raises
-from ..whole import WHOLE, sample
+from ..support.checks import raises
+from ..support.full import WHOLE, sample
 
 PLANS = sorted(Path(__file__).parents[2].glob("examples/studies/[!_]*.toml"))
 SMALL = Study(

@@ -31,9 +31,9 @@ from smarttouch.running.runner import Runner
 from smarttouch.running.step import Listener, OnStep
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
-from ..played import played
-from ..raising import raises
-from ..whole import sample
+from ..support.checks import raises
+from ..support.full import sample
+from ..support.scans import played
 from .simulated import SimulatedSubject
 
 

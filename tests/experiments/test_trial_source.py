@@ -19,8 +19,8 @@ from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls, ControlState, Mode
 from smarttouch.running.runner import Runner
 
-from ..played import played
-from ..raising import raises
+from ..support.checks import raises
+from ..support.scans import played
 from .sitting import Perfect, Silent, sit
 
 FEW = {"repetitions": 1, "standards": "30", "train_s": 0.15}

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from smarttouch.base.posix import fcntl
-from tests.whole import WHOLE as IS_WHOLE
+from tests.support.full import WHOLE as IS_WHOLE
 
 SOURCES = Path(__file__).parents[2] / "firmware"
 

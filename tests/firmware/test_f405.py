@@ -18,7 +18,7 @@ from tests.firmware.build import built
 from tests.firmware.f405 import F405, LE, POL, states
 from tests.firmware.rig import Talk
 from tests.firmware.test_qemu import OverSocket
-from tests.forks import PROGRAM, Forked
+from tests.support.processes import PROGRAM, Forked
 
 KITS = {"st_kajimoto61": (61, 2.442), "st_etactilekit64": (64, 9.99)}
 """Electrodes, and µA of a count of the converter."""

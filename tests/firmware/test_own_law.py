@@ -28,7 +28,7 @@ from tests.firmware.lives import (
     session,
 )
 from tests.firmware.rig import Both, Core, Emulated
-from tests.whole import WHOLE as IS_WHOLE
+from tests.support.full import WHOLE as IS_WHOLE
 
 SCANS = 2500 if IS_WHOLE else 150
 """Scans that emulator, core and judge decide on, four times."""

@@ -11,7 +11,7 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from tests.firmware.cortex_m3 import ELECTRODES
 from tests.firmware.rig import Talk
-from tests.waiting import until
+from tests.support.runs import until
 
 
 @pytest.fixture

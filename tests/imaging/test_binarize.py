@@ -7,7 +7,7 @@ import pytest
 from smarttouch.imaging.tactile_mapper import Binarizer
 
 from ..pages.printed import PAPERS, blank_papers, print_page, some_lines
-from ..whole import sample
+from ..support.full import sample
 
 SECOND = 10**9
 

@@ -7,7 +7,7 @@ from smarttouch.base.errors import ProfileError
 from smarttouch.imaging.registration import Registration
 from smarttouch.profile import list_profiles, load_profile
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 def changed(profile, **optics):

@@ -23,8 +23,8 @@ from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import Listener, as_listeners
 from smarttouch.views.vibrator import Vibrator
 
-from ..played import played
-from ..whole import sample
+from ..support.full import sample
+from ..support.scans import played
 from .recover import recover
 
 ALONE = {

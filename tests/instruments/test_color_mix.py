@@ -24,8 +24,7 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.pulse_rates import ScanTiming
 
-from ..raising import raises
-from ..said import numbers_in
+from ..support.checks import numbers_in, raises
 
 ALL = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
 

@@ -25,12 +25,11 @@ from smarttouch.instruments.hand_motion import START_S, HandMotion, SweepMotion,
 from smarttouch.instruments.relief import open_texture
 from smarttouch.profile import load_profile
 
-from ..raising import raises
-from ..said import numbers_in
+from ..support.checks import numbers_in, raises
+from ..support.full import WHOLE, sample
+from ..support.runs import until
 from ..views.conftest import running
 from ..views.test_window import connect, receive
-from ..waiting import until
-from ..whole import WHOLE, sample
 from .touched import FELT, feel, grating_file, object_file, path_motion, stroke, touch
 
 GRATING = open_texture("grating:4mm")

@@ -19,8 +19,8 @@ from smarttouch.instruments.hand_motion import (
     strokes_over,
 )
 
-from ..raising import raises
-from ..waiting import until
+from ..support.checks import raises
+from ..support.runs import until
 
 
 def places(motion, step_s=0.01):

@@ -11,7 +11,7 @@ from smarttouch.instruments.receptor_responses import SPAN_DB, split_trace
 from smarttouch.instruments.skin_trace import SAMPLE_HZ, Trace, open_trace
 from smarttouch.physiology.vibration_thresholds import threshold_um
 
-from ..raising import raises
+from ..support.checks import raises
 
 SILENT = 0.01
 """Drive of a class that is said to be silent."""

@@ -12,8 +12,8 @@ from PIL import Image
 from smarttouch.base.errors import PageError
 from smarttouch.instruments.relief import open_texture
 
-from ..raising import raises
-from ..whole import sample
+from ..support.checks import raises
+from ..support.full import sample
 from .touched import grating_file, object_file
 
 ONE = np.zeros((1, 2))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.instruments.skin_trace import SAMPLE_HZ, open_trace
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 @pytest.fixture

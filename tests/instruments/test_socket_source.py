@@ -13,8 +13,8 @@ import pytest
 import smarttouch as st
 from smarttouch.base.errors import SourceError
 
-from ..raising import raises
-from ..waiting import until
+from ..support.checks import raises
+from ..support.runs import until
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 

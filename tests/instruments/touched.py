@@ -20,8 +20,8 @@ from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 
-from ..looping import loop_through
-from ..played import played
+from ..support.runs import loop_through
+from ..support.scans import played
 
 DPI = 254
 """A tenth of a millimeter a pixel."""

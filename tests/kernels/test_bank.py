@@ -26,8 +26,8 @@ from smarttouch.kernels.design_problem import Problem
 from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.profile import list_profiles, load_profile
 
-from ..raising import raises
-from ..whole import sample
+from ..support.checks import raises
+from ..support.full import sample
 
 
 @pytest.fixture

@@ -9,9 +9,8 @@ from smarttouch.kernels.design_problem import Problem
 from smarttouch.physiology.activating_function import af_matrix, everywhere
 from smarttouch.profile import load_profile
 
-from ..close import assert_close
-from ..raising import raises
-from ..whole import sample
+from ..support.checks import assert_close, raises
+from ..support.full import sample
 
 # Axons looked at in fewer places: symmetries, names and sums are the same.
 SPACING = "skin.node_spacing_mm"

@@ -24,8 +24,8 @@ from smarttouch.stimulation.scan_sequence import (
     round_charge_balanced,
 )
 
-from ..raising import raises
-from ..whole import WHOLE
+from ..support.checks import raises
+from ..support.full import WHOLE
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from smarttouch.kernels.switched_design import (
 from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.profile import load_profile
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 @pytest.fixture(scope="module")

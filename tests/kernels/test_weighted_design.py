@@ -12,8 +12,8 @@ from smarttouch.kernels.design_problem import Problem
 from smarttouch.kernels.weighted_design import design_any_node, design_kernel
 from smarttouch.profile import load_profile
 
-from ..raising import raises
-from ..whole import sample
+from ..support.checks import raises
+from ..support.full import sample
 from .kernel_optimum import activating, lattice, optima
 
 SPACING = "skin.node_spacing_mm"

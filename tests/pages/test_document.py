@@ -24,8 +24,7 @@ from smarttouch.pages.document import (
 from smarttouch.profile import load_profile
 from smarttouch.sources import open_source
 
-from ..raising import assert_says, raises
-from ..said import numbers_in
+from ..support.checks import assert_says, numbers_in, raises
 
 PADDING = bytes.fromhex("28BF4E5E4E758A4164004E56FFFA01082E2E00B6D0683E802F0CA9FE6453697A")
 """What passwords are filled up with (ISO 32000-1, Algorithm 2)."""

@@ -6,7 +6,7 @@ import pytest
 from smarttouch.base.errors import PageError
 from smarttouch.pages.prepared_page import prepare_text, print_text
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 def test_printed_text():

@@ -10,7 +10,7 @@ from smarttouch.pages.prepared_page import prepare_page
 from smarttouch.pages.straighten import find_sheet
 from smarttouch.pages.text_lines import find_lines
 
-from ..said import numbers_in
+from ..support.checks import numbers_in
 from .printed import TABLE, degrade, print_page, some_lines
 
 

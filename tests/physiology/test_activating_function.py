@@ -18,9 +18,8 @@ from smarttouch.physiology.activating_function import (
 )
 from smarttouch.profile import list_profiles, load_profile
 
-from ..close import assert_close
-from ..raising import raises
-from ..whole import sample
+from ..support.checks import assert_close, raises
+from ..support.full import sample
 
 
 @pytest.mark.parametrize("name", list_profiles())

@@ -13,8 +13,8 @@ from smarttouch.physiology.membrane import threshold_ma
 from smarttouch.physiology.potential import disc_potential
 
 from ..fit_fibers import fiber_fit
-from ..raising import raises
-from ..whole import sample
+from ..support.checks import raises
+from ..support.full import sample
 
 OFFERED = [
     ("fingertip", "through"), ("fingertip", "active"), ("fingertip", "passive"),

@@ -16,9 +16,8 @@ from smarttouch.physiology.finger import Finger, axon_path_points
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import load_profile
 
-from ..close import assert_close
 from ..fit_fibers import fiber_fit
-from ..raising import raises
+from ..support.checks import assert_close, raises
 
 ANATOMIES = ("branched", "paper")
 

@@ -7,8 +7,8 @@ from scipy.integrate import solve_ivp
 from smarttouch.base.errors import DesignError
 from smarttouch.physiology.membrane import Axon, Fiber, threshold_ma, weiss_fit
 
-from ..raising import raises
-from ..whole import sample
+from ..support.checks import raises
+from ..support.full import sample
 
 SPACING_MM = Fiber().internode_mm
 TRUNK = {"internode_mm": 0.33}  # 100 outer diameters

@@ -15,8 +15,8 @@ from smarttouch.physiology.response import response_quality
 from smarttouch.physiology.spikes import NodeDrives, SpikeModel
 from smarttouch.profile import load_profile
 
-from ..close import assert_close
-from ..whole import WHOLE
+from ..support.checks import assert_close
+from ..support.full import WHOLE
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from smarttouch.base.errors import ProfileError
 from smarttouch.profile.profile import require_driven
 from smarttouch.profile.toml_files import as_toml
 
-from ..forks import PROGRAM, Forked
-from ..raising import raises
+from ..support.checks import raises
+from ..support.processes import PROGRAM, Forked
 
 MOUSE = st.load_profile("electric-mouse")
 PLACES = np.array([[0, 0], [2, 0.1], [4, 0], [0.1, 2], [2, 2.1], [4, 1.9]])

@@ -10,7 +10,7 @@ from smarttouch.base.files import data_folder
 from smarttouch.profile import load_profile
 from smarttouch.profile.toml_files import as_toml
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 def wrong(key, value=None, allowed=None):

@@ -11,7 +11,7 @@ from smarttouch.base.errors import ProfileError
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.profile.toml_files import CALIBRATED_KEYS, as_toml, difference, profile_of
 
-from ..raising import raises
+from ..support.checks import raises
 
 ELECTRODES = {
     "electric-mouse": 64, "smarttouch-4x4": 16, "line-7": 7, "line-8": 8, "kajimoto-61": 61,

@@ -28,8 +28,8 @@ from smarttouch.reading.legibility import LineDelivery, deliver_pulses
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions
 
-from ..raising import raises
-from ..whole import WHOLE, sample
+from ..support.checks import raises
+from ..support.full import WHOLE, sample
 
 ARRAYS = ["electric-mouse", "etactilekit-32", "optacon-24x6", "smarttouch-4x4"]
 

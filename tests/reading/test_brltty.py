@@ -9,7 +9,7 @@ from smarttouch.profile import load_profile
 from smarttouch.reading.brltty import BrailleDisplaySource, DisplayContent
 from tests.reading.real_brltty import Brltty, cells_of, free_port, require_brltty, wait_until
 
-from ..whole import WHOLE
+from ..support.full import WHOLE
 
 HANGS_S = 60
 ROUTE = 1 << 16

@@ -22,7 +22,7 @@ from smarttouch.reading.brltty import (
     parse_message,
 )
 
-from ..raising import raises
+from ..support.checks import raises
 from .real_brltty import free_port, wait_until
 
 PROFILE = load_profile("electric-mouse")

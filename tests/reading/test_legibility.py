@@ -31,7 +31,7 @@ from smarttouch.reading.line_source import LineMotion
 from smarttouch.sources.source_contract import Pose
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 
-from ..raising import raises
+from ..support.checks import raises
 
 GRADED = Tone(0.0, 1.0, prepared=True)
 

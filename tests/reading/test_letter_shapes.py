@@ -7,7 +7,7 @@ from smarttouch.base.errors import ExperimentError
 from smarttouch.profile import load_profile
 from smarttouch.reading.letter_shapes import ALPHABET, draw_letter, parse_letters
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 def drawing(letter, profile):

@@ -26,7 +26,7 @@ from smarttouch.reading.line_source import (
     TouchLine,
 )
 
-from ..raising import raises
+from ..support.checks import raises
 
 MS = 1_000_000
 MOTION = LineMotion(25.0)

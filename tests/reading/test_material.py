@@ -15,7 +15,7 @@ from smarttouch.reading.letter_shapes import Shapes, thin
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from smarttouch.reading.recognition import (
     upright_page,
 )
 
-from ..raising import raises
+from ..support.checks import raises
 
 needs_tesseract = pytest.mark.skipif(
     shutil.which("tesseract") is None, reason="needs Tesseract: apt install tesseract-ocr"

@@ -39,7 +39,7 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 
-from ..played import played
+from ..support.scans import played
 
 FOLDER = Path(__file__).parent / "goldens"
 STARTED_UNIX_NS = 1_700_000_000 * 10**9

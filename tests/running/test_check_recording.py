@@ -21,7 +21,7 @@ from smarttouch.running.step import StepResult
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 
-from ..raising import raises
+from ..support.checks import raises
 
 DIFFERENCE = re.compile(r": (\w+)\[\d+, (\d+)\] (-?\d+) recorded, (-?\d+) now")
 

@@ -8,7 +8,7 @@ from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 def test_which_points_share_slots(profile):

@@ -23,8 +23,8 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
-from ..played import played
-from ..raising import raises
+from ..support.checks import raises
+from ..support.scans import played
 
 MS, PERIOD_NS = 1_000_000, 20_000_000
 

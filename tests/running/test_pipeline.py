@@ -25,10 +25,9 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
-from ..played import played
-from ..raising import raises
-from ..scans import prove_alone
-from ..whole import sample
+from ..support.checks import raises
+from ..support.full import sample
+from ..support.scans import played, prove_alone
 
 RA, SAI, PC = Afferent
 SECOND_NS, PERIOD_NS = 10**9, 20_000_000

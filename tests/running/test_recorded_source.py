@@ -25,7 +25,7 @@ from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus
 
-from ..raising import raises
+from ..support.checks import raises
 from .forged_recordings import put_together, take_apart
 
 

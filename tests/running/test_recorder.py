@@ -26,9 +26,9 @@ from smarttouch.running.recording_format import SCHEMAS
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.source_contract import Frame
 
-from ..raising import raises
-from ..waiting import until
-from ..whole import WHOLE
+from ..support.checks import raises
+from ..support.full import WHOLE
+from ..support.runs import until
 
 STARTED_NS = 1_700_000_000 * 10**9
 

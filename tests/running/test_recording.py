@@ -32,7 +32,7 @@ from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.source_contract import Frame, Pose, Stimulus
 from smarttouch.stimulation.scan_sequence import ScanSequence, SelectivityReport
 
-from ..raising import raises
+from ..support.checks import raises
 from .forged_recordings import put_together
 
 

@@ -20,7 +20,7 @@ from smarttouch.sources.force import open_force
 from smarttouch.types import ForceSource, Mode
 from smarttouch.views.delivered_drawing import DeliveredPicture
 
-from ..raising import raises
+from ..support.checks import raises
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from smarttouch.running.check_recording import assert_replays
 from smarttouch.running.recording import RecordedRun
 from smarttouch.running.step import OnEvent, OnStep
 
-from ..raising import raises
-from ..whole import WHOLE, sample
+from ..support.checks import raises
+from ..support.full import WHOLE, sample
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 

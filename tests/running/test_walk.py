@@ -10,7 +10,7 @@ from smarttouch.running.display import Display
 from smarttouch.running.step import OnEvent, OnStep
 from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
 
-from ..played import played
+from ..support.scans import played
 
 
 class TwitchingClock:

@@ -22,9 +22,9 @@ from smarttouch.sources import open_source
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source, Stimulus, StimulusSource
 
-from ..played import played
-from ..raising import raises
-from ..whole import WHOLE
+from ..support.checks import raises
+from ..support.full import WHOLE
+from ..support.scans import played
 
 GOLDEN = Path(__file__).parents[1] / "running" / "goldens" / "ra.mcap"
 

@@ -7,7 +7,7 @@ from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-from ..rising import open_level
+from ..support.scans import open_level
 from .gates import ManualClock
 
 

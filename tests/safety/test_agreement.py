@@ -8,7 +8,7 @@ import os
 
 import pytest
 
-from ..whole import sample
+from ..support.full import sample
 from .agreement import RunStatistics, attack, stream
 from .gates import Answer
 from .oracle import Oracle

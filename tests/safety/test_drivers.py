@@ -13,7 +13,7 @@ from smarttouch.boards.reports import Capabilities
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-from ..raising import raises
+from ..support.checks import raises
 
 LATE_NS = 60 * 10**9  # nothing is late, however long the computer pauses
 

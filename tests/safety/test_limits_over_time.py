@@ -10,7 +10,7 @@ from smarttouch.boards.open import make_board
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
-from ..rising import open_level
+from ..support.scans import open_level
 from .by_hand import pulses, refused
 
 

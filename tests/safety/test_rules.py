@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ..whole import sample
+from ..support.full import sample
 from .agreement import RunStatistics, stream
 from .by_hand import FULL, pair, sequence
 from .displays import display_names

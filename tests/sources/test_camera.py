@@ -17,9 +17,8 @@ from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.sources import camera, live_capture, open_source
 from smarttouch.sources.camera import COMPRESSED, CameraDevice
 
-from ..raising import raises
-from ..said import numbers_in
-from ..waiting import until
+from ..support.checks import numbers_in, raises
+from ..support.runs import until
 
 without_a_camera = pytest.mark.skipif(
     Path("/dev/video0").exists() or sys.platform == "darwin",

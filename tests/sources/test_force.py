@@ -19,9 +19,8 @@ from smarttouch.sources.sensor_protocol import (
 )
 from smarttouch.testing.source_contracts import ForceContract
 
-from ..raising import raises
-from ..said import numbers_in
-from ..waiting import until
+from ..support.checks import numbers_in, raises
+from ..support.runs import until
 
 
 @pytest.mark.parametrize(("text", "force_n"), [("0", 0), ("0.5", 0.5), ("20", 20)])

@@ -21,7 +21,7 @@ from smarttouch.sources.given_sources import (
 )
 from smarttouch.sources.source_contract import Frame, OpticalSource, Stimulus
 
-from ..raising import raises
+from ..support.checks import raises
 
 GRAY = np.arange(64, dtype=np.uint8).reshape(8, 8)
 

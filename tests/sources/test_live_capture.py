@@ -17,9 +17,8 @@ from smarttouch.sources import live_capture
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 from smarttouch.sources.preprocess import FlatField
 
-from ..raising import raises
-from ..said import numbers_in
-from ..waiting import until
+from ..support.checks import numbers_in, raises
+from ..support.runs import until
 
 SECOND = 1_000_000_000
 ODD = ZeroDivisionError("by zero")

@@ -16,7 +16,7 @@ from smarttouch.sources.preprocess import FlatField, FramePreprocessor, page_per
 from smarttouch.sources.virtual_finger import PageSource
 
 from ..experiments.simulated_sensors import SimulatedPatch
-from ..raising import raises
+from ..support.checks import raises
 
 FIELD_MM = 5.0
 

@@ -25,7 +25,7 @@ from smarttouch.sources.sensor_protocol import (
     gap,
 )
 
-from ..raising import raises
+from ..support.checks import raises
 
 NUMBER = st.integers(0, 2**32 - 1)
 SIDE = st.integers(1, 255)

@@ -13,9 +13,8 @@ from smarttouch.sources import open_source, serial_array
 from smarttouch.sources.sensor_protocol import encode_frame
 from smarttouch.sources.serial_array import SerialArrayDevice
 
-from ..raising import raises
-from ..said import numbers_in
-from ..waiting import until
+from ..support.checks import numbers_in, raises
+from ..support.runs import until
 
 
 class Line(PtyLine):

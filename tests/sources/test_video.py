@@ -16,9 +16,8 @@ from smarttouch.base.errors import SourceError
 from smarttouch.sources import open_source
 from smarttouch.sources.video import MOST_DECODED, Clip, ClipSource
 
-from ..raising import raises
-from ..said import numbers_in
-from ..whole import WHOLE
+from ..support.checks import numbers_in, raises
+from ..support.full import WHOLE
 
 SECOND = 1_000_000_000
 

@@ -23,8 +23,7 @@ from smarttouch.sources.virtual_finger import (
 )
 
 from ..pages.printed import degrade, print_page, some_lines
-from ..raising import raises
-from ..said import numbers_in
+from ..support.checks import numbers_in, raises
 
 TEN_MS = 10_000_000
 HEADER = "time_s,x_mm,y_mm,angle_deg,force_n\n"

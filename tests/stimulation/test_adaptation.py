@@ -15,9 +15,9 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scheduler import ScanScheduler
 
-from ..raising import raises
-from ..rising import open_level
-from ..whole import WHOLE
+from ..support.checks import raises
+from ..support.full import WHOLE
+from ..support.scans import open_level
 
 COMPLIANCE_V = 300.0
 KOHM = 50.0

@@ -17,9 +17,9 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
 
-from ..raising import raises
-from ..scans import prove_alone
-from ..whole import WHOLE
+from ..support.checks import raises
+from ..support.full import WHOLE
+from ..support.scans import prove_alone
 
 _DRAWN = np.zeros((8, 8), np.bool_)
 _DRAWN[1, 1:7] = _DRAWN[2:, 3] = True

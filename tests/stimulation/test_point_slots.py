@@ -17,9 +17,8 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scheduler import ScanScheduler
 
-from ..raising import raises
-from ..rising import open_level
-from ..scans import prove_alone
+from ..support.checks import raises
+from ..support.scans import open_level, prove_alone
 
 
 def image(activation, time_ns=10**9):

@@ -18,7 +18,7 @@ from smarttouch.stimulation.pulse_rates import (
     rate_share,
 )
 
-from ..raising import raises
+from ..support.checks import raises
 
 LINEAR = ForceLaw(law="linear", contact_n=0.2, full_n=1.0)
 LOGARITHMIC = ForceLaw(law="logarithmic", contact_n=0.2, full_n=1.0)

@@ -25,8 +25,8 @@ from smarttouch.stimulation.sequence_limits import (
     prove_sequence,
 )
 
-from ..raising import raises
-from ..scans import sequence
+from ..support.checks import raises
+from ..support.scans import sequence
 
 
 @st.composite

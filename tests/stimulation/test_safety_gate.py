@@ -13,9 +13,8 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.safety_limits import STRENGTH
 
-from ..raising import raises
-from ..rising import open_level
-from ..scans import sequence
+from ..support.checks import raises
+from ..support.scans import open_level, sequence
 
 LIMITS = SafetyLimits(
     electrodes=4, current_ma=3.0, pulse_us=200, charge_uc=0.5, rate_hz=100, duty=0.6, ramp_s=0.5,

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from ..forks import Forked
-from ..whole import sample
+from ..support.full import sample
+from ..support.processes import Forked
 
 KILLS = int(os.environ.get("SMARTTOUCH_KILLS", "2"))
 LONG = "SMARTTOUCH_KILLS" in os.environ

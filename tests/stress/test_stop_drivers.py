@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from ..forks import Forked
-from ..whole import sample
+from ..support.full import sample
+from ..support.processes import Forked
 
 ROUNDS = int(os.environ.get("SMARTTOUCH_STOP_ROUNDS", "2"))
 KITS = ("etactilekit 71adee2", "etactilekit newest")

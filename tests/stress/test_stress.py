@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from ..forks import Forked
+from ..support.processes import Forked
 
 COUNT = int(os.environ.get("SMARTTOUCH_STRESS", "1"))
 WITHIN_S = float(os.environ.get("SMARTTOUCH_STRESS_WITHIN_S", "inf"))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from ..installed import install_project
-from ..whole import sample
+from ..support.full import sample
+from ..support.packages import install_project
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples" / "plugins"

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from ..whole import WHOLE
+from ..support.full import WHOLE
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plugins" / "board"
 

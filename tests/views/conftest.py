@@ -12,7 +12,7 @@ from smarttouch.running.runner import Runner
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
 from smarttouch.views.window import Window
 
-from ..waiting import until
+from ..support.runs import until
 from .browser import chromium
 
 WAIT_S = 60

@@ -17,7 +17,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.views.delivered_drawing import PageDrawing
 from smarttouch.views.figure_style import require_drawable
 
-from ..raising import raises
+from ..support.checks import raises
 
 AREA = ((0.0, 0.0), (200, 300), 0.1)
 """Of the whole page."""

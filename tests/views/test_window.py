@@ -20,7 +20,7 @@ from smarttouch.views import window_pages
 from smarttouch.views.window_pages import LOST_S, MOST_PAGES, Steering
 from smarttouch.views.window_server import MOST_MESSAGE_BYTES
 
-from ..waiting import until
+from ..support.runs import until
 
 
 def connect(run, *, origin=None, token=None):

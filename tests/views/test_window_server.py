@@ -15,7 +15,7 @@ import smarttouch as st
 from smarttouch.instruments.electric_mouse import open_texture_source
 from smarttouch.views import window_server
 
-from ..waiting import until
+from ..support.runs import until
 from .browser import opened, violations
 from .conftest import colors, drawn, strongest
 

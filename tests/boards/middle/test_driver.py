@@ -10,7 +10,7 @@ from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import MessageKind, encode_volts
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-from ...raising import raises
+from ...support.checks import raises
 from .conftest import write
 
 

@@ -1,4 +1,4 @@
-"""`pytest.raises` by what an error says of itself: its attributes, and the numbers it shows."""
+"""Checks of errors by their attributes and numbers, of the numbers of a note, and of arrays."""
 
 import math
 import numbers
@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from enum import Enum
 
 import pytest
+from numpy.testing import assert_allclose
 
 from smarttouch.base.errors import SafetyError
 
@@ -75,3 +76,14 @@ def _shows(message, expected):
         for each in found
         for scale in scales
     )
+
+
+def numbers_in(text):
+    """Return the numbers of a text, in their order; those in words, as in x2, do not count."""
+    return [float(each) for each in re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?", text)]
+
+
+def assert_close(found, expected, rel=1e-6, abs=1e-12):
+    """Assert what ``found == pytest.approx(expected)`` does, of all values of arrays at once."""
+    assert found.shape == expected.shape
+    assert_allclose(found, expected, rtol=rel, atol=abs, equal_nan=False)

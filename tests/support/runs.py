@@ -1,4 +1,6 @@
-"""The loop of a run, from a source to a board, in time that passes by itself."""
+"""The loop of a run in simulated time, and waiting for what another thread or process does."""
+
+import time
 
 from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.stopping import StopRequest
@@ -13,3 +15,16 @@ def loop_through(source, pipeline, board, *listeners, **options):
     options = usual | options
     Loop(source, pipeline, board, listeners=as_listeners(listeners), **options).run()
     return options["statistics"]
+
+
+HANGS_S = 60.0
+"""Only what never comes takes that long."""
+
+
+def until(holds):
+    """Wait until something holds; return what it gives."""
+    deadline_s = time.monotonic() + HANGS_S
+    while not (found := holds()):
+        assert time.monotonic() < deadline_s, "it never came true"
+        time.sleep(0.002)
+    return found
