@@ -223,16 +223,13 @@ def read_pixels(image: Image.Image) -> Pixels:
 def _deep_color(image: Image.Image) -> Pixels:
     """Return an image of 16 bits in color by OpenCV: Pillow reads their upper bytes only."""
     file: Any = getattr(image, "fp", None)
-    page, orientation = image.tell(), image.getexif().get(ORIENTATION, 1)
     file.seek(0)
-    data = np.frombuffer(file.read(), np.uint8)
+    data, page = np.frombuffer(file.read(), np.uint8), image.tell()
     is_read, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, None, (page, page + 1))
     if not is_read:
         raise ValueError("its pixels are damaged")
     pixels = np.asarray(pages[0])[..., [2, 1, 0, 3][: pages[0].shape[2]]]
-    if image.format == "TIFF" or orientation == 1:
-        return pixels  # OpenCV turns a TIFF itself
-    channels = [Image.fromarray(channel) for channel in np.moveaxis(pixels, 2, 0)]
-    for channel in channels:
-        channel.getexif()[ORIENTATION] = orientation
-    return np.dstack([np.asarray(ImageOps.exif_transpose(channel)) for channel in channels])
+    # OpenCV turns a TIFF itself.
+    turn = 1 if image.format == "TIFF" else image.getexif().get(ORIENTATION, 1)
+    pixels = pixels.swapaxes(0, 1) if turn > 4 else pixels
+    return pixels[:: -1 if turn in (3, 4, 7, 8) else 1, :: -1 if turn in (2, 3, 6, 7) else 1]

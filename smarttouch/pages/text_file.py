@@ -39,15 +39,10 @@ _FOREIGN = {
     "a contact or calendar": rb"BEGIN:V(?:CARD|CALENDAR)",
     "a notebook (Jupyter)": rb"\s*\{.*\"(?:nbformat|cells)\"\s*:",
     "an XML document": rb"<\?xml(?!.*<html)",
-    "a sound": rb"ID3|OggS|fLaC|RIFF.{4}WAVE|\xff[\xf2\xf3\xfb]|MThd",
     "a photograph in HEIC": rb".{4}ftyp(?:hei|mif1|msf1)",
-    "a video": rb"RIFF.{4}AVI |\x1aE\xdf\xa3|.{4}ftyp(?!avif)",
-    "a packed file": rb"7z\xbc\xaf|Rar!|\x1f\x8b|BZh|\xfd7zXZ|\x28\xb5\x2f\xfd",
-    "a program or its data": rb"MZ[^\n]{0,64}\x00|\x7fELF|SQLite format 3",
     "an old or locked Office document, or a mail of Outlook": rb"\xd0\xcf\x11\xe0",
 }
 """Kinds that are not read, and how they begin."""
-_FOREIGN_NAMES = {".eml": "an e-mail", ".svg": "a drawing (SVG)", ".pef": "a PEF file"}
 _ODF = "mimetypeapplication/vnd.oasis.opendocument."
 _IN_ZIP = {
     "word/": "docx", "mimetypeapplication/epub+zip": "epub", f"{_ODF}text": "odt",
@@ -60,14 +55,16 @@ _FORMULAS = dict.fromkeys(["html", "epub"], "+tex_math_dollars+tex_math_single_b
 """Extensions of pandoc by which TeX in a text is a formula."""
 _TEX = re.compile(r"\\\((.{,500}?[\\^_].{,500}?)\\\)|\\\[(.{,500}?[\\^_].{,500}?)\\\]", re.DOTALL)
 """Formulas in Markdown that pandoc knows between dollars only."""
-_EMBEDDED = {
-    "docx": ("word/document.xml", rb"<wps:txbx\b|<w:object\b|<c:chart\b|<dgm:relIds\b"),
-    "html": ("", rb"(?i)<(?:iframe|video|audio|canvas|object|embed)\b"),
-    "odt": ("content.xml", rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>"),
-}
-"""File within a document and elements in it that pandoc drops without a word."""
-_HEADS = rb"<w:t\b|<style:(?:header|footer)\b[^>]*>(?:\s*<[^>]*>)*[^<\s]"
-"""A header or footer with text, in DOCX and in ODT."""
+_EMBEDDED = re.compile(
+    rb"<(?:iframe|video|audio|canvas|object|embed|wps:txbx|w:object|c:chart|dgm:relIds)\b|"
+    rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>",
+    re.DOTALL | re.IGNORECASE,
+)
+"""Elements of HTML, DOCX and ODT that pandoc drops without a word."""
+_CONTENT = re.compile(r"word/document\.xml|content\.xml")
+_HEADS = re.compile(r"word/(?:header|footer)\d*\.xml|styles\.xml")
+_HEAD_TEXT = rb"<w:t\b|<style:(?:header|footer)\b[^>]*>(?:\s*<[^>]*>)*[^<\s]"
+"""Members of DOCX and ODT with the text and with the heads of pages, and text in these."""
 
 
 class FileKind(StrEnum):
@@ -151,12 +148,9 @@ def _format_of(path: Path) -> str | None:
         return _format_of_zip(path)
     if re.match(_HTML, data, re.IGNORECASE | re.DOTALL):
         return "html"
-    matches = (
-        kind for kind, beginning in _FOREIGN.items()
-        if suffix != ".txt" and re.match(beginning, data, re.IGNORECASE | re.DOTALL)
-    )  # fmt: skip
-    if kind := next(matches, _FOREIGN_NAMES.get(suffix)):
-        raise _not_read(path, kind)
+    for kind, beginning in _FOREIGN.items():
+        if suffix != ".txt" and re.match(beginning, data, re.IGNORECASE | re.DOTALL):
+            raise _not_read(path, kind)
     return None if b"\x00" in data else _BY_NAME.get(suffix)
 
 
@@ -188,34 +182,28 @@ def _prepared(path: Path, kind: str, data: bytes) -> tuple[bytes, int, bool]:
 
     Raises if it is not in UTF-8, or would fill the memory when unpacked.
     """
-    name, pattern = _EMBEDDED.get(kind, ("", rb"(?!)"))
-    embedded = re.compile(pattern, re.DOTALL)
     if not data.startswith(b"PK"):
         text = decoded(data, path, PageError)
         if kind not in _FORMULAS:
-            text = _TEX.sub(lambda found: f"${found[1] or found[2]}$", text)
-        return text.encode(), len(embedded.findall(data)), False
-    with zipfile.ZipFile(io.BytesIO(data)) as packed:
+            return _TEX.sub(lambda found: f"${found[1] or found[2]}$", text).encode(), 0, False
+        return text.encode(), len(_EMBEDDED.findall(data)), False
+    count, has_heads, file = 0, False, io.BytesIO()
+    mark = b"(embedded object)" if kind == "odt" else rb"\g<0>"
+    with zipfile.ZipFile(io.BytesIO(data)) as packed, zipfile.ZipFile(file, "w") as copy:
         size = sum(member.file_size for member in packed.infolist())
         if size > MOST_UNPACKED_BYTES:
             raise PageError(
                 f"{path} would unpack to {size // 10**6} MB, above the limit of "
                 f"{MOST_UNPACKED_BYTES // 10**6}: give a smaller document"
             )
-        has_heads = any(
-            re.search(_HEADS, packed.read(member)) for member in packed.namelist()
-            if re.fullmatch(r"word/(?:header|footer)\d*\.xml|styles\.xml", member)
-        )  # fmt: skip
-        content = packed.read(name) if name else b""
-        if kind != "odt":
-            return data, len(embedded.findall(content)), has_heads
-        # pandoc drops the heads of an ODT's tables.
-        content = re.sub(rb"</?table:table-header-rows[^>]*>", b"", content)
-        content, count = embedded.subn(b"(embedded object)", content)
-        file = io.BytesIO()
-        with zipfile.ZipFile(file, "w") as copy:
-            for member in packed.infolist():
-                copy.writestr(member, content if member.filename == name else packed.read(member))
+        for member in packed.infolist():
+            content, name = packed.read(member), member.filename
+            if _CONTENT.fullmatch(name):
+                content, count = _EMBEDDED.subn(mark, content)
+                # pandoc drops the heads of an ODT's tables.
+                content = re.sub(rb"</?table:table-header-rows[^>]*>", b"", content)
+            has_heads |= bool(_HEADS.fullmatch(name) and re.search(_HEAD_TEXT, content))
+            copy.writestr(member, content)
     return file.getvalue(), count, has_heads
 
 

@@ -55,14 +55,14 @@ def test_kinds_of_files(tmp_path, name, data, kind):
     (b"Subject: a\r\nX-B: c\r\n d\r\nMIME-Version: 1.0\r\n\r\nwords", "an e-mail"),
     (b"From a@b Mon\nReceived: from c\n\nwords", "an e-mail"), (b"BEGIN:VCARD\n", "a contact"),
     (b"% a\n\\documentclass{b}", "a LaTeX source"), (b'{"cells": []}', "a notebook"),
-    (b"\xd0\xcf\x11\xe0old", "an old or locked Office"), (b"ID3\x03", "a sound"),
+    (b"\xd0\xcf\x11\xe0old", "an old or locked Office"),
     (packed("ppt/a.xml", "[Content_Types].xml"), "a presentation"), (packed("a"), "a packed file"),
     (packed("xl/a.xml"), "a spreadsheet"),
     (packed(mimetype=f"{ODF}presentation"), "a presentation"),
     (packed(mimetype=f"{ODF}spreadsheet"), "a spreadsheet"),
-    (packed("word/document.xml")[:60], "damaged"), (b"\x1f\x8b\x08", "a packed file"),
-    (b"\x00\x00\x00\x18ftypmp42", "a video"), (b"\x00\x00\x00\x18ftypheic", "a photograph"),
-    (b"AT&TFORM\x00", "a DjVu document"), (b"\x7fELF", "a program"), (b"", "empty"),
+    (packed("word/document.xml")[:60], "damaged"),
+    (b"\x00\x00\x00\x18ftypheic", "a photograph"),
+    (b"AT&TFORM\x00", "a DjVu document"), (b"", "empty"),
 ])  # fmt: skip
 def test_what_is_not_read_is_named_with_what_to_do(tmp_path, data, kind):
     path = tmp_path / "a"
@@ -73,13 +73,6 @@ def test_what_is_not_read_is_named_with_what_to_do(tmp_path, data, kind):
     assert words.startswith(f"{path} is {kind}")
     assert ": " in words
     assert "\n" not in words
-
-
-@pytest.mark.parametrize("name", ["a.eml", "a.svg", "a.PEF"])
-def test_a_few_names_tell_what_is_not_read(tmp_path, name):
-    (tmp_path / name).write_bytes(b"words")
-    with pytest.raises(PageError, match="which is not read"):
-        file_kind(tmp_path / name)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le"])
