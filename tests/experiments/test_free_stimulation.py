@@ -20,7 +20,7 @@ from smarttouch.running.step import Listener
 
 from ..support.checks import raises
 from ..support.runs import loop_through
-from ..support.scans import played
+from ..support.scans import board_without_finger
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def play(line):
                 if isinstance(event, Note | Marked):
                     events.append(str(event))
 
-        with played(line, SimulatedDriver) as board:
+        with board_without_finger(line, SimulatedDriver) as board:
             pipeline = Pipeline(line, load_bank(line), RunConfig(mode=Mode.COLOR, scan="points"))
             loop_through(source, pipeline, board, Hand(), seconds=seconds, controls=controls)
             return steps, events, board.report()

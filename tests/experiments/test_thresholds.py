@@ -33,7 +33,7 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises
 from ..support.full import sample
-from ..support.scans import played
+from ..support.scans import board_without_finger
 from .simulated import SimulatedSubject
 
 
@@ -88,7 +88,7 @@ class Unpaced(MemoryDriver):
 
 def display_of(profile, kind=Unpaced):
     measuring = measuring_profile(profile)
-    return Display(played(measuring, kind), measuring)
+    return Display(board_without_finger(measuring, kind), measuring)
 
 
 def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **options):

@@ -20,7 +20,7 @@ from smarttouch.running.inputs import Controls, ControlState, Mode
 from smarttouch.running.runner import Runner
 
 from ..support.checks import raises
-from ..support.scans import played
+from ..support.scans import board_without_finger
 from .sitting import Perfect, Silent, sit
 
 FEW = {"repetitions": 1, "standards": "30", "train_s": 0.15}
@@ -262,7 +262,7 @@ def test_a_board_that_cannot_keep_a_frequency_is_noted(changed, profile, tmp_pat
 def test_only_simulated_boards_have_simulated_subjects(profile, bank):
     _, trials = trials_of("frequency", Setup(profile))
     source = TrialSource(trials, profile, "try", observer=Silent())
-    display = Display(played(profile), profile)
+    display = Display(board_without_finger(profile), profile)
     runner = Runner(source, display, RunConfig(), load_kernels=lambda _profile: bank)
     with raises(ExperimentError, names="board", allowed=("simulated:",)):
         runner.run()

@@ -24,7 +24,7 @@ from smarttouch.running.step import Listener, as_listeners
 from smarttouch.views.vibrator import Vibrator
 
 from ..support.full import sample
-from ..support.scans import played
+from ..support.scans import board_without_finger
 from .recover import recover
 
 ALONE = {
@@ -124,7 +124,7 @@ def feel(spec, profile, bank, seconds=2.0, vibrator=None, **options):
     def watch(sent):
         began_s[sent.number] = sent.step.sequence.time_ns / 1e9
 
-    board = played(profile, SimulatedDriver)
+    board = board_without_finger(profile, SimulatedDriver)
     if vibrated:
         vibrator.prepare(None)
     with board, contextlib.closing(vibrator or Listener()):

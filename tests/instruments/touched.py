@@ -21,7 +21,7 @@ from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 
 from ..support.runs import loop_through
-from ..support.scans import played
+from ..support.scans import board_without_finger
 
 DPI = 254
 """A tenth of a millimeter a pixel."""
@@ -157,7 +157,7 @@ def feel(sensor: MouseSource, profile, bank, seconds: float | None = None) -> Si
             times_ns[sent.number] = frame.time_ns
             poses_mm[sent.number] = (frame.pose.x_mm, frame.pose.y_mm)
 
-    with sensor, played(profile, SimulatedDriver) as board:
+    with sensor, board_without_finger(profile, SimulatedDriver) as board:
         pipeline = Pipeline(profile, bank, RunConfig(mode=sensor.mode, scan="points", balance=True))
         pipeline.regulator = Regulator(
             ledger=ChargeBalance(len(profile.electrodes)),

@@ -39,7 +39,7 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 
-from ..support.scans import played
+from ..support.scans import board_without_finger
 
 FOLDER = Path(__file__).parent / "goldens"
 STARTED_UNIX_NS = 1_700_000_000 * 10**9
@@ -199,7 +199,7 @@ def make(golden, path):
         Adaptation(profile, golden.hold, 100.0, golden.timing) if golden.hold else None,
         ChargeBalance(len(profile.electrodes)) if golden.balance else None,
     )
-    board = played(profile, partial(GoldenDriver, golden))
+    board = board_without_finger(profile, partial(GoldenDriver, golden))
     recorder = Recorder(path)
     recorder.begin(about, STARTED_UNIX_NS)
     with open_source(f"text:{golden.text}", profile) as page, board:

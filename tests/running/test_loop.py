@@ -24,7 +24,7 @@ from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises
-from ..support.scans import played
+from ..support.scans import board_without_finger
 
 MS, PERIOD_NS = 1_000_000, 20_000_000
 
@@ -99,7 +99,7 @@ class Watched(MemoryDriver):
 @pytest.fixture
 def board(profile):
     # However busy the machine is, nothing is late but what a test makes late.
-    return played(profile, Watched, clock=FakeClock())
+    return board_without_finger(profile, Watched, clock=FakeClock())
 
 
 @pytest.fixture
@@ -362,7 +362,7 @@ def test_what_was_computed_before_a_pause_is_not_sent(
     again and again is reported once."""
     clock, process = FakeClock(), pipeline.process
     # One without a time of its own is never late.
-    board = played(profile, Watched, clock=clock, claimed_time=False)
+    board = board_without_finger(profile, Watched, clock=clock, claimed_time=False)
 
     def stand_still(*given):
         step, dropped = process(*given), board.dropped_late
@@ -382,7 +382,7 @@ def test_what_was_computed_before_a_pause_is_not_sent(
 
 def test_a_pause_before_a_frame_is_taken_drops_nothing(profile, play):
     clock = FakeClock([0] * 40 + [300 * MS])
-    board = played(profile, Watched, clock=clock)
+    board = board_without_finger(profile, Watched, clock=clock)
     run = play(Bars(60), board=board, clock=clock)
     assert run.intensities[39:42] == [1, 0, pytest.approx(0.04)]
     assert board.dropped_late == 0
@@ -394,7 +394,7 @@ def test_a_board_stopped_by_nobody_who_may_is_a_fault(play, board):
 
 
 def test_on_a_finger_an_intensity_must_be_given(profile, play):
-    board = played(profile, Watched, clock=FakeClock(), on_a_finger=True)
+    board = board_without_finger(profile, Watched, clock=FakeClock(), on_a_finger=True)
     with raises(BoardError, names="controls"):
         play(Bars(5), board=board)
     assert board.driver.sequences == []
@@ -407,7 +407,7 @@ def test_priority_is_for_boards_whose_time_passes(
     profile, play, monkeypatch, on_a_finger, simulated_time
 ):
     kind = type("Own", (Watched,), {"simulated_time": bool(simulated_time)})
-    board = played(profile, kind, clock=FakeClock(), on_a_finger=bool(on_a_finger))
+    board = board_without_finger(profile, kind, clock=FakeClock(), on_a_finger=bool(on_a_finger))
     taken = []
 
     @contextmanager

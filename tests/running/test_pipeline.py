@@ -27,7 +27,7 @@ from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from ..support.checks import raises
 from ..support.full import sample
-from ..support.scans import played, prove_alone
+from ..support.scans import board_without_finger, prove_alone
 
 RA, SAI, PC = Afferent
 SECOND_NS, PERIOD_NS = 10**9, 20_000_000
@@ -362,7 +362,7 @@ def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(
     for way, regulator in ways.items():
         pipeline = pipeline_of(mode)
         pipeline.regulator = regulator
-        with played(profile, SimulatedDriver) as board:
+        with board_without_finger(profile, SimulatedDriver) as board:
             for index in range(40):
                 # Slow enough for every way, so that all get the same frames.
                 frame = make_frame(patch(index, index + 9), index * 60_000_000)

@@ -10,7 +10,7 @@ from smarttouch.running.display import Display
 from smarttouch.running.step import OnEvent, OnStep
 from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
 
-from ..support.scans import played
+from ..support.scans import board_without_finger
 
 
 class TwitchingClock:
@@ -31,7 +31,7 @@ class TwitchingClock:
 def walked(clock, profile="etactilekit-32", **options):
     """Return the sequences of a walk, and where it said to be."""
     profile, events = load_profile(profile), []
-    display = Display(played(profile, clock=clock), profile)
+    display = Display(board_without_finger(profile, clock=clock), profile)
     walk = Walk(display.profile, 0.3, **options)
     run_walk(walk, display, [OnEvent(events.append)], StopRequest())
     reached = [str(each) for each in events if isinstance(each, ElectrodeReached)]
@@ -83,7 +83,7 @@ def test_masked_electrodes_are_named_and_left_out(profile, changed):
 
 def test_each_electrode_until_it_is_left():
     profile, steps = load_profile("etactilekit-32"), []
-    display = Display(played(profile, clock=TwitchingClock([0] * 10**4)), profile)
+    display = Display(board_without_finger(profile, clock=TwitchingClock([0] * 10**4)), profile)
     walk = Walk(display.profile, 0.3)
 
     def leave(result):

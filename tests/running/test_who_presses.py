@@ -24,7 +24,7 @@ from smarttouch.sources.source_contract import Source, Stimulus, StimulusSource
 
 from ..support.checks import raises
 from ..support.full import WHOLE
-from ..support.scans import played
+from ..support.scans import board_without_finger
 
 GOLDEN = Path(__file__).parents[1] / "running" / "goldens" / "ra.mcap"
 
@@ -81,7 +81,7 @@ def flows(profile, bank):
         law = profile.force.model_dump() | {"source": in_profile}
         kind = type("Pressed", (Pressed,), {"force_n": on_board_n})
         pressed = profile.model_copy(update={"force": law})
-        board = played(pressed, kind, clock=SimulatedClock(), on_a_finger=on_a_finger)
+        board = board_without_finger(pressed, kind, clock=SimulatedClock(), on_a_finger=on_a_finger)
         Runner(
             source, Display(board, pressed), RunConfig(intensity=1.0, seconds=0.6), force=force,
             load_kernels=lambda _: bank,

@@ -35,7 +35,7 @@ def prove_alone(profile, sequence):
     Exposure(limits).enter(sequence.time_ns, sequence.period_us, 1, load, flows=True)
 
 
-def played(profile, kind=MemoryDriver, **options):
+def board_without_finger(profile, kind=MemoryDriver, **options):
     """Return the board of a profile, with a driver of this kind."""
     limits = SafetyLimits.of(profile)
     driver = kind("", limits, profile.output)
