@@ -14,13 +14,13 @@ from smarttouch.pages.text_file import FileKind, file_kind, read_document_text, 
 
 
 def packed(*names, mimetype=""):
-    """Return a ZIP file with members of these names."""
+    """Return a ZIP file with members of these names; the same bytes each time."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
         if mimetype:
-            archive.writestr("mimetype", mimetype)
+            archive.writestr(zipfile.ZipInfo("mimetype"), mimetype)
         for name in names:
-            archive.writestr(name, "words")
+            archive.writestr(zipfile.ZipInfo(name), "words")
     return file.getvalue()
 
 
