@@ -14,6 +14,7 @@ import subprocess
 import numpy as np
 import pytest
 
+from firmware.tests.build import built
 from smarttouch.boards.link.protocol import MessageKind, encode
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.kernels.bank import load_bank
@@ -22,7 +23,6 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.source_contract import Stimulus
 from tests.boards.payloads import encode_lists
-from tests.firmware.build import built
 
 WIRES = {"1 MB/s": 1e6, "921,600 Bd": 92_160}
 PULSE_US, REST_US = 200, 100

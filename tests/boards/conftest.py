@@ -12,6 +12,8 @@ from functools import partial
 import numpy as np
 import pytest
 
+from firmware.tests.build import WHOLE
+from firmware.tests.conftest import start_cortex_m3, start_firmware
 from smarttouch.base.errors import BoardRestartedError
 from smarttouch.base.posix import prioritized
 from smarttouch.boards.board import Board
@@ -22,8 +24,6 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.testing.driver_contract import DriverContract
 from tests.boards.fresh import fresh_state, starter
-from tests.firmware.build import WHOLE
-from tests.firmware.conftest import start_cortex_m3, start_firmware
 
 from ..safety.bounds import WHOLE as WHOLE_RISE
 from ..safety.bounds import Bounds

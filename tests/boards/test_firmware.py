@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from firmware.tests.build import WHOLE
+from firmware.tests.scenes import random_table
 from smarttouch.base.errors import BoardRestartedError
 from smarttouch.boards.open import make_board
 from smarttouch.profile.device import Output
@@ -19,8 +21,6 @@ from tests.boards.test_contract import (
     Contract,
     without_repeating,
 )
-from tests.firmware.build import WHOLE
-from tests.firmware.scenes import random_table
 
 from ..support.checks import raises
 

@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from firmware.tests.scenes import random_table, sequence_of
 from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer, WirePacket
 from smarttouch.boards.board import Board
@@ -32,7 +33,6 @@ from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.link_packets import decode_lists
 from smarttouch.emulator.link_rules import Room
 from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
-from tests.firmware.scenes import random_table, sequence_of
 
 from ..support.checks import raises
 from .fresh import until

@@ -1,6 +1,6 @@
 """The emulated link board on a clock of the test's own: what it keeps, hears and executes.
 
-What it refuses is compared with the C core and a judge in ``tests/firmware``.
+What it refuses is compared with the C core and a judge in ``firmware/tests``.
 """
 
 from types import SimpleNamespace
@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from firmware.tests.scenes import sequence_of
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import KernelTableError
 from smarttouch.base.wire.framing import Deframer, frame_packet
@@ -32,7 +33,6 @@ from smarttouch.emulator.link_rules import Room
 from smarttouch.emulator.skin import EmulatedFinger
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable
 from tests.boards.payloads import encode_lists, limits_payload, sequence_payload
-from tests.firmware.scenes import sequence_of
 
 from ..support.checks import raises
 

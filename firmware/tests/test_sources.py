@@ -1,6 +1,6 @@
 """What the core takes of a small processor, and which of MISRA's required rules it keeps.
 
-``pytest -n0 -s tests/firmware/test_sources.py`` prints its size.
+``pytest -n0 -s firmware/tests/test_sources.py`` prints its size.
 """
 
 import re
@@ -9,7 +9,7 @@ import subprocess
 
 import pytest
 
-from tests.firmware.build import SOURCES, WHOLE
+from firmware.tests.build import SOURCES, WHOLE
 
 ADVISORY = re.compile(
     r"1\.2|2\.[34567]|4\.2|5\.9|8\.(7|9|11|13)|10\.5|11\.[45]|12\.[134]|13\.[34]|15\.[145]"

@@ -5,8 +5,8 @@ import subprocess
 
 import pytest
 
-from tests.firmware import build
-from tests.firmware.cortex_m3 import CortexM3
+from firmware.tests import build
+from firmware.tests.cortex_m3 import CortexM3
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from tests.firmware.build import SOURCES, WHOLE, built, changed
+from firmware.tests.build import SOURCES, WHOLE, built, changed
 
 SAFE = "as safe as can be"
 LEFT_OUT = {

@@ -7,10 +7,10 @@ import time
 
 import numpy as np
 
+from firmware.tests.build import cortex_m3
 from smarttouch.boards.link.protocol import OUTPUTS
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.skin import Delivered
-from tests.firmware.build import cortex_m3
 
 ELECTRODES = 64
 _REASONS = {word[:4]: word for word in ("start", "end", "silence", "stop", "begin", "emergency")}

@@ -5,13 +5,13 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from firmware.tests.build import WHOLE, library
+from firmware.tests.rig import Both, Core, Emulated, Talk, Worn
+from firmware.tests.scenes import Scene, random_lists, random_table, sequence_of
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import KernelImage
-from tests.firmware.build import WHOLE, library
-from tests.firmware.rig import Both, Core, Emulated, Talk, Worn
-from tests.firmware.scenes import Scene, random_lists, random_table, sequence_of
 
 
 @pytest.fixture

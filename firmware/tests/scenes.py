@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from firmware.tests.rig import Talk
 from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, quantized
 from tests.boards.payloads import encode_lists
-from tests.firmware.rig import Talk
 
 
 def random_table(rng, kernels, electrodes):

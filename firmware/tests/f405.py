@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tests.firmware import build
+from firmware.tests import build
 
 _WRITE = re.compile(r"addr (0x[0-9a-f]+) value (0x[0-9a-f]+) size \d name")
 GPIOA_BSRR, GPIOB_BSRR = 0x40020018, 0x40020418

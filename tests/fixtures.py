@@ -17,12 +17,12 @@ import pytest
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
+from firmware.tests import build
 from smarttouch.base.posix import fcntl, prioritized
 from smarttouch.boards.kits import watchdog
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.sources.source_contract import Frame, Pose
 
-from .firmware import build
 from .safety import displays
 from .safety.watch import Watch
 from .support import processes

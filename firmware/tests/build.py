@@ -12,7 +12,7 @@ import pytest
 from smarttouch.base.posix import fcntl
 from tests.support.full import WHOLE as IS_WHOLE
 
-SOURCES = Path(__file__).parents[2] / "firmware"
+SOURCES = Path(__file__).parents[1]
 
 
 silence_ms = 100

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from firmware.tests.judge import FULL, Judge, Limits, Scan
+from firmware.tests.rig import Talk
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import MessageKind, Refusal, Rule
-from tests.firmware.judge import FULL, Judge, Limits, Scan
-from tests.firmware.rig import Talk
 
 ELECTRODES = 4
 

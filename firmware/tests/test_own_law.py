@@ -7,11 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import MessageKind, Refusal
-from tests.firmware.build import WHOLE, changed, library
-from tests.firmware.judge import FULL, Limits, Scan
-from tests.firmware.lives import (
+from firmware.tests.build import WHOLE, changed, library
+from firmware.tests.judge import FULL, Limits, Scan
+from firmware.tests.lives import (
     ELECTRODES,
     LIVES,
     Life,
@@ -27,7 +25,9 @@ from tests.firmware.lives import (
     rising_parts,
     session,
 )
-from tests.firmware.rig import Both, Core, Emulated
+from firmware.tests.rig import Both, Core, Emulated
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import MessageKind, Refusal
 from tests.support.full import WHOLE as IS_WHOLE
 
 SCANS = 2500 if IS_WHOLE else 150

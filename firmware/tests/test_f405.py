@@ -8,16 +8,16 @@ import time
 import numpy as np
 import pytest
 
+from firmware.tests import build
+from firmware.tests.build import built
+from firmware.tests.f405 import F405, LE, POL, states
+from firmware.tests.rig import Talk
+from firmware.tests.test_qemu import OverSocket
 from smarttouch.boards.link.protocol import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import encode_limits
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from tests.boards.payloads import encode_lists
-from tests.firmware import build
-from tests.firmware.build import built
-from tests.firmware.f405 import F405, LE, POL, states
-from tests.firmware.rig import Talk
-from tests.firmware.test_qemu import OverSocket
 from tests.support.processes import PROGRAM, Forked
 
 KITS = {"st_kajimoto61": (61, 2.442), "st_etactilekit64": (64, 9.99)}

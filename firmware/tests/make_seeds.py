@@ -1,4 +1,4 @@
-"""Makes inputs for the fuzzer to begin with: ``python -m tests.firmware.make_seeds FOLDER``.
+"""Makes inputs for the fuzzer to begin with: ``python -m firmware.tests.make_seeds FOLDER``.
 
 Each is a board's life in the acts of ``firmware/fuzz/st_fuzz.c``: sequences that are mostly right,
 so that pulses flow from the start.
@@ -7,9 +7,9 @@ so that pulses flow from the start.
 import sys
 from pathlib import Path
 
+from firmware.tests.scenes import Scene, random_table
 from smarttouch.boards.link.protocol import OUTPUTS
 from smarttouch.boards.link.sequence_encoding import KernelImage
-from tests.firmware.scenes import Scene, random_table
 
 TIME, BEGIN, LIMITS, KERNELS, SEQUENCE = 0, 3, 4, 5, 6
 RAMP, REAL_TIME, VOLTAGES = 0x80, 0x40, 0x20

@@ -7,10 +7,10 @@ import time
 import numpy as np
 import pytest
 
+from firmware.tests.cortex_m3 import ELECTRODES
+from firmware.tests.rig import Talk
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from tests.firmware.cortex_m3 import ELECTRODES
-from tests.firmware.rig import Talk
 from tests.support.runs import until
 
 

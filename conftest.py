@@ -1,0 +1,7 @@
+"""Fixtures for all tests, and the folders from which tests import what they share."""
+
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parent))  # last: an installed package comes first
+pytest_plugins = ["tests.fixtures"]
