@@ -71,6 +71,9 @@ def pytest_addoption(parser):
         "--full", action="store_true", help="run all of what is sampled otherwise, as CI does"
     )
     parser.addoption(
+        "--runs", type=int, help="of tests that repeat something at random: how often, or how long"
+    )
+    parser.addoption(
         "--quick", action="store_true", help="run benchmarks once each, short, and time nothing"
     )
 
@@ -203,6 +206,12 @@ def proved_twice(request, safety_watch, judged_books):
     if judged_books is not None and "tmp_path" in request.node.funcargs:
         safety_watch.judge_all_books(request.node.funcargs["tmp_path"], **judged_books)
     assert safety_watch.take() == []
+
+
+@pytest.fixture
+def runs(request):
+    """Return the number of ``--runs``, or None."""
+    return request.config.getoption("runs")
 
 
 @pytest.fixture(scope="session")

@@ -1,9 +1,8 @@
 """Every pattern is scanned, as often as it should be, and the host knows how often.
 
-``SMARTTOUCH_PATTERNS=2000 pytest tests/boards/test_in_step.py`` for the long run, and figures.
+``pytest tests/boards/test_in_step.py --runs 2000 -s`` for the long run, and figures.
 """
 
-import os
 import random
 
 import numpy as np
@@ -15,7 +14,7 @@ from tests.boards.manual_kit import MS, ManualKit
 
 from ..support.full import WHOLE
 
-PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "150" if WHOLE else "50"))
+PATTERNS = 150 if WHOLE else 50
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 PERIOD_US = 20_000
 FIRMWARES = pytest.mark.parametrize("firmware", ["71adee2", "newest"])
@@ -54,22 +53,23 @@ def wanted(sequence):
 @pytest.mark.parametrize(
     ("phase_us", "drift"), [(0, 100e-6), (4_900, -100e-6), (11_300, 0.0), (19_500, 100e-6)]
 )
-def test_every_pattern_is_scanned_once(monkeypatch, firmware, named, phase_us, drift):
+def test_every_pattern_is_scanned_once(monkeypatch, firmware, named, phase_us, drift, runs):
+    runs = runs or PATTERNS
     kit = ManualKit(
         monkeypatch, LIMITS, firmware, phase_ns=1000 * phase_us, drift=drift, named=named
     )
-    sequences = patterns(PATTERNS)
+    sequences = patterns(runs)
     start = kit.clock.time_ns
     report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
     assert kit.scans() == [wanted(each) for each in sequences]
     assert (report.slots, report.pulses) == (kit.books.slots, kit.books.pulses)
     assert report.most_pulses == report.pulses
-    assert (kit.host.acknowledged, kit.host.refused) == (PATTERNS, 0)
+    assert (kit.host.acknowledged, kit.host.refused) == (runs, 0)
     assert kit.books.unsafe == 0
     took = (kit.clock.time_ns - start) / (20 * MS)
-    print(f"{firmware} {phase_us} {drift}: {took:.1f} periods for {PATTERNS} patterns")
+    print(f"{firmware} {phase_us} {drift}: {took:.1f} periods for {runs} patterns")
     # A few until its scans are located.
-    assert took < PATTERNS + 7
+    assert took < runs + 7
 
 
 @FIRMWARES
@@ -92,13 +92,14 @@ def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_
 @FIRMWARES
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("named", [True, False])
-def test_what_a_busy_host_cannot_determine_is_a_range(monkeypatch, firmware, seed, named):
+def test_what_a_busy_host_cannot_determine_is_a_range(monkeypatch, firmware, seed, named, runs):
     """Waits of milliseconds too long, and frames that come when they like: none unscanned."""
+    runs = runs or PATTERNS
     kit = ManualKit(
         monkeypatch, LIMITS, firmware, seed=seed, late_us=3000, phase_ns=7 * MS * seed,
         wire_us=2000, named=named,
     )  # fmt: skip
-    sequences = patterns(PATTERNS // 3, seed)
+    sequences = patterns(runs // 3, seed)
     rng, time_ns, jobs = random.Random(seed), kit.clock.time_ns, []
     for each in sequences:
         jobs.append((time_ns, each, rng.choice([1, 1, 1, 5])))

@@ -1,10 +1,9 @@
 """Whatever happens to a line, for as long as it likes: nothing unsafe ever flows.
 
-``SMARTTOUCH_FAULT_SECONDS=600 pytest tests/boards/test_random_faults.py --timeout 0 -s`` for the
-long run, and figures.
+``pytest tests/boards/test_random_faults.py --runs 600 --timeout 0 -s`` for 600 seconds of
+each, and figures.
 """
 
-import os
 import random
 import threading
 import time
@@ -18,7 +17,7 @@ from tests.boards.conftest import FIRMWARES
 from tests.boards.fresh import HANGS_S
 from tests.support.full import WHOLE
 
-SECONDS = float(os.environ.get("SMARTTOUCH_FAULT_SECONDS", "2" if WHOLE else "1"))
+SECONDS = 2 if WHOLE else 1
 pytestmark = pytest.mark.realtime
 
 
@@ -54,7 +53,8 @@ class Weather:
 @pytest.mark.parametrize("hosted", [
     "link", "link C", "kajimoto61", "etactilekit", "etactilekit newest", FIRMWARES[1],
 ], indirect=True)  # fmt: skip
-def test_nothing_unsafe_flows(hosted):
+def test_nothing_unsafe_flows(hosted, runs):
+    runs = runs or SECONDS
     # USB and TCP lose bytes only by whole pieces or at their end; they never double one.
     weather = Weather(1, doubles=hosted.kind != "etactilekit", replays=hosted.kind == "link")
     hosted.line.to_board = hosted.line.to_host = weather
@@ -65,7 +65,7 @@ def test_nothing_unsafe_flows(hosted):
     def over():
         # A busy machine takes longer to send anything.
         seconds = time.monotonic() - begun
-        return seconds > SECONDS and (sent > 0 or seconds > HANGS_S)
+        return seconds > runs and (sent > 0 or seconds > HANGS_S)
 
     while not over():
         hosted.step = 0
@@ -90,7 +90,7 @@ def test_nothing_unsafe_flows(hosted):
     time.sleep(0.4)
     state = read_state(hosted.folder)
     print(
-        f"\n{hosted.kind}: {SECONDS:g} s, {sent} sequences, {state['slots']} slots; "
+        f"\n{hosted.kind}: {runs:g} s, {sent} sequences, {state['slots']} slots; "
         f"{weather.counts}; opened {opened}, restarts {restarts}, faults {len(sentences)}; "
         f"unsafe slots {state['unsafe']}, old packets {state['old_packets']}"
     )

@@ -1,11 +1,10 @@
 """Someone sits on the line of a ``link`` board and repeats, delays, mixes and breaks packets.
 
 Host and firmware are driven in one thread, on a clock that is told, frame by frame.
-``SMARTTOUCH_MIDDLE_RUNS=3000 pytest tests/boards/middle/test_middle.py --timeout 0 -s`` for the
-long run, and figures.
+``pytest tests/boards/middle/test_middle.py --runs 3000 --timeout 0 -s`` for the long run, and
+figures.
 """
 
-import os
 from collections import Counter
 
 import numpy as np
@@ -17,7 +16,7 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from .conftest import write
 
-RUNS = int(os.environ.get("SMARTTOUCH_MIDDLE_RUNS", "40"))
+RUNS = 40
 RUNS_PER_BOARD = 20
 
 
@@ -105,10 +104,11 @@ def check(world, host, gone_ns, ending):
     books.kept.clear()
 
 
-def test_a_man_in_the_middle(make_world):
+def test_a_man_in_the_middle(make_world, runs):
+    runs = runs or RUNS
     totals, faults, foreign = Counter(), Counter(), ([], [])
     asked = Host.asked_ever
-    for seed in range(RUNS):
+    for seed in range(runs):
         if seed % RUNS_PER_BOARD == 0:
             world = make_world(seed)
         # Of this board's sessions, and of another board's of the same kind.
@@ -119,7 +119,7 @@ def test_a_man_in_the_middle(make_world):
         check(world, host, gone_ns, ending)
         foreign[0].extend(world.to_board.record)
         foreign[1].extend(world.to_host.record)
-        if seed % RUNS_PER_BOARD == RUNS_PER_BOARD - 1 or seed == RUNS - 1:
+        if seed % RUNS_PER_BOARD == RUNS_PER_BOARD - 1 or seed == runs - 1:
             for middle in (world.to_board, world.to_host):
                 faults.update(middle.counts)
                 middle.share = 0.0
@@ -129,21 +129,22 @@ def test_a_man_in_the_middle(make_world):
             totals.update(world.replayed)
             totals.update(slots=world.books.slots, refused=world.refused(), faults=world.given_up)
     print(
-        f"\n{RUNS} runs, {Host.asked_ever - asked} sequences asked for, {totals['slots']} slots: "
+        f"\n{runs} runs, {Host.asked_ever - asked} sequences asked for, {totals['slots']} slots: "
         "0 unsafe, 0 unasked, 0 old delivered; old frames that reached the board "
         f"{totals['board']}, refused by it {totals['refused']}; that reached the host, all "
         f"counted, {totals['host']}; "
         f"faults {dict(faults)}, hosts that gave up {totals['faults']}"
     )
-    assert totals["slots"] > 10 * RUNS
-    assert totals["board"] > 10 * RUNS
-    assert totals["host"] > RUNS
+    assert totals["slots"] > 10 * runs
+    assert totals["board"] > 10 * runs
+    assert totals["host"] > runs
 
 
-def test_the_emergency_switch_opened_at_random(make_world):
+def test_the_emergency_switch_opened_at_random(make_world, runs):
     """Whatever the line does, nothing flows from then on, and closing it begins nothing."""
+    runs = runs or RUNS
     while_flowing = reported = 0
-    for seed in range(RUNS):
+    for seed in range(runs):
         world = make_world(seed)
         world.opens_ns = world.random.randrange(20, 600) * 1_000_000
         ending = world.random.choice(["stop", "silent", "replayed", "hoarded"])
@@ -165,7 +166,7 @@ def test_the_emergency_switch_opened_at_random(make_world):
         again.send(1)
         world.wait(20)
         assert len(world.books.kept) == 2
-    print(f"\n{RUNS} runs: the switch opened {while_flowing} times while current flowed, and")
+    print(f"\n{runs} runs: the switch opened {while_flowing} times while current flowed, and")
     print(f"{reported} hosts ended by it")
-    assert while_flowing > RUNS // 10
-    assert reported > RUNS // 10
+    assert while_flowing > runs // 10
+    assert reported > runs // 10
