@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 from uuid import uuid4
@@ -22,7 +22,8 @@ from platformdirs import user_state_path
 
 from smarttouch.base.clock import now_ns
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.posix import O_CLOEXEC, O_NOFOLLOW, try_lock
+from smarttouch.base.files import make_folder
+from smarttouch.base.posix import O_NOFOLLOW, try_lock
 
 ANSWER_S = 3.0  # time that `stop_all` gives runs to confirm zero
 _LOOK_S = 0.05
@@ -83,7 +84,7 @@ class _Run:
     @property
     def is_locked(self) -> bool:
         with suppress(OSError):
-            number = os.open(self.path("lock"), os.O_RDWR | O_CLOEXEC | O_NOFOLLOW)
+            number = os.open(self.path("lock"), os.O_RDWR | O_NOFOLLOW)
             try:
                 # Shared, so that two processes that look at once do not see each other's lock.
                 return not try_lock(number, shared=True)
@@ -100,8 +101,9 @@ class _Run:
 
     def answer(self, until_s: float) -> Answer:
         """Wait for the answer of a run that was asked, and put into words what is known."""
-        name = self.name
-        while True:
+        name, late = self.name, False
+        while not late:
+            late = time.monotonic() > until_s
             # In this order: a run may answer just before it ends.
             ended = self.has_ended
             withdrawn = registry_folder().exists() and not (self.has("json") or self.is_locked)
@@ -113,8 +115,6 @@ class _Run:
                 return Answer(f"{name} has confirmed zero", at_zero=True)
             if ended:
                 return Answer(f"{name} ended without confirming zero: switch the board off")
-            if time.monotonic() > until_s:
-                break
             time.sleep(0.01)
         if self.is_here or self.is_locked:
             return Answer(f"{name} did not answer: switch the board off")
@@ -140,10 +140,10 @@ class RunEntry:
 
     def __init__(self, on_stop: Callable[[str], bool]) -> None:
         self.lost_a_board = False  # whether one was closed that had not confirmed zero
-        self._on_stop = on_stop
-        self._run, self._lock_number = _Run(uuid4().hex), -1
-        self._over, self._changing = threading.Event(), threading.RLock()
-        self._announce()
+        self._on_stop, self._lock_number = on_stop, -1
+        self._run = _Run(uuid4().hex, *_place(), os.getpid(), _start_ns(os.getpid()))
+        self._over, self._changing = threading.Event(), threading.Lock()
+        self._announce(0)
         threading.Thread(target=self._watch, name="stop requests", daemon=True).start()
 
     @property
@@ -155,15 +155,16 @@ class RunEntry:
         """Enter the current that all boards of this process may drive together, and return the
         sum of all runs, µA; if it rises above ``most_ua``, nothing is entered."""
         if current_ua <= self._run.current_ua:
-            self._enter(current_ua)
+            self._announce(current_ua)
             return current_ua
         with _registry_lock():
-            others = [run for run in _listed() if run.id != self._run.id and not run.has_ended]
             total_ua = current_ua + sum(
-                run.current_ua for run in others if run.is_locked or run.is_here
+                run.current_ua
+                for run in _listed()
+                if run.id != self._run.id and not run.has_ended and (run.is_locked or run.is_here)
             )
             if total_ua <= most_ua:
-                self._enter(current_ua)
+                self._announce(current_ua)
         return total_ua
 
     def withdraw(self) -> None:
@@ -181,23 +182,23 @@ class RunEntry:
         """Release the lock: of a forked process, whose entry stays the parent's."""
         os.close(self._lock_number)
 
-    def _enter(self, current_ua: int) -> None:
+    def _announce(self, current_ua: int) -> None:
+        """Write the file of this run, and lock the one beside it."""
         with self._changing:
-            start_ns = _start_ns(os.getpid())
-            self._run = _Run(self._run.id, *_place(), os.getpid(), start_ns, current_ua)
-            if not self._over.is_set():
-                _write(self._run.path("json"), json.dumps(asdict(self._run)))
-
-    def _announce(self) -> None:
-        registry_folder().mkdir(mode=0o700, parents=True, exist_ok=True)
-        flags = os.O_RDWR | os.O_CREAT | O_CLOEXEC | O_NOFOLLOW
-        number = os.open(self._run.path("lock"), flags, 0o600)
-        # Where the file system has no locks, the run is asked all the same.
-        try_lock(number)
-        if self._lock_number >= 0:
-            self.close()
-        self._lock_number = number
-        self._enter(self._run.current_ua)
+            if self._over.is_set():
+                return
+            make_folder(registry_folder())
+            if not self._run.has("lock"):
+                flags = os.O_RDWR | os.O_CREAT | O_NOFOLLOW
+                before, self._lock_number = (
+                    self._lock_number, os.open(self._run.path("lock"), flags, 0o600)
+                )  # fmt: skip
+                # Where the file system has no locks, the run is asked all the same.
+                try_lock(self._lock_number)
+                if before >= 0:
+                    os.close(before)
+            self._run = replace(self._run, current_ua=current_ua)
+            _write(self._run.path("json"), json.dumps(asdict(self._run)))
 
     def _watch(self) -> None:
         looks = 0
@@ -209,15 +210,10 @@ class RunEntry:
 
     def _announce_again(self) -> str:
         """Announce this run again if its files are gone; return why it must end, if it must."""
+        if self._run.has("json") and self._run.has("lock"):
+            return ""
         try:
-            with self._changing:
-                if self._over.is_set():
-                    return ""
-                lock, held = self._run.path("lock"), os.fstat(self._lock_number)
-                is_there = self._run.has("json") and lock.exists()
-                if is_there and os.path.samestat(lock.stat(), held):
-                    return ""
-                self._announce()
+            self._announce(self._run.current_ua)
         except OSError as error:
             return f"the loss of {self._run.path('json')} ({error.strerror})"
         # A stop that came meanwhile did not find this run, but it left its mark.
@@ -241,7 +237,7 @@ def stop_all() -> list[Answer]:
     _begun_ns = now_ns()
     # First: a run that is not listed yet finds the mark before it opens a board.
     try:
-        registry_folder().mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_folder(registry_folder())
         _write(registry_folder() / "stopped", f"{_place()[1]} {_begun_ns}")
     except OSError as error:
         problems.append(
@@ -326,9 +322,8 @@ def _write(path: Path, text: str) -> None:
         draft.touch(0o600)
         draft.write_text(text)
         draft.replace(path)
-    except OSError:
+    finally:
         draft.unlink(missing_ok=True)
-        raise
 
 
 @contextmanager

@@ -40,7 +40,6 @@ class Command:
     stop: StopRequest = field(default_factory=StopRequest)
     orderly: bool = False
     patience_s: float = ENDS_WITHIN_S
-    opens_a_board: bool = False
 
     @property
     def number(self) -> int:
@@ -55,7 +54,7 @@ class _Process:
         self.lock = threading.RLock()
         # Also boards that nothing else refers to any more: they may go on.
         self.boards: dict[Board, int] = {}
-        self.runs: list[StopRequest] = []
+        self.runs: list[StopRequest] = []  # of runs, and of the command once it will open a board
         self.command: Command | None = None
         self.signals: _Signals | None = None
         self.in_run = False  # whether the main thread is in a run, which ends by itself
@@ -70,30 +69,7 @@ class _Process:
             self.signals.close(forked=True)
         vars(self).update(vars(_Process()))
 
-    def enter(self, board: "Board") -> None:
-        """Announce a board that is about to be opened, if a stop must reach it; raise BoardError if
-        this program was stopped, or the displays of this user could drive too much together."""
-        if not board.announced:
-            return
-        with self.lock:
-            if board in self.boards:
-                # The thread that fails would withdraw the board that the other has open.
-                raise BoardError("another thread opens or closes the board: try again")
-            self.boards[board] = board.budget_ua
-            try:
-                self.announce(board.budget_ua)
-            except BaseException:
-                self.leave(board)
-                raise
-
-    def expect(self, board: "Board") -> None:
-        """Announce the command that runs, if it will open a board that a stop must reach."""
-        if self.command is not None and board.announced:
-            with self.lock:
-                self.command.opens_a_board = True
-                self.announce()
-
-    def announce(self, own_ua: int = 0) -> None:
+    def announce(self) -> None:
         """Announce this process and the current of all its boards; refuse what it begins if it was
         stopped, or if that is too much together with other runs."""
         # Imported here, so that the program's help loads no profile.
@@ -117,38 +93,30 @@ class _Process:
                 f"finds this run: {error.strerror}; set XDG_STATE_HOME to a folder that you can "
                 "write to"
             ) from None
-        if own_ua and total_ua > most_ua:
+        if total_ua > most_ua:
             raise BoardError(
                 f"the displays of this user could drive {total_ua / 1000:g} mA together with this "
-                f"one, which may drive {own_ua / 1000:g} mA: {CEILING_USER_MA:g} mA are allowed, "
-                "so close another display or lower limits.total_ma in the profile"
+                f"one, and {CEILING_USER_MA:g} mA are allowed: close another display or lower "
+                "limits.total_ma in the profile"
             )
 
     def handle_signals(self) -> None:
         if threading.current_thread() is threading.main_thread():
             self.signals = self.signals or _Signals(self.command)
 
-    def leave(
-        self, board: "Board | None" = None, at_zero: bool = True, run: StopRequest | None = None
-    ) -> None:
-        """Withdraw a board that is closed or a run, and the entry with the last of them; a stop
-        reports a board that has not confirmed zero."""
-        with self.lock:
-            entry, command = self.entry, self.command
-            if board is not None and self.boards.pop(board, None) is not None and entry is not None:
-                entry.lost_a_board = entry.lost_a_board or not at_zero
-            # By identity, as equal requests compare equal.
-            self.runs = [request for request in self.runs if request is not run]
-            if self.boards or self.runs or (command is not None and command.opens_a_board):
-                if entry is not None:
-                    with suppress(SmartTouchError, OSError):
-                        entry.declare(sum(self.boards.values()))
-                return
+    def withdraw(self) -> None:
+        """Declare what is left, or withdraw the entry where no board and no run is."""
+        entry = self.entry
+        if self.boards or self.runs:
             if entry is not None:
-                self.entry = None
-                entry.withdraw()
-            if command is None and self.signals is not None and self.signals.close():
-                self.signals = None
+                with suppress(SmartTouchError, OSError):
+                    entry.declare(sum(self.boards.values()))
+            return
+        if entry is not None:
+            self.entry = None
+            entry.withdraw()
+        if self.command is None and self.signals is not None and self.signals.close():
+            self.signals = None
 
     def end(self, reason: str, *, for_good: bool = True) -> bool:
         """Bring all boards to zero and ask all runs to end; return whether all boards have
@@ -157,10 +125,8 @@ class _Process:
         # entered now finds the reason, or is among these.
         if for_good:
             self.reason = self.reason or reason
-        requests, boards, entry = [*self.runs], [*self.boards], self.entry
-        if self.command is not None:
-            requests.append(self.command.stop)
-        for request in requests:
+        boards, entry = [*self.boards], self.entry
+        for request in [*self.runs, *([self.command.stop] if self.command else [])]:
             # Before its board refuses.
             request.ask(reason, at_once=False)
 
@@ -168,7 +134,7 @@ class _Process:
             # Whatever it raises, it has not confirmed zero.
             with suppress(Exception):
                 (board.halt if for_good else board.stop)()
-                self.leave(board)
+                leave(board)
 
         for board in boards:
             threading.Thread(target=bring_to_zero, args=(board,), daemon=True).start()
@@ -202,11 +168,9 @@ class _Signals:
         self._set_wakeup(self._wakes.fileno())
         self._before: dict[int, Any] = {}
         for number in SIGNALS:
-            before = signal.getsignal(number)
             # What a program handles by itself, and what it ignores, stays as it is.
-            if before in (signal.SIG_DFL, signal.default_int_handler):
-                self._before[number] = before
-                signal.signal(number, self._handle)
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+                self._before[number] = signal.signal(number, self._handle)
         threading.Thread(target=self._work, name="signals", daemon=True).start()
 
     def close(self, *, forked: bool = False) -> bool:
@@ -245,9 +209,7 @@ class _Signals:
         if not self._set_wakeup(self._wakes.fileno()):
             self._wakes.send(bytes([number]))
         # A second Ctrl-C interrupts a program's run that hangs.
-        orderly = _process.in_run and first
-        if self._command is not None:
-            orderly = self._command.orderly
+        orderly = self._command.orderly if self._command else _process.in_run and first
         if not orderly:
             self.end_main_thread()
 
@@ -281,9 +243,39 @@ class _Signals:
 _process = _Process()
 if hasattr(os, "register_at_fork"):  # not on Windows
     os.register_at_fork(after_in_child=_process.forget)
-enter: "Callable[[Board], None]" = _process.enter
-leave: Callable[..., None] = _process.leave
-expect: "Callable[[Board], None]" = _process.expect
+
+
+def enter(board: "Board") -> None:
+    """Announce a board that is about to be opened, if a stop must reach it; raise BoardError if
+    this program was stopped, or the displays of this user could drive too much together."""
+    if not board.announced:
+        return
+    with _process.lock:
+        if board in _process.boards:
+            # The thread that fails would withdraw the board that the other has open.
+            raise BoardError("another thread opens or closes the board: try again")
+        _process.boards[board] = board.budget_ua
+        try:
+            _process.announce()
+        except BaseException:
+            leave(board)
+            raise
+
+
+def leave(board: "Board", at_zero: bool = True) -> None:
+    """Withdraw a board that is closed; a stop reports one that has not confirmed zero."""
+    with _process.lock:
+        if _process.boards.pop(board, None) is not None and _process.entry is not None:
+            _process.entry.lost_a_board |= not at_zero
+        _process.withdraw()
+
+
+def expect(board: "Board") -> None:
+    """Announce the command that runs, if it will open a board that a stop must reach."""
+    if _process.command is not None and board.announced:
+        with _process.lock:
+            _process.runs.append(_process.command.stop)
+            _process.announce()
 
 
 def current_command() -> Command:
@@ -305,8 +297,10 @@ def running_command(give_up: Callable[[int], None]) -> Iterator[Command]:
             raise RunStopped(command.number or signal.SIGTERM, reason) from None
         raise
     finally:
-        _process.command = None
-        _process.leave()
+        with _process.lock:
+            _process.command = None
+            _process.runs = [stop for stop in _process.runs if stop is not command.stop]
+            _process.withdraw()
 
 
 @contextmanager
@@ -322,15 +316,17 @@ def stoppable_run(stop: StopRequest, board: "Board") -> Iterator[Callable[[], No
         _process.in_run = main or _process.in_run
 
     signals = None
+    _process.runs.append(stop)
     try:
         with _process.lock:
-            _process.runs.append(stop)
             _process.announce()
         signals = _process.signals
         yield to_its_end
     finally:
         if main:
             _process.in_run = False
-        _process.leave(run=stop)
+        with _process.lock:
+            _process.runs.remove(stop)
+            _process.withdraw()
         if main and signals is not None and _process.command is None:
             signals.end_main_thread()
