@@ -15,7 +15,7 @@ import pytest
 import smarttouch as st
 from smarttouch.experiments.observers import Interval, Nerve, believable_hz
 
-from ..experiments.weber import ratio_of, weber_fraction
+from ..experiments.simulated import ratio_of, weber_fraction
 
 RA, SAI, PC = st.Afferent
 MIDDLE = 27

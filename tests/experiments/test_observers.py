@@ -5,8 +5,6 @@ from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from smarttouch.base.afferent import Afferent
@@ -17,19 +15,14 @@ from smarttouch.experiments.observers import (
     Interval,
     Nerve,
     SimulatedObserver,
-    believable_hz,
-    interval_of,
     make_observer,
-    perceived_hz,
 )
 from smarttouch.experiments.trials import Setup
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.vibration_thresholds import sensitivity
 
 from ..support.checks import raises
 from ..support.full import WHOLE, sample
-from .sitting import sit
-from .weber import ratio_of, weber_fraction
+from .simulated import ratio_of, sit, weber_fraction
 
 RA, SAI, PC = Afferent
 MIDDLE = 27
@@ -143,24 +136,6 @@ class TestNerve:
             assert np.linalg.norm(found - profile.electrodes.position_mm[site]) < 1.0
 
 
-class TestPerceivedFrequency:
-    def test_without_pc_nothing_above_where_the_curves_meet_is_believed(self):
-        assert believable_hz(0) == pytest.approx(65)
-
-    @pytest.mark.parametrize("hz", [70, 100, 125, 200])
-    def test_a_ratio_is_believed_as_the_vibration_that_causes_it(self, hz):
-        ratio = float(sensitivity(PC, hz) / sensitivity(RA, hz))
-        assert believable_hz(ratio) == pytest.approx(hz, rel=1e-3)
-
-    def test_pc_alone_is_believed_up_to_its_best_frequency(self):
-        assert believable_hz(math.inf) == pytest.approx(250)
-
-    @given(st.floats(1, 200), st.floats(1.001, 2), st.floats(0, 3))
-    def test_higher_is_never_felt_lower_and_never_above_what_is_believed(self, hz, factor, ratio):
-        low, high = perceived_hz(hz, ratio), perceived_hz(factor * hz, ratio)
-        assert low <= high <= min(factor * hz, believable_hz(ratio)) * (1 + 1e-9)
-
-
 class TestTheThresholdsOfThePaper:
     """Fig. 16 and 18, as the model has them; its noise and sharpness are set for the former."""
 
@@ -240,29 +215,6 @@ def test_a_blind_subject_answers_anything():
     counts = [answers.count(each) for each in "ABCD"]
     assert min(counts) > 150
     assert max(counts) < 250
-
-
-@given(st.lists(st.tuples(st.integers(1, 5), st.integers(0, 4)), min_size=1, max_size=6))
-def test_slots_of_an_interval_keep_their_times(parts):
-    """Sequences of an interval and of others, mixed, with any number of slots."""
-    number, starts, expected, time_ns = [], {}, [], 5_000_000
-    for index, (slots, kind) in enumerate(parts, start=1):
-        number += [index] * slots
-        if kind:
-            starts[index] = (time_ns, 100)
-            expected += [(time_ns, slot) for slot in range(slots)]
-        time_ns += 20_000_000
-    width_us = np.full(len(number), 200, np.float32)
-    current_ua = np.arange(len(number), dtype=np.int16)[:, None].repeat(2, axis=1)
-    felt = interval_of((np.array(number, np.uint32), width_us, current_ua), starts)
-    begin_ns = min((time_ns for time_ns, _ in starts.values()), default=0)
-    assert felt.time_s == pytest.approx(
-        [(at_ns - begin_ns) / 1e9 + slot * 300e-6 for at_ns, slot in expected]
-    )
-    assert len(felt.width_us) == len(felt.current_ua) == len(expected)
-    assert np.isin(current_ua[:, 0], felt.current_ua[:, 0]).tolist() == [
-        each in starts for each in number
-    ]
 
 
 def test_two_looks_make_a_choice(observer, train):

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.procedures import (
     RATIOS,
     constant_stimuli,
@@ -17,7 +16,6 @@ from smarttouch.experiments.procedures import (
     weighted_staircase,
 )
 
-from ..support.checks import raises
 from .simulated import PROCEDURES, TASKS, answer_all, ask_all, recover
 
 
@@ -97,11 +95,6 @@ def test_no_answer_is_the_same_again_but_not_for_ever():
 @pytest.mark.parametrize("answer", [True, False])
 def test_ends_where_the_range_does(answer):
     assert len(ask_all(weighted_staircase(1.5, 1.0, 2.0, 0.1), lambda _: answer)) < 12
-
-
-def test_nothing_is_no_experiment():
-    with raises(ExperimentError, value=0):
-        constant_stimuli([])
 
 
 def test_interleaved_mixes_them_all():

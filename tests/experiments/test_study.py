@@ -115,19 +115,11 @@ def test_a_plan_that_makes_no_sense_is_refused(tmp_path, text, about):
 
 distributed = pytest.importorskip("distributed")
 
-STUDY = Study(
-    title="small",
-    profiles=("smarttouch-4x4",),
-    anatomies=("paper",),
-    fingers=3,
-    letters="LT",
-)
-
 
 @pytest.mark.skipif(not WHOLE, reason="long: with --full, as in .ci/run")
 def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
     with joblib.parallel_config("threading", n_jobs=1):
-        here = run_study(STUDY, Path(), tmp_path / "here")
+        here = run_study(SMALL, Path(), tmp_path / "here")
     killed = []
 
     async def not_again():
@@ -144,7 +136,7 @@ def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
                 os.kill(killed[0], signal.SIGKILL)
 
         with on_cluster(cluster.scheduler_address):
-            there = run_study(STUDY, Path(), tmp_path / "there", progress=kill)
+            there = run_study(SMALL, Path(), tmp_path / "there", progress=kill)
     assert killed
     assert there == here
     tables = [(tmp_path / each / "rows.csv").read_bytes() for each in ("here", "there")]
