@@ -1,12 +1,21 @@
-"""Mixing: each class keeps its own time, within what sequences allow."""
+"""Mixing: each class keeps its own time, is delivered, and gets what it answers."""
+
+import contextlib
+import itertools
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.io import wavfile
 
 from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.errors import ScheduleError
+from smarttouch.base.stopping import StopRequest
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.instruments.color_mix import (
     LONGEST_US,
     VIBRATION_US,
@@ -19,12 +28,22 @@ from smarttouch.instruments.color_mix import (
     stimulated,
     thinned,
 )
+from smarttouch.instruments.receptor_responses import split_trace
 from smarttouch.instruments.skin_trace import open_trace
-from smarttouch.kernels.bank import load_bank
-from smarttouch.profile import load_profile
+from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.profile import Profile, load_profile
+from smarttouch.running.config import RunConfig
+from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.loop import Loop
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.step import Listener, as_listeners
 from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.views.vibrator import Vibrator
 
 from ..support.checks import numbers_in, raises
+from ..support.full import sample
+from ..support.scans import board_without_finger
 
 ALL = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
 
@@ -177,14 +196,6 @@ def test_where_sequences_are_longer_pulses_wait_and_none_is_lost(make_source):
     assert first >= len(mixture.time_us) - 1
 
 
-def test_a_vibrator_goes_on_between_requests(make_source):
-    source, mixture = make_source("tone:250Hz,1.5um", vibrated=True)
-    row = Afferent.PC, mixture.sites[0]
-    levels = [each.activation[row] for time, each in asked(source, 0.3) if 1e5 < time < 4e5]
-    assert len(levels) > 20
-    assert min(levels) > 0.8
-
-
 def test_a_note_says_what_pc_costs_unless_a_vibrator_plays_it(profile, bank):
     source = open_vibration("tone:250Hz,1.5um", profile, seconds=0.5)
     (note,) = source.notes
@@ -203,3 +214,148 @@ def test_notes_count_what_was_sent(profile, bank, make_source):
     (first,) = notes(mixture)
     assert "RA" in first
     assert numbers_in(first)[:4] == [7, 14, 64, 38.4]
+
+
+ALONE = {
+    Afferent.RA: ("tone:30Hz,8um", 30.0),
+    Afferent.SAI: ("press:0.45N", 25.0),
+    Afferent.PC: ("tone:250Hz,1.5um", 125.0),
+}
+"""What drives one class, and the rate at which it pulses then: RA at every cycle, PC at every
+second one, SAI at half of its full rate under half of the full force."""
+RATE_WITHIN = 0.01
+DRIVE_WITHIN = 0.02
+"""Tolerances of what is recovered from delivered currents; beside one another 0.06, as each
+class's filter lets a little of the other's vibration through."""
+
+
+def drive_of(spec, afferent, profile):
+    answers = split_trace(open_trace(spec), sai_full_n=profile.force.full_n)
+    return float(np.median(answers[afferent].drive[2400:7200]))
+
+
+@pytest.mark.parametrize("afferent", Afferent)
+def test_each_class_is_driven_alone(afferent, profile, bank):
+    spec, rate_hz = ALONE[afferent]
+    got = feel(spec, profile, bank)
+    assert set(got) == {afferent}
+    assert got[afferent].rate_hz == pytest.approx(rate_hz, rel=RATE_WITHIN)
+    median = np.median(got[afferent].drive)
+    assert median == pytest.approx(drive_of(spec, afferent, profile), abs=DRIVE_WITHIN)
+
+
+@pytest.mark.parametrize("pair", sample(itertools.combinations(Afferent, 2), 3))
+def test_two_mixed_give_back_both(pair, profile, bank):
+    got = feel("+".join(ALONE[each][0] for each in pair), profile, bank)
+    assert set(got) == set(pair)
+    for each in pair:
+        spec, rate_hz = ALONE[each]
+        assert got[each].rate_hz == pytest.approx(rate_hz, rel=RATE_WITHIN)
+        assert np.median(got[each].drive) == pytest.approx(drive_of(spec, each, profile), abs=0.06)
+
+
+def test_a_vibrator_plays_as_pc_answers_and_pc_gets_no_pulses(profile, bank, tmp_path):
+    path = tmp_path / "pc.wav"
+    spec = "+".join(spec for spec, _ in ALONE.values())
+    got = feel(spec, profile, bank, vibrator=Vibrator(path))
+    assert set(got) == {Afferent.RA, Afferent.SAI}
+    assert got[Afferent.RA].rate_hz == pytest.approx(30, rel=RATE_WITHIN)
+    rate_hz, wave = wavfile.read(path)
+    lasting = wave[int(0.7 * rate_hz) : int(1.7 * rate_hz)].astype(float) / np.iinfo(wave.dtype).max
+    assert np.abs(np.fft.rfft(lasting)).argmax() == 250
+    drive = drive_of(ALONE[Afferent.PC][0], Afferent.PC, profile)
+    assert np.sqrt(2) * lasting.std() == pytest.approx(LEVEL * drive, abs=0.06 * LEVEL)
+
+
+LEVEL = 0.25
+"""Of the strongest: net current leaves PC its 125 Hz."""
+RISEN_S = 0.55
+"""By then intensity has risen."""
+
+
+@dataclass
+class Got:
+    """Pulses of one class since intensity has risen, with drives as at full intensity."""
+
+    time_s: np.ndarray
+    drive: np.ndarray
+    sites: set
+
+    @property
+    def rate_hz(self):
+        return (len(self.time_s) - 1) / np.ptp(self.time_s)
+
+
+def feel(spec, profile, bank, seconds=2.0, vibrator=None, **options):
+    """Return what each class got, by afferent class."""
+    trace = open_trace(spec, seconds)
+    vibrated = vibrator is not None
+    mixture = mix_colors(trace, profile, bank, vibrated=vibrated, **options)
+    sensor = ColorSource(spec, profile, mixture, force_n=2 * profile.force.full_n)
+    began_s = {}
+
+    def watch(sent):
+        began_s[sent.number] = sent.step.sequence.time_ns / 1e9
+
+    board = board_without_finger(profile, SimulatedDriver)
+    if vibrated:
+        vibrator.prepare(None)
+    with board, contextlib.closing(vibrator or Listener()):
+        Loop(
+            sensor,
+            Pipeline(profile, bank, RunConfig(mode=mixture.mode, scan="points"), vibrated=vibrated),
+            board,
+            stop=StopRequest(),
+            statistics=RunStatistics(),
+            listeners=as_listeners([watch, *([vibrator] if vibrated else [])]),
+            controls=Controls(ControlState(mixture.mode, LEVEL)),
+            clock=SimulatedClock(),
+        ).run()
+        numbers, _, current_ua = board.driver.take_pulses()
+        assert board.report().violations == 0
+    time_s = np.array([began_s[number] for number in numbers.tolist()])
+    risen = time_s > RISEN_S
+    time_s, pulses = time_s[risen], recover(current_ua[risen] / LEVEL, profile, bank)
+    assert pulses.likeness.min(initial=1) > 0.999
+    got = {}
+    for afferent in Afferent:
+        its = pulses.afferent == afferent
+        if its.any():
+            sites = set(pulses.site[its].tolist())
+            got[afferent] = Got(np.unique(time_s[its]), pulses.drive[its], sites)
+    return got
+
+
+@dataclass(frozen=True, eq=False)
+class Recovered:
+    """Recovered classes of pulses, one by one, each (N,): class and site of the likeliest kernel,
+    the activation that leads to such a current at full intensity (below 0 where weaker
+    than the threshold), and the cosine between current and kernel, 1 but for whole microamperes.
+    """
+
+    afferent: NDArray[np.int8]
+    site: NDArray[np.intp]
+    drive: NDArray[np.float32]
+    likeness: NDArray[np.float32]
+
+
+def recover(current_ua: NDArray[np.int16], profile: Profile, bank: KernelBank) -> Recovered:
+    """Return the class and site of each pulse as delivered, (N, E) µA, positive cathodic."""
+    classes = sorted(bank.weights)
+    kernels = np.concatenate([bank.kernels(each) for each in classes])
+    size = np.linalg.norm(kernels, axis=1)
+    current = current_ua.astype(np.float32)
+    along = current @ (kernels / np.where(size > 0, size, np.inf)[:, None]).T
+    best = along.argmax(axis=1)
+    strength = np.take_along_axis(along, best[:, None], axis=1)[:, 0]
+    count = len(profile.electrodes)
+    site = best % count
+    level = strength / size[best] / (profile.full_ma[site] * 1000)
+    faintest = (profile.threshold_ma / profile.full_ma)[site]
+    length = np.linalg.norm(current, axis=1)
+    return Recovered(
+        np.array(classes, np.int8)[best // count],
+        site,
+        np.asarray((level - faintest) / (1 - faintest), np.float32),
+        np.asarray(strength / np.where(length > 0, length, np.inf), np.float32),
+    )

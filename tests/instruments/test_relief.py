@@ -14,7 +14,7 @@ from smarttouch.instruments.relief import open_texture
 
 from ..support.checks import raises
 from ..support.full import sample
-from .touched import grating_file, object_file
+from .conftest import grating_file, object_file
 
 ONE = np.zeros((1, 2))
 SCALE = "dpi or width_mm"
