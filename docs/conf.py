@@ -8,7 +8,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_ext"))
 
 # After the path, of which the extensions are.
-from smarttouch.base.version import __version__  # noqa: E402, the path comes first
+from smarttouch.base import __version__  # noqa: E402, the path comes first
 
 project = "SmartTouch"
 author = "The SmartTouch developers"

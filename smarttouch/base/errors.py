@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from importlib import import_module
 from typing import Any, TypeVar
 
 _Choice = TypeVar("_Choice", bound=str)
@@ -217,6 +218,18 @@ def kind_in_words(value: object) -> str:
         return f"an array of {value.dtype} {value.shape}"
     name = type(value).__name__
     return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
+
+
+def import_extra(
+    module: str, what: str, extra: str, error: type[SmartTouchError] = SmartTouchError
+) -> Any:
+    """Import a module of an extra; raises an error that names the extra where it is missing."""
+    try:
+        return import_module(module)
+    except ImportError:
+        command = f"pip install 'smarttouch[{extra}]'"
+        message = f"{what} needs the extra {extra}: {command}"
+        raise error(message) from None
 
 
 class DeprecatedNameWarning(DeprecationWarning):

@@ -1,11 +1,27 @@
-"""The tactile image: the touch analogue of an RGB image."""
+"""The tactile image: the touch analogue of an RGB image; records in one line."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.one_line import one_line
+
+def one_line(record: Any) -> str:
+    """Return a dataclass's repr in one line: arrays by type and shape, what is long by its type."""
+    shown = [f"{each.name}={_brief(getattr(record, each.name))}" for each in fields(record)]
+    return f"{type(record).__name__}({', '.join(shown)})"
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape}"
+    if isinstance(value, float):
+        return f"{value:g}"
+    text = value.name if isinstance(value, Enum) else repr(value)
+    long = text.startswith("<") or len(text) > 60 or "\n" in text
+    return f"<{type(value).__name__}>" if long else text
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,16 +2,17 @@
 
 import os
 import sys
+import traceback
 from collections.abc import Callable
 from functools import cache
 from typing import Annotated, Any
 
 import typer
 
+from smarttouch.base import __version__
 from smarttouch.base.errors import SmartTouchError, TableError
 from smarttouch.base.stopping import RunStopped
 from smarttouch.base.terminal import guarded_output
-from smarttouch.base.version import __version__
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.design import design, profiles
 from smarttouch.cli.devices import devices
@@ -82,8 +83,6 @@ def _run() -> int:
     except RunStopped as stopped:
         return 128 + stopped.number
     except BaseException as error:
-        if os.environ.get("SMARTTOUCH_TRACEBACK"):
-            raise
         return _outcome(error)
     return 0
 
@@ -105,9 +104,10 @@ def _outcome(error: BaseException) -> int:
         about = f"{error.filename}: " if error.filename else ""
         _say(f"{about}{error.strerror or error}; all electrodes are off")
     else:
+        place = traceback.extract_tb(error.__traceback__)[-1]
         _say(
-            f"internal error, {type(error).__name__}: {error}; all electrodes are off "
-            "(set SMARTTOUCH_TRACEBACK=1 to see where)"
+            f"internal error, {type(error).__name__}: {error} ({place.filename}, line "
+            f"{place.lineno}); all electrodes are off"
         )
         return 1
     return 2

@@ -16,18 +16,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.base import __version__
 from smarttouch.base.errors import ExperimentError
 from smarttouch.base.files import (
     MOST_TABLE_BYTES,
     decoded,
+    finite,
     open_alone,
     read_bytes,
     require_file,
     unwritable,
 )
 from smarttouch.base.stopping import Closing
-from smarttouch.base.tables import finite
-from smarttouch.base.version import __version__
 from smarttouch.experiments.psychometric import Array, Counts, Guess, Model
 
 WORDS, NUMBER, OPTIONAL, ANSWER = "words", "number", "optional number", "answer"

@@ -10,6 +10,7 @@ from typing import Any
 
 import tomlkit
 
+from smarttouch.base import __version__
 from smarttouch.base.errors import CalibrationError, ProfileError
 from smarttouch.base.files import (
     MOST_TOML_BYTES,
@@ -18,7 +19,6 @@ from smarttouch.base.files import (
     require_replaceable,
     write_bytes,
 )
-from smarttouch.base.version import __version__
 from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.toml_files import difference, in_rows, profile_of, profile_path
 

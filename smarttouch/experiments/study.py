@@ -23,9 +23,8 @@ from pydantic import Field, field_validator
 from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.errors import SmartTouchError, import_extra
 from smarttouch.base.files import make_folder, read_text, write_bytes
-from smarttouch.base.lazy_names import import_extra
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger

@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import SourceError, SourceLostError, require_within
-from smarttouch.base.lazy_names import import_extra
+from smarttouch.base.errors import SourceError, SourceLostError, import_extra, require_within
+from smarttouch.base.files import read_csv
 from smarttouch.base.registry import unknown
-from smarttouch.base.tables import read_csv
 from smarttouch.base.url_options import given_options, joined_options, read_options
 from smarttouch.pages.page_image import INCH_MM
 from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.tables import read_csv
+from smarttouch.base.files import read_csv
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
-from smarttouch.base.one_line import one_line
+from smarttouch.base.tactile_image import one_line
 from smarttouch.physiology.activating_function import (
     af_matrix,
     along_axon,

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
 from smarttouch.base.errors import ProfileError
-from smarttouch.base.one_line import one_line
-from smarttouch.base.tables import read_csv
+from smarttouch.base.files import read_csv
+from smarttouch.base.tactile_image import one_line
 from smarttouch.profile.toml_tables import (
     Number,
     Positive,

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import ReadingError
-from smarttouch.base.lazy_names import import_extra
+from smarttouch.base.errors import ReadingError, import_extra
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.imaging.array_window import pixel_pitch_mm
 from smarttouch.imaging.line_picture import LinePicture

@@ -11,10 +11,10 @@ import numpy as np
 from mcap.writer import Writer
 from numpy.typing import NDArray
 
+from smarttouch.base import __version__
 from smarttouch.base.errors import RecordingError
 from smarttouch.base.events import Event
 from smarttouch.base.files import owner_only, unwritable
-from smarttouch.base.version import __version__
 from smarttouch.running.recording_format import (
     METADATA,
     SCHEMAS,

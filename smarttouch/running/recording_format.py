@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from pydantic import ConfigDict, Field, model_validator
 
+from smarttouch.base import __version__
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.tactile_image import TactileImage
-from smarttouch.base.version import __version__
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.step import FirstPulse, Step, StepResult

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import SmartTouchError, kind_in_words
 from smarttouch.base.events import Event
-from smarttouch.base.one_line import one_line
-from smarttouch.base.tactile_image import TactileImage
+from smarttouch.base.tactile_image import TactileImage, one_line
 from smarttouch.sources.source_contract import Input
 from smarttouch.stimulation.scan_sequence import ScanSequence
 

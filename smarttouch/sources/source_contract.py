@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.events import Advice, Emit
-from smarttouch.base.one_line import one_line
 from smarttouch.base.stopping import Closing
-from smarttouch.base.tactile_image import TactileImage
+from smarttouch.base.tactile_image import TactileImage, one_line
 from smarttouch.pages.page_image import Page
 from smarttouch.profile import Profile
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError, SourceError, require_within
-from smarttouch.base.files import read_text
-from smarttouch.base.tables import read_csv
+from smarttouch.base.files import read_csv, read_text
 from smarttouch.pages.document import open_document, password_of
 from smarttouch.pages.ink import is_light_on_dark, separate_ink
 from smarttouch.pages.page_image import INCH_MM, Page, TextLine

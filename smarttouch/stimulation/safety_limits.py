@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SafetyError
-from smarttouch.base.one_line import one_line
+from smarttouch.base.tactile_image import one_line
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import (
     CEILING_AREA_MM2,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.one_line import one_line
+from smarttouch.base.tactile_image import one_line
 from smarttouch.profile import Profile
 
 

@@ -1,8 +1,7 @@
 """Contract tests for boards, sources and forces of other packages."""
 
-from typing import TYPE_CHECKING
-
-from smarttouch.base.lazy_names import lazy_names
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from smarttouch.base.wire.device_lines import PtyLine, TcpLine
@@ -14,5 +13,13 @@ __all__ = [
     "StimulusContract", "TcpLine",
 ]  # fmt: skip
 
+_MODULES = "base.wire.device_lines", "testing.source_contracts", "testing.driver_contract"
+
 if not TYPE_CHECKING:  # pytest loads a plug-in from here before it can rewrite what it asserts
-    __getattr__ = lazy_names(__name__)
+
+    def __getattr__(name: str) -> Any:
+        for module in _MODULES:
+            names = vars(import_module(f"smarttouch.{module}")) if name in __all__ else {}
+            if name in names:
+                return names[name]
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

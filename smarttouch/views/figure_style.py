@@ -5,9 +5,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.errors import SmartTouchError, import_extra
 from smarttouch.base.files import write_bytes
-from smarttouch.base.lazy_names import import_extra
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,9 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.errors import SmartTouchError, import_extra
 from smarttouch.base.files import write_bytes
-from smarttouch.base.lazy_names import import_extra
 from smarttouch.base.posix import prioritized
 
 if TYPE_CHECKING:

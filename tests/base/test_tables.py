@@ -5,7 +5,7 @@ import math
 import pytest
 
 from smarttouch.base.errors import SourceError
-from smarttouch.base.tables import finite, read_csv
+from smarttouch.base.files import finite, read_csv
 
 from ..support.checks import raises
 

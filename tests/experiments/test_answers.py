@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.base import __version__
 from smarttouch.base.errors import ExperimentError
-from smarttouch.base.version import __version__
 from smarttouch.experiments.answers import COLUMNS, AnswerFile, read_rows, read_table
 
 from ..support.checks import raises
