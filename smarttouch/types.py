@@ -94,9 +94,9 @@ from smarttouch.sources.source_contract import Pointer as Pointer
 from smarttouch.sources.source_contract import Pose as Pose
 from smarttouch.sources.source_contract import Sheet as Sheet
 from smarttouch.sources.source_contract import Source as Source
-from smarttouch.stimulation.exposure import Dose as Dose
 from smarttouch.stimulation.pulse_rates import ScanTiming as ScanTiming
 from smarttouch.stimulation.scan_sequence import KernelLists as KernelLists
 from smarttouch.stimulation.scan_sequence import KernelTable as KernelTable
 from smarttouch.stimulation.scan_sequence import SelectivityReport as SelectivityReport
 from smarttouch.stimulation.scan_sequence import SlotPolicy as SlotPolicy
+from smarttouch.stimulation.sequence_limits import Dose as Dose

@@ -41,9 +41,9 @@ from smarttouch.boards.reports import (
 )
 from smarttouch.boards.shutdown import enter, leave
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.exposure import Dose
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
+from smarttouch.stimulation.sequence_limits import Dose
 
 __all__ = ["Board", "BoardReport", "Capabilities"]
 

@@ -26,6 +26,7 @@ from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_re
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
 from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
+from smarttouch.stimulation.sequence_limits import strength_ppb
 
 _WAITING_UC = 0.02  # charge that whole µA of the longest recharge phase may leave
 
@@ -209,10 +210,10 @@ class Pipeline:
                 wanted, strength = self._vibration, 1.0
         sequence = scan.schedule(tactile, wanted, pressure, strength, regulator.adaptation)
         if allowed is None:
-            strength_ppb = self._limits.strength_of(sequence)
             ppb, lasting_ns = parts_per_billion(sequence.intensity), 1000 * sequence.period_us
-            self.ramp.claim(ppb, strength_ppb)
-            self.ramp.note(ppb, strength_ppb, time_ns, lasting_ns)
+            flowing_ppb = strength_ppb(self._limits, ppb, sequence.peak_pc)
+            self.ramp.claim(ppb, flowing_ppb)
+            self.ramp.note(ppb, flowing_ppb, time_ns, lasting_ns)
         if regulator.ledger is not None:
             sequence = regulator.balanced(sequence, regulator.ledger)
         restarted, self._restarted = self._restarted, False

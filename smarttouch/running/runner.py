@@ -34,8 +34,8 @@ from smarttouch.sources import open_source, options_taken
 from smarttouch.sources.force import ForceSource, open_force
 from smarttouch.sources.given_sources import Given, Imaging, OwnImaging, checked_input, source_of
 from smarttouch.sources.source_contract import Source
-from smarttouch.stimulation.exposure import Dose
 from smarttouch.stimulation.safety_limits import rms_ma_cm2
+from smarttouch.stimulation.sequence_limits import Dose
 
 Listeners = Iterable[Listener | Callable[[StepResult], object]]
 MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]

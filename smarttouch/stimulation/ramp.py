@@ -1,8 +1,8 @@
 """The ramp: how strong current may be, by what has flowed since it was zero."""
 
 from smarttouch.base.clock import LATE_NS
+from smarttouch.stimulation.safety_limits import PPB
 
-PPB = 1_000_000_000  # parts per billion in 1, the unit in which intensity is compared
 LEEWAY_PPB = 1000  # tolerance for rounding
 LEVEL_KEPT_NS = 15_000_000_000
 """Time without current for which a level stays open: an experiment waits for an answer so long

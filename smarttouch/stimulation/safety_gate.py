@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from smarttouch.base.clock import LATE_NS, Clock
 from smarttouch.base.errors import SafetyError
-from smarttouch.stimulation.exposure import Dose, Exposure
-from smarttouch.stimulation.ramp import PPB, Ramp
-from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
+from smarttouch.stimulation.ramp import Ramp
+from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import ScanSequence, unwritable
-from smarttouch.stimulation.sequence_limits import prove_sequence
+from smarttouch.stimulation.sequence_limits import Dose, Exposure, prove_sequence
 
 __all__ = ["ProvedSequence", "SafetyGate", "SafetyLimits"]
 
@@ -162,10 +161,10 @@ class SafetyGate:
             if times < 1:
                 raise SafetyError(f"{times} repetitions: there must be one at least", limit="times")
             copy = frozen(sequence)
-            load = prove_sequence(copy, self.limits)
-            ppb = parts_per_billion(copy.intensity)
-            now_ns = self._time_of(copy.time_ns)
-            strength_ppb = self.limits.strength_ppb(ppb, load.peak_pc)
+            # Beyond 0 to 1 it is refused.
+            ppb = parts_per_billion(copy.intensity) if 0 <= copy.intensity <= 1 else 0
+            load = prove_sequence(copy, self.limits, ppb)
+            now_ns, strength_ppb = self._time_of(copy.time_ns), load.strength_ppb
             self._prove_ramp(copy, strength_ppb, now_ns)
             self._exposure.enter(now_ns, copy.period_us, times, load, copy.slots > 0)
             self._now_ns, self._time_ns = now_ns, copy.time_ns

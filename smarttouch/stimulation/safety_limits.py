@@ -28,17 +28,14 @@ from smarttouch.profile.ceilings import (
     SHORTEST_RAMP_S,
 )
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.ramp import PPB
-from smarttouch.stimulation.scan_sequence import ScanSequence
 
-STRENGTH = 4
-"""Intensity that a pulse counts for at most, in multiples of its share of a full pulse's charge.
-The faintest gray of the shipped kernels carries 0.39 of a full pulse: 3 would do for these, and 4
-leaves room for sites that are more sensitive than others."""
+PPB = 1_000_000_000  # parts per billion in 1, the unit in which intensity is compared
 LONGEST_RAMP_S = 10.0
 RECHARGE_UA = 500
 """Largest current of a recharge phase, whatever the threshold: a tenth of the 5 mA ceiling."""
 _DISC_MM2 = math.pi / 4
+_WIDTH_LEEWAY = Fraction(1001, 1000)
+"""Tolerance of pulse widths: whole microseconds, rounded down in single precision."""
 
 Each = float | tuple[float, ...]  # one value for all electrodes, or one for each
 
@@ -229,23 +226,24 @@ class SafetyLimits:
         return max(1, math.floor(decimal(min(width_us, self.pulse_us))))
 
     @cached_property
-    def full_pc(self) -> Fraction:
-        """Charge of a full pulse."""
-        return self.full_ua * self.width_whole_us
+    def full_ratio(self) -> tuple[int, int]:
+        """`full_ua` as a fraction of whole numbers."""
+        return self.full_ua.as_integer_ratio()
 
-    def strength_ppb(self, ppb: int, peak_pc: int) -> int:
-        """Return the intensity that a sequence counts for by its strongest pulse, whose largest
-        charge of one electrode is ``peak_pc``, in parts per billion.
+    def most_ua(self, ppb: int) -> int:
+        """Return the largest current of an electrode at an intensity in parts per billion, µA."""
+        full, parts = self.full_ratio
+        return (2 * full * ppb + (self.electrodes + 2) * parts * PPB) // (2 * parts * PPB)
 
-        What it claims, ``ppb``, up to `STRENGTH` times the pulse's share of a full one, and never
-        less than that share.
-        """
-        share = math.ceil(peak_pc * PPB / self.full_pc)
-        return min(PPB, max(share, min(ppb, STRENGTH * share)))
+    @cached_property
+    def width_pc(self) -> Fraction:
+        """Largest charge of a pulse at intensity 1, where width carries intensity."""
+        return (self.full_ua + self.rounding_ua) * round(self.full_us or 0) * _WIDTH_LEEWAY
 
-    def strength_of(self, sequence: ScanSequence) -> int:
-        """Return `strength_ppb` of a whole sequence."""
-        return self.strength_ppb(parts_per_billion(sequence.intensity), sequence.peak_pc)
+    @cached_property
+    def source_pc(self) -> float:
+        """Largest charge of one slot where one source drives all electrodes, pC."""
+        return float(decimal(self.charge_uc) * 10**6)
 
     @cached_property
     def felt_ua(self) -> NDArray[np.float32]:
@@ -306,3 +304,78 @@ def parts_per_billion(intensity: float) -> int:
     """Return an intensity in parts per billion, rounded up."""
     above, below = float(intensity).as_integer_ratio()
     return -(-above * PPB // below)
+
+
+_SENTENCES = {
+    "electrodes": "currents are of {value} electrodes, must be of {allowed}",
+    "intensity": "intensity {value} must lie between 0 and {allowed}",
+    "time_ns": "time {value} ns must be from 0 to below {allowed}",
+    "vibration": "vibration is of {value} electrodes, must be of {allowed}",
+    "vibrates": "vibration of {value:g} is not between 0 and the intensity {allowed:.3f} that was "
+    "stated",
+    "rate_hz": "a period of {value} µs is not from {allowed} µs, by the rate, to a minute",
+    "period_us": "slots and recharge phase take {value} µs, longer than the period of {allowed} "
+    "µs: lower the rate",
+    "duty": "current flows {value:.0%} of the time, above the limit of {allowed:.0%}: lower the "
+    "rate",
+    "pulse_us": "a pulse width of {value} µs must be above 0 and at most {allowed:g} µs",
+    "discharge_us": "slot {slot}: a discharge of {value} µs is below {allowed} µs, and its charge "
+    "would add to that of the next pulse",
+    "site": "site {value} is not an electrode: the last one is {allowed}",
+    "balance": "slot {slot} is out of balance by {value} µA: currents must sum to {allowed}",
+    "current_ma": "slot {slot}, electrode {electrode}: {value:.3f} mA is above the limit of "
+    "{allowed:g} mA",
+    "charge_uc": "slot {slot}, electrode {electrode}: {value:.3f} µC is above the limit of "
+    "{allowed:g} µC",
+    "total_ma": "slot {slot}: {value:.3f} mA flow in all, above the limit of {allowed:g} mA",
+    "source": "slot {slot}: {value:.3f} µC from one source are above the {allowed:g} µC of a "
+    "single electrode: lower the current or the pulse width",
+    "claimed_ma": "{value:.3f} mA is more than the intensity allows, {allowed:.3f} mA",
+    "claimed_uc": "{value:.3f} µC is more than the intensity allows, {allowed:.3f} µC",
+    "recharge": "a recharge phase needs slots whose charge it brings back, the currents of "
+    "{allowed} electrodes and a width: leave it out",
+    "recharge_us": "the recharge phase takes {value} µs, must be from 1 to {allowed}",
+    "recharge_balance": "the recharge phase is out of balance by {value} µA: currents must sum to "
+    "{allowed}",
+    "recharge_ua": "the recharge phase has {value} µA at electrode {electrode}: at most {allowed} "
+    "µA are allowed for its width",
+    "recharge_ma": "the recharge phase has {value:.3f} mA in all, above the limit of {allowed:g} "
+    "mA",
+    "takes_back": "electrode {electrode}: the recharge phase passes {value:g} µC, and may take "
+    "back {allowed:g} µC and nothing else",
+    "passes": "{value} sequences within a second or waiting are above the {allowed} that the rate "
+    "allows: send less often",
+    "pulses_hz": "electrode {electrode}: {value:g} felt pulses are above the {allowed:g} of this "
+    "time: lower the rate",
+    "mean_ma": "electrode {electrode}: {value:g} µC are above the {allowed:g} µC of this time: "
+    "lower the rate",
+    "net_ma": "electrode {electrode}: {value:g} µC of one sign would be left within a second, more "
+    "than {allowed:g}: lower the rate, or recharge",
+    "session_s": "the session would have {value:.0f} s of current, limits.session_s is "
+    "{allowed:g}: take the finger off, look at the skin, and continue later",
+    "session_mc": "electrode {electrode}: the session would pass {value:.0f} mC, limits.session_mc "
+    "is {allowed:g}: take the finger off, look at the skin, and continue later",
+}
+_LIMITS = {
+    "vibrates": "vibration", "source": "charge_uc", "claimed_ma": "intensity",
+    "claimed_uc": "intensity", "recharge": "recharge_ua", "recharge_balance": "balance",
+    "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
+}  # fmt: skip
+"""Limits of sentences that have another name."""
+
+
+def refusal(
+    sentence: str,
+    value: float,
+    allowed: float,
+    slot: int | None = None,
+    electrode: int | None = None,
+) -> SafetyError:
+    """Return the error of a broken limit, by the name of its sentence."""
+    words = _SENTENCES[sentence].format(
+        value=value, allowed=allowed, slot=slot, electrode=electrode
+    )
+    return SafetyError(
+        words, limit=_LIMITS.get(sentence, sentence), value=value, allowed=allowed,
+        slot=slot, electrode=electrode,
+    )  # fmt: skip

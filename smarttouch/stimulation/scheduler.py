@@ -16,8 +16,8 @@ from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.stimulation.net_plan import NetPlan
 from smarttouch.stimulation.point_slots import PointSlots, Slots, constant_us, joined
 from smarttouch.stimulation.pulse_rates import PulseRates, ScanTiming, rate_share, rates_of
-from smarttouch.stimulation.ramp import FIRST_NS, MOST_STEP_NS, PPB
-from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
+from smarttouch.stimulation.ramp import FIRST_NS, MOST_STEP_NS
+from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import (
     NO_SHARING,
     KernelTable,
@@ -31,6 +31,7 @@ from smarttouch.stimulation.sequence_limits import (
     PLANNED,
     Sums,
     add_up,
+    strength_ppb,
 )
 
 
@@ -127,7 +128,7 @@ class ScanScheduler:
         slots, pulses_us = len(made.site), int(made.width_us.sum(dtype=np.int64))
         period_us = self._period_us(self.asked_us, slots, pulses_us)
         if slots:
-            sums = add_up(made.current_ua, made.width_us, self._limits.felt_ua).sums
+            sums = add_up(made.current_ua, made.width_us, self._limits.felt_ua)[0]
             period_us = max(period_us, timing.possible_period_us(self._exposed_us(sums)))
             busy_us = pulses_us + slots * int(self._discharges_us[0])
             needed_us: float | None = period_us
@@ -213,14 +214,14 @@ class ScanScheduler:
             return made, wanted
         charge_pc, ppb = peak_pc(made.current_ua, made.width_us), parts_per_billion(wanted)
         # Whole µA may be a little stronger than asked for.
-        strength_ppb = min(ppb, self._limits.strength_ppb(ppb, charge_pc))
-        intensity = wanted if strength_ppb else allowed
+        planned_ppb = min(ppb, strength_ppb(self._limits, ppb, charge_pc))
+        intensity = wanted if planned_ppb else allowed
         # The first step may be too weak for any pulse.
         for least in self._steps if allowed else self._steps[:1]:
             most = max(allowed, least)
-            if strength_ppb <= most * PPB:
+            if planned_ppb <= most * PPB:
                 break
-            intensity = wanted * most * PPB / strength_ppb
+            intensity = wanted * most * PPB / planned_ppb
             made = self._slots(due, image.activation, intensity, adaptation)
             if made.current_ua.any():
                 break
@@ -233,7 +234,7 @@ class ScanScheduler:
             if isinstance(maker, PointSlots):
                 points = maker.slots(np.ones(self._electrodes, np.float32), 1.0)
                 if len(points.site):
-                    sums += add_up(points.current_ua, points.width_us, self._limits.felt_ua).sums
+                    sums += add_up(points.current_ua, points.width_us, self._limits.felt_ua)[0]
         self._exposed_us(sums)
 
     def _exposed_us(self, sums: Sums) -> int:

@@ -1,12 +1,15 @@
-"""Limits of a single scan sequence, checked in whole numbers on its frozen copy."""
+"""Limits of scan sequences in whole numbers: of each, of a second, and of a session."""
 
-import math
-from fractions import Fraction
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass
+from math import ceil, floor
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import SafetyError
 from smarttouch.profile.ceilings import (
     BURST_S,
@@ -15,10 +18,13 @@ from smarttouch.profile.ceilings import (
     CEILING_PULSES_HZ,
     LEAST_DISCHARGE_US,
 )
-from smarttouch.stimulation.ramp import PPB
-from smarttouch.stimulation.safety_limits import SafetyLimits, decimal, parts_per_billion
+from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, decimal, refusal
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
+STRENGTH = 4
+"""Intensity that a pulse counts for at most, in multiples of its share of a full pulse's charge.
+The faintest gray of the shipped kernels carries 0.39 of a full pulse: 3 would do for these, and 4
+leaves room for sites that are more sensitive than others."""
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
 MOST_RECHARGE_US = 20_000  # one period of the usual 50 scans a second. Ours
@@ -32,33 +38,40 @@ MOST_PER_US = round(CEILING_PULSES_HZ)
 NET_PC = round(1e9 * CEILING_NET_MA)  # largest net charge of an electrode in a second
 PLANNED = 0.9
 """Part of the limit used by schedules, so that jittered steps keep the window of a second."""
-_WIDTH_LEEWAY = Fraction(1001, 1000)
-"""Tolerance of pulse widths: whole microseconds, rounded down in single precision."""
 
+WINDOW_NS = 1_000_000_000
+_LAST_NS = WINDOW_NS - 1
+
+Charge = NDArray[np.float64]  # (E,) pC with its sign: whole numbers below 2^53
 Sums = NDArray[np.float64]
 """Felt pulses × `PER_PULSE`, charge in pC × `PER_PC`, and charge with its sign, positive cathodic,
 pC, of each electrode, (3, E): whole numbers, all far below 2^53, where doubles are exact."""
 
 
-class SlotSums(NamedTuple):
-    """Exact sums over the currents of S slots."""
-
-    net_ua: NDArray[np.float64]  # (S,) zero where a slot is in balance
-    total_ua: NDArray[np.float64]  # (S,) sum of magnitudes
-    highest_ua: NDArray[np.float64]  # (E,) largest magnitude of each electrode
-    sums: Sums
-
-
 def add_up(
     current_ua: NDArray[np.int16], width_us: NDArray[np.uint16], felt_ua: NDArray[np.float32]
-) -> SlotSums:
-    """Return the sums of slots, currents (S, E) and widths (S,), S > 0; pulses are felt from
-    ``felt_ua``, (E,), on."""
+) -> tuple[Sums, NDArray[np.float64], NDArray[np.float64]]:
+    """Return the sums of slots, their currents (S, E) and the magnitudes of these, in doubles.
+
+    S > 0; widths are (S,), and pulses are felt from ``felt_ua``, (E,), on.
+    """
     currents, widths = current_ua.astype(np.float64), width_us.astype(np.float64)
     magnitudes = np.abs(currents)
     felt = PER_PULSE * np.count_nonzero(magnitudes >= felt_ua, axis=0)
     sums = np.stack([felt, PER_PC * (widths @ magnitudes), widths @ currents])
-    return SlotSums(currents.sum(axis=1), magnitudes.sum(axis=1), magnitudes.max(axis=0), sums)
+    return sums, currents, magnitudes
+
+
+def strength_ppb(limits: SafetyLimits, ppb: int, peak_pc: int) -> int:
+    """Return the intensity that a sequence counts for by its strongest pulse, whose largest
+    charge of one electrode is ``peak_pc``, in parts per billion.
+
+    What it claims, ``ppb``, up to `STRENGTH` times the pulse's share of a full one, and never less
+    than that share.
+    """
+    full, parts = limits.full_ratio
+    share = -(-peak_pc * PPB * parts // (full * limits.width_whole_us))
+    return min(PPB, max(share, min(ppb, STRENGTH * share)))
 
 
 class PassLoad(NamedTuple):
@@ -67,146 +80,99 @@ class PassLoad(NamedTuple):
     sums: Sums  # with its recharge phase
     recharge_pc: NDArray[np.float64] | None  # (E,), of its recharge phase, positive cathodic
     busy_us: int  # time of its slots and its recharge phase
-    peak_pc: int  # largest charge of one pulse of its slots; 0 if none has current
+    strength_ppb: int  # see `strength_ppb`; 0 if no slot has current
 
 
-_SENTENCES = {
-    "electrodes": "currents are of {value} electrodes, must be of {allowed}",
-    "intensity": "intensity {value} must lie between 0 and {allowed}",
-    "time_ns": "time {value} ns must be from 0 to below {allowed}",
-    "vibration": "vibration is of {value} electrodes, must be of {allowed}",
-    "vibrates": "vibration of {value:g} is not between 0 and the intensity {allowed:.3f} that was "
-    "stated",
-    "rate_hz": "a period of {value} µs is not from {allowed} µs, by the rate, to a minute",
-    "period_us": "slots and recharge phase take {value} µs, longer than the period of {allowed} "
-    "µs: lower the rate",
-    "duty": "current flows {value:.0%} of the time, above the limit of {allowed:.0%}: lower the "
-    "rate",
-    "pulse_us": "a pulse width of {value} µs must be above 0 and at most {allowed:g} µs",
-    "discharge_us": "slot {slot}: a discharge of {value} µs is below {allowed} µs, and its charge "
-    "would add to that of the next pulse",
-    "site": "site {value} is not an electrode: the last one is {allowed}",
-    "balance": "slot {slot} is out of balance by {value} µA: currents must sum to {allowed}",
-    "current_ma": "slot {slot}, electrode {electrode}: {value:.3f} mA is above the limit of "
-    "{allowed:g} mA",
-    "charge_uc": "slot {slot}, electrode {electrode}: {value:.3f} µC is above the limit of "
-    "{allowed:g} µC",
-    "total_ma": "slot {slot}: {value:.3f} mA flow in all, above the limit of {allowed:g} mA",
-    "source": "slot {slot}: {value:.3f} µC from one source are above the {allowed:g} µC of a "
-    "single electrode: lower the current or the pulse width",
-    "claimed_ma": "{value:.3f} mA is more than the intensity allows, {allowed:.3f} mA",
-    "claimed_uc": "{value:.3f} µC is more than the intensity allows, {allowed:.3f} µC",
-    "recharge": "a recharge phase needs slots whose charge it brings back, the currents of "
-    "{allowed} electrodes and a width: leave it out",
-    "recharge_us": "the recharge phase takes {value} µs, must be from 1 to {allowed}",
-    "recharge_balance": "the recharge phase is out of balance by {value} µA: currents must sum to "
-    "{allowed}",
-    "recharge_ua": "the recharge phase has {value} µA at electrode {electrode}: at most {allowed} "
-    "µA are allowed for its width",
-    "recharge_ma": "the recharge phase has {value:.3f} mA in all, above the limit of {allowed:g} "
-    "mA",
-    "takes_back": "electrode {electrode}: the recharge phase passes {value:g} µC, and may take "
-    "back {allowed:g} µC and nothing else",
-    "passes": "{value} sequences within a second or waiting are above the {allowed} that the rate "
-    "allows: send less often",
-    "pulses_hz": "electrode {electrode}: {value:g} felt pulses are above the {allowed:g} of this "
-    "time: lower the rate",
-    "mean_ma": "electrode {electrode}: {value:g} µC are above the {allowed:g} µC of this time: "
-    "lower the rate",
-    "net_ma": "electrode {electrode}: {value:g} µC of one sign would be left within a second, more "
-    "than {allowed:g}: lower the rate, or recharge",
-    "session_s": "the session would have {value:.0f} s of current, limits.session_s is "
-    "{allowed:g}: take the finger off, look at the skin, and continue later",
-    "session_mc": "electrode {electrode}: the session would pass {value:.0f} mC, limits.session_mc "
-    "is {allowed:g}: take the finger off, look at the skin, and continue later",
-}
-_LIMITS = {
-    "vibrates": "vibration", "source": "charge_uc", "claimed_ma": "intensity",
-    "claimed_uc": "intensity", "recharge": "recharge_ua", "recharge_balance": "balance",
-    "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
-}  # fmt: skip
-"""Limits of sentences that have another name."""
+def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> PassLoad:
+    """Return the load of a frozen sequence with an intensity of ``ppb`` on each electrode.
 
-
-def refusal(
-    sentence: str,
-    value: float,
-    allowed: float,
-    slot: int | None = None,
-    electrode: int | None = None,
-) -> SafetyError:
-    """Return the error of a broken limit, by the name of its sentence."""
-    words = _SENTENCES[sentence].format(
-        value=value, allowed=allowed, slot=slot, electrode=electrode
-    )
-    return SafetyError(
-        words, limit=_LIMITS.get(sentence, sentence), value=value, allowed=allowed,
-        slot=slot, electrode=electrode,
-    )  # fmt: skip
-
-
-def prove_sequence(sequence: ScanSequence, limits: SafetyLimits) -> PassLoad:
-    """Return the load of a frozen sequence on each electrode; raise a SafetyError that names the
-    limit, slot and electrode, and by how much."""
-    _prove_fields(sequence, limits)
-    longest_us, pulses_us, busy_us = _prove_times(sequence, limits)
+    Raise a SafetyError that names the limit, slot and electrode, and by how much.
+    """
+    width_us, busy_us = sequence.width_us, _prove_numbers(sequence, limits)
     if not busy_us:
-        return PassLoad(np.zeros((3, limits.electrodes)), None, 0, peak_pc=0)
-    current_ua, width_us = sequence.current_ua, sequence.width_us
-    net_ua, total_ua, highest_ua, sums = add_up(current_ua, width_us, limits.felt_ua)
+        return PassLoad(np.zeros((3, limits.electrodes)), None, 0, 0)
+    sums, current_ua, magnitude_ua = add_up(sequence.current_ua, width_us, limits.felt_ua)
+    net_ua, total_ua = current_ua.sum(axis=1), magnitude_ua.sum(axis=1)
     if net_ua.any():
         slot = int(np.abs(net_ua).argmax())
         raise refusal("balance", int(net_ua[slot]), 0, slot)
+    highest_ua, widest_us = magnitude_ua.max(axis=0), int(width_us.max())
     if (highest_ua > limits.current_ua).any():
-        _prove_each("current_ma", np.abs(current_ua.astype(np.float64)), limits.current_ua, 1000)
+        _prove_each("current_ma", magnitude_ua, limits.current_ua, 1000)
     # In balance: what flows in is half of all that flows.
     if total_ua.max() > 2 * limits.total_ua:
         slot = int(total_ua.argmax())
         raise refusal("total_ma", total_ua[slot] / 2000, limits.total_ma, slot)
-    highest_pc = int(highest_ua.max()) * longest_us
-    if (highest_ua * longest_us > limits.charge_pc).any() or pulses_us < len(width_us) * longest_us:
-        charge_pc = np.abs(current_ua.astype(np.float64)) * width_us.astype(np.float64)[:, None]
+    peak_ua = int(highest_ua.max())
+    peak_pc = peak_ua * widest_us
+    if (highest_ua * widest_us > limits.charge_pc).any() or int(width_us.min()) < widest_us:
+        charge_pc = magnitude_ua * width_us.astype(np.float64)[:, None]
         _prove_each("charge_uc", charge_pc, limits.charge_pc, 1_000_000)
-        highest_pc = int(charge_pc.max())
-    if limits.one_source:
-        # One electrode alone may have to carry each slot's charge.
-        source_pc = total_ua / 2 * width_us
-        if source_pc.max() > float(decimal(limits.charge_uc) * 10**6):
-            slot = int(source_pc.argmax())
-            raise refusal("source", source_pc[slot] / 1e6, limits.charge_uc, slot)
-    _prove_intensity(
-        limits, parts_per_billion(sequence.intensity), int(highest_ua.max()), highest_pc
-    )
+        peak_pc = int(charge_pc.max())
+    # One electrode alone may have to carry each slot's charge.
+    if limits.one_source and (total_ua * width_us).max() > 2 * limits.source_pc:
+        slot = int((total_ua * width_us).argmax())
+        source_uc = total_ua[slot] * float(width_us[slot]) / 2e6
+        raise refusal("source", source_uc, limits.charge_uc, slot)
+    # Current, or charge where width carries intensity, is proportional to it.
+    if peak_ua > (most_ua := limits.most_ua(PPB if limits.full_us is not None else ppb)):
+        raise refusal("claimed_ma", peak_ua / 1000, most_ua / 1000)
+    if limits.full_us is not None and peak_pc > (most_pc := limits.width_pc * ppb / PPB):
+        raise refusal("claimed_uc", peak_pc / 1e6, float(most_pc) / 1e6)
     recharge_pc = None
     if sequence.recharge_ua is not None:
         recharge_pc = sequence.recharge_ua.astype(np.float64) * sequence.recharge_us
         sums[1] += PER_PC * np.abs(recharge_pc)
         sums[2] += recharge_pc
-    return PassLoad(sums, recharge_pc, busy_us, highest_pc)
+    return PassLoad(sums, recharge_pc, busy_us, strength_ppb(limits, ppb, peak_pc))
 
 
-def _prove_fields(sequence: ScanSequence, limits: SafetyLimits) -> None:
-    """Raise unless numbers are in their ranges and arrays have the right length."""
-    electrodes, given = limits.electrodes, sequence.current_ua.shape[1]
-    if given != electrodes:
-        raise refusal("electrodes", given, electrodes)
-    if not 0 <= sequence.intensity <= 1:
-        raise refusal("intensity", sequence.intensity, 1)
-    if not 0 <= sequence.time_ns < LARGEST_TIME_NS:
-        raise refusal("time_ns", sequence.time_ns, LARGEST_TIME_NS)
-    if len(sequence.site) and (site := int(np.maximum.reduce(sequence.site))) >= electrodes:
-        raise refusal("site", site, electrodes - 1)
-    if sequence.recharge_ua is not None or sequence.recharge_us:
+def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> int:
+    """Return the time of slots and recharge phase, µs.
+
+    Raise unless numbers and times are in their ranges and arrays have the right length.
+    """
+    electrodes, period_us, recharge_us = limits.electrodes, sequence.period_us, sequence.recharge_us
+    if sequence.recharge_ua is not None or recharge_us:
         _prove_recharge(sequence, limits)
-    if (vibration := sequence.vibration) is None:
-        return
+    if sequence.vibration is not None:
+        _prove_vibration(sequence.vibration, sequence.intensity, electrodes)
+    widths_us, rests_us = sequence.width_us.tolist(), sequence.discharge_us.tolist()
+    given, least_rest_us = sequence.current_ua.shape[1], min(rests_us, default=LEAST_DISCHARGE_US)
+    pulses_us, site = sum(widths_us), max(sequence.site.tolist(), default=0)
+    narrow_us, wide_us = min(widths_us, default=1), max(widths_us, default=1)
+    busy_us, flowing_us = pulses_us + sum(rests_us) + recharge_us, pulses_us + recharge_us
+    needed_us = busy_us + LEAST_DISCHARGE_US * (recharge_us > 0)
+    least_us, (part, whole) = limits.period_us, limits.duty_ratio
+    for fits, sentence, value, allowed in (
+        (given == electrodes, "electrodes", given, electrodes),
+        (0 <= sequence.intensity <= 1, "intensity", sequence.intensity, 1),
+        (0 <= sequence.time_ns < LARGEST_TIME_NS, "time_ns", sequence.time_ns, LARGEST_TIME_NS),
+        (site < electrodes, "site", site, electrodes - 1),
+        (least_us <= period_us <= LONGEST_PERIOD_US, "rate_hz", period_us, least_us),
+        (needed_us <= period_us, "period_us", needed_us, period_us),
+        (narrow_us > 0, "pulse_us", narrow_us, limits.pulse_us),
+        (wide_us <= limits.pulse_whole_us, "pulse_us", wide_us, limits.pulse_us),
+    ):
+        if not fits:
+            raise refusal(sentence, value, allowed)
+    if flowing_us * whole > part * period_us:
+        raise refusal("duty", flowing_us / period_us, limits.duty)
+    if least_rest_us < LEAST_DISCHARGE_US:
+        slot = rests_us.index(least_rest_us)
+        raise refusal("discharge_us", least_rest_us, LEAST_DISCHARGE_US, slot)
+    return int(busy_us)
+
+
+def _prove_vibration(vibration: NDArray[np.float32], intensity: float, electrodes: int) -> None:
+    """Raise unless a vibration is one for each electrode, and not above the intensity."""
     if vibration.shape != (electrodes,):
         raise refusal("vibration", len(vibration), electrodes)
     # In double precision, as the intensity is. Every comparison with NaN is false.
     wide = vibration.astype(np.float64)
-    if not ((wide >= 0) & (wide <= sequence.intensity + 1e-6)).all():
-        worst = wide[np.abs(wide - sequence.intensity / 2).argmax()]
-        raise refusal("vibrates", worst, sequence.intensity)
+    if not ((wide >= 0) & (wide <= intensity + 1e-6)).all():
+        worst = wide[np.abs(wide - intensity / 2).argmax()]
+        raise refusal("vibrates", worst, intensity)
 
 
 def _prove_recharge(sequence: ScanSequence, limits: SafetyLimits) -> None:
@@ -228,33 +194,6 @@ def _prove_recharge(sequence: ScanSequence, limits: SafetyLimits) -> None:
         raise refusal("recharge_ma", all_ua / 1000, limits.total_ua / 1000)
 
 
-def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int, int]:
-    """Return the longest and the total pulse width, and the time of slots and recharge phase, µs.
-
-    Raise if a time breaks its limits.
-    """
-    period_us, recharge_us = sequence.period_us, sequence.recharge_us
-    if not limits.period_us <= period_us <= LONGEST_PERIOD_US:
-        raise refusal("rate_hz", period_us, limits.period_us)
-    widths_us, rests_us = sequence.width_us.tolist(), sequence.discharge_us.tolist()
-    if not widths_us:
-        return 0, 0, 0
-    longest_us, pulses_us = max(widths_us), sum(widths_us)
-    busy_us = pulses_us + sum(rests_us) + recharge_us
-    needed_us = busy_us + LEAST_DISCHARGE_US * (recharge_us > 0)
-    if needed_us > period_us:
-        raise refusal("period_us", needed_us, period_us)
-    part, whole = limits.duty_ratio
-    flowing_us = pulses_us + recharge_us
-    if flowing_us * whole > part * period_us:
-        raise refusal("duty", flowing_us / period_us, limits.duty)
-    if longest_us > limits.pulse_whole_us or 0 in widths_us:
-        raise refusal("pulse_us", 0 if 0 in widths_us else longest_us, limits.pulse_us)
-    if (least_us := min(rests_us)) < LEAST_DISCHARGE_US:
-        raise refusal("discharge_us", least_us, LEAST_DISCHARGE_US, rests_us.index(least_us))
-    return longest_us, pulses_us, busy_us
-
-
 def _prove_each(
     limit: str, values: NDArray[np.float64], allowed: NDArray[np.float64], unit: int
 ) -> None:
@@ -264,14 +203,232 @@ def _prove_each(
         raise refusal(limit, values[slot, at] / unit, allowed[at] / unit, slot, at)
 
 
-def _prove_intensity(limits: SafetyLimits, ppb: int, peak_ua: int, charge_pc: int) -> None:
-    """Raise unless current, or charge where width carries intensity, is proportional to it."""
-    if limits.full_us is not None:
-        full = limits.full_ua + limits.rounding_ua
-        most_pc = full * round(limits.full_us) * _WIDTH_LEEWAY * ppb / PPB
-        if charge_pc > most_pc:
-            raise refusal("claimed_uc", charge_pc / 1e6, float(most_pc) / 1e6)
-        ppb = PPB
-    highest_ua = math.floor(limits.full_ua * ppb / PPB + limits.rounding_ua)
-    if peak_ua > highest_ua:
-        raise refusal("claimed_ma", peak_ua / 1000, highest_ua / 1000)
+@dataclass(frozen=True)
+class Dose:
+    """Dose of current in a session.
+
+    Attributes
+    ----------
+    seconds : float
+        Of scans with current.
+    charge_mc : tuple of float, (E,) mC
+        Through each electrode, magnitudes added.
+    net_uc : tuple of float, (E,) µC
+        Sum of the charge through each electrode with its sign, positive cathodic.
+    """
+
+    seconds: float
+    charge_mc: tuple[float, ...]
+    net_uc: tuple[float, ...] = ()
+
+    @property
+    def most_mc(self) -> float:
+        return max(self.charge_mc, default=0.0)
+
+    @property
+    def most_net_uc(self) -> float:
+        """Largest net charge of any electrode, µC (magnitude)."""
+        return max(map(abs, self.net_uc), default=0.0)
+
+
+class _Pass(NamedTuple):
+    """Pass of a sequence, from its start to the end of its slots and recharge phase."""
+
+    start_ns: int
+    end_ns: int
+    sums: Sums
+    most: float  # largest load: no electrode has more net charge (× `PER_PC`) than this
+
+
+class _Sent(NamedTuple):
+    """Sequence that was let through; its first pass is in the window."""
+
+    first: _Pass
+    period_ns: int
+    times: int
+    flows: bool
+
+    def begun_by(self, now_ns: int) -> int:
+        """Return the number of passes begun by a time: one at least, which waits for its turn."""
+        return max(1, min(self.times, (now_ns - self.first.start_ns) // self.period_ns + 1))
+
+    def repetitions(self, begun: int) -> list[_Pass]:
+        """Return the passes that have begun since, but for those of long ago."""
+        first, recent = self.first, max(1, begun - WINDOW_NS // self.period_ns - 2)
+        delays_ns = (index * self.period_ns for index in range(recent, begun))
+        return [
+            first._replace(start_ns=first.start_ns + by_ns, end_ns=first.end_ns + by_ns)
+            for by_ns in delays_ns
+        ]
+
+
+class Exposure:
+    """Running sums over the last second and over the session, on the display's clock.
+
+    A board finishes a pass before the next begins: passes count at the times that this gives.
+    """
+
+    def __init__(self, limits: SafetyLimits) -> None:
+        self._limits = limits
+        self._most_of_session = limits.session_mc * 1e9 * PER_PC
+        self._most_session_ns = floor(decimal(limits.session_s) * 10**9)
+        # From a second ago to what may be sent ahead by sequences that come late.
+        rate_hz = decimal(limits.rate_hz)
+        self._most_passes = ceil(rate_hz * (WINDOW_NS + LATE_NS) / WINDOW_NS) + 1
+        # Passes of which any part lies in the last second, or is still to come.
+        self._window: deque[_Pass] = deque()
+        self.begin_session(None)
+        self.forget_second()
+
+    @property
+    def dose(self) -> Dose:
+        """Dose of the session so far, with requested repetitions."""
+        charge_mc = self._session[1] / (PER_PC * 1e9)
+        net_uc = self._session[2] / 1e6
+        return Dose(self._session_ns / 1e9, tuple(charge_mc.tolist()), tuple(net_uc.tolist()))
+
+    @property
+    def net_pc(self) -> NDArray[np.int64]:
+        """Net charge of each electrode in the session, (E,) pC, positive cathodic."""
+        return np.asarray(self._session[2], np.int64)
+
+    def begin_session(self, now_ns: int | None) -> None:
+        """Reset the session's dose; the last second still counts, with what repeated until now."""
+        if now_ns is not None and self._last is not None:
+            self._add(self._last.repetitions(self._last.begun_by(now_ns)))
+        self._last: _Sent | None = None
+        self._session: Sums = np.zeros((3, self._limits.electrodes))
+        self._session_ns = 0
+
+    def forget_second(self) -> None:
+        """Reset the last second, where time restarts; the session continues."""
+        self._last = None
+        self._window.clear()
+        # Upper bounds of the load of the last second at any electrode, and of the net charge
+        # (× `PER_PC`) of the newest passes, however many: they save most sums.
+        self._second_at_most = self._net_at_most = 0.0
+
+    def net_rest_ns(self, now_ns: int) -> int:
+        """Return the time until half of the net charge of a second is free for a new session.
+
+        With less than that, what is planned without knowledge of an earlier session could be
+        refused.
+        """
+        recent = [scan for scan in reversed(self._window) if scan.end_ns > now_ns - WINDOW_NS]
+        if not recent or self._second_at_most <= PER_PC * NET_PC / 2:
+            return 0
+        newest = np.abs(np.cumsum([scan.sums[2] for scan in recent], axis=0)).max(axis=1)
+        over = np.flatnonzero(newest > NET_PC / 2)
+        return recent[over[0]].end_ns + WINDOW_NS - now_ns if len(over) else 0
+
+    def enter(self, now_ns: int, period_us: int, times: int, made: PassLoad, flows: bool) -> None:
+        """Enter passes of a sequence that may begin now, which is never before the last call; it
+        ends the repetitions of the one before. Their time counts to the session if it ``flows``.
+
+        Raises
+        ------
+        SafetyError
+            Naming the limit and the electrode.
+        """
+        sums, period_ns, last, window = made.sums, 1000 * period_us, self._last, self._window
+        burst_us, most = min(period_us, BURST_US), float(np.maximum.reduce(sums[:2], axis=None))
+        if most > MOST_PER_US * burst_us:
+            raise _too_much(sums[:2], burst_us)
+        start_ns, entered = now_ns, list[_Pass]()
+        session, session_ns = self._session + times * sums, self._session_ns
+        session_ns += period_ns * times * flows
+        if last is not None:
+            begun = 1 if last.times == 1 else last.begun_by(now_ns)
+            start_ns = max(now_ns, last.first.start_ns + begun * last.period_ns)
+            if begun > 1:
+                entered = last.repetitions(begun)
+            if left := last.times - begun:
+                # Cut short by this sequence: they were counted, and are not delivered.
+                session_ns -= left * last.period_ns * last.flows
+                session -= left * last.first.sums
+        if made.recharge_pc is not None:
+            slots_pc = sums[2] - made.recharge_pc
+            carried_pc = session[2] - times * sums[2] + slots_pc
+            _check_recharge(carried_pc, made.recharge_pc, sums[2], times)
+        first = _Pass(start_ns, start_ns + 1000 * made.busy_us, sums, most)
+        # Until the first of its passes has left the second, each adds to what is in it.
+        judged = (
+            1 if times == 1 else min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
+        )
+        net_at_most = self._check_second(now_ns, first, judged, period_ns, entered)
+        if session_ns > self._most_session_ns:
+            raise refusal("session_s", session_ns / 1e9, self._limits.session_s)
+        if np.maximum.reduce(session[1]) > self._most_of_session:
+            at = int(session[1].argmax())
+            charge_mc = session[1, at] / (PER_PC * 1e9)
+            raise refusal("session_mc", charge_mc, self._limits.session_mc, electrode=at)
+        # From here on nothing is refused.
+        self._net_at_most = net_at_most
+        self._add([*entered, first])
+        while window and window[0].end_ns <= now_ns - WINDOW_NS:
+            self._second_at_most -= window.popleft().most
+        self._last = _Sent(first, period_ns, times, flows)
+        self._session, self._session_ns = session, session_ns
+
+    def _add(self, passes: list[_Pass]) -> None:
+        for scan in passes:
+            self._window.append(scan)
+            self._second_at_most += scan.most
+            self._net_at_most += scan.most
+
+    def _check_second(
+        self, now_ns: int, first: _Pass, judged: int, period_ns: int, entered: list[_Pass]
+    ) -> float:
+        """Raise if any second would hold too many passes, or too much of what they bring: of
+        ``judged`` passes a period apart, and of those of the sequence before that are not in the
+        window yet. Returns a bound of the net charge (× `PER_PC`) of the newest passes before."""
+        window, most = self._window, judged * first.most
+        for scan in entered:
+            most += scan.most
+        net_at_most = min(self._net_at_most, self._second_at_most)
+        if (
+            len(window) + len(entered) < self._most_passes
+            and self._second_at_most + most <= MOST_PER_US * 1_000_000
+            and net_at_most + most <= PER_PC * NET_PC
+        ):
+            return net_at_most
+        recent = [scan for scan in (*window, *entered) if scan.end_ns > now_ns - WINDOW_NS]
+        passes = sum(scan.start_ns > now_ns - WINDOW_NS for scan in recent) + 1
+        if passes > self._most_passes:
+            raise refusal("passes", passes, self._most_passes)
+        ends_ns = [scan.end_ns for scan in recent]
+        # Of the newest passes, from each of them on.
+        nothing = np.zeros_like(first.sums)
+        sums = np.cumsum([nothing, *(scan.sums for scan in reversed(recent))], axis=0)
+        nets = sums[:, 2]
+        highest, lowest = np.maximum.accumulate(nets), np.minimum.accumulate(nets)
+        for index in range(judged):
+            time_ns = first.start_ns + index * period_ns if index else now_ns
+            count = len(recent) - bisect_right(ends_ns, time_ns - WINDOW_NS)
+            second = (sums[count] + (index + 1) * first.sums)[:2]
+            if second.max() > MOST_PER_US * 1_000_000:
+                raise _too_much(second, 1_000_000)
+            own_pc = (index + 1) * first.sums[2]
+            net_pc = np.maximum(highest[count] + own_pc, -lowest[count] - own_pc)
+            if net_pc.max() > NET_PC:
+                at = int(net_pc.argmax())
+                raise refusal("net_ma", net_pc[at] / 1e6, NET_PC / 1e6, electrode=at)
+        return PER_PC * float(np.maximum(highest[-1], -lowest[-1]).max())
+
+
+def _check_recharge(before_pc: Charge, recharge_pc: Charge, net_pc: Charge, times: int) -> None:
+    """Raise unless a recharge phase takes back charge that its electrodes carry, before the first
+    of its passes and, as each leaves net charge, before the last; all (E,) pC."""
+    for carried_pc in (before_pc, before_pc + (times - 1) * net_pc)[: min(times, 2)]:
+        # At most all of it, and of the other sign.
+        over_pc = np.abs(carried_pc + recharge_pc) + np.abs(recharge_pc) - np.abs(carried_pc)
+        if over_pc.any():
+            at = int(over_pc.argmax())
+            raise refusal("takes_back", recharge_pc[at] / 1e6, -carried_pc[at] / 1e6, electrode=at)
+
+
+def _too_much(load: Sums, time_us: int) -> SafetyError:
+    """Return the error of too many felt pulses, or too much charge, of either sign."""
+    kind, at = divmod(int(load.argmax()), load.shape[1])
+    limit, unit = ("mean_ma", PER_PC * 1_000_000) if kind else ("pulses_hz", PER_PULSE)
+    return refusal(limit, load[kind, at] / unit, MOST_PER_US * time_us / unit, electrode=at)

@@ -11,7 +11,7 @@ from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import SafetyError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
-from smarttouch.stimulation.safety_limits import STRENGTH
+from smarttouch.stimulation.sequence_limits import STRENGTH
 
 from ..support.checks import raises
 from ..support.scans import open_level, sequence
@@ -131,7 +131,7 @@ def test_whatever_weak_current_claims_it_opens_a_multiple_of_itself(asked):
             gate.check(made)
         except SafetyError:
             continue
-        full_pc, peak_pc = LIMITS.full_pc, current_ua * width_us
+        full_pc, peak_pc = LIMITS.full_ua * LIMITS.width_whole_us, current_ua * width_us
         step_pc = full_pc * LATE_NS / LIMITS.ramp_ns
         assert peak_pc <= STRENGTH * flowed_pc + step_pc + full_pc / 10**6
         flowed_pc = max(flowed_pc, peak_pc)

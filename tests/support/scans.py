@@ -8,11 +8,10 @@ import numpy as np
 from smarttouch.base.clock import LATE_NS
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import MemoryDriver
-from smarttouch.stimulation.exposure import Exposure
 from smarttouch.stimulation.safety_gate import SafetyLimits, frozen
-from smarttouch.stimulation.safety_limits import STRENGTH
+from smarttouch.stimulation.safety_limits import parts_per_billion
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.stimulation.sequence_limits import prove_sequence
+from smarttouch.stimulation.sequence_limits import STRENGTH, Exposure, prove_sequence
 
 
 def sequence(currents, widths=200, *, electrodes=4, discharge_us=100, **other):
@@ -31,7 +30,7 @@ def sequence(currents, widths=200, *, electrodes=4, discharge_us=100, **other):
 def prove_alone(profile, sequence):
     """Prove all limits of a sequence but the ramp, as if nothing had come before it."""
     limits = SafetyLimits.of(profile)
-    load = prove_sequence(frozen(sequence), limits)
+    load = prove_sequence(frozen(sequence), limits, parts_per_billion(sequence.intensity))
     Exposure(limits).enter(sequence.time_ns, sequence.period_us, 1, load, flows=True)
 
 

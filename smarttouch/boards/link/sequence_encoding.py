@@ -26,8 +26,7 @@ from smarttouch.boards.link.protocol import (
     pack_states,
     source_of,
 )
-from smarttouch.stimulation.ramp import PPB
-from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
+from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import (
     KernelLists,
     KernelTable,
