@@ -26,9 +26,11 @@ GENERATED = ROOT / "docs/reference/command-line"
 PAGES = [
     README,
     ROOT / "CONTRIBUTING.md",
+    ROOT / "firmware/README.md",
+    ROOT / "firmware/PROTOCOL.md",
     *(page for page in sorted((ROOT / "docs").rglob("*.md")) if GENERATED not in page.parents),
 ]
-TUTORIALS = [ROOT / "docs/tutorial/in-words.md", ROOT / "docs/tutorial/first-hour.md"]
+TUTORIAL = ROOT / "docs/first-hour.md"
 PYTHON = Sybil(parsers=[PythonCodeBlockParser(), SkipParser()], path=str(ROOT))
 BLOCK = re.compile(
     r"(?:^Save this as `(?P<file>[\w.]+)`[^`]*)?^```(?P<language>\w+)\n(?P<text>.*?)^```$",
@@ -102,10 +104,10 @@ def run(words, folder):
 
 
 @pytest.mark.usefixtures("patient_boards")
-@pytest.mark.parametrize("page", [README, *TUTORIALS], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [README, TUTORIAL], ids=lambda page: page.stem)
 def test_the_first_hour_goes_as_written(page, tmp_path):
     """Output blocks are printed, but for their numbers and what an ellipsis stands for."""
-    if page is TUTORIALS[1] and not WHOLE:
+    if page is TUTORIAL and not WHOLE:
         pytest.skip("long: with --full, as in .ci/run")
     said = ""
     for block in BLOCK.finditer(page.read_text("utf-8")):
@@ -138,10 +140,24 @@ def test_links_between_files_hold(page):
         assert made or (page.parent / target).exists(), target
 
 
+def test_pages_are_few_and_short():
+    """Decisions, changes and what is made from the code or stands beside the firmware aside."""
+    apart = {"changes", "gallery", "index", "python", "profile-keys", "link", "firmware"}
+    words = {
+        page: len(page.read_text("utf-8").split())
+        for page in PAGES
+        if ROOT / "docs" in page.parents and "decisions" not in page.parts
+        and (page.stem not in apart or page.parent.name == "safety")
+    }  # fmt: skip
+    assert len(words) <= 20
+    assert [page.stem for page, count in words.items() if count > 900] == []
+    assert len(README.read_text("utf-8").splitlines()) <= 80
+
+
 def test_the_page_on_architecture_names_what_there_is():
     page = (ROOT / "docs/explanation/architecture.md").read_text("utf-8")
     named = set(re.findall(r"`((?:smarttouch|tests|examples|firmware|docs)/[\w/.-]+)`", page))
-    assert len(named) > 30
+    assert len(named) > 20
     assert sorted(each for each in named if not (ROOT / each).exists()) == []
 
 

@@ -1,6 +1,6 @@
 """Published measurements with people and nerves beside what simulated fingers give.
 
-``python examples/studies/published.py 20`` prints the table of ``docs/validation/finger.md``, 20
+``python examples/studies/published.py 20`` prints published and simulated values, 20
 fingers of each anatomy. A source was read at least in its abstract; a dash is a number that we
 could not read in it. Nothing is tuned to these, but for the two rows that say so.
 """

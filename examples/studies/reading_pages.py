@@ -1,7 +1,7 @@
 """Pages at the nerve: level, size, style, scan and speed, and who knows where the finger is.
 
-``python examples/studies/reading_pages.py 20 pages.jsonl`` makes the tables of
-``docs/validation/finger.md`` on 20 held-out fingers of each anatomy. Pages of your own may follow.
+``python examples/studies/reading_pages.py 20 pages.jsonl`` reads the sample page
+on 20 held-out fingers of each anatomy. Pages of your own may follow.
 It keeps each answer in the file, and goes on there.
 """
 

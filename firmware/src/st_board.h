@@ -1,7 +1,7 @@
 /* Core of a SmartTouch board: the link protocol of version 5 between bytes and pulses.
  *
  * It uses no hardware and no heap: a port gives it memory, bytes and a clock in microseconds,
- * and makes pulses. docs/reference/link.md is the specification.
+ * and makes pulses. firmware/PROTOCOL.md is the specification.
  * Currents are positive cathodic. A field that is left at zero has its safest value, or st_init
  * reports that it is missing.
  */

@@ -1,4 +1,4 @@
-"""What a ``link`` board must refuse by itself, from ``docs/reference/link.md`` alone.
+"""What a ``link`` board must refuse by itself, from ``firmware/PROTOCOL.md`` alone.
 
 Passes are kept one by one, with no bucket but to say how long each counts: neither the C core nor
 the Python emulator works so.

@@ -57,7 +57,7 @@ def test_size_and_deepest_stack_are_as_documented(tmp_path):
 
     deep = max(deepest(f"st_{each}") for each in ("init", "feed", "advance", "hang_up"))
     print(f"\ncode {size} bytes, stack {deep} bytes beside what the port's functions take")
-    page = (SOURCES.parent / "docs" / "how-to" / "firmware.md").read_text(encoding="utf-8")
+    page = (SOURCES / "README.md").read_text(encoding="utf-8")
     said = re.search(r"(\d+) kB of code, ([\d.]+) kB of stack", page)
     assert size <= 1000 * float(said[1])
     assert deep <= 1000 * float(said[2])

@@ -35,7 +35,7 @@ _MOST_RECORD_BYTES = 128 * 2**20  # largest chunk: ours have some MB, and perhap
 
 @dataclass(frozen=True, eq=False)
 class RunArrays:
-    """All numbers of a run; the page *Recorded data* lists shapes, units and meanings."""
+    """All numbers of a run; the page *Recordings* lists shapes, units and meanings."""
 
     step: NDArray[np.int64]
     time_ns: NDArray[np.int64]

@@ -65,9 +65,3 @@ def test_limits_and_masks_of_an_older_profile_count(tmp_path):
     profile = load_profile(path)
     assert profile.output.masked == (3, 5)
     assert profile.limits == load_profile("electric-mouse").limits
-
-
-def test_the_page_lists_what_was_removed():
-    page = PAGE.read_text("utf-8").partition("## From 1.0rc1")[2]
-    names = [*COMMANDS, *OPTIONS, *(f"{name}:" for name in URLS), *PROFILE_KEYS]
-    assert [name for name in names if f"`{name}`" not in page] == []

@@ -134,8 +134,8 @@ def test_a_lost_client_ends_its_pulses(opened, request_):
 
 
 def test_the_client_of_the_page_works(opened, capsys):
-    page = Path(__file__).parents[2] / "docs/how-to/other-programs.md"
-    program = re.search(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)[1]
+    page = Path(__file__).parents[2] / "docs/how-to/programs.md"
+    program = re.search(r"```python\n(import json.*?)```", page.read_text("utf-8"), re.DOTALL)[1]
     door, names = opened(), {}
     exec(program.replace('"./touch"', repr(str(door.path))), names)
     door.thread.join()

@@ -14,7 +14,7 @@ from ..support.full import WHOLE
 HANGS_S = 60
 ROUTE = 1 << 16
 PRINTABLE = "".join(map(chr, range(33, 127)))
-PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "braille-display.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "read.md"
 
 
 @pytest.fixture

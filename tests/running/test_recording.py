@@ -200,7 +200,7 @@ def test_its_arrays_are_those_of_its_steps(recorded):
         assert arrays.mode[index] == "natural"
 
 
-PAGE = Path(__file__).parents[2] / "docs/reference/recorded-data.md"
+PAGE = Path(__file__).parents[2] / "docs/reference/recordings.md"
 
 
 def test_the_page_describes_each_array(golden):

@@ -2,7 +2,7 @@
  * at 13 and 14, converter at 18, 23 and 22.
  *
  * NOT SEEN on hardware. Check the pins and na_per_count (in st_kit.c) against your own board, and go
- * through the checklist of docs/how-to/firmware.md on a dummy load first. A timer's interrupt ends
+ * through the checklist of firmware/README.md on a dummy load first. A timer's interrupt ends
  * each pulse here: let a monostable on BL end it as well, for when the processor stands still.
  */
 #include <Arduino.h>

@@ -1,4 +1,4 @@
-"""The ``link`` wire format, version 5, for both ends: see ``docs/reference/link.md``.
+"""The ``link`` wire format, version 5, for both ends: see ``firmware/PROTOCOL.md``.
 
 A packet is COBS-encoded and ends with one 0x00. Decoded, all little endian::
 

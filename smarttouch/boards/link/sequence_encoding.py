@@ -1,4 +1,4 @@
-"""Kernels, sequences and limits as payloads of ``link``: see ``docs/reference/link.md``."""
+"""Kernels, sequences and limits as payloads of ``link``: see ``firmware/PROTOCOL.md``."""
 
 import itertools
 import math
