@@ -18,6 +18,7 @@ from smarttouch.views.keys_and_signals import command_stop, drives_a_board
 
 if TYPE_CHECKING:
     from smarttouch.base.events import Event
+    from smarttouch.running.step import StepResult
 
 
 devices: Commands = Commands(
@@ -134,7 +135,7 @@ def clear(url: _Url, profile: ProfileOption = None) -> None:
     if found is None:
         typer.echo(f"{url} is not latched.")
     else:
-        typer.echo(f"Cleared ({found.device}): {found.reason}, {found.date}.")
+        typer.echo(f"Cleared ({device}): {found}.")
 
 
 @devices.command()
@@ -176,7 +177,7 @@ def try_out(
     import sys
 
     from smarttouch.running.display import open_display
-    from smarttouch.running.step import OnEvent
+    from smarttouch.running.step import OnEvent, as_listeners
     from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
     from smarttouch.views.keys_and_signals import keyboard_listener
 
@@ -190,10 +191,16 @@ def try_out(
         )
     current_ma = _WALK_MA if current_ma is None else current_ma
     walk, stop = Walk(display.profile, current_ma, seconds, sites), command_stop()
+    tried, pulsed = list[int](), set(display.profile.output.masked)
 
     def say(event: "Event") -> None:
         if isinstance(event, ElectrodeReached):
+            tried.append(sites[len(tried)])
             typer.echo(event)
+
+    def note_pulses(result: "StepResult") -> None:
+        if result.number is not None:
+            pulsed.update(result.step.sequence.site.tolist())
 
     def on_key(key: str) -> None:
         if key in _ENDS:
@@ -202,5 +209,7 @@ def try_out(
             walk.go_on()
 
     with keyboard_listener(on_key):
-        run_walk(walk, display, [OnEvent(say)], stop, force)
+        run_walk(walk, display, [OnEvent(say), *as_listeners([note_pulses])], stop, force)
+    if missed := [str(site) for site in tried if site not in pulsed]:
+        typer.echo(f"Electrodes that were sent no pulse: {', '.join(missed)}.")
     typer.echo("All electrodes are at zero.")
