@@ -80,6 +80,8 @@ class Board:
     Attributes
     ----------
     driver : Driver
+    announced : bool
+        Whether ``smarttouch stop`` must reach it while it is open.
     capabilities : Capabilities
         Of the device; known once the board is open.
     clock : Clock
@@ -118,6 +120,7 @@ class Board:
             )
         self.driver = driver
         self.on_a_finger: bool = on_a_finger
+        self.announced: bool = on_a_finger or not claimed_time
         self._claimed_time = claimed_time
         self.acknowledged: int = 0
         self.refused: int = 0
@@ -130,7 +133,8 @@ class Board:
         self._limits = limits.on(output)
         # Waits for a deadline need to be exact only where the host times the pulses.
         self.clock: Clock = clock or MonotonicClock(None if driver.queued else 0)
-        self._late_ns = late_ns
+        # By the time that sequences state, nothing is late.
+        self._late_ns = late_ns if self.announced else 2**62
         self._gate = SafetyGate(self._limits, None if claimed_time else self.clock)
         self._line = Line(self)
         self._stopped = self._line._stopped
@@ -173,14 +177,14 @@ class Board:
             If the displays of this user could drive more current together than
             `CEILING_USER_MA`, and whatever keeps the board from opening.
         """
-        self._require_own_process()
+        self._require_own()
         if self._opened:
             raise BoardError("the board is open already: close it first")
         self._opened_by = os.getpid()
         if self.device is not None and (record := find_latch(self.device)) is not None:
             raise BoardLatchedError(
-                f"the board ({self.device}) is latched since {record.date}: {record.reason}; have "
-                "it checked, then clear it with smarttouch devices clear"
+                f"the board ({self.device}) is latched since {record}; have it checked, then clear "
+                "it with smarttouch devices clear"
             )
         enter(self)
         try:
@@ -191,7 +195,6 @@ class Board:
             # In this order: a halt from another thread is seen here or comes later.
             if self._halted:
                 self._stopped.set()
-            self._line.require_running()
             self._line.pause(self._gate.net_rest_ns() / 1e9)
             self._number = self._counted = 0
             self._statistics = HostStatistics(self._limits.electrodes)
@@ -261,7 +264,7 @@ class Board:
 
     def close(self) -> None:
         """Put all electrodes at zero and close the board."""
-        self._require_own_process()
+        self._require_own()
         if self._opened:
             self._opened = self._line.reopened = False
             with contextlib.ExitStack() as stack:
@@ -285,7 +288,7 @@ class Board:
 
     def stop(self) -> None:
         """Put all electrodes at zero now, from any thread; nothing is sent or measured after."""
-        self._require_own_process()
+        self._require_own()
         with uninterrupted():
             try:
                 self._line._bar()
@@ -331,11 +334,6 @@ class Board:
         return None if self.driver.port is None else device_of(self.driver.port)
 
     @property
-    def announced(self) -> bool:
-        """Whether ``smarttouch stop`` must reach it while it is open."""
-        return self.on_a_finger or not self._claimed_time
-
-    @property
     def budget_ua(self) -> int:
         """Its share of the current that all displays of a user may drive together, µA."""
         return self._limits.total_ua if self.on_a_finger else 0
@@ -366,14 +364,26 @@ class Board:
         BoardRestartedError
             If the board was lost and is back: begin again at intensity 0.
         SequenceLateError
-            If it, or one before it, was too late to be sent: begin again at intensity 0. By the
-            time that sequences state, none is late.
+            If it, or one before it, was too late to be sent: begin again at intensity 0.
         BoardStoppedError
             If the board was stopped.
         BoardError
             If the board is closed, of another size, or gone.
         """
-        proved = self._prove(sequence, times, due_ns)
+        self._require_own("sending")
+        self._line.require_running()
+        now_ns = self.clock.now_ns()
+        due_ns = due_ns if due_ns is not None and self.announced else now_ns
+        if due_ns - now_ns > FARTHEST_NS:
+            raise BoardError(
+                f"due_ns is {(due_ns - now_ns) / 1e9:.3g} s from now, and at most "
+                f"{FARTHEST_NS / 1e9:g} s are possible: give a time of the board's clock "
+                "(board.clock.now_ns())"
+            )
+        self.capabilities.require(sequence, times)
+        proved = self._gate.prove(
+            sequence, times, number=self._number + 1, due_ns=due_ns, late_ns=self._late_ns
+        )
         try:
             if self.clock.now_ns() > proved.write_before_ns:
                 raise self._line.late()
@@ -382,44 +392,28 @@ class Board:
                 self.driver.check(proved)
                 self._queue(proved)
             else:
-                self._raise_failure()
+                if self._failure is not None:
+                    self._raise_failure()
                 self.driver.write(proved)
-        except SequenceLateError:
+            return proved.number
+        except BoardError as error:
+            failure = self._not_sent(error)
+        raise failure
+
+    def _not_sent(self, error: BoardError) -> BoardError:
+        """Return the error to raise for a sequence that was not sent, at zero."""
+        if isinstance(error, SequenceLateError):
             self.dropped_late += 1
             # Nothing was delivered for a while: what comes next begins at zero.
             self._gate.restart()
-            raise
-        except LineLostError as lost:
-            self._line.require_running()
-            self._recover(lost)
-            self.notes.append(f"{lost}: restarted")
-            raise BoardRestartedError(f"{lost}, and was restarted") from None
-        except BoardError:
-            # On a stopped board any failure is due to the stop.
-            self._line.require_running()
-            raise
-        return proved.number
-
-    def _prove(self, sequence: ScanSequence, times: int, due_ns: int | None) -> ProvedSequence:
-        """Return what the gate has proved of a sequence that this board can deliver."""
-        now_ns = self.clock.now_ns()
-        due_ns = now_ns if due_ns is None else due_ns
-        self._require_open("sending")
+            return error
+        # On a stopped board any failure is due to the stop.
         self._line.require_running()
-        # By the time that sequences state, nothing is late.
-        late_ns = self._late_ns
-        if self._claimed_time and not self.on_a_finger:
-            due_ns, late_ns = now_ns, 2**62
-        if due_ns - now_ns > FARTHEST_NS:
-            raise BoardError(
-                f"due_ns is {(due_ns - now_ns) / 1e9:.3g} s from now, and at most "
-                f"{FARTHEST_NS / 1e9:g} s are possible: give a time of the board's clock "
-                "(board.clock.now_ns())"
-            )
-        self.capabilities.require(sequence, times)
-        return self._gate.prove(
-            sequence, times, number=self._number + 1, due_ns=due_ns, late_ns=late_ns
-        )
+        if not isinstance(error, LineLostError):
+            return error
+        self._recover(error)
+        self.notes.append(f"{error}: restarted")
+        return BoardRestartedError(f"{error}, and was restarted")
 
     def _note_written(self, proved: ProvedSequence) -> None:
         """Count a sequence whose bytes have just been written, with the line's lock held."""
@@ -459,7 +453,7 @@ class Board:
         BoardError
             If it is closed, stopped or gone.
         """
-        self._require_open("giving it kernels")
+        self._require_own("giving it kernels")
         try:
             self.driver.store_kernels(table)
         except LineLostError as lost:
@@ -570,14 +564,12 @@ class Board:
         BoardError
             If the board is closed, cannot measure, or gives an invalid answer.
         """
-        self._require_open("measuring")
+        self._require_own("measuring")
         self._line.require_running()
         self._gate.restart()
         try:
             self.take_volts()
-            impedance = measure_by_probes(
-                self._probe, self._limits, self._output, self.capabilities
-            )
+            return measure_by_probes(self._probe, self._limits, self._output, self.capabilities)
         except BoardError as error:
             # A board whose line is lost is at zero only if the stop has reached it.
             if self._zeroed or not isinstance(error, LineLostError):
@@ -586,19 +578,19 @@ class Board:
         finally:
             # What comes next begins at zero, and its time may start again.
             self._gate.restart()
-        self._line.require_running()
-        return impedance
 
     def _probe(self, probe: ScanSequence) -> NDArray[np.float64]:
         """Deliver a scan and return its voltages."""
         for again in range(PROBES):
             self.send(replace(probe, time_ns=probe.time_ns + again))
             self.drain()
-            volts_found = [
-                volts for scan, volts in self.take_volts() if scan.time_ns >= probe.time_ns
-            ]
-            if volts_found or not probe.slots:
-                return volts_found[-1].astype(np.float64) if volts_found else np.empty(0)
+            # A stop may come while the last one is delivered.
+            self._line.require_running()
+            if not probe.slots:
+                return np.empty(0)
+            found = [volts for scan, volts in self.take_volts() if scan.time_ns >= probe.time_ns]
+            if found:
+                return found[-1].astype(np.float64)
         raise BoardError(
             f"the board at {self._line.name} did not report the voltages of its electrodes: "
             "measure again"
@@ -628,12 +620,15 @@ class Board:
             A sequence that was delivered, and the voltage its source needed at
             the end of each slot, (S,) V.
         """
-        return [self._volts.popleft() for _ in range(len(self._volts))]
+        volts = []
+        while self._volts:
+            volts.append(self._volts.popleft())
+        return volts
 
     @property
     def simulated_time(self) -> bool:
         """Whether its time is simulated, without waiting."""
-        return self._claimed_time and not self.on_a_finger and self.driver.simulated_time
+        return not self.announced and self.driver.simulated_time
 
     @property
     def net_charge_pc(self) -> NDArray[np.int64]:
@@ -645,15 +640,13 @@ class Board:
         """Dose of current in the skin since the board was opened."""
         return self._gate.dose
 
-    def _require_own_process(self) -> None:
-        """Raise in a forked process: the board and its line are its parent's."""
+    def _require_own(self, use: str = "") -> None:
+        """Raise in a forked process, where the board and its line are its parent's, and before a
+        use for which the board must be open."""
         if self._opened and self._opened_by != os.getpid():
             raise BoardClosedError(
                 f"process {self._opened_by} has the board open, and a process that it forked may "
                 "not use it: make a display here"
             )
-
-    def _require_open(self, what: str) -> None:
-        self._require_own_process()
-        if not self._opened:
-            raise BoardClosedError(f"the board is not open: open it before {what}")
+        if use and not self._opened:
+            raise BoardClosedError(f"the board is not open: open it before {use}")

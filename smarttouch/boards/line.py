@@ -40,6 +40,12 @@ BLOCKED_S = 1.0  # longest time that zero waits for a write that does not end
 RECOVER_S = 3.0  # time to wait for a lost port
 
 
+class _Zeroing(threading.local):
+    """Number of blocks of this thread that write zero."""
+
+    depth = 0
+
+
 class Line:
     """Line of one board to its device; only `Board` makes one.
 
@@ -67,12 +73,10 @@ class Line:
         self._board, self._gate = board, board._gate
         self._port: Port | None = None
         self._stopped = threading.Event()
-        # Reentrant: a signal handler may stop while its own thread is writing.
+        # Reentrant: a program's own signal handler may stop while its thread is writing.
         self._lock = threading.RLock()
         self._dialogue = threading.RLock()
-        self._writes = 0
-        self._overtaken = False  # whether a stop did not wait for the write under way
-        self._zeroing = threading.local()  # `depth` above zero in threads that write zero
+        self._zeroing = _Zeroing()
 
     # -- the connection ----------------------------------------------------
 
@@ -144,26 +148,23 @@ class Line:
     def current(self, proved: ProvedSequence | None = None) -> Iterator[None]:
         """Hold the lock of `Board.stop` for a write to a device that is not a port; arguments and
         errors as of `write`."""
-        with contextlib.ExitStack() as stack:
-            stack.enter_context(uninterrupted())
-            if not self._lock.acquire(timeout=BLOCKED_S if self._is_zeroing else -1):
+        begun = False
+        with uninterrupted():
+            if not self._lock.acquire(timeout=BLOCKED_S if self._zeroing.depth else -1):
                 raise self.lost("is blocked: check the cable")
-            stack.callback(self._lock.release)
-            self.require_running()
-            if proved is not None:
-                self._require_timely(proved)
-            self._writes += 1
-            stack.callback(self._written)
-            yield
-            if proved is not None:
-                self._board._note_written(proved)
-
-    def _written(self) -> None:
-        """End a write; after one that a stop did not wait for, put the device at zero again."""
-        self._writes -= 1
-        if self._overtaken and not self._writes and not self._is_zeroing:
-            self._overtaken = False
-            self._put_at_zero()
+            try:
+                self.require_running()
+                if proved is not None:
+                    self._require_proved(proved)
+                begun = True
+                yield
+                if proved is not None:
+                    self._board._note_written(proved)
+            finally:
+                self._lock.release()
+                if begun and self.is_stopped:
+                    # The stop may not have waited for this write.
+                    self._put_at_zero()
 
     def later(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
         """Return a proved sequence for a later start, by `now_ns`: a repetition that the host
@@ -179,7 +180,7 @@ class Line:
         except SafetyError:
             raise self.late() from None
 
-    def _require_timely(self, proved: ProvedSequence) -> None:
+    def _require_proved(self, proved: ProvedSequence) -> None:
         if type(proved) is not ProvedSequence:
             raise BoardError(
                 f"{type(self._board.driver).__name__} sends what the gate has not proved"
@@ -246,7 +247,7 @@ class Line:
 
     def pause(self, seconds: float) -> None:
         """Wait; raise if the board is stopped meanwhile."""
-        if self._is_zeroing:
+        if self._zeroing.depth:
             time.sleep(seconds)
         else:
             self._stopped.wait(seconds)
@@ -255,11 +256,11 @@ class Line:
     @property
     def is_stopped(self) -> bool:
         """Whether writes are refused; never within `Driver.zero`."""
-        return self._stopped.is_set() and not self._is_zeroing
+        return self._stopped.is_set() and not self._zeroing.depth
 
     def require_running(self) -> None:
         """Raise BoardStoppedError if the board was stopped, but not within `Driver.zero`."""
-        if self.is_stopped:
+        if self._stopped.is_set() and not self._zeroing.depth:
             if self._board._fault_found is not None:
                 raise self._board._fault_found
             again = "open a new display" if self._board._halted else "open it again"
@@ -285,23 +286,14 @@ class Line:
 
     # -- for the board -----------------------------------------------------
 
-    @property
-    def _is_zeroing(self) -> bool:
-        return getattr(self._zeroing, "depth", 0) > 0
-
     def _bar(self) -> None:
         """Refuse all current from now on, and wait for the end of the write under way."""
         self._stopped.set()
-        free = False
-        try:
-            free = self._lock.acquire(timeout=WRITE_S)
-        finally:
-            self._overtaken = not free or self._writes > 0
-        if free:
+        if self._lock.acquire(timeout=WRITE_S):
             self._lock.release()
 
     def _put_at_zero(self) -> None:
-        self._zeroing.depth = getattr(self._zeroing, "depth", 0) + 1
+        self._zeroing.depth += 1
         try:
             self._board.driver.zero()
         finally:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 from typing import Literal
@@ -179,17 +179,9 @@ class Impedance:
         return all(name == "open" for name in self.condition)
 
 
-@dataclass(frozen=True)
-class Latch:
-    """Record of a board's fault, which keeps it from being opened until a person clears it.
-
-    It is a small file in the user's state folder, named by a digest of the device: its USB vendor,
-    product and serial number, else its port.
-    """
-
-    device: str
-    reason: str
-    date: str  # local time, to the second
+# A fault of a board latches it, which keeps it from being opened until a person clears that. The
+# record is a small file in the user's state folder, named by a digest of the device: its USB
+# vendor, product and serial number, else its port.
 
 
 def latch(device: str, reason: str) -> None:
@@ -197,26 +189,25 @@ def latch(device: str, reason: str) -> None:
     if find_latch(device) is None:
         path = _record(device)
         make_folder(path.parent)
-        record = Latch(device, reason, time.strftime("%Y-%m-%d %H:%M:%S"))
-        write_bytes(path, json.dumps(asdict(record)).encode())
+        record = f"{time.strftime('%Y-%m-%d %H:%M:%S')}: {reason}"
+        write_bytes(path, json.dumps(record).encode())
 
 
-def find_latch(device: str) -> Latch | None:
-    """Return the record of a board, None if there is none; an unreadable one counts as a fault."""
+def find_latch(device: str) -> str | None:
+    """Return since when a board is latched, and why; None if it is not. A record that cannot be
+    read counts as a fault."""
     try:
-        record = json.loads(_record(device).read_bytes())
-        return Latch(device, str(record["reason"]), str(record["date"]))
+        return str(json.loads(_record(device).read_bytes()))
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        return Latch(device, f"its record {_record(device)} cannot be read ({error})", "?")
+    except (OSError, ValueError) as error:
+        return f"?: its record {_record(device)} cannot be read ({error})"
 
 
-def clear_latch(device: str) -> Latch | None:
-    """Remove the record of a board; return it, or None if there is none."""
+def clear_latch(device: str) -> str | None:
+    """Remove the record of a board; return what `find_latch` did."""
     record = find_latch(device)
-    if record is not None:
-        _record(device).unlink(missing_ok=True)
+    _record(device).unlink(missing_ok=True)
     return record
 
 

@@ -243,4 +243,7 @@ def test_a_write_that_meets_a_stop_is_over_before_zero_or_followed_by_it(
         goes_on.set()
         for each in (sender, stopper):
             each.join(20)
-        assert board.driver.did == (["zero", "current", "zero"] if long else ["current", "zero"])
+        # Who writes and who stops put it at zero.
+        assert board.driver.did == (
+            ["zero", "current", "zero"] if long else ["current", "zero", "zero"]
+        )

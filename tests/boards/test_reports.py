@@ -59,9 +59,9 @@ def test_a_link_board_is_latched(fault, start_faulty, make_limits, make_sequence
     again = make_board(f"link:{port}", make_limits())
     with pytest.raises(BoardLatchedError) as refused:
         again.open()
-    reason = clear_latch(again.device).reason
-    assert f": {reason}; have it checked" in str(refused.value)
-    assert str(found.value).startswith(f"{reason}: ")
+    record = clear_latch(again.device)
+    assert f"since {record}; have it checked" in str(refused.value)
+    assert str(found.value).startswith(f"{record.split(': ', 1)[1]}: ")
     assert find_latch(again.device) is None
 
 
@@ -79,7 +79,7 @@ def test_a_record_outlives_its_process_and_is_private(tmp_path, make_limits):
     latch("USB 1234:5678 A1", "a later one")
     (record,) = tmp_path.rglob("*.json")
     assert record.stat().st_mode & 0o077 == 0
-    assert find_latch("USB 1234:5678 A1").reason == "a fault"
+    assert find_latch("USB 1234:5678 A1").endswith(": a fault")
     record.write_text("nonsense")
     assert find_latch("USB 1234:5678 A1") is not None, "a record that cannot be read is a fault"
     assert find_latch("USB 1234:5678 A2") is None

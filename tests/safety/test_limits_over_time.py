@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardError, SafetyError, SequenceLateError
-from smarttouch.boards.open import make_board
+from smarttouch.boards.board import Board
+from smarttouch.boards.open import MemoryDriver, make_board
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
@@ -98,9 +99,7 @@ def test_masked_electrodes_carry_nothing():
 
 @pytest.mark.parametrize("away_s", [11, 1e9])
 def test_a_due_time_of_another_clock(limits, away_s):
-    board = make_board("memory:", limits)
-    board.on_a_finger = True
-    with board:
+    with Board(MemoryDriver("", limits), limits, claimed_time=True) as board:
         due_ns = board.clock.now_ns() + round(away_s * SECOND)
         with pytest.raises(BoardError, match="due"):
             board.send(dataclasses.replace(pulses(0), intensity=0.0), due_ns=due_ns)
