@@ -49,6 +49,7 @@ LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
 """Levels of the detection experiment, as parts of the profile's threshold (our own choice)."""
 _DETECTION_STEP = 0.05
 _DETECTION_RANGE = (0.3, 3.0)  # range of detection, as parts of the profile's threshold
+SOFTNESSES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)  # compared with 0 (our own choice)
 _FARTHEST = 4  # most steps of distance to each side of a point
 _DISCOMFORTS = 5
 _SLOWER = 2.0
@@ -215,6 +216,27 @@ def localization(setup: Setup) -> Trials:
     yield from ask(setup.constant(pairs, two_intervals=False), trial)
 
 
+def softness(setup: Setup) -> Trials:
+    """Ask which of two points is softer while the finger moves (paper, Section III-B.2).
+
+    The rate of one follows the finger's force, as on something hard. That of the other does so the
+    less, the larger the comparison: at 1 it is constant.
+    """
+    if setup.afferent is not Afferent.SAI:
+        raise ExperimentError("pressure, hard or soft, is felt through SAI: give --mode SAI")
+    setup.notes.append(
+        "move the finger up and down in each interval, and give --force: where force is not "
+        "measured, all are felt alike"
+    )
+
+    def trial(condition: Condition) -> Trial:
+        hard = setup.train([setup.place], setup.pulse_hz)
+        own, other = replace(hard, softness=condition.comparison), replace(hard, softness=0.0)
+        return in_two_intervals(condition, own, other, "softer", "which was softer?", "softness")
+
+    yield from ask(setup.constant([(0.0, each) for each in SOFTNESSES]), trial)
+
+
 CATALOG = {
     "frequency": Experiment("which of two is faster (paper, III-C)", frequency, ADAPTIVE, 1.0),
     "detection": Experiment(
@@ -224,6 +246,9 @@ CATALOG = {
         "when is a rising current enough, mA", discomfort, (LIMITS,), 10.0, in_ma=True
     ),
     "localization": Experiment("was the second left or right: distance, mm", localization),
+    "softness": Experiment(
+        "which of two is softer as the finger moves (paper, III-B)", softness, train_s=3.0
+    ),
 }  # fmt: skip
 """The package's own experiments by name."""
 

@@ -181,8 +181,8 @@ class Observer(Protocol):
     ) -> str | None:
         """Return one of the alternatives, or None for no answer.
 
-        Tasks are ``faster`` (which interval: 1 or 2), ``felt`` (y or n, or which interval) and
-        ``side`` (of the second point: l or r).
+        Tasks are ``faster`` and ``softer`` (which interval: 1 or 2), ``felt`` (y or n, or which
+        interval) and ``side`` (of the second point: l or r).
         """
         ...
 
@@ -240,12 +240,13 @@ class SimulatedObserver:
                 return "y" if yes[0] else "n"
             tossed = int(self._random.integers(len(yes)))
             return alternatives[yes.index(True) if sum(yes) == 1 else tossed]
-        if task not in ("faster", "side"):
+        judges = {"faster": self._faster, "side": self._side, "softer": self._softer}
+        if task not in judges:
             raise ExperimentError(
-                f"the simulated observer has no answer to {task!r}: it can answer faster, side, "
-                "felt"
+                f"the simulated observer has no answer to {task!r}: it can answer felt, "
+                f"{', '.join(judges)}"
             )
-        judged = self._faster(intervals) if task == "faster" else self._side(intervals)
+        judged = judges[task](intervals)
         if judged is None or self._random.random() < self.lapse:
             return alternatives[int(self._random.integers(len(alternatives)))]
         return judged
@@ -269,6 +270,11 @@ class SimulatedObserver:
         if any(math.isnan(each) for each in at_mm):
             return None
         return "l" if self._larger(np.array(at_mm), self.place_mm) == "1" else "r"
+
+    def _softer(self, intervals: Sequence[Interval]) -> str | None:
+        """Return where the rate changes least while the finger moves (paper, Section III-B.2)."""
+        changes = [float(np.ptp(np.diff(each.time_s))) for each in intervals]
+        return None if math.isclose(*changes, abs_tol=1e-3) else str(1 + int(np.argmin(changes)))
 
     def _larger(self, values: NDArray[np.float64], spread: float) -> str:
         return str(1 + int((values + spread * self._random.standard_normal(len(values))).argmax()))

@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 
 from smarttouch.base.errors import ExperimentError, LevelNotReachedError
@@ -13,6 +14,8 @@ from smarttouch.experiments.trials import STEP_S, Answer, Train, Trial, Trials
 from smarttouch.profile import Profile
 from smarttouch.running.program import SILENT_US, STEADY, Level, Program, Shown
 from smarttouch.running.step import RunContext, StepResult
+from smarttouch.sources.source_contract import Input, Stimulus
+from smarttouch.stimulation.pulse_rates import rate_share
 from smarttouch.stimulation.ramp import FIRST_NS, MOST_STEP_NS
 
 PAUSE_S = 0.5  # least time between an answer and the next trial
@@ -55,6 +58,7 @@ class TrialSource(Program):
         self._pressed: deque[tuple[str, int]] = deque()
         self._starts: list[Starts] | None = None  # of a trial's intervals, while one is shown
         self._wanted: float | None = None  # newest step of a trial's course
+        self._softness = 1.0  # of the train that is shown
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
@@ -73,6 +77,14 @@ class TrialSource(Program):
                 "a simulated participant responds to simulated currents only: choose the board "
                 "simulated:"
             )
+
+    def read(self, time_ns: int) -> Input | None:
+        """Return what is shown now, at the rate that the finger's force gives it."""
+        given = super().read(time_ns)
+        if isinstance(given, Stimulus) and given.period_us is not None and self._softness < 1:
+            share = rate_share(self.gate, self._softness)
+            given = replace(given, period_us=round(given.period_us / share))
+        return given
 
     def step(self, result: StepResult) -> None:
         """Note how the last stimulus was sent."""
@@ -156,10 +168,14 @@ class TrialSource(Program):
 
     def _present(self, trial: Trial, train: Train, level: Level, seconds: float) -> Shown:
         activation = train.activation * (not train.is_blank)
-        return self.show(
-            activation, seconds, level, rate_hz=train.rate_hz, opens=0, exact=trial.exact,
-            least=STEADY if trial.exact else _SPOILED,
-        )  # fmt: skip
+        self._softness = train.softness
+        try:
+            return self.show(
+                activation, seconds, level, rate_hz=train.rate_hz, opens=0, exact=trial.exact,
+                least=STEADY if trial.exact else _SPOILED,
+            )  # fmt: skip
+        finally:
+            self._softness = 1.0
 
     def _attempt_course(self, trial: Trial) -> Answer:
         """Make the current follow the keys from zero, no faster than the ramp."""

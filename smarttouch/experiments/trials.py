@@ -44,6 +44,7 @@ class Train:
     # in [0, 1]: of the strongest comfortable current, on top of what the user wishes
     level: float = 1.0
     is_blank: bool = False  # whether no current flows, for as long as in the same train
+    softness: float = 1.0  # 1: the rate is constant; 0: it follows the finger's force
 
     @property
     def rate_hz(self) -> float:

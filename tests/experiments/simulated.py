@@ -291,7 +291,9 @@ class Sat:
         return [words for _, words in self.told if words.startswith(start)]
 
 
-def sit(name, setup, bank, path, observer, *, stop_after=None, watch=None, controls=None):
+def sit(
+    name, setup, bank, path, observer, *, stop_after=None, watch=None, controls=None, force=None
+):
     """Run an experiment; stop it before the answer of a trial is written if asked to."""
     stop, told = StopRequest(), []
     with open_experiment(name, setup, path, "p1", "s1") as sitting:
@@ -307,12 +309,13 @@ def sit(name, setup, bank, path, observer, *, stop_after=None, watch=None, contr
         statistics = Runner(
             source,
             Display("simulated:", setup.profile),
-            RunConfig(scan="points"),
+            RunConfig(mode=setup.afferent.name, scan="points"),
             listeners=[
                 OnStep(observe),
                 OnEvent(lambda event: told.append((event.time_ns, str(event)))),
             ],
             stop=stop,
+            force=force,
             load_kernels=lambda _profile: bank,
             controls=Controls if controls is None else lambda _state, _modes: controls,
         ).run()

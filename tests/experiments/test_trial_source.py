@@ -1,6 +1,7 @@
 """Trials are presented as asked, and a session that is interrupted has each of them once."""
 
 import contextlib
+import math
 import re
 import threading
 import time
@@ -11,18 +12,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.catalog import trials_of
 from smarttouch.experiments.experiment_session import open_experiment
+from smarttouch.experiments.observers import SimulatedObserver
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import Answer, Setup
 from smarttouch.kernels.bank import load_bank
+from smarttouch.physiology.finger import Finger
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls, ControlState, Mode
 from smarttouch.running.runner import Runner
+from smarttouch.sources.force import ForceSource
 
 from ..support.checks import raises
 from .simulated import Perfect, Silent, sit
@@ -154,6 +159,34 @@ def test_currents_that_count_wait_for_full_intensity_and_no_key_changes_one(take
 def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(take):
     with raises(ExperimentError, names="trial", value=10):
         take(Perfect(), controls=Controls(ControlState(Mode.RA, 0.0)))
+
+
+class Moving(ForceSource):
+    """A finger that moves up and down once a second."""
+
+    def read(self, time_ns):
+        return 0.7 + 0.2 * math.sin(2 * math.pi * time_ns / 1e9)
+
+
+def test_softness_is_a_rate_that_does_not_follow_the_moving_finger(profile, bank, tmp_path):
+    class Noting(SimulatedObserver):
+        def respond(self, task, intervals, alternatives):
+            rows.append([float(np.ptp(np.diff(each.time_s))) for each in intervals])
+            return super().respond(task, intervals, alternatives)
+
+    rows, observer = [], Noting(Finger(profile, 1, "paper"), lapse=0.0)
+    setup = Setup(profile, Afferent.SAI, repetitions=1, train_s=1.0)
+    sat = sit("softness", setup, bank, tmp_path / "rows.csv", observer, force=Moving("a finger"))
+    for row, changes in zip(sat.rows, rows, strict=True):
+        at = row["comparison_interval"] - 1
+        assert changes[1 - at] > 0.01
+        assert (changes[at] < 1e-4) == (row["comparison"] == 1)
+        assert row["success"]
+    assert sat.figures["emulator_violations"] == 0
+    sat = sit("softness", setup, bank, tmp_path / "still.csv", Noting(observer.finger))
+    assert max(max(each) for each in rows[len(sat.rows) :]) < 1e-4
+    with raises(ExperimentError, names="--mode SAI"):
+        next(trials_of("softness", Setup(profile))[1])
 
 
 @pytest.fixture
