@@ -73,16 +73,6 @@ def pytest_addoption(parser):
     parser.addoption(
         "--runs", type=int, help="of tests that repeat something at random: how often, or how long"
     )
-    parser.addoption(
-        "--quick", action="store_true", help="run benchmarks once each, short, and time nothing"
-    )
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_configure(config):
-    if config.getoption("quick"):
-        # Before pytest-benchmark reads them: the project's options skip benchmarks.
-        config.option.benchmark_skip, config.option.benchmark_disable = False, True
 
 
 @pytest.hookimpl(wrapper=True)
@@ -200,7 +190,7 @@ def judged_books():
 @pytest.fixture(autouse=True)
 def proved_twice(request, safety_watch, judged_books):
     """Fail a test if a gate accepts, or an emulator delivers, what the oracle would not."""
-    safety_watch.on = "benchmark" not in request.fixturenames
+    safety_watch.on = "row" not in request.fixturenames
     yield
     # Whoever has no folder leaves no books.
     if judged_books is not None and "tmp_path" in request.node.funcargs:

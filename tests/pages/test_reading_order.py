@@ -6,11 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks import page_layouts
+from benchmarks.page_reading import ours, plain
 from smarttouch.pages.reading_order import MADE_SPACE, SPACE, Word, reading_order
 from smarttouch.reading.legibility import character_error_rate
-
-from ..benchmarks import page_layouts
-from ..benchmarks.page_reading import ours, plain
 
 LEFT, RIGHT, BOTH = (0, 40), (50, 90), (0, 90)
 WIDER = 4

@@ -1,14 +1,21 @@
-"""Short runs of benchmarks, and their tables as Markdown at the end of a run.
+"""Tables of figures as Markdown at the end of a run: ``pytest benchmarks``.
 
-Long, with the figures that README shows: ``pytest tests/benchmarks --benchmark-only -n0``.
-Short, each path and assertion but those on speed: ``pytest tests/benchmarks --quick -n0``.
+``pytest benchmarks --quick`` takes each path once, short, with all assertions but those on speed.
 """
 
-import contextlib
-import subprocess
-import sys
-
 import pytest
+
+
+def pytest_addoption(parser):
+    parser.addoption("--quick", action="store_true", help="run each once, short, and time nothing")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config):
+    """Run benchmarks one after another, in this process, though the project's options differ."""
+    option = config.option
+    option.numprocesses, option.dist, option.tx = None, "no", []
+    option.benchmark_skip, option.benchmark_disable = False, option.quick
 
 
 @pytest.fixture(scope="session")
@@ -18,32 +25,14 @@ def quick(request):
 
 
 @pytest.fixture
-def row(benchmark, record_property):
+def row(record_property):
     """Return a writer of table rows: a table's title, and a cell for each column.
 
     The tables of all tests are printed at the end.
     """
-    # Nothing of its own is timed, but it counts as a benchmark.
-    benchmark.pedantic(lambda: None, rounds=1)
     return lambda title, cells: record_property(
         "row", (title, {key: str(value) for key, value in cells.items()})
     )
-
-
-@pytest.fixture(scope="session")
-def hog():
-    """Return a context in which as many other processes only burn time."""
-
-    @contextlib.contextmanager
-    def keep_busy(processes=1):
-        command = [sys.executable, "-c", "while True: pass"]
-        with contextlib.ExitStack() as stack:
-            for _ in range(processes):
-                process = stack.enter_context(subprocess.Popen(command))
-                stack.callback(process.kill)
-            yield
-
-    return keep_busy
 
 
 def pytest_terminal_summary(terminalreporter):

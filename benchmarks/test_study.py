@@ -1,14 +1,10 @@
-"""Studies: rows of 1, 2 and 4 Dask workers, and what a finger costs."""
+"""What a finger of a study costs."""
 
 import pytest
 
 from smarttouch.experiments.study import Study, rows_of_letters, study_letters
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.profile import load_profile
-
-STUDY = Study(
-    title="small", profiles=("smarttouch-4x4",), anatomies=("paper",), fingers=8, letters="LT"
-)
 
 
 @pytest.mark.parametrize("anatomy", ["paper", "branched"])

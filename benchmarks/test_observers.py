@@ -1,9 +1,5 @@
 """Frequency and thresholds that the spikes of many fingers give, in both anatomies.
 
-Run with::
-
-    pytest tests/benchmarks/test_observers.py --benchmark-only -n0
-
 Of 20 fingers each, at the middle electrode, full pulses: PC spikes for RA spikes, each for its
 density; the 75 % thresholds of frequency that follow; and the current at which the first afferent
 fires.
@@ -14,8 +10,7 @@ import pytest
 
 import smarttouch as st
 from smarttouch.experiments.observers import Interval, Nerve, believable_hz
-
-from ..experiments.simulated import ratio_of, weber_fraction
+from tests.experiments.simulated import ratio_of, weber_fraction
 
 RA, SAI, PC = st.Afferent
 MIDDLE = 27

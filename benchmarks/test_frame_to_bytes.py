@@ -1,9 +1,5 @@
 """Time from a frame to bytes, beside the same chain written the plain way.
 
-Run with::
-
-    pytest tests/benchmarks/test_frame_to_bytes.py --benchmark-only -n0
-
 Each figure is a time on the machine at hand; both chains take turns in one run.
 """
 

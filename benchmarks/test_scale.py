@@ -1,17 +1,4 @@
-"""Large arrays: what grows, and what of it is there.
-
-Run with::
-
-    pytest tests/benchmarks/test_scale.py --benchmark-only -n0
-
-Banks are designed in processes of their own, whose largest memory is measured.
-"""
-
-import json
-import subprocess
-import sys
-import textwrap
-from pathlib import Path
+"""Large arrays: what grows, and what of it is there."""
 
 import numpy as np
 import pytest
@@ -21,23 +8,6 @@ from smarttouch.kernels.bank import design_bank
 from smarttouch.running.config import RunConfig
 from smarttouch.running.runner import Runner
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
-
-PROGRAM = str(Path(sys.executable).with_name("smarttouch"))
-DESIGN = r"""
-    import json, re, sys, time
-    from pathlib import Path
-    import smarttouch as st
-    from smarttouch.kernels.bank import design_bank
-    mouse, (side, neighbors) = st.load_profile("electric-mouse"), json.loads(sys.argv[1])
-    of = lambda name, **keys: {name: getattr(mouse, name).model_copy(update=keys)}
-    profile = mouse.model_copy(update=of("array", rows=side, columns=side)
-        | of("skin", node_spacing_mm=.5) | of("kernels", neighbors=neighbors))
-    begun_s = time.perf_counter()
-    bank = design_bank(profile)
-    kilobytes = int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1])
-    worst = {each.name: float(values.max()) for each, values in bank.off_target.items()}
-    print(json.dumps([time.perf_counter() - begun_s, kilobytes / 1024, worst]))
-"""
 
 
 def square(side, neighbors):
@@ -102,25 +72,3 @@ def test_a_large_array_runs(row, quick, large, board):
     assert found["slots"]
     # Nothing but the emulator counts violations.
     assert found["emulator_violations"] in (None, 0)
-
-
-@pytest.mark.timeout(0)
-def test_what_a_bank_of_a_large_array_takes(row, quick):
-    sizes = [(5, None), (5, 9)] if quick else [(8, None), (12, None), (16, None), (20, None)]
-    sizes += [] if quick else [(16, 64), (20, 64), (64, 64)]
-    for side, neighbors in sizes:
-        command = [sys.executable, "-c", textwrap.dedent(DESIGN), json.dumps([side, neighbors])]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        seconds, megabytes, worst = json.loads(done.stdout)
-        row(
-            "Design of a whole bank",
-            {
-                "array": f"{side} × {side}",
-                "kernels of": "all electrodes" if neighbors is None else f"{neighbors} at most",
-                "s": f"{seconds:.1f}",
-                "largest memory, MiB": f"{megabytes:.0f}",
-                "worst other: RA": f"{worst['RA']:.3f}",
-                "SAI": f"{worst['SAI']:.3f}",
-            },
-        )
-        assert 0 < worst["RA"] < 1

@@ -1,9 +1,4 @@
-"""A window's part of the loop, and how soon a page stops a run.
-
-Run with::
-
-    pytest tests/benchmarks/test_window.py --benchmark-only -n0
-"""
+"""How soon a page stops a run."""
 
 import threading
 import time
@@ -14,28 +9,6 @@ import numpy as np
 import smarttouch as st
 from smarttouch.base.stopping import StopRequest
 from smarttouch.running.runner import Runner
-
-
-def test_part_of_the_loop(profile, quick, row):
-    """Time of `Window.step` in the loop's thread, of a scan's."""
-    from smarttouch.views.window import Window
-
-    window = Window(StopRequest(), show=lambda _: None)
-    spent = []
-
-    class Timed(st.Listener):
-        prepare, close, event = window.prepare, window.close, window.event
-
-        def step(self, result):
-            begun_ns = time.perf_counter_ns()
-            window.step(result)
-            spent.append((time.perf_counter_ns() - begun_ns) / 1000 / result.sequence.period_us)
-
-    source = st.open_source("text:touch", profile)
-    st.run(source, st.open_display("simulated:", profile), listeners=[Timed()])
-    share = float(np.percentile(spent, 99))
-    row("The window's part of the loop", {"p99 of a scan's time": f"{share:.3%}"})
-    assert quick or share < 0.02
 
 
 def test_stop(profile, quick, row):

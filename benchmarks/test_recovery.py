@@ -1,25 +1,17 @@
 """Two hundred simulated subjects for each procedure: bias, spread, trials, coverage.
 
-Run with::
-
-    pytest tests/benchmarks/test_recovery.py --benchmark-only -n0
-
 Errors are natural logarithms of estimate over truth, so nearly parts of the threshold.
 """
 
-import os
-
 import pytest
 
-from ..experiments.simulated import PROCEDURES, TASKS, recover
-
-SUBJECTS = int(os.environ.get("SMARTTOUCH_SUBJECTS", "200"))
+from tests.experiments.simulated import PROCEDURES, TASKS, recover
 
 
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("task", TASKS)
-def test_recovery(task, row, quick):
-    subjects = 12 if quick else SUBJECTS
+def test_recovery(task, row, quick, runs):
+    subjects = 12 if quick else runs or 200
     for name in PROCEDURES:
         found = recover(task, name, subjects, covering=subjects // 2)
         row("Simulated subjects", {"task": task, "procedure": name} | found.cells)

@@ -1,16 +1,10 @@
 """Share of printed pages that can be read from the delivered pulses.
 
-Run with::
-
-    pytest tests/benchmarks/test_legibility.py --benchmark-only -n0
-
 Pages at 10, 12 and 14 points, clean, turned, unevenly lit and noisy, and the page of scikit-image,
 felt in 8, 12, 16 and 24 rows, plain and graded, and graded with shared slots: character
 error rates, beside those of the page itself (see
 ``smarttouch simulate page``).
 """
-
-import os
 
 import numpy as np
 import pytest
@@ -25,8 +19,7 @@ from smarttouch.reading.legibility import LineDelivery, legibility_of_shapes
 from smarttouch.reading.letter_shapes import Shapes
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.stimulation.scan_sequence import SlotPolicy
-
-from ..pages.printed import degrade, print_page
+from tests.pages.printed import degrade, print_page
 
 TEXT = [
     "The quick brown fox jumps over the lazy dog.", "A finger moves over print, and what is seen",
@@ -40,7 +33,7 @@ unambiguously as either object or background. Here,
 the markers are found at the two extreme parts of the
 histogram of grey values:
 >>> markers = np.zeros_like(coins)"""
-ROWS = [int(each) for each in os.environ.get("SMARTTOUCH_ROWS", "8,12,16,24").split(",")]
+ROWS = [8, 12, 16, 24]
 PAGES = {
     "10 pt": (10, {}), "12 pt": (12, {}), "14 pt": (14, {}), "12 pt, sans": (12, {}),
     "12 pt, turned by 3°": (12, {"skew_deg": 3}), "12 pt, uneven light": (12, {"uneven": 0.6}),

@@ -1,9 +1,5 @@
 """Bytes of a sequence as currents and as lists of kernels, and what wires make of them.
 
-Run with::
-
-    pytest tests/benchmarks/test_link_wire.py --benchmark-only -n0
-
 Rates over wires are computed from bytes: 10 bit times a byte at 921,600 Bd, and 1 MB/s. A sequence
 goes over the wire while the one before is scanned, so that the slower of the two counts.
 """
@@ -36,20 +32,6 @@ def packets(sequence, image):
     ]
 
 
-def tell(row, name, scan, points, sequence, image):
-    plain, listed = packets(sequence, image)
-    # Of a scan that goes as fast as its slots allow.
-    scan_s = sequence.slots * (PULSE_US + REST_US) / 1e6
-    cells = {"electrodes": name, "scan": scan, "points": points, "slots": sequence.slots,
-             "bytes of currents": plain, "bytes of lists": listed,
-             "fewer": f"{plain / listed:.1f}"}  # fmt: skip
-    for wire, rate in WIRES.items():
-        for form, size in (("currents", plain), ("lists", listed)):
-            cells[f"{form}: a second at {wire}"] = f"{1 / max(size / rate, scan_s):.1f}"
-    row("A sequence on the wire", cells)
-    return plain / listed, 1 / max(listed / 1e6, scan_s)
-
-
 @pytest.mark.parametrize("scan", ["points", "auto"])
 def test_frames_of_the_electric_mouse(row, quick, scan):
     profile = load_profile("electric-mouse")
@@ -61,8 +43,16 @@ def test_frames_of_the_electric_mouse(row, quick, scan):
         active[0, np.random.default_rng(1).permutation(64)[:count]] = 0.8
         sequence = pipeline.process(Stimulus(active, 10**9 * count, 5.0)).sequence
         sequence = pipeline.process(Stimulus(active, 10**9 * (count + 1), 5.0)).sequence
-        fewer, _ = tell(row, 64, scan, count, sequence, image)
-        assert scan != "points" or count < 64 or fewer >= 25
+        plain, listed = packets(sequence, image)
+        # Of a scan that goes as fast as its slots allow.
+        scan_s = sequence.slots * (PULSE_US + REST_US) / 1e6
+        cells = {"scan": scan, "points": count, "slots": sequence.slots}
+        cells |= {"bytes of currents": plain, "bytes of lists": listed}
+        for wire, rate in WIRES.items():
+            for form, size in (("currents", plain), ("lists", listed)):
+                cells[f"{form}: a second at {wire}"] = f"{1 / max(size / rate, scan_s):.1f}"
+        row("A sequence on the wire", cells)
+        assert scan != "points" or count < 64 or plain / listed >= 25
 
 
 def test_instructions_on_a_cortex_m3(row):
