@@ -25,8 +25,7 @@ from smarttouch.sources.source_contract import Frame, Pose
 
 from .safety import displays
 from .safety.watch import Watch
-from .support import processes
-from .support.full import WHOLE
+from .support import full, processes
 
 PATIENCE_S, NEVER_LATE_NS = 5, 60_000_000_000
 PATIENT_WATCHDOG = (
@@ -51,13 +50,6 @@ PATIENT = {
 
 _STATES = itertools.count()
 
-# How long an example takes says how busy the machine is, and nothing of the code. In CI the
-# examples are the same each time: what fails there is a change, and can be seen again.
-settings.register_profile(
-    "smarttouch", deadline=None, max_examples=100 if WHOLE else 25, derandomize="CI" in os.environ
-)
-settings.load_profile("smarttouch")
-
 # What a script runs in the background is deaf to Ctrl-C, and so would be all that tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -73,6 +65,17 @@ def pytest_addoption(parser):
     parser.addoption(
         "--runs", type=int, help="of tests that repeat something at random: how often, or how long"
     )
+
+
+def pytest_configure(config):
+    full.configure(config)
+    # How long an example takes says how busy the machine is, and nothing of the code. In CI the
+    # examples are the same each time: what fails there is a change, and can be seen again.
+    examples, always_alike = 100 if full.WHOLE else 25, "CI" in os.environ
+    settings.register_profile(
+        "smarttouch", deadline=None, max_examples=examples, derandomize=always_alike
+    )
+    settings.load_profile("smarttouch")
 
 
 @pytest.hookimpl(wrapper=True)
@@ -92,6 +95,10 @@ def pytest_collection_modifyitems(items):
     of a run its processors would wait with them.
     """
     items.sort(key=lambda item: "realtime" not in item.keywords)
+    if not full.WHOLE:
+        for item in items:
+            if "long" in item.keywords:
+                item.add_marker(pytest.mark.skip(reason="long: with --full, as in .ci/run"))
 
 
 def pytest_collection_finish():

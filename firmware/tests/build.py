@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from smarttouch.base.posix import fcntl
-from tests.support.full import WHOLE as IS_WHOLE
 
 SOURCES = Path(__file__).parents[1]
 
@@ -51,10 +50,6 @@ def hash_of_sources():
         ):
             found = zlib.crc32(path.read_bytes(), found)
     return found
-
-
-WHOLE = pytest.mark.skipif(not IS_WHOLE, reason="long: with --full, as in .ci/run")
-"""What is too much for each run of all tests."""
 
 
 def changed(folder, file, old, new, *options):

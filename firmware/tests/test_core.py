@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from firmware.tests.build import WHOLE, library
+from firmware.tests.build import library
 from firmware.tests.rig import Both, Core, Emulated, Talk, Worn
 from firmware.tests.scenes import Scene, random_lists, random_table, sequence_of
 from smarttouch.base.wire.framing import Deframer
@@ -29,7 +29,9 @@ def make_core():
 
 
 @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(each, marks=WHOLE) for each in (2, 3))])
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(each, marks=pytest.mark.long) for each in (2, 3))]
+)
 def test_answers_and_pulses_are_the_emulators(make_core, output, seed):
     ramp_ms = (0, 500)[seed % 2]
     boards = emulated, core = Emulated(6, output, ramp_ms), make_core(6, output, ramp_ms)

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from firmware.tests.build import WHOLE, changed, library
+from firmware.tests.build import changed, library
 from firmware.tests.judge import FULL, Limits, Scan
 from firmware.tests.lives import (
     ELECTRODES,
@@ -141,7 +141,8 @@ USUAL = ("the sign of a recharge", "net charge of the last passes", "the strengt
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name in USUAL else WHOLE) for name in MUTANTS]
+    "name",
+    [pytest.param(name, marks=[] if name in USUAL else pytest.mark.long) for name in MUTANTS],
 )
 def test_a_core_without_one_rule_is_found_out(make_life, tmp_path, name):
     play, *change = MUTANTS[name]
@@ -190,7 +191,7 @@ OFTEN = [SWITCHED[each] for each in (1, 2, 4, 5, 8, 11, 14)]
 
 @pytest.mark.parametrize(
     ("look_us", "at_us"),
-    [pytest.param(*each, marks=[] if each in OFTEN else WHOLE) for each in SWITCHED],
+    [pytest.param(*each, marks=[] if each in OFTEN else pytest.mark.long) for each in SWITCHED],
 )
 def test_at_whatever_time_the_switch_opens(make_life, at_us, look_us):
     life = make_life(library(), ramp=False, both=True).begin(Limits())

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from firmware.tests.build import SOURCES, WHOLE, built, changed
+from firmware.tests.build import SOURCES, built, changed
 
 SAFE = "as safe as can be"
 LEFT_OUT = {
@@ -34,7 +34,7 @@ def checks(name="st_checks"):
     return built("checks", name, "cc")
 
 
-@pytest.mark.parametrize("slots", [30_000, pytest.param(1_000_000, marks=WHOLE)])
+@pytest.mark.parametrize("slots", [30_000, pytest.param(1_000_000, marks=pytest.mark.long)])
 def test_the_rest_is_kept_however_long_a_port_takes(slots):
     """Functions that take 0 to 500 us at random, and call `st_zero` now and then."""
     found = re.match(
@@ -77,7 +77,7 @@ MUTANTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=WHOLE) for name in MUTANTS])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.long) for name in MUTANTS])
 def test_a_core_without_one_guard_is_found_out(tmp_path, name):
     what, *change = MUTANTS[name]
     program = changed(tmp_path, *change, "-pthread", "fuzz/st_checks.c")
@@ -89,7 +89,9 @@ def test_a_core_without_one_guard_is_found_out(tmp_path, name):
     assert found != check(checks(), "init")
 
 
-@pytest.mark.parametrize("shift", [3, *(pytest.param(each, marks=WHOLE) for each in (2, 4, 6))])
+@pytest.mark.parametrize(
+    "shift", [3, *(pytest.param(each, marks=pytest.mark.long) for each in (2, 4, 6))]
+)
 def test_rests_on_a_cortex_m3(shift):
     """Of slots of 1 to 24 kernels at 250 to 15.6 MIPS: kept, or refused with the slot."""
     elf = built("measure", "st_measure.elf", "arm-none-eabi-gcc", "qemu-system-arm")

@@ -9,7 +9,7 @@ import subprocess
 
 import pytest
 
-from firmware.tests.build import SOURCES, WHOLE
+from firmware.tests.build import SOURCES
 
 ADVISORY = re.compile(
     r"1\.2|2\.[34567]|4\.2|5\.9|8\.(7|9|11|13)|10\.5|11\.[45]|12\.[134]|13\.[34]|15\.[145]"
@@ -18,7 +18,7 @@ ADVISORY = re.compile(
 """Rules that MISRA C:2012 only advises."""
 
 
-@WHOLE
+@pytest.mark.long
 def test_required_rules_are_kept_but_for_those_listed():
     if not SOURCES.is_dir() or shutil.which("cppcheck") is None:
         pytest.skip("needs the folder firmware and cppcheck")

@@ -12,7 +12,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from firmware.tests.build import WHOLE
 from firmware.tests.conftest import start_cortex_m3, start_firmware
 from smarttouch.base.errors import BoardRestartedError
 from smarttouch.base.posix import prioritized
@@ -32,7 +31,7 @@ from ..support.processes import emulator
 SECOND = 10**9
 
 __all__ = ["start_cortex_m3", "start_firmware"]
-FIRMWARES = [pytest.param(kind, marks=WHOLE) for kind in ("link C", "link M3")]
+FIRMWARES = [pytest.param(kind, marks=pytest.mark.long) for kind in ("link C", "link M3")]
 """Kinds of `hosted`."""
 
 

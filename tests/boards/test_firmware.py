@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware.tests.build import WHOLE
 from firmware.tests.scenes import random_table
 from smarttouch.base.errors import BoardRestartedError
 from smarttouch.boards.open import make_board
@@ -42,7 +41,7 @@ class TestFirmware(Contract):
         return url
 
 
-@WHOLE
+@pytest.mark.long
 @pytest.mark.realtime
 class TestCortexM3(TestFirmware):
     @pytest.fixture

@@ -27,6 +27,7 @@ from smarttouch.base.errors import (
 from smarttouch.cli import app
 from smarttouch.profile.toml_files import profile_path
 
+from ..support.full import WHOLE
 from ..support.processes import PROGRAM, Forked
 from .conftest import refused, says
 
@@ -125,8 +126,6 @@ def test_usage(program_here, arguments):
     assert "Traceback" not in done.stderr
 
 
-RUNS = int(os.environ.get("SMARTTOUCH_NUMBERS", "12"))
-"""How many of all pairs of an option and a number are tried; 0 is all."""
 NUMBERS = (
     "nan", "inf", "-inf", "-1", "0", "-0.0", "1", "0.5", "3", "1e30", "-1e30", "1e-30", "1e308",
     "1e400", "", " ", "9" * 30, "-" + "9" * 30, "9" * 5000, "2147483648", "65536", "１",
@@ -160,7 +159,7 @@ BASES = {
 }
 """A command line of each command that has numbers, to which one is added."""
 
-PATIENCE_S = float(os.environ.get("SMARTTOUCH_PATIENCE_S", "2"))
+PATIENCE_S = 2
 ENDING_S = 10
 
 
@@ -181,11 +180,6 @@ def numeric_options(command):
 
 
 OPTIONS = [(name, each) for name, found in commands(app) for each in numeric_options(found)]
-
-
-def chosen_runs():
-    pairs = [(name, option, each) for name, option in OPTIONS for each in NUMBERS]
-    return random.Random(RUNS).sample(pairs, RUNS) if RUNS else pairs
 
 
 def test_every_command_with_numbers_is_tried():
@@ -224,21 +218,23 @@ def assert_in_order(arguments, code, err, interrupted):
 
 
 @pytest.mark.timeout(0)
-def test_numbers(tmp_path):
+def test_numbers(tmp_path, runs):
+    """Of all pairs of an option and a number, so many."""
+    pairs = [(name, option, each) for name, option in OPTIONS for each in NUMBERS]
+    chosen = random.Random(12).sample(pairs, min(runs or (12 if WHOLE else 6), len(pairs)))
     answers = tmp_path / "answers.csv"
     answers.write_text("standard,comparison,success\n" + "1,0.5,0\n1,1,1\n1,2,1\n" * 9)
     golden = Path(__file__).parent.parent / "running" / "goldens" / "ra.mcap"
     bases = {
         name: base.format(golden=golden, answers=answers).split() for name, base in BASES.items()
     }
-    runs = chosen_runs()
     for name, base in bases.items():
-        if name in {name for name, _, _ in runs}:
+        if name in {name for name, _, _ in chosen}:
             code, err, interrupted = one_run(tmp_path, base, 100)
             # Where the device is missing, it ends before the numbers count.
             assert (code, interrupted) == (2 * (name == "calibrate force"), 0), (base, err)
             assert_in_order(base, code, err, interrupted)
-    for name, option, number in runs:
+    for name, option, number in chosen:
         base = list(bases[name])
         if option in base:
             at = base.index(option)

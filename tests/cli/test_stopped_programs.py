@@ -1,6 +1,5 @@
 """Programs that use the package by themselves are stopped as commands are, and drive no more."""
 
-import os
 import random
 import signal
 import subprocess
@@ -20,7 +19,6 @@ pytestmark = pytest.mark.usefixtures("patient_boards")
 
 PATIENCE_S = 60
 SOURCE = Path(__file__).with_name("programs.py")
-ROUNDS = int(os.environ.get("SMARTTOUCH_STOP_ROUNDS", "3" if WHOLE else "1"))
 REFUSED = dict.fromkeys(("again", "another", "another run"), "BoardStoppedError")
 
 
@@ -113,9 +111,9 @@ def test_a_program_keeps_a_handler_of_its_own(start, tmp_path):
     until(lambda: read_state(books)["slots"] > before)
 
 
-def test_a_stop_at_any_instant_reaches_every_program(start, start_program):
+def test_a_stop_at_any_instant_reaches_every_program(start, start_program, runs):
     draw = random.Random(33)
-    for _ in range(ROUNDS):
+    for _ in range(runs or (3 if WHOLE else 1)):
         # Two, as the budget of a user is.
         programs = [start(kind) for kind in draw.sample(["run", "board", "left open"], 2)]
         # Later than their start, by more than the system's steps of it.

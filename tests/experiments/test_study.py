@@ -20,7 +20,7 @@ from smarttouch.experiments.study import (
 )
 
 from ..support.checks import raises
-from ..support.full import WHOLE, sample
+from ..support.full import sample
 
 PLANS = sorted(Path(__file__).parents[2].glob("examples/studies/[!_]*.toml"))
 SMALL = Study(
@@ -116,7 +116,7 @@ def test_a_plan_that_makes_no_sense_is_refused(tmp_path, text, about):
 distributed = pytest.importorskip("distributed")
 
 
-@pytest.mark.skipif(not WHOLE, reason="long: with --full, as in .ci/run")
+@pytest.mark.long
 def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
     with joblib.parallel_config("threading", n_jobs=1):
         here = run_study(SMALL, Path(), tmp_path / "here")

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import itertools
-import os
 import signal
 import threading
 import time
@@ -27,7 +26,6 @@ RING = np.zeros(64, np.float32)
 RING[[18, 19, 20, 26, 28, 34, 35, 36]] = 1
 LETTER = st.open_source("text:AAAAA", st.load_profile("electric-mouse")).read(9 * 10**8).image
 URLS = sample(["emulator:", "memory:", "simulated:"])
-ROUNDS = int(os.environ.get("SMARTTOUCH_SESSION_ROUNDS", "10" if WHOLE else "3"))
 
 
 def session(url="memory:", profile="electric-mouse", mode="RA", intensity=0.6, **given):
@@ -356,9 +354,10 @@ def putting(touch, ended):
 
 
 @pytest.mark.parametrize("url", sample(["emulator:", "memory:"]))
-def test_many_threads_put_until_another_stops(url, tmp_path):
-    """No deadlock, zero at the end, and the recording whole; more rounds by the environment."""
-    for round_ in range(ROUNDS if url == "memory:" else max(1, ROUNDS // 10)):
+def test_many_threads_put_until_another_stops(url, tmp_path, runs):
+    """No deadlock, zero at the end, and the recording whole."""
+    rounds = runs or (10 if WHOLE else 3)
+    for round_ in range(rounds if url == "memory:" else max(1, rounds // 10)):
         path = tmp_path / f"{round_}.mcap"
         touch, results = session(url, listeners=[st.Recorder(path)])
         ended = threading.Event()

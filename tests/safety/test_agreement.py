@@ -1,10 +1,7 @@
 """Gate and oracle agree on every sequence; the attack finds every gap, and is always the same.
 
-``SMARTTOUCH_SAFETY_SEQUENCES`` says how many sequences are asked about; for a million of them
-``python -m tests.safety.agreement 1000000 --jobs 2`` prints the table as well.
+For a million of them ``python -m tests.safety.agreement 1000000 --jobs 2`` prints the table.
 """
-
-import os
 
 import pytest
 
@@ -14,12 +11,11 @@ from .gates import Answer
 from .oracle import Oracle
 from .quick import judge_alone_quickly
 
-SEQUENCES = int(os.environ.get("SMARTTOUCH_SAFETY_SEQUENCES", "9000"))
+SEQUENCES = 9000
 FIRST = 900
 """From this seed on each rule is soon the only one broken."""
 
 
-@pytest.mark.timeout(60 + SEQUENCES / 100)
 @pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
 def test_gate_and_oracle_agree():
     tally = attack(FIRST, SEQUENCES)

@@ -1,11 +1,10 @@
 """A host is killed or stopped at random instants: its board is at zero, and nothing stays behind.
 
-``SMARTTOUCH_KILLS=100 nice pytest tests/stress/test_kill_host.py -n0 -s --timeout 0`` for the long
-form, with figures: only that one is about how long it takes.
+``nice pytest tests/stress/test_kill_host.py --runs 100 -n0 -s --timeout 0`` for the long form, with
+figures: only that one is about how long it takes.
 """
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,8 +14,7 @@ import pytest
 from ..support.full import sample
 from ..support.processes import Forked
 
-KILLS = int(os.environ.get("SMARTTOUCH_KILLS", "2"))
-LONG = "SMARTTOUCH_KILLS" in os.environ
+KILLS = 2
 WITHIN_MS = 100
 pytestmark = pytest.mark.realtime
 WATCHED_MS = 600
@@ -29,20 +27,21 @@ STEP_MS = 10
     ("link", "kill", ""), ("etactilekit", "kill", ""), ("etactilekit", "stop", ""),
     ("kajimoto61", "kill", ""),
 ]))  # fmt: skip
-def test_a_board_whose_host_is_gone_is_at_zero(kind, how, option):
+def test_a_board_whose_host_is_gone_is_at_zero(kind, how, option, runs):
+    kills = runs or KILLS
     script = Path(__file__).with_name("kill_host.py")
     with Forked(
-        [sys.executable, script, kind, str(KILLS), f"--how={how}", f"--option={option}"],
+        [sys.executable, script, kind, str(kills), f"--how={how}", f"--option={option}"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
         said, wrong = process.communicate()
     assert process.returncode == 0, wrong
     found = json.loads(said)
     print(f"\n{found}")
-    assert found["runs"] == KILLS
+    assert found["runs"] == kills
     assert (found["unsafe"], found["ports_kept"], found["processes_left"]) == (0, 0, 0)
     # A board that goes on pulses until it is not watched any more.
     assert found["worst_ms"] < 0.8 * WATCHED_MS
-    if LONG:
-        assert found["driving"] > KILLS / 2
+    if runs:
+        assert found["driving"] > kills / 2
         assert found["worst_ms"] <= WITHIN_MS + STEP_MS

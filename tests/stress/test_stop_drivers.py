@@ -1,10 +1,9 @@
 """No driver lets current flow after a stop has returned, whatever it does and whoever stops it.
 
-A few rounds of each by default; ``SMARTTOUCH_STOP_ROUNDS=500`` makes it as many on each driver.
+A few rounds of each by default; ``--runs 500 --timeout 0`` makes it as many on each driver.
 """
 
 import json
-import os
 import subprocess
 import sys
 from itertools import product
@@ -15,11 +14,10 @@ import pytest
 from ..support.full import sample
 from ..support.processes import Forked
 
-ROUNDS = int(os.environ.get("SMARTTOUCH_STOP_ROUNDS", "2"))
+ROUNDS = 2
 KITS = ("etactilekit 71adee2", "etactilekit newest")
 WIRE_MS = {"kajimoto61": 13.0, "etactilekit newest": 8.0}
 """What a board still makes of what it has: a packet's scan, or that under way; else nothing."""
-pytestmark = pytest.mark.timeout(120 + 30 * ROUNDS)
 
 
 @pytest.mark.realtime
@@ -29,9 +27,10 @@ pytestmark = pytest.mark.timeout(120 + 30 * ROUNDS)
     *product(["link", *KITS], ["measuring", "rising", "repeating"]),
     ("kajimoto61", "rising"), ("kajimoto61", "repeating"),
 ]))  # fmt: skip
-def test_no_slot_starts_after_a_stop(kind, action, record_property):
+def test_no_slot_starts_after_a_stop(kind, action, record_property, runs):
+    rounds = runs or ROUNDS
     command = [sys.executable, Path(__file__).with_name("stop_drivers.py"), kind, action]
-    with Forked([*command, str(ROUNDS)], stdout=subprocess.PIPE) as process:
+    with Forked([*command, str(rounds)], stdout=subprocess.PIPE) as process:
         said, _ = process.communicate()
     assert process.returncode == 0
     found = json.loads(said)
@@ -40,5 +39,5 @@ def test_no_slot_starts_after_a_stop(kind, action, record_property):
     assert (found["wrong"], found["driving"]) == (0, 0), found
     came = found["came"]
     # On a busy machine an answer may be too late for what is under way, never for what comes after.
-    assert came.get("LineLostError", 0) <= ROUNDS, found
-    assert came["BoardStoppedError"] + came.get("LineLostError", 0) == 3 * ROUNDS, found
+    assert came.get("LineLostError", 0) <= rounds, found
+    assert came["BoardStoppedError"] + came.get("LineLostError", 0) == 3 * rounds, found

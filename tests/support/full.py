@@ -1,13 +1,12 @@
-"""Whether tests that repeat one thing do all of it: with ``pytest --full``, as in CI."""
+"""How much tests do that repeat one thing: with ``pytest --full``, as in CI, all of it."""
 
-import os
-import sys
+WHOLE = False
 
-_FOR_WORKERS = "PYTEST_SMARTTOUCH_FULL"  # workers of pytest-xdist have no arguments of their own
 
-WHOLE = "--full" in sys.argv or _FOR_WORKERS in os.environ
-if WHOLE:
-    os.environ[_FOR_WORKERS] = "1"
+def configure(config):
+    """Take ``--full``, before tests are imported."""
+    global WHOLE
+    WHOLE = config.getoption("full")
 
 
 def sample(every, step=2):

@@ -1,6 +1,5 @@
 """A real browser, Debian's Chromium, where it is installed; and axe-core, where that is."""
 
-import os
 import shutil
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +11,7 @@ ARGUMENTS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 )  # fmt: skip
-AXE = Path(os.environ.get("AXE_CORE", "/usr/share/nodejs/axe-core/axe.min.js"))
+AXE = Path(__file__).parents[2] / "build/axe/node_modules/axe-core/axe.min.js"
 """Script of axe-core: see `.ci/run`."""
 
 
@@ -54,7 +53,7 @@ def opened(browser, address, width=1440, height=900, **options):
 def violations(page):
     """Return what axe-core finds wrong; skip where that is not installed."""
     if not AXE.is_file():
-        pytest.skip("there is no axe-core: npm install axe-core, and AXE_CORE=…/axe.min.js")
+        pytest.skip("there is no axe-core: npm install --prefix build/axe axe-core")
     # The page forbids scripts of others; the browser may bring one along.
     page.evaluate(AXE.read_text("utf-8"))
     found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
