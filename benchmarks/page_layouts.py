@@ -1,4 +1,4 @@
-"""Typeset pages of six layouts, flat, scanned or photographed; their text is known."""
+"""Typeset pages of eleven layouts, flat, scanned or photographed; their text is known."""
 
 import re
 from functools import cache
@@ -147,6 +147,41 @@ def index(s):
             y += 1.3 * size
 
 
+def dictionary(s):
+    """Two columns of entries with bold head words, guide words above, the page's number."""
+    words = sorted(s.words(26))
+    s.row([words[0], words[-1]], [MARGIN, WIDTH - MARGIN], 120, ["ls", "rs"], font=s.bold)
+    s.rule(MARGIN, 140, FULL)
+    width = (FULL - GUTTER) // 2
+    for k in range(2):
+        x, y = MARGIN + k * (width + GUTTER), 200
+        for word in words[13 * k : 13 * k + 13]:
+            end = s.put(word, x, y, font=s.bold, silent=True) + 14
+            before = len(s.pieces)
+            y = s.column(x, y, width, 3, indents=(end - x, 25), words=["n."])
+            s.pieces[before] = f"{word} {s.pieces[before]}"
+    s.put(str(s.random.integers(10, 900)), WIDTH / 2, HEIGHT - 60, anchor="ms")
+
+
+def receipt(s):
+    """A narrow slip: goods and prices, sums."""
+    s.regular, size = "DejaVuSansMono", 8.5 * POINT
+    s.put(" ".join(s.words(2)).strip(".,").upper(), WIDTH / 2, 150, 1.4 * size, anchor="ms")
+    s.put(f"{s.random.integers(1, 99)} Market Street", WIDTH / 2, 210, size, anchor="ms")
+    left, right, y, total = 380, WIDTH - 380, 330, 0
+    for _ in range(19):
+        price = int(s.random.integers(50, 5000))
+        total += price
+        name = " ".join(s.words(int(s.random.integers(1, 3)))).strip(".,")
+        s.row([name, f"{price / 100:.2f}"], [left, right], y, ["ls", "rs"], size=size)
+        y += 1.6 * size
+    s.rule(left, y - size / 2, right - left)
+    for name, part in (("Subtotal", 1), ("Tax", 0.19), ("TOTAL", 1.19)):
+        s.row([name, f"{total * part / 100:.2f}"], [left, right], y + size, ["ls", "rs"], size=size)
+        y += 1.6 * size
+    s.put("Thank you for your visit", WIDTH / 2, y + 2.5 * size, size, anchor="ms")
+
+
 def playbill(s):
     """Centered lines of many sizes, and a cast with leaders."""
     y = 100
@@ -189,7 +224,49 @@ def sidebar(s):
     s.column(x + 25, 350, end - x - 50, 13, 0.88 * s.size)
 
 
-LAYOUTS = (three_columns, form, index, playbill, bilingual, sidebar)
+def contents(s):
+    """Chapters and their parts, with leaders to the numbers of their pages."""
+    s.put("Contents", WIDTH / 2, 170, 2 * s.size, s.bold, "ms")
+    y, page = 300, 1
+    for row in range(30):
+        page += int(s.random.integers(1, 14))
+        text = " ".join(s.words(int(s.random.integers(2, 6)))).replace(".", "")
+        x = MARGIN + 60 + 50 * (row % 4 > 0)
+        s.row([text, str(page)], [x, WIDTH - MARGIN - 60], y, ["ls", "rs"])
+        ends = [_font(s.regular, s.size).getlength(each) for each in (text, str(page))]
+        s.leaders(x + ends[0], WIDTH - MARGIN - 60 - ends[1], y)
+        y += 1.75 * s.size
+
+
+def poem(s):
+    """Stanzas with indented lines under a title, and numbers above them."""
+    s.put(" ".join(s.words(3)).strip("."), WIDTH / 2, 170, 1.6 * s.size, s.bold, "ms")
+    y = 280
+    for number in ("I", "II", "III", "IV"):
+        s.put(number, WIDTH / 2, y, anchor="ms")
+        y += 1.8 * s.size
+        for row in range(6):
+            text = " ".join(s.words(int(s.random.integers(4, 8))))
+            s.put(text, MARGIN + 220 + 60 * (row % 2), y)
+            y += 1.35 * s.size
+        y += 0.9 * s.size
+
+
+def footnotes(s):
+    """A running head, two paragraphs, and smaller notes below a short rule."""
+    s.row([" ".join(s.words(3)).strip("."), "117"], [MARGIN, WIDTH - MARGIN], 110, ["ls", "rs"],
+          size=0.9 * s.size)  # fmt: skip
+    y = 210
+    for lines in (12, 14):
+        y = s.column(MARGIN, y, FULL, lines, indents=(40, 0))
+    s.rule(MARGIN, y + 30, 250)
+    y += 80
+    for number in (1, 2, 3):
+        y = s.column(MARGIN, y, FULL, 3, 0.8 * s.size, (30, 0), words=[f"{number}."])
+
+
+LAYOUTS = (three_columns, form, index, dictionary, receipt, playbill, bilingual, sidebar, contents,
+           poem, footnotes)  # fmt: skip
 MEDIA = ("flat", "scanned", "photographed")
 
 

@@ -1,7 +1,8 @@
 """Text, order and cost of pages as read, beside plain Tesseract on the same pages.
 
-Run ``python -m benchmarks.page_reading --seed N --jobs 2``: each layout flat, scanned and
-photographed.
+Run ``python -m benchmarks.page_reading --seed N --jobs 2``: eleven layouts, flat, scanned
+and photographed. With ``--folder DIR``: pages whose text is in ``PAGE.txt`` (or
+``PAGE.gold.txt``) beside them; those without it are compared with Tesseract's.
 """
 
 import argparse
@@ -12,6 +13,7 @@ import subprocess
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
@@ -20,8 +22,21 @@ import numpy as np
 from scipy.stats import kendalltau
 
 from benchmarks.page_layouts import LAYOUTS, MEDIA, page_of
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.pages.document import open_document
 from smarttouch.reading.legibility import character_error_rate, normalize
 from smarttouch.reading.recognition import RecognitionOptions, recognized_lines, upright_page
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What was measured on a page: ours, then Tesseract's; order is NaN without known lines."""
+
+    name: str
+    medium: str
+    error: tuple[float, float]
+    order: tuple[float, float]
+    cpu_s: tuple[float, float]
 
 
 def cpu_s():
@@ -68,19 +83,34 @@ def order_of(pieces, text):
     return float(kendalltau(range(len(places)), places).statistic) if len(places) > 1 else 0.0
 
 
-def measured(task):
-    """Return errors, order and processor times of a layout, medium and seed, (3, 2).
-
-    Ours comes first, then Tesseract's.
-    """
-    page, pieces = page_of(*task)
+def measured(name, medium, page, truth, pieces=()):
+    """Return the figures of a page; without a truth, what Tesseract reads is it."""
     marks, texts = [cpu_s()], []
     for read in (ours, tesseracts):
         texts.append(read(page))
         marks.append(cpu_s())
-    truth = plain("\n".join(pieces))
-    errors = [character_error_rate(truth, plain(text)) for text in texts]
-    return np.array([errors, [order_of(pieces, text) for text in texts], np.diff(marks)])
+    error = [character_error_rate(plain(truth or texts[1]), plain(text)) for text in texts]
+    order = [order_of(pieces, text) if pieces else np.nan for text in texts]
+    return Figures(name, medium, tuple(error), tuple(order), tuple(np.diff(marks)))
+
+
+def typeset(task):
+    """Return the figures of a layout, medium and seed."""
+    layout, medium, seed = task
+    page, pieces = page_of(layout, medium, seed)
+    return measured(layout.__name__, medium, page, "\n".join(pieces), pieces)
+
+
+def real(path):
+    """Return the figures of a file; None if it is not a page."""
+    try:
+        with open_document(path) as document:
+            page = document.page(0)
+    except SmartTouchError:
+        return None
+    truths = [each for end in (".txt", ".gold.txt") if (each := path.with_suffix(end)).exists()]
+    truth = truths[0].read_text() if truths else None
+    return measured(path.name, "real" if truth else "compared", page, truth)
 
 
 def main():
@@ -88,24 +118,33 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--seed", type=int, nargs="+", default=[0])
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--folder", type=Path)
     options = parser.parse_args()
     cv2.setNumThreads(1)
     tasks = [*product(LAYOUTS, MEDIA, options.seed)]
-    found = {medium: [] for medium in MEDIA}
+    work, tasks = (real, sorted(options.folder.iterdir())) if options.folder else (typeset, tasks)
+    found = []
     with ProcessPoolExecutor(options.jobs, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
-        for (layout, medium, _), figures in zip(tasks, pool.map(measured, tasks), strict=True):
-            found[medium].append(figures)
-            (error, theirs), (order, _), (took_s, their_s) = figures
-            print(f"{layout.__name__:14s}{medium:13s} error {error:.3f} ({theirs:.3f})", end=" ")
-            print(f"order {order:.3f} time {took_s / their_s:.2f}", flush=True)
-    for medium, figures in found.items():
-        error, order, cost_s = np.stack(figures, axis=1)
+        for each in filter(None, pool.map(work, tasks)):
+            found.append(each)
+            print(
+                f"{each.name:18s}{each.medium:13s} error {each.error[0]:.3f} ({each.error[1]:.3f})"
+                f" order {each.order[0]:.3f} ({each.order[1]:.3f})"
+                f" time {each.cpu_s[0] / each.cpu_s[1]:.2f}",
+                flush=True,
+            )
+    for medium in dict.fromkeys(each.medium for each in found):
+        figures = [each for each in found if each.medium == medium]
+        error, order, cost = (
+            np.array([getattr(each, name) for each in figures])
+            for name in ("error", "order", "cpu_s")
+        )
         nine = np.quantile(error, 0.9, axis=0, method="higher")
         print(
             f"{medium}, {len(figures)} pages (Tesseract): mean error {error[:, 0].mean():.3f} "
-            f"({error[:, 1].mean():.3f}), nine of ten at most {nine[0]:.3f}; "
-            f"order {order[:, 0].mean():.3f} ({order[:, 1].mean():.3f}); "
-            f"time {np.median(cost_s[:, 0] / cost_s[:, 1]):.2f}"
+            f"({error[:, 1].mean():.3f}), median {np.median(error[:, 0]):.3f}, nine of ten at "
+            f"most {nine[0]:.3f}; order {order[:, 0].mean():.3f} ({order[:, 1].mean():.3f}); "
+            f"time {np.median(cost[:, 0] / cost[:, 1]):.2f}"
         )
 
 

@@ -1,4 +1,4 @@
-"""What a run costs on its default path: own work, waits, processor by rate, a slow computer.
+"""What a run costs on its default path: own work, waits, processor by rate, start, a slow computer.
 
 Every run is `smarttouch live` in a process of its own, with `--scan auto`, to `emulator:`. The
 share of a core is the program's own in the last four fifths of its time, without the emulator's. A
@@ -10,6 +10,7 @@ import contextlib
 import json
 import os
 import pty
+import statistics
 import subprocess
 import sys
 import threading
@@ -112,6 +113,24 @@ def test_a_run_by_what_follows_it(row, quick, tmp_path, rate_hz, way):
     )
     assert found["emulator_violations"] == 0
     assert found["motion_to_pulse_us"] is not None
+
+
+@pytest.mark.timeout(0)
+def test_start_to_the_first_sequence(row, quick):
+    """The first line of `--plain` comes when the board is open, just before the first sequence."""
+    command = [PROGRAM, "live", "text:a", "--board", "emulator:", "--plain", "--seconds", "0.1"]
+    took_s = []
+    for _ in range(1 if quick else 10):
+        began_s = time.monotonic()
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL) as process:
+            assert b"emulator:" in process.stdout.readline()
+            took_s.append(time.monotonic() - began_s)
+            process.communicate()
+        assert process.returncode == 0
+    row(
+        "Start of the program to its first sequence, s",
+        {"least": f"{min(took_s):.2f}", "median": f"{statistics.median(took_s):.2f}"},
+    )
 
 
 @contextlib.contextmanager
