@@ -196,14 +196,13 @@ def test_examples_and_pages_import_public_names_alone():
     assert inside == []
 
 
-ALL = {name: getattr(st, name) for name in PUBLIC["smarttouch"] - {*MODULES}} | {
-    name: getattr(module, name) for module in (types, plugins, testing) for name in names_of(module)
+ALL = {name: getattr(st, name) for name in PUBLIC["smarttouch"] - {*MODULES}}
+NAMED = [getattr(module, name) for module in MODULES.values() for name in names_of(module)]
+DEFINED = vars(builtins) | {
+    name: value
+    for module in [module for name, module in sys.modules.items() if name.startswith("smarttouch")]
+    for name, value in vars(module).items()
 }
-
-LOCAL = {
-    **ALL, **vars(builtins),
-    "ClassVar": typing.ClassVar,
-}  # fmt: skip
 """All that a hint may name which its module imports for type checkers alone."""
 
 
@@ -214,33 +213,32 @@ def types_in(hint):
         yield from types_in(each)
 
 
+MADE_BY_RUNS = "RunStatistics", "StepResult"  # which no program makes
+
+
 def functions_of(value):
-    """Yield the functions whose signatures users of a name see."""
+    """Yield what users of a name call, and what they override."""
     if inspect.isfunction(value):
         yield value
-    elif inspect.isclass(value) and value.__module__.startswith("smarttouch"):
+    elif inspect.isclass(value):
         for name, member in vars(value).items():
-            inner = getattr(member, "fget", None) or getattr(member, "__func__", member)
-            if (not name.startswith("_") or name == "__init__") and inspect.isfunction(inner):
-                yield inspect.unwrap(inner)
+            inner = inspect.unwrap(getattr(member, "__func__", member))
+            called = name == "__init__" and value.__name__ not in MADE_BY_RUNS
+            if (called or not name.startswith("_")) and inspect.isfunction(inner):
+                yield inner
 
 
 @pytest.mark.parametrize("name", sorted(ALL))
-def test_what_its_signatures_name_is_public(name):
-    value, public = ALL[name], {id(each) for each in ALL.values()}
-    hints = []
-    for function in functions_of(value):
-        # What is imported for type checkers alone must be found among the public names.
-        hints += typing.get_type_hints(function, localns=LOCAL).values()
-    if inspect.isclass(value):
-        shown = {each for each in getattr(value, "__annotations__", ()) if each[0] != "_"}
-        found = typing.get_type_hints(value, localns=LOCAL)
-        hints += [found[each] for each in shown]
-    named = {each for hint in hints for each in types_in(hint)}
+def test_what_its_functions_take_is_public(name):
+    public = {id(each) for each in [*ALL.values(), *NAMED]}
     inside = [
-        each
-        for each in named
-        if each.__module__.startswith("smarttouch") and id(each) not in public
+        (function.__qualname__, parameter, each)
+        for function in functions_of(ALL[name])
+        for parameter, hint in typing.get_type_hints(function, localns=DEFINED).items()
+        for each in types_in(hint)
+        if parameter != "return"
+        and each.__module__.startswith("smarttouch")
+        and id(each) not in public
     ]
     assert inside == []
 

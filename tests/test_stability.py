@@ -6,7 +6,6 @@ import pytest
 from typing_extensions import deprecated
 
 import smarttouch
-from smarttouch.types import DeprecatedNameWarning
 
 from .public_api import MESSAGE, described, number_of, public_names, read_released, unannounced
 
@@ -31,13 +30,13 @@ def test_a_deprecation_names_its_versions_and_its_replacement():
 class Old:
     """A class with a member that goes."""
 
-    @deprecated("since 1.1, removed in 2.0: use rise", category=DeprecatedNameWarning)
+    @deprecated("since 1.1, removed in 2.0: use rise")
     def lift_to(self, level):
         """Do nothing."""
 
 
 def test_a_deprecated_name_warns_and_is_listed_with_its_message():
-    with pytest.warns(DeprecatedNameWarning):
+    with pytest.warns(DeprecationWarning, match="use rise"):
         Old().lift_to(1)
     Old.lift_to.__module__ = "smarttouch.example"
     assert dict(described("lift_to", inspect.getattr_static(Old, "lift_to"))) == {

@@ -230,7 +230,3 @@ def import_extra(
         command = f"pip install 'smarttouch[{extra}]'"
         message = f"{what} needs the extra {extra}: {command}"
         raise error(message) from None
-
-
-class DeprecatedNameWarning(DeprecationWarning):
-    """A public name goes in a later version; the message says which, and what to use instead."""

@@ -6,7 +6,6 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from smarttouch.base.errors import SmartTouchError, kind_in_words
-from smarttouch.base.removed import URLS, instead_of
 
 
 class Registry:
@@ -72,8 +71,6 @@ def unknown(
 ) -> SmartTouchError:
     """Return the error of a URL that begins with no known name."""
     name, colon, _ = url.partition(":")
-    if colon and (sentence := instead_of(URLS, name)):
-        return error(sentence)
     close = [name] if name in known else get_close_matches(name.lower(), known, 1, 0.75)
     if close:
         way = f"did you mean {close[0]}:{url[len(name) + len(colon) :]}"

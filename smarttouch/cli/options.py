@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperGroup
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError, choice_of, require_within
 from smarttouch.base.files import require_folder
-from smarttouch.base.removed import COMMANDS, OPTIONS, instead_of
 from smarttouch.base.terminal import draws
 
 if TYPE_CHECKING:
@@ -323,28 +322,8 @@ def _file_of_standard_input() -> Iterator[Path]:
         yield path
 
 
-class PlainCommand(TyperCommand):
-    """A command that names what replaced an option of an earlier version."""
-
-    # A context is of click's class or of typer's own, by the version of typer: hence `Any`.
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words of the command line."""
-        options = {name for parameter in self.params for name in parameter.opts}
-        for name in (word.partition("=")[0] for word in args):
-            if name not in options and (sentence := instead_of(OPTIONS, name)):
-                ctx.fail(sentence)
-        return super().parse_args(ctx, args)
-
-
 class PlainGroup(TyperGroup):
-    """Commands under one name, which names what replaced one of an earlier version."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the command that the words name, or fail with what replaced it."""
-        path = " ".join([*ctx.command_path.split()[1:], args[0]])
-        if args[0] not in self.commands and (sentence := instead_of(COMMANDS, path)):
-            ctx.fail(sentence)
-        return super().resolve_command(ctx, args)
+    """Commands under one name."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write each with its first sentence."""
@@ -364,7 +343,3 @@ class Commands(typer.Typer):
         context = {"help_option_names": ["-h", "--help"]}
         settings |= {"cls": PlainGroup, "pretty_exceptions_enable": False}
         super().__init__(rich_markup_mode=None, context_settings=context, **settings)
-
-    def command(self, name: str | None = None, **settings: Any) -> Callable[..., Any]:
-        """Return a decorator that adds a command."""
-        return super().command(name, **{"cls": PlainCommand} | settings)

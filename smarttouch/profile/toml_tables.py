@@ -8,7 +8,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from smarttouch.base.errors import ProfileError, TableError
 from smarttouch.base.files import read_toml
-from smarttouch.base.removed import PROFILE_KEYS, instead_of
 
 
 class UnfitError(ValueError):
@@ -122,10 +121,7 @@ def _in_words(key: str, error: Mapping[str, Any]) -> str:
     kind, given = error["type"], error["input"]
     words = error["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
-        return (
-            instead_of(PROFILE_KEYS, key)
-            or f"unknown key {key!r}: remove it or correct its spelling"
-        )
+        return f"unknown key {key!r}: remove it or correct its spelling"
     if kind in ("missing", "union_tag_not_found"):
         return f"key {key!r} is missing: add it (any shipped profile shows how)"
     if kind == "union_tag_invalid":

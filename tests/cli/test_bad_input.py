@@ -72,7 +72,6 @@ def no_place(name):
     ("live --board nobody:", says(BoardError, value="nobody:")),
     ("live --board link: --intensity 1", says(BoardError, "link: ", "link:/dev/ttyACM0")),
     ("live --board link:/dev/nothing --intensity 1", says(BoardError, "/dev/nothing")),
-    ("live --board vibrators:x.wav", says(BoardError, "vibrators=FILE.wav")),
     ("live --set vibrators=x.mp3", says(SmartTouchError, "x.mp3", "sound:")),
     ("live --set vibrators=taken.wav", says(SmartTouchError, "taken.wav")),
     ("live --set vibrators=x.wav --mode PC", says(SmartTouchError, "mode PC", "vibrator")),

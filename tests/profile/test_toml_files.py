@@ -9,7 +9,13 @@ import pytest
 
 from smarttouch.base.errors import ProfileError
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.profile.toml_files import CALIBRATED_KEYS, as_toml, difference, profile_of
+from smarttouch.profile.toml_files import (
+    CALIBRATED_KEYS,
+    as_toml,
+    difference,
+    profile_of,
+    profile_path,
+)
 
 from ..support.checks import raises
 
@@ -106,3 +112,14 @@ def test_anything_else_does(profile, changed):
     assert difference(profile, other) in ("limits.current_ma", "pulse.rate_hz")
     assert difference(profile, load_profile("line-7")) is not None
     assert difference(profile, profile) is None
+
+
+def test_limits_and_masks_of_an_older_profile_count(tmp_path):
+    text = profile_path("electric-mouse").read_text("utf-8")
+    assert "\n[output]\n" in text
+    assert "\ncurrent_ma = " in text
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace("\n[output]\n", "\n[output]\nmasked = [3, 5]\n"), "utf-8")
+    profile = load_profile(path)
+    assert profile.output.masked == (3, 5)
+    assert profile.limits == load_profile("electric-mouse").limits

@@ -12,12 +12,13 @@ from smarttouch.base.errors import BoardClosedError, BoardError, BoardStoppedErr
 from smarttouch.base.events import Advice, IntensityChanged, ModeChanged, RunEnded
 from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import load_bank
+from smarttouch.plugins import ForceSource
 from smarttouch.profile.device import Calibrated
 from smarttouch.running.check_recording import check_recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.runner import Runner
 from smarttouch.sources.force import open_force
-from smarttouch.types import ForceSource, Mode
+from smarttouch.types import Mode
 from smarttouch.views.delivered_drawing import DeliveredPicture
 
 from ..support.checks import raises

@@ -2,6 +2,7 @@
 
 import smarttouch as st
 from smarttouch import lab
+from smarttouch.instruments.color_mix import ColorSource
 from smarttouch.testing import StimulusContract
 
 
@@ -19,7 +20,7 @@ class TestVibration(StimulusContract):
     def make(self, profile):
         trace = lab.open_trace("tone:30Hz,9um+press:0.45N", 0.5)
         mixture = lab.mix_colors(trace, profile, st.load_kernels(profile))
-        return lab.ColorSource("a vibration", profile, mixture)
+        return ColorSource("a vibration", profile, mixture)
 
     def make_impossible(self, profile):
         lab.open_trace("tone:loud")
