@@ -435,11 +435,11 @@ class Board:
 
     def allowed_level(self, time_ns: int) -> float:
         """Return the strength, in [0, 1], to plan for a sequence that states a time."""
-        return self._gate.allowed_level(time_ns)
+        return self._gate.ramp.allowed_level(time_ns)
 
     def open_level(self, time_ns: int) -> float:
         """Return the strength, in [0, 1], with which pulses may go on after a pause."""
-        return self._gate.open_level(time_ns)
+        return self._gate.ramp.open_level(time_ns)
 
     def close_level(self) -> None:
         """Close the intensity level: what comes next begins at zero, as after a lifted finger."""

@@ -185,9 +185,10 @@ class Line:
             raise BoardError(
                 f"{type(self._board.driver).__name__} sends what the gate has not proved"
             )
-        if not self._gate.has_proved(proved):
+        if proved.session != self._gate.session:
             raise BoardStoppedError("the board was closed before this was sent: begin at zero")
-        if self.now_ns() > proved.write_before_ns or not self._gate.permits(proved):
+        permits, time_ns = self._gate.ramp.permits, proved.sequence.time_ns
+        if self.now_ns() > proved.write_before_ns or not permits(proved.strength_ppb, time_ns):
             raise self.late()
 
     # -- reading -----------------------------------------------------------

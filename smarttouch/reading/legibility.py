@@ -41,7 +41,7 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Pose, Stimulus
-from smarttouch.stimulation.ramp import MOST_STEP_NS
+from smarttouch.stimulation.safety_gate import MOST_STEP_NS
 from smarttouch.stimulation.scan_sequence import NO_SHARING, ScanSequence, SlotPolicy
 
 Floats = NDArray[np.float32]

@@ -19,13 +19,12 @@ from smarttouch.running.step import Measured, Step
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
 from smarttouch.stimulation.adaptation import RESERVED, Adaptation
 from smarttouch.stimulation.frame_slots import FrameSlots
-from smarttouch.stimulation.net_plan import NetPlan
 from smarttouch.stimulation.pulse_rates import ScanTiming, force_gate
-from smarttouch.stimulation.ramp import Ramp
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_recharge
+from smarttouch.stimulation.safety_gate import Ramp
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
-from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
+from smarttouch.stimulation.scheduler import NetPlan, ScanScheduler, SchedulerContext
 from smarttouch.stimulation.sequence_limits import strength_ppb
 
 _WAITING_UC = 0.02  # charge that whole µA of the longest recharge phase may leave
@@ -212,7 +211,7 @@ class Pipeline:
         if allowed is None:
             ppb, lasting_ns = parts_per_billion(sequence.intensity), 1000 * sequence.period_us
             flowing_ppb = strength_ppb(self._limits, ppb, sequence.peak_pc)
-            self.ramp.claim(ppb, flowing_ppb)
+            self.ramp.claim(ppb, flowing_ppb, time_ns)
             self.ramp.note(ppb, flowing_ppb, time_ns, lasting_ns)
         if regulator.ledger is not None:
             sequence = regulator.balanced(sequence, regulator.ledger)

@@ -1,7 +1,9 @@
-"""The safety gate, which validates every limit on a frozen copy of each scan sequence."""
+"""The safety gate, which validates every limit on a frozen copy of each scan sequence, and the
+ramp: how strong current may be, by what has flowed since it was zero."""
 
+from contextlib import AbstractContextManager
 from dataclasses import InitVar, dataclass, replace
-from threading import Lock
+from threading import RLock
 from typing import Any, Final
 
 import numpy as np
@@ -9,12 +11,25 @@ from numpy.typing import NDArray
 
 from smarttouch.base.clock import LATE_NS, Clock
 from smarttouch.base.errors import SafetyError
-from smarttouch.stimulation.ramp import Ramp
-from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
+from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion, refusal
 from smarttouch.stimulation.scan_sequence import ScanSequence, unwritable
 from smarttouch.stimulation.sequence_limits import Dose, Exposure, prove_sequence
 
-__all__ = ["ProvedSequence", "SafetyGate", "SafetyLimits"]
+__all__ = ["ProvedSequence", "Ramp", "SafetyGate", "SafetyLimits"]
+
+LEEWAY_PPB = 1000  # tolerance for rounding
+LEVEL_KEPT_NS = 15_000_000_000
+"""Time without current for which a level stays open: an experiment waits for an answer so long
+while the finger stays in contact."""
+PLANNED_KEPT_NS = LEVEL_KEPT_NS - 1_000_000_000
+"""The same for planning: what is written a little later must find the level open."""
+FIRST_NS = 20_000_000
+MOST_STEP_NS = 80_000_000
+"""Part of the ramp at which the first pulses begin, unless that is too weak for any pulse; and the
+largest step from one sequence to the next."""
+AHEAD_NS = 85_000_000
+"""Part of the ramp by which pulses may be planned stronger than what has flowed: 100 ms may be
+caught up, and a sequence may be written late."""
 
 _ARRAYS = (
     ("current_ua", np.dtype(np.int16), 2, True),
@@ -33,6 +48,101 @@ _GATE: Final = object()
 WAITS_NS = 5_000_000_000
 """Longest wait of a sequence for its turn, beside four of its periods and its repetitions: a kit
 that has lost a command takes over 2 s to find the next one."""
+
+
+class Ramp:
+    """Level that written sequences have opened, in whole parts per billion of full strength.
+
+    Only the time of passes with current counts, no more of it than has gone by, and up to their
+    strength (`strength_ppb`). A level stays open for `LEVEL_KEPT_NS` after the last of it, and weak
+    current does not lower it. One late step may be caught up. From zero to full it takes
+    ``ramp_ns`` or longer. Times are of the ``clock``; without one, those that sequences claim.
+    """
+
+    def __init__(self, ramp_ns: int, clock: Clock | None = None) -> None:
+        self._ramp_ns, self._clock = ramp_ns, clock
+        self._late_ppb = LATE_NS * PPB // ramp_ns
+        self._newest_ns: int | None = None
+        self.lock: AbstractContextManager[object] = RLock()
+        self.restart()
+
+    def restart(self) -> None:
+        """Restart at zero: the next sequence must be without current."""
+        self._begun = False
+        self._level_ppb = self._strength_ppb = self._since_ns = self._left_ns = 0
+        self._claimed_ppb = 0
+        if self._clock is None:
+            self._newest_ns = None
+
+    def time_of(self, claimed_ns: int) -> int:
+        """Return the time of a sequence that is proved, planned or written now."""
+        now_ns = claimed_ns if self._clock is None else self._clock.now_ns()
+        # A clock that falls counts as standing still.
+        return now_ns if self._newest_ns is None else max(now_ns, self._newest_ns)
+
+    def claim(self, ppb: int, strength_ppb: int, now_ns: int) -> None:
+        """Enter a sequence that is proved, and may not be written yet, for planning.
+
+        The next intensity is planned from its own, 0 where a finger was lifted.
+        """
+        self._begun, self._newest_ns = True, now_ns
+        self._claimed_ppb = ppb if strength_ppb else min(ppb, self._claimed_ppb)
+
+    def open_ppb(self, now_ns: int, kept_ns: int = LEVEL_KEPT_NS) -> int:
+        """Return the level that is open now, without what may be caught up."""
+        gone_ns = now_ns - self._since_ns
+        if gone_ns > self._left_ns + kept_ns:
+            return 0
+        flowed_ns = max(0, min(gone_ns, self._left_ns))
+        risen_ppb = self._level_ppb + flowed_ns * PPB // self._ramp_ns
+        return max(self._level_ppb, min(self._strength_ppb, risen_ppb))
+
+    def open_level(self, claimed_ns: int) -> float:
+        """Return the strength, in [0, 1], with which pulses may go on after a pause."""
+        with self.lock:
+            open_ppb = self.open_ppb(self.time_of(claimed_ns), PLANNED_KEPT_NS)
+            return min(self._claimed_ppb, open_ppb) / PPB
+
+    def allowed_level(self, claimed_ns: int) -> float:
+        """Return the strength, in [0, 1], to plan for a sequence that begins now."""
+        with self.lock:
+            if not self._begun:
+                return 0.0
+            now_ns = self.time_of(claimed_ns)
+            open_ppb = self.open_ppb(now_ns, PLANNED_KEPT_NS)
+            if not open_ppb:
+                return FIRST_NS / self._ramp_ns
+            # Time counts while pulses flow.
+            step_ns = min(now_ns - self._since_ns, self._left_ns, MOST_STEP_NS)
+            step_ns = max(step_ns, 0 if self._claimed_ppb else FIRST_NS)
+            risen_ppb = self._claimed_ppb + step_ns * PPB // self._ramp_ns
+            return min(PPB, risen_ppb, open_ppb + AHEAD_NS * PPB // self._ramp_ns) / PPB
+
+    def permits(self, strength_ppb: int, claimed_ns: int) -> bool:
+        """Return whether current of a strength may begin now: `LATE_NS` may be caught up."""
+        with self.lock:
+            most_ppb = LEEWAY_PPB
+            if self._begun:
+                most_ppb += self.open_ppb(self.time_of(claimed_ns)) + self._late_ppb
+            return strength_ppb <= most_ppb
+
+    def note(self, ppb: int, strength_ppb: int, claimed_ns: int, lasting_ns: int) -> None:
+        """Enter a sequence whose bytes have just been written, by the intensity that it claims,
+        which lowers the level, its strength, above which it raises none, and the time of its
+        passes, all repetitions included."""
+        with self.lock:
+            # The board finishes its present pass, and of repetitions no more.
+            now_ns = self.time_of(claimed_ns)
+            gone_ns = max(0, now_ns - self._since_ns)
+            left_ns = self._left_ns - gone_ns
+            to_come_ns = min(left_ns, LATE_NS) if left_ns > 0 else 0
+            if strength_ppb:
+                if ppb > self._level_ppb or -left_ns > LEVEL_KEPT_NS:
+                    ppb = min(ppb, self.open_ppb(now_ns))
+                self._level_ppb, self._strength_ppb = ppb, strength_ppb
+                self._since_ns, self._left_ns = now_ns, to_come_ns + lasting_ns
+            else:
+                self._left_ns = min(self._left_ns, gone_ns + to_come_ns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +169,7 @@ class ProvedSequence:
     session: int
     """Of the gate, in which it was proved."""
     strength_ppb: int = 0
-    """By its strongest pulse; see `SafetyLimits.strength_ppb`."""
+    """By its strongest pulse; see `sequence_limits.strength_ppb`."""
     key: InitVar[object] = None
 
     def __post_init__(self, key: object) -> None:
@@ -81,12 +191,12 @@ class SafetyGate:
 
     def __init__(self, limits: SafetyLimits, clock: Clock | None = None) -> None:
         self.limits: SafetyLimits = limits
+        self.ramp: Ramp = Ramp(limits.ramp_ns, clock)
+        """Of what was written; whoever plans a sequence, or is about to write one, asks it."""
+        self.session: int = 0
+        """Number of the present session; what was proved in another one is not written."""
         self._clock = clock
         self._exposure = Exposure(limits)
-        self._ramp = Ramp(limits.ramp_ns)
-        self._lock = Lock()
-        self._now_ns: int | None = None
-        self._session = 0
         self.restart()
 
     @property
@@ -101,34 +211,23 @@ class SafetyGate:
 
     def restart(self) -> None:
         """Restart the ramp; sequence time may start again at zero, the session continues."""
-        self._ramp.restart()
+        self.ramp.restart()
         self._time_ns: int | None = None
         self._noted: ScanSequence | None = None  # the sequence that was written last
         if self._clock is None:
-            self._now_ns = None
             self._exposure.forget_second()
 
     def net_rest_ns(self) -> int:
         """Return how long a new session must wait: see `Exposure.net_rest_ns`."""
-        with self._lock:
+        with self.ramp.lock:
             return 0 if self._clock is None else self._exposure.net_rest_ns(self._clock.now_ns())
 
     def begin_session(self) -> None:
         """Start at intensity zero with a dose of zero; the last second still counts."""
         now_ns = None if self._clock is None else self._clock.now_ns()
         self._exposure.begin_session(now_ns)
-        self._session += 1
+        self.session += 1
         self.restart()
-
-    def allowed_level(self, time_ns: int) -> float:
-        """Return the strength, in [0, 1], to plan for a sequence that claims a time."""
-        with self._lock:
-            return self._ramp.allowed_level(self._time_of(time_ns))
-
-    def open_level(self, time_ns: int) -> float:
-        """Return the strength, in [0, 1], with which pulses may go on after a pause."""
-        with self._lock:
-            return self._ramp.open_level(self._time_of(time_ns))
 
     def prove(
         self,
@@ -156,21 +255,27 @@ class SafetyGate:
         SafetyError
             Naming the limit, the slot and electrode, and by how much.
         """
-        with self._lock:
+        with self.ramp.lock:
             times = times if type(times) is int else _whole(times, "times")
             if times < 1:
                 raise SafetyError(f"{times} repetitions: there must be one at least", limit="times")
-            copy = frozen(sequence)
+            copy, before_ns = frozen(sequence), self._time_ns
             # Beyond 0 to 1 it is refused.
             ppb = parts_per_billion(copy.intensity) if 0 <= copy.intensity <= 1 else 0
             load = prove_sequence(copy, self.limits, ppb)
-            now_ns, strength_ppb = self._time_of(copy.time_ns), load.strength_ppb
-            self._prove_ramp(copy, strength_ppb, now_ns)
+            time_ns, strength_ppb = copy.time_ns, load.strength_ppb
+            if before_ns is not None and time_ns <= before_ns:
+                raise refusal("order", time_ns, before_ns + 1)
+            permitted = not strength_ppb or self.ramp.permits(strength_ppb, time_ns)
+            now_ns = self.ramp.time_of(time_ns)
+            if not permitted:
+                open_ppb = self.ramp.open_ppb(now_ns)
+                raise refusal("ramp_s", strength_ppb / PPB, open_ppb / PPB)
             self._exposure.enter(now_ns, copy.period_us, times, load, copy.slots > 0)
-            self._now_ns, self._time_ns = now_ns, copy.time_ns
-            self._ramp.claim(ppb, strength_ppb)
+            self._time_ns = time_ns
+            self.ramp.claim(ppb, strength_ppb, now_ns)
             return ProvedSequence(
-                copy, times, number, due_ns, due_ns + late_ns, self._session, strength_ppb, _GATE
+                copy, times, number, due_ns, due_ns + late_ns, self.session, strength_ppb, _GATE
             )
 
     def check(self, sequence: ScanSequence, times: int = 1) -> ScanSequence:
@@ -179,10 +284,6 @@ class SafetyGate:
         proved = self.prove(sequence, times)
         self.note(proved)
         return proved.sequence
-
-    def has_proved(self, proved: ProvedSequence) -> bool:
-        """Return whether a sequence was proved in the present session."""
-        return proved.session == self._session
 
     def repeated(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
         """Return a proved sequence for a later start: a repetition that the host times, or a
@@ -203,49 +304,14 @@ class SafetyGate:
         waits_ns = proved.write_before_ns - proved.due_ns
         return replace(proved, due_ns=due_ns, write_before_ns=due_ns + waits_ns, key=_GATE)
 
-    def permits(self, proved: ProvedSequence) -> bool:
-        """Return whether the current of a proved sequence may begin now, by what was written."""
-        if not proved.strength_ppb:
-            return True
-        with self._lock:
-            now_ns = self._time_of(proved.sequence.time_ns)
-            return self._ramp.permits(proved.strength_ppb, now_ns)
-
     def note(self, proved: ProvedSequence) -> None:
         """Enter that the bytes of a proved sequence have just been written; its parts and
         repetitions count once."""
         sequence = proved.sequence
-        if sequence is self._noted:
-            return
-        ppb, lasting_ns = parts_per_billion(sequence.intensity), 1000 * sequence.period_us
-        with self._lock:
-            self._noted, now_ns = sequence, self._time_of(sequence.time_ns)
-            self._ramp.note(ppb, proved.strength_ppb, now_ns, lasting_ns * proved.times)
-
-    def _time_of(self, claimed_ns: int) -> int:
-        now_ns = claimed_ns if self._clock is None else self._clock.now_ns()
-        # A clock that falls counts as standing still.
-        return now_ns if self._now_ns is None else max(now_ns, self._now_ns)
-
-    def _prove_ramp(self, sequence: ScanSequence, strength_ppb: int, now_ns: int) -> None:
-        """Raise if a sequence does not follow the one before, or its current rises too fast."""
-        before_ns, time_ns = self._time_ns, sequence.time_ns
-        if before_ns is not None and time_ns <= before_ns:
-            raise SafetyError(
-                f"sequence at {time_ns} ns does not follow the one at {before_ns} ns",
-                limit="time_ns",
-                value=time_ns,
-                allowed=before_ns + 1,
-            )
-        if strength_ppb and not self._ramp.permits(strength_ppb, now_ns):
-            strength, level = strength_ppb / PPB, self._ramp.open_ppb(now_ns) / PPB
-            raise SafetyError(
-                f"current of strength {strength:.3f} where {level:.3f} is open: zero to full "
-                f"must take {self.limits.ramp_s:g} s or more of pulses",
-                limit="ramp_s",
-                value=strength,
-                allowed=level,
-            )
+        if sequence is not self._noted:
+            self._noted = sequence
+            ppb, lasting_ns = parts_per_billion(sequence.intensity), 1000 * sequence.period_us
+            self.ramp.note(ppb, proved.strength_ppb, sequence.time_ns, lasting_ns * proved.times)
 
 
 def _whole(value: Any, name: str) -> int:

@@ -230,11 +230,6 @@ class SafetyLimits:
         """`full_ua` as a fraction of whole numbers."""
         return self.full_ua.as_integer_ratio()
 
-    def most_ua(self, ppb: int) -> int:
-        """Return the largest current of an electrode at an intensity in parts per billion, µA."""
-        full, parts = self.full_ratio
-        return (2 * full * ppb + (self.electrodes + 2) * parts * PPB) // (2 * parts * PPB)
-
     @cached_property
     def width_pc(self) -> Fraction:
         """Largest charge of a pulse at intensity 1, where width carries intensity."""
@@ -351,6 +346,10 @@ _SENTENCES = {
     "lower the rate",
     "net_ma": "electrode {electrode}: {value:g} µC of one sign would be left within a second, more "
     "than {allowed:g}: lower the rate, or recharge",
+    "order": "sequence at {value} ns does not follow the one before: its time must be {allowed} ns "
+    "or later",
+    "ramp_s": "current of strength {value:.3f} where {allowed:.3f} is open: zero to full takes "
+    "pulses for limits.ramp_s or longer",
     "session_s": "the session would have {value:.0f} s of current, limits.session_s is "
     "{allowed:g}: take the finger off, look at the skin, and continue later",
     "session_mc": "electrode {electrode}: the session would pass {value:.0f} mC, limits.session_mc "
@@ -360,6 +359,7 @@ _LIMITS = {
     "vibrates": "vibration", "source": "charge_uc", "claimed_ma": "intensity",
     "claimed_uc": "intensity", "recharge": "recharge_ua", "recharge_balance": "balance",
     "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
+    "order": "time_ns",
 }  # fmt: skip
 """Limits of sentences that have another name."""
 

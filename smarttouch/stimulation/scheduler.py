@@ -1,7 +1,10 @@
-"""Tactile image times kernels times intensity: the slots of one frame."""
+"""Tactile image times kernels times intensity: the slots of one frame, and their period."""
 
 import math
+from bisect import bisect_right
+from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +16,9 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.frame_slots import FrameSlots
-from smarttouch.stimulation.net_plan import NetPlan
 from smarttouch.stimulation.point_slots import PointSlots, Slots, constant_us, joined
 from smarttouch.stimulation.pulse_rates import PulseRates, ScanTiming, rate_share, rates_of
-from smarttouch.stimulation.ramp import FIRST_NS, MOST_STEP_NS
+from smarttouch.stimulation.safety_gate import FIRST_NS, MOST_STEP_NS
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import (
     NO_SHARING,
@@ -28,11 +30,94 @@ from smarttouch.stimulation.scan_sequence import (
 from smarttouch.stimulation.sequence_limits import (
     BURST_US,
     MOST_PER_US,
+    NET_PC,
     PLANNED,
     Sums,
     add_up,
     strength_ppb,
 )
+
+WINDOW_US = 1_100_000
+"""Time over which net charge is planned: a board may count its second in tenths."""
+GUARD_PC = 0.95 * NET_PC
+"""Net charge of any newest passes up to which a next one like the last is planned."""
+_MEAN_PC = PLANNED * NET_PC
+_FREE_PC = NET_PC / 2
+_MOST_PC = 0.99 * NET_PC
+
+
+Array = NDArray[np.float64]
+
+
+class _Pass(NamedTuple):
+    """Pass by the times of frames, with its net charge, (E,), and the largest of any electrode."""
+
+    end_us: float
+    most_pc: float
+    net_pc: Array
+
+
+class NetPlan:
+    """Net charge of the last passes, by the times of their frames.
+
+    Passes of one sign are spaced, as evenly as possible, once they have used half of a second's net
+    charge at a rate that would use more than all; after a change of the picture, as far as needed.
+    """
+
+    def __init__(self, electrodes: int) -> None:
+        self._passes: deque[_Pass] = deque()
+        self._sum_pc = np.zeros(electrodes)
+        self._at_most_pc = self._newest_at_most_pc = 0.0  # bounds of all passes, and of the newest
+
+    def next_period_us(
+        self, net_pc: Array, time_us: float, period_us: int, busy_us: int
+    ) -> float | None:
+        """Enter a sequence with net charge (E,) pC and slots of `busy_us` that begins at a time;
+        return its shortest period, not below `period_us`, or None if it may not begin, since a
+        second would have too much of it."""
+        passes = self._passes
+        while passes and passes[0].end_us <= time_us - WINDOW_US:
+            _, gone_pc, gone_net_pc = passes.popleft()
+            self._at_most_pc -= gone_pc
+            self._sum_pc -= gone_net_pc
+            self._newest_at_most_pc = min(self._newest_at_most_pc, self._at_most_pc)
+        most_pc = float(np.abs(net_pc).max())
+        if self._newest_at_most_pc + most_pc > GUARD_PC:
+            newest_pc = float(self._newest(net_pc).max())
+            self._newest_at_most_pc = newest_pc + most_pc
+            if newest_pc > _MOST_PC:
+                return None
+        passes.append(_Pass(time_us + busy_us, most_pc, net_pc))
+        self._at_most_pc += most_pc
+        self._newest_at_most_pc += most_pc
+        self._sum_pc += net_pc
+        count, needed_us = len(passes), float(period_us)
+        carried_pc = float(np.abs(self._sum_pc).max())
+        span_us = min(time_us + period_us - passes[0].end_us, WINDOW_US)
+        # Trains that are over before they fill a window keep their times, and so does what pauses.
+        if carried_pc > _FREE_PC and carried_pc * WINDOW_US > _MEAN_PC * span_us:
+            mean_pc = carried_pc / count
+            if mean_pc < _MEAN_PC:
+                # So many of it as a window holds, and one more that it cuts.
+                needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
+            if carried_pc + mean_pc < GUARD_PC:
+                # What there is room for comes evenly until the first of them leave.
+                left_us = WINDOW_US - span_us
+                needed_us = max(needed_us, left_us * mean_pc / (GUARD_PC - carried_pc))
+        if self._newest_at_most_pc + most_pc > GUARD_PC:
+            # A next one like this must find room: wait until enough of the passes have left.
+            newest = self._newest(net_pc).max(axis=1)
+            room = max(0, bisect_right(np.maximum.accumulate(newest).tolist(), GUARD_PC) - 1)
+            if room < count:
+                end_us = passes[count - room - 1].end_us
+                needed_us = max(needed_us, end_us + WINDOW_US - time_us)
+        return needed_us
+
+    def _newest(self, net_pc: Array) -> Array:
+        """Return the largest net charges (magnitude) of the newest passes and one more, (N + 1,)
+        by electrode."""
+        passes = (earlier.net_pc for earlier in reversed(self._passes))
+        return np.asarray(np.abs(np.cumsum([net_pc, *passes], axis=0)))
 
 
 @dataclass
@@ -94,7 +179,11 @@ class ScanScheduler:
         steps_ns = 0, 2 * FIRST_NS, MOST_STEP_NS
         self._steps = [step_ns / self._limits.ramp_ns for step_ns in steps_ns]
         # Before anything is sent: the longest scan must be possible too.
-        self._period_us(0, self._electrodes, self._electrodes * pulse.width_us)
+        all_us = self._electrodes * pulse.width_us
+        timing.shortest_period_us(
+            self._electrodes, self._electrodes, pulse.width_us, pulse.discharge_us,
+            all_us / self._duty,
+        )  # fmt: skip
         self.asked_us: int = 0
         self.net_slowed: int = 0
         self.net_emptied: int = 0
@@ -126,16 +215,15 @@ class ScanScheduler:
         due, self.asked_us = self._due(image, pressure)
         made, intensity = self._within_ramp(due, image, intensity, allowed, adaptation)
         slots, pulses_us = len(made.site), int(made.width_us.sum(dtype=np.int64))
-        period_us = self._period_us(self.asked_us, slots, pulses_us)
+        least_us, mean_us = max(self.asked_us, pulses_us / self._duty), 0.0
         if slots:
             sums = add_up(made.current_ua, made.width_us, self._limits.felt_ua)[0]
-            period_us = max(period_us, timing.possible_period_us(self._exposed_us(sums)))
-            busy_us = pulses_us + slots * int(self._discharges_us[0])
-            needed_us: float | None = period_us
-            if self._net is not None:
-                needed_us = self._net.next_period_us(
-                    sums[2], image.time_ns / 1000, period_us, busy_us
-                )
+            least_us, mean_us = max(least_us, self._exposed_us(sums)), pulses_us / slots
+        rest_us = int(self._discharges_us[0])
+        period_us = timing.shortest_period_us(slots, self._electrodes, mean_us, rest_us, least_us)
+        if slots and self._net is not None:
+            time_us, busy_us = image.time_ns / 1000, pulses_us + slots * rest_us
+            needed_us = self._net.next_period_us(sums[2], time_us, period_us, busy_us)
             if needed_us is None:
                 self.net_emptied += 1
                 made, slots = Slots(made.site[:0], made.current_ua[:0], made.width_us[:0]), 0
@@ -191,13 +279,11 @@ class ScanScheduler:
         adaptation: Adaptation | None,
     ) -> Slots:
         """Return the slots of all classes that are due; none of the first if none is."""
-        if len(due) > 1:
-            made = joined([
-                self._makers[afferent].slots(activation[afferent], intensity) for afferent in due
-            ])  # fmt: skip
-        else:
-            one = due[0] if due else self._first
-            made = self._makers[one].slots(activation[one], intensity if due else 0.0)
+        rows = [
+            self._makers[each].slots(activation[each], intensity if due else 0.0)
+            for each in due or (self._first,)
+        ]
+        made = joined(rows) if len(rows) > 1 else rows[0]
         return made if adaptation is None or not len(made.site) else adaptation.apply(made)
 
     def _within_ramp(
@@ -212,7 +298,7 @@ class ScanScheduler:
         made = self._slots(due, image.activation, wanted, adaptation)
         if wanted <= allowed:
             return made, wanted
-        charge_pc, ppb = peak_pc(made.current_ua, made.width_us), parts_per_billion(wanted)
+        ppb, charge_pc = parts_per_billion(wanted), peak_pc(made.current_ua, made.width_us)
         # Whole µA may be a little stronger than asked for.
         planned_ppb = min(ppb, strength_ppb(self._limits, ppb, charge_pc))
         intensity = wanted if planned_ppb else allowed
@@ -247,12 +333,3 @@ class ScanScheduler:
                 "perception.comfort_ratio or pulse.width_us, or choose another mode"
             )
         return needed_us
-
-    def _period_us(self, asked_us: int, slots: int, pulses_us: int) -> int:
-        """Return the period of slots whose pulses take so long together: that asked for, or the
-        shortest one in which they fit, µs."""
-        mean_us = pulses_us / slots if slots else 0.0
-        return self._timing.shortest_period_us(
-            slots, self._electrodes, mean_us, float(self._discharges_us[0]),
-            least_us=max(asked_us, pulses_us / self._duty),
-        )  # fmt: skip

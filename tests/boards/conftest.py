@@ -46,7 +46,7 @@ def claimed_time(request, monkeypatch):
     if "wall_clock" not in request.keywords:
         monkeypatch.setattr("smarttouch.boards.open.Board", partial(Board, claimed_time=True))
         if not issubclass(request.cls or object, DriverContract):
-            monkeypatch.setattr("smarttouch.stimulation.ramp.LATE_NS", 3600 * SECOND)
+            monkeypatch.setattr("smarttouch.stimulation.safety_gate.LATE_NS", 3600 * SECOND)
             monkeypatch.setattr(Bounds, "late_rise", WHOLE_RISE)
         monkeypatch.setattr("smarttouch.emulator.link_rules.RAMP_MS", 0)
 

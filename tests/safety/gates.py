@@ -46,7 +46,7 @@ class GateUnderTest:
         self.clock.time_ns = clock_ns
         try:
             proved = self._gate.prove(sequence, times)
-            if not self._gate.permits(proved):
+            if not self._gate.ramp.permits(proved.strength_ppb, proved.sequence.time_ns):
                 return Answer(False, crash="what was proved is not permitted")
             if written:
                 self._gate.note(proved)

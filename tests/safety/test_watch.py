@@ -6,7 +6,7 @@ import pytest
 
 from smarttouch.boards.board import Board
 from smarttouch.emulator.emulated_boards import SimulatedDriver
-from smarttouch.stimulation.safety_gate import _GATE, ProvedSequence, SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety_gate import _GATE, ProvedSequence, Ramp, SafetyGate, SafetyLimits
 
 from . import watch
 from .bounds import Bounds
@@ -23,7 +23,7 @@ def gate(limits=LIMITS):
 
 def unproved(gate, sequence, times=1, **_):
     """Prove whatever it is."""
-    return ProvedSequence(sequence, times, 1, 0, 2**62, gate._session, 1, key=_GATE)
+    return ProvedSequence(sequence, times, 1, 0, 2**62, gate.session, 1, key=_GATE)
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def blind(safety_watch):
     blinded = Watch()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SafetyGate, "prove", unproved)
-        patch.setattr(SafetyGate, "permits", lambda _gate, _proved: True)
+        patch.setattr(Ramp, "permits", lambda *_: True)
         inner = blinded.installed()
         yield blinded
         inner.undo()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.stimulation.net_plan import NetPlan
+from smarttouch.stimulation.scheduler import NetPlan
 from smarttouch.stimulation.sequence_limits import NET_PC
 
 SECOND_US = 1_000_000

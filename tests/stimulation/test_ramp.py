@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.clock import LATE_NS
-from smarttouch.stimulation.ramp import LEEWAY_PPB, MOST_STEP_NS, PPB, Ramp
+from smarttouch.stimulation.safety_gate import LEEWAY_PPB, MOST_STEP_NS, PPB, Ramp
 
 RAMP_NS = 500_000_000
 LATE_PPB = LATE_NS * PPB // RAMP_NS
@@ -21,7 +21,7 @@ steps = st.lists(
 def begun():
     """A ramp after a silent sequence."""
     ramp = Ramp(RAMP_NS)
-    ramp.claim(PPB, 0)
+    ramp.claim(PPB, 0, 0)
     return ramp
 
 
@@ -42,7 +42,7 @@ def test_what_is_planned_is_permitted_though_it_is_written_late_or_never(asked):
         now_ns += wait_ns
         strength_ppb = min(wanted_ppb, round(PPB * ramp.allowed_level(now_ns)))
         assert ramp.permits(strength_ppb, now_ns)
-        ramp.claim(strength_ppb, strength_ppb)
+        ramp.claim(strength_ppb, strength_ppb, now_ns)
         if index % 3 and ramp.permits(strength_ppb, now_ns + 5_000_000):
             ramp.note(strength_ppb, min(weak_ppb, strength_ppb), now_ns + 5_000_000, lasting_ns)
 
@@ -53,7 +53,7 @@ def test_a_restart_begins_at_zero_without_current(now_ns):
     ramp.restart()
     assert ramp.open_ppb(now_ns) == ramp.allowed_level(now_ns) == 0
     assert not ramp.permits(LEEWAY_PPB + 1, now_ns)
-    ramp.claim(PPB, 0)
+    ramp.claim(PPB, 0, now_ns)
     assert ramp.permits(LATE_PPB, now_ns)
     assert not ramp.permits(LATE_PPB + LEEWAY_PPB + 1, now_ns)
 
@@ -67,7 +67,7 @@ def test_planned_steps_are_as_long_as_pulses_flow(period_ms, planned):
     for _ in planned:
         found.append(ramp.allowed_level(now_ns))
         ppb = round(PPB * found[-1])
-        ramp.claim(ppb, ppb)
+        ramp.claim(ppb, ppb, now_ns)
         ramp.note(ppb, ppb, now_ns, period_ms * 1_000_000)
         now_ns += period_ms * 1_000_000
     assert found == pytest.approx(planned, abs=1e-6)
@@ -81,8 +81,8 @@ def test_planned_steps_are_as_long_as_pulses_flow(period_ms, planned):
 
 def test_a_sequence_that_is_still_to_be_written_lowers_what_is_planned():
     ramp, now_ns = opened()
-    ramp.claim(PPB // 2, PPB // 2)
+    ramp.claim(PPB // 2, PPB // 2, now_ns)
     assert ramp.allowed_level(now_ns) == pytest.approx(0.5 + STEP_NS / RAMP_NS)
     # So does one without current, as that of a lifted finger.
-    ramp.claim(0, 0)
+    ramp.claim(0, 0, now_ns)
     assert ramp.allowed_level(now_ns) == pytest.approx(STEP_NS / RAMP_NS)

@@ -149,7 +149,7 @@ def test_parts_and_repetitions_of_a_sequence_open_the_level_once():
             gate.note(proved)
             clock.time_ns += 20_000_000
         clock.time_ns = 2 * SECOND
-        opened.append(gate.allowed_level(2))
+        opened.append(gate.ramp.allowed_level(2))
     assert opened[0] == opened[1]
 
 

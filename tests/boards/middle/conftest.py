@@ -276,7 +276,7 @@ def write(board, sequence, times=1):
     now_ns, number = board.clock.now_ns(), board.driver._number + 1
     board.driver.write(
         ProvedSequence(
-            sequence, times, number, now_ns, now_ns + LATE_NS, board._gate._session, key=_GATE
+            sequence, times, number, now_ns, now_ns + LATE_NS, board._gate.session, key=_GATE
         )
     )
 
