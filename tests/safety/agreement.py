@@ -19,14 +19,9 @@ from .edges import EDGES, attacks
 from .garbage import garbled
 from .gates import GateUnderTest, faults_of_copy
 from .oracle import NAMES, Oracle
-from .quick import judge_alone_quickly
-from .rules import judge_alone
 
 STREAM = 80
 """Sequences to one gate."""
-PLAIN_EVERY = 20
-"""One stream of so many is judged by the plain form of the rules, if its array is small."""
-SMALL = 20
 WRITTEN = 0.95
 """Part of the sequences that are written; others are replaced by newer ones."""
 HURRIES = (
@@ -34,73 +29,69 @@ HURRIES = (
     "net in a second", "takes back", "session time", "session charge",
 )  # fmt: skip
 """Limits over time at whose edge half of the streams stay, one sequence after another."""
+UNSAFE, STRICT, CRASH, COPY = (
+    "accepted by the gate alone", "refused by the gate alone", "an error not of the gate's own",
+    "a copy of other numbers",
+)  # fmt: skip
 
 
 @dataclass
-class RunStatistics:
+class Tally:
     """Results of many questions."""
 
     accepted: int = 0
     refused: int = 0
+    broken: Counter = field(default_factory=Counter)
     only: Counter = field(default_factory=Counter)
     """How often each rule was the only one broken."""
-    broken: Counter = field(default_factory=Counter)
-    unsafe: Counter = field(default_factory=Counter)
-    """What the gate accepted and the oracle does not, by the rules that it breaks."""
-    strict: Counter = field(default_factory=Counter)
-    """What the gate refused and the oracle does not, by the limit that the gate names."""
-    crashes: Counter = field(default_factory=Counter)
-    """Errors of a gate that are not its own."""
-    copies: Counter = field(default_factory=Counter)
-    """Faults of the copies that a gate returned."""
-    examples: dict = field(default_factory=dict)
+    faults: Counter = field(default_factory=Counter)
+    """Disagreements by kind and by rules, limit, error or field."""
+    first: dict = field(default_factory=dict)
+    """Where each fault came first."""
 
     @property
     def asked(self):
         return self.accepted + self.refused
 
-    @property
-    def over_time(self):
-        """Number of sequences that a limit over a second or a session refused, and no other."""
-        return sum(self.only[name] for name in set(HURRIES))
-
-    @property
-    def disagreements(self):
-        return sum(map(Counter.total, (self.unsafe, self.strict, self.crashes, self.copies)))
-
     def missing(self):
         """Return the rules that were never the only one broken."""
         return sorted(set(NAMES) - set(self.only))
+
+    def note(self, broken, answer, sequence, where):
+        """Enter what an oracle and a gate say of a sequence."""
+        self.accepted += answer.accepted
+        self.refused += not answer.accepted
+        self.broken.update(broken)
+        self.only.update(broken if len(broken) == 1 else ())
+        faults = []
+        if answer.copy is not None:
+            faults += [(COPY, name) for name in faults_of_copy(answer.copy, sequence)]
+        if answer.crash:
+            faults.append((CRASH, answer.crash))
+        if answer.accepted and broken:
+            faults.append((UNSAFE, ", ".join(broken)))
+        elif not answer.accepted and not broken:
+            faults.append((STRICT, answer.limit))
+        for fault in faults:
+            self.faults[fault] += 1
+            self.first.setdefault(fault, where)
 
     def add(self, other):
         """Add up with that of another process."""
         self.accepted += other.accepted
         self.refused += other.refused
-        for name in ("only", "broken", "unsafe", "strict", "crashes", "copies"):
+        for name in ("broken", "only", "faults"):
             getattr(self, name).update(getattr(other, name))
-        self.examples = other.examples | self.examples
+        self.first = other.first | self.first
 
     def table(self):
         """Return it for people."""
         lines = [f"{self.asked} asked, {self.accepted} accepted, {self.refused} refused"]
-        lines.append(f"{'rule':22}{'broken':>10}{'alone':>10}{'let through':>13}")
-        let_through = Counter()
-        for rules, count in self.unsafe.items():
-            for rule in rules:
-                let_through[rule] += count
-        for name in NAMES:
-            lines.append(
-                f"{name:22}{self.broken[name]:10}{self.only[name]:10}{let_through[name]:13}"
-            )
-        for title, counter in (
-            ("accepted by the gate alone", self.unsafe),
-            ("refused by the gate alone", self.strict),
-            ("not an error of the gate's own", self.crashes),
-            ("faults of copies", self.copies),
-        ):
-            lines += [f"{title}: {count} x {what}" for what, count in counter.most_common(30)]
-        lines.append(f"ended by a limit over time: {self.over_time}")
-        lines.append(f"disagreements: {self.disagreements}; never alone: {self.missing()}")
+        lines.append(f"{'rule':22}{'broken':>10}{'alone':>10}")
+        lines += [f"{name:22}{self.broken[name]:10}{self.only[name]:10}" for name in NAMES]
+        for (kind, what), count in self.faults.most_common(30):
+            lines.append(f"{count} x {kind}: {what}, first at {self.first[kind, what]}")
+        lines.append(f"disagreements: {self.faults.total()}; never alone: {self.missing()}")
         return "\n".join(lines)
 
 
@@ -123,9 +114,7 @@ def stream(name, seed, tally, make_gate=GateUnderTest, count=STREAM):
     """Send one gate of a display a stream of sequences, until it and the oracle disagree."""
     rng = random.Random(f"{name} {seed}")
     profile = display(name)
-    small = len(profile.electrodes) <= SMALL and seed % PLAIN_EVERY == 0
-    oracle = Oracle(profile, judge_alone if small else judge_alone_quickly)
-    gate = make_gate(profile)
+    oracle, gate = Oracle(profile), make_gate(profile)
     clock_ns, time_ns = rng.choice((0, 10**9, 2**61)), rng.choice((0, 10**9, 2**61))
     hurry = rng.random() < 0.5 and rng.choice(HURRIES)
     opens = rng.random() < 0.9
@@ -158,35 +147,13 @@ def question(gate, oracle, draft, sequence, tally, where, written=True):
     """Ask both of a sequence; return whether they agree."""
     broken = oracle.judge(sequence, draft.clock_ns, draft.times, written=written)
     answer = gate.ask(sequence, draft.clock_ns, draft.times, written)
-    tally.broken.update(broken)
-    if len(broken) == 1:
-        tally.only[broken[0]] += 1
-    if answer.accepted:
-        tally.accepted += 1
-    else:
-        tally.refused += 1
-    agree = True
-    if answer.crash:
-        tally.crashes[answer.crash] += 1
-        tally.examples.setdefault(answer.crash, where)
-    if answer.accepted and broken:
-        tally.unsafe[tuple(broken)] += 1
-        tally.examples.setdefault(tuple(broken), where)
-        agree = False
-    elif not answer.accepted and not broken:
-        tally.strict[answer.limit or "crash"] += 1
-        tally.examples.setdefault(answer.limit or "crash", where)
-        agree = False
-    if answer.accepted and answer.copy is not None:
-        for fault in faults_of_copy(answer.copy, sequence):
-            tally.copies[fault] += 1
-            tally.examples.setdefault(fault, where)
-    return agree
+    tally.note(broken, answer, sequence, where)
+    return answer.accepted == (not broken)
 
 
 def attack(first_seed, count, make_gate=GateUnderTest):
     """Ask so many questions, of one display after another; return what came of them."""
-    tally, seed = RunStatistics(), first_seed
+    tally, seed = Tally(), first_seed
     names = display_names()
     while tally.asked < count:
         stream(names[seed % len(names)], seed // len(names), tally, make_gate)
@@ -200,17 +167,15 @@ def main():
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0, help="of the first stream")
     options = parser.parse_args()
-    started, tally = time.perf_counter(), RunStatistics()
-    each = -(-options.count // options.jobs)
+    started, tally = time.perf_counter(), Tally()
+    share = -(-options.count // options.jobs)
     with ProcessPoolExecutor(options.jobs) as pool:
         seeds = [options.seed + 10**9 * job for job in range(options.jobs)]
-        for part in pool.map(attack, seeds, [each] * options.jobs):
+        for part in pool.map(attack, seeds, [share] * options.jobs):
             tally.add(part)
     print(tally.table())
-    for what, where in tally.examples.items():
-        print(f"first {what}: {where}")
     print(f"{time.perf_counter() - started:.0f} s")
-    sys.exit(bool(tally.disagreements or tally.missing()))
+    sys.exit(bool(tally.faults or tally.missing()))
 
 
 if __name__ == "__main__":

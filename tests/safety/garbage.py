@@ -21,37 +21,14 @@ NUMBERS = (
 """What a number may be replaced with."""
 
 
-def _shapes(array, rng):
-    """Return an array of another shape."""
-    change = rng.randrange(6)
-    if change == 0:
-        return array[:-1]
-    if change == 1:
-        return np.concatenate([array, array[:1]]) if len(array) else np.zeros(1, array.dtype)
-    if change == 2:
-        return array[None]
-    if change == 3:
-        return array.ravel() if array.ndim > 1 else array.reshape(-1, 1)
-    if change == 4:
-        return array.T[..., :-1]
-    return np.zeros((0,) * array.ndim, array.dtype)
+KINDS = (
+    "int8", "uint8", "int16", "uint16", "int32", "int64", "uint64", "float16", "float32", "float64",
+    "bool", "complex128", "object", "S4", ">i2", ">u2", ">f4",
+)  # fmt: skip
+NO_ARRAYS = (None, 0, "array", (), b"", [0, 0])
 
 
-def _kinds(array, rng):
-    """Return an array of another type, or what is none."""
-    kinds = (
-        "int8", "uint8", "int16", "uint16", "int32", "int64", "uint64", "float16", "float32",
-        "float64", "bool", "complex128", "object", "S4", ">i2", ">u2", ">f4", "V2",
-    )  # fmt: skip
-    if rng.random() < 0.2:
-        return rng.choice(
-            (None, 0, "array", array.tolist(), tuple(array.tolist()), b"", array.data)
-        )
-    kind = rng.choice(kinds)
-    return np.zeros(array.shape, kind) if kind == "V2" else array.astype(kind)
-
-
-def _ends(array, rng):
+def _at_an_end(array, rng):
     """Return an array with one number at an end of its type."""
     array = array.copy()
     if array.size:
@@ -65,18 +42,24 @@ def _ends(array, rng):
     return array
 
 
-def _layouts(array, rng):
-    """Return an array of the same numbers that lies otherwise in memory."""
-    change = rng.randrange(4)
-    if change == 0:
-        return np.asfortranarray(array)
-    if change == 1:
-        return np.repeat(array, 2, axis=0)[::2]
-    if change == 2:
-        return np.flip(np.flip(array, 0).copy(), 0)
-    array = array.copy()
-    array.flags.writeable = False
-    return array
+CHANGES = (
+    # Other shapes.
+    lambda array, _: array[:-1],
+    lambda array, _: array[None],
+    lambda array, _: array.ravel() if array.ndim > 1 else array.reshape(-1, 1),
+    lambda array, _: array.T[..., :-1],
+    lambda array, _: np.zeros((0,) * array.ndim, array.dtype),
+    # Other types.
+    lambda array, rng: array.astype(rng.choice(KINDS)),
+    lambda array, rng: rng.choice((*NO_ARRAYS, array.tolist(), array.data)),
+    # Other numbers.
+    *(_at_an_end,) * 4,
+    # The same numbers in another layout.
+    lambda array, _: np.asfortranarray(array),
+    lambda array, _: np.repeat(array, 2, axis=0)[::2],
+    lambda array, _: np.flip(np.flip(array, 0).copy(), 0),
+)
+"""What an array may be replaced with."""
 
 
 def garbled(draft, rng):
@@ -95,5 +78,5 @@ def garbled(draft, rng):
         if array is None:
             kind = np.float32 if name == "vibration" else np.int16
             array = np.zeros(sequence.current_ua.shape[1], kind)
-        changes[name] = rng.choice((_shapes, _kinds, _ends, _ends, _layouts))(array, rng)
+        changes[name] = rng.choice(CHANGES)(array, rng)
     return draft.made(**changes)

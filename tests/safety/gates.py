@@ -1,4 +1,4 @@
-"""The gate under test, and the oracle beside it."""
+"""The gate under test, and what is wrong with its copies."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,8 @@ from smarttouch.base.errors import SafetyError
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-_FIELDS = ("current_ua", "width_us", "discharge_us", "site", "vibration", "recharge_ua")
+_NUMBERS = {"period_us": int, "time_ns": int, "intensity": float}
+_ARRAYS = ("current_ua", "width_us", "discharge_us", "site", "vibration", "recharge_ua")
 
 
 @dataclass
@@ -36,8 +37,7 @@ class GateUnderTest:
 
     def __init__(self, profile):
         self.clock = ManualClock()
-        limits = SafetyLimits.of(profile)
-        self._gate = SafetyGate(limits, self.clock)
+        self._gate = SafetyGate(SafetyLimits.of(profile), self.clock)
 
     def ask(self, sequence, clock_ns, times=1, written=True):
         """Return what the gate says of a sequence at a time of its clock, and whether it permits
@@ -59,38 +59,26 @@ class GateUnderTest:
 
 
 def faults_of_copy(copy, sequence):
-    """Return what is wrong with a gate's copy of a sequence: other numbers, or not for good."""
-    if type(copy) is not ScanSequence:
-        return [f"a {type(copy).__name__}"]
+    """Return the fields of a gate's copy of other types or numbers, or that can be written."""
     faults = [
-        f"{name} is a {type(getattr(copy, name)).__name__}"
-        for name, kind in (("period_us", int), ("time_ns", int), ("intensity", float))
+        name
+        for name, kind in _NUMBERS.items()
         if type(getattr(copy, name)) is not kind
+        or getattr(copy, name) != kind(getattr(sequence, name))
     ]
-    for name, kind in (("period_us", int), ("time_ns", int), ("intensity", float)):
-        if getattr(copy, name) != kind(getattr(sequence, name)):
-            faults.append(f"{name} is another")
-    for name in _FIELDS:
-        ours, theirs = getattr(copy, name, None), getattr(sequence, name, None)
-        if ours is None and theirs is None:
-            continue
-        if type(ours) is not np.ndarray:
-            faults.append(f"{name} is a {type(ours).__name__}")
-        elif not _is_for_good(ours):
-            faults.append(f"{name} can be written")
-        elif theirs is not None and ours.dtype != theirs.dtype:
-            faults.append(f"{name} is of another type")
-        elif not np.array_equal(ours, theirs):
-            faults.append(f"{name} has other numbers")
+    for name in _ARRAYS:
+        ours, theirs = getattr(copy, name), getattr(sequence, name)
+        if (ours is not None or theirs is not None) and not _is_frozen_copy(ours, theirs):
+            faults.append(name)
     return faults
 
 
-def _is_for_good(array):
-    """Return whether nobody can make an array writable again."""
-    if array.flags.writeable:
+def _is_frozen_copy(ours, theirs):
+    """Return whether an array has the numbers of another, and nobody can make it writable."""
+    if type(ours) is not np.ndarray or ours.dtype != theirs.dtype or ours.flags.writeable:
         return False
     try:
-        array.setflags(write=True)
+        ours.setflags(write=True)
     except ValueError:
-        return True
+        return np.array_equal(ours, theirs)
     return False

@@ -18,7 +18,7 @@ from .bounds import (
     WHOLE,
     Bounds,
 )
-from .rules import RULES, judge_alone
+from .quick import RULES, judge_alone
 
 AMONG = (
     "time", "rise", "strength", "takes back", "sequences in a second",
@@ -113,13 +113,12 @@ class Level:
 class Oracle:
     """Judges what is sent to one display, from its opening to its closing.
 
-    Each sequence is judged alone by ``alone`` (`quick.judge_alone_quickly` for long runs) and after
-    the last accepted, whose claimed time and clock are ``time_ns`` and ``clock_ns``.
+    Each sequence is judged alone and after the last accepted, whose claimed time and clock are
+    ``time_ns`` and ``clock_ns``.
     """
 
-    def __init__(self, profile, alone=judge_alone):
+    def __init__(self, profile):
         self.bounds = profile if isinstance(profile, Bounds) else Bounds.of(profile)
-        self._alone = alone
         self._last = None
         nothing = np.zeros(self.bounds.electrodes, np.int64)
         self._spent = 0, nothing, nothing
@@ -145,13 +144,11 @@ class Oracle:
         display's clock; one that breaks nothing counts as sent, and as written at once if
         ``written``, else by `wrote`.
         """
-        alone = self._alone(sequence, self.bounds)
+        alone = judge_alone(sequence, self.bounds)
         if isinstance(times, bool) or not isinstance(times, int | np.integer):
             return ["types"]
         if alone.broken and alone.broken[0] in ("types", "range"):
             return alone.broken
-        for name in ("strong", "charge_pc", "slots_pc", "recharge_pc"):
-            object.__setattr__(alone, name, np.asarray(getattr(alone, name), np.int64))
         clock_ns = clock_ns if self.clock_ns is None else max(clock_ns, self.clock_ns)
         known = self.passes_by(clock_ns)
         new = Sent(self._free_from(clock_ns), alone.period_us, times, alone)

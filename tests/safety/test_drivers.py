@@ -56,11 +56,6 @@ def sequence(step, level_ua=0):
     return ScanSequence(row, one * 100, one * 50, one, 20_000, 0.1 * (level_ua > 0), step * 10**9)
 
 
-def test_a_board_cannot_be_inherited():
-    with raises(BoardError, names="Mine"):
-        type("Mine", (Board,), {})
-
-
 def test_only_the_gate_makes_what_can_be_sent():
     made = [
         lambda proved: ProvedSequence(proved.sequence, 1, 1, 0, LATE_NS, 1),
@@ -159,12 +154,3 @@ def test_what_waits_too_long_is_late_and_later_has_an_end():
         with pytest.raises(SequenceLateError):
             driver.line.later(proved, proved.due_ns + 10**10)
     assert (driver.flows, board.dropped_late) == ([], 1)
-
-
-def test_limits_of_another_display_are_no_matter():
-    boards = [board_of(Theirs()) for _ in range(3)]
-    for board in boards:
-        with board:
-            board.send(sequence(0))
-            board.send(sequence(1, 60))
-    assert [board.driver.flows for board in boards] == [[0, 60]] * 3

@@ -24,19 +24,6 @@ def test_a_misread_unit(kind, ua_per_count):
         make_board(f"{kind}:/dev/nowhere", SafetyLimits.of(profile), output)
 
 
-def test_density_is_bounded_by_the_electrodes_area(limits):
-    gate = SafetyGate(dataclasses.replace(limits, area_mm2=0.2))
-    assert refused(gate, pulses(1)) == "charge_uc"
-
-
-def test_a_session_ends(limits):
-    gate = SafetyGate(dataclasses.replace(limits, session_s=0.55))
-    open_level(gate.check, pulses(0), limits)
-    gate.check(pulses(1))
-    gate.check(pulses(1, time_ns=2 * SECOND))
-    assert refused(gate, pulses(1, time_ns=3 * SECOND)) == "session_s"
-
-
 SECOND = 10**9
 
 

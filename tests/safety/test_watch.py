@@ -12,13 +12,9 @@ from . import watch
 from .bounds import Bounds
 from .by_hand import pair, sequence
 from .gates import ManualClock
-from .watch import Watch
 
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
-
-
-def gate(limits=LIMITS):
-    return SafetyGate(limits, ManualClock())
+SILENT = sequence([], intensity=0.0, time_ns=0)
 
 
 def unproved(gate, sequence, times=1, **_):
@@ -30,7 +26,7 @@ def unproved(gate, sequence, times=1, **_):
 def blind(safety_watch):
     """A watch in whose time gates accept everything, and the usual one looks away."""
     safety_watch.on = False
-    blinded = Watch()
+    blinded = watch.Watch()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SafetyGate, "prove", unproved)
         patch.setattr(Ramp, "permits", lambda *_: True)
@@ -39,20 +35,13 @@ def blind(safety_watch):
         inner.undo()
 
 
-def rules(broken):
-    """Return the names of the rules that something broke, as the watch reports."""
-    return set(broken.partition(" breaks ")[2].partition(": ")[0].split(", "))
-
-
 def test_what_a_gate_should_not_have_accepted(blind):
-    proving = gate()
-    proving.check(sequence([], intensity=0.0, time_ns=0))
+    gate = SafetyGate(LIMITS, ManualClock())
+    gate.check(SILENT)
     assert blind.take() == []
-    proving.check(sequence(pair(3001)))
+    gate.check(sequence(pair(3001)))
     (broken,) = blind.take()
-    assert rules(broken) == {"current", "intensity", "rise"}
-    proving.check(sequence([], intensity=0.0, time_ns=-1))
-    assert blind.take()
+    assert "breaks current, intensity, rise: " in broken
 
 
 @pytest.mark.parametrize("taken", [False, True])
@@ -64,10 +53,9 @@ def test_a_simulated_board(blind, taken, monkeypatch):
     vars(wider)[watch.OF_PROFILE] = Bounds.of_limits(LIMITS)
     driver = SimulatedDriver("", wider)
     with Board(driver, wider, on_a_finger=False, claimed_time=True) as board:
-        board.send(sequence([], intensity=0.0, time_ns=0))
+        board.send(SILENT)
         board.send(sequence(pair(3500)))
         blind.take()
         assert not taken or len(driver.take_pulses()[0]) == 1
         assert len(blind.take()) == taken
-    assert ["current" in rules(each) for each in blind.take()] == [True] * (not taken)
-    assert len(driver.take_pulses()[0]) == (not taken)
+    assert len(blind.take()) == (not taken)

@@ -17,7 +17,6 @@ from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from .bounds import Bounds
 from .deliveries import Pulses, judge_pulses
 from .oracle import Oracle
-from .quick import judge_alone_quickly
 
 OF_PROFILE = "bounds of its profile"
 """Under this name limits carry what the oracle reads of the profile that they were made of."""
@@ -80,7 +79,7 @@ class Watch:
             return
         oracle = self._oracles.get(gate)
         if oracle is None:
-            oracle = self._oracles[gate] = Oracle(self.bounds_of(gate.limits), judge_alone_quickly)
+            oracle = self._oracles[gate] = Oracle(self.bounds_of(gate.limits))
         clock = self._clocks.get(gate)
         # A gate without a clock takes time as each sequence claims it.
         now_ns = sequence.time_ns if clock is None else clock.heard_ns
