@@ -34,8 +34,8 @@ from smarttouch.running.program import Pattern as Pattern
 from smarttouch.running.recording_format import RecordedStep as RecordedStep
 from smarttouch.running.step import RunContext as RunContext
 from smarttouch.running.step import Step as Step
-from smarttouch.sources.given_sources import Given as Given
-from smarttouch.sources.given_sources import Imaging as Imaging
+from smarttouch.sources.source_contract import Given as Given
+from smarttouch.sources.source_contract import Imaging as Imaging
 from smarttouch.sources.source_contract import Input as Input
 from smarttouch.sources.source_contract import Source as Source
 from smarttouch.stimulation.scan_sequence import KernelLists as KernelLists

@@ -13,8 +13,14 @@ from scipy.linalg import expm
 from scipy.optimize import least_squares
 
 from smarttouch.base.errors import DesignError
-from smarttouch.physiology.driving_function import DrivingFunction, bend_operator, passes
-from smarttouch.physiology.membrane import Axon, Fiber, threshold_ma
+from smarttouch.physiology.membrane import (
+    Axon,
+    DrivingFunction,
+    Fiber,
+    bend_operator,
+    passes,
+    threshold_ma,
+)
 
 Array = NDArray[np.float64]
 

@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from smarttouch.base.files import require_folder, write_json
 from smarttouch.base.terminal import print_table
 from smarttouch.kernels.bank import KernelBank, load_bank
-from smarttouch.physiology.driving_function import (
+from smarttouch.physiology.membrane import (
     FIBERS,
     DrivingFunction,
     End,
+    Fiber,
     load_driving,
 )
-from smarttouch.physiology.membrane import Fiber
 from smarttouch.profile import Profile, load_profile
 from smarttouch.views.progress import progress
 

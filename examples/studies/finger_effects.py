@@ -18,8 +18,7 @@ from smarttouch.base.terminal import print_table
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import middle_90
-from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.physiology.spikes import SpikeModel, middle_90
 from smarttouch.profile import Profile, load_profile
 
 Array = NDArray[np.float64]

@@ -23,11 +23,9 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import load_anatomy
-from smarttouch.physiology.driving_function import load_driving
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.membrane import weiss_fit
-from smarttouch.physiology.response import response_map
-from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.physiology.membrane import load_driving, weiss_fit
+from smarttouch.physiology.spikes import SpikeModel, response_map
 from smarttouch.profile import Profile, load_profile
 from smarttouch.reading.legibility import (
     letter_sequences,

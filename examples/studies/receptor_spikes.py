@@ -15,14 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.instruments.receptor_responses import (
+from smarttouch.instruments.skin_trace import (
     SAI_FULL_N,
     SAI_RATE_HZ,
+    Array,
+    Trace,
     cycles,
     pressed,
     turning,
 )
-from smarttouch.instruments.skin_trace import Array, Trace
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.vibration_thresholds import best_hz, threshold_um
 

@@ -21,7 +21,7 @@ from smarttouch.cli.options import (
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board
 
 if TYPE_CHECKING:
-    from smarttouch.experiments.profile_file import ProfileFile
+    from smarttouch.experiments.calibration import ProfileFile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class CalibrationOptions(OptionGroup):
     ) -> "ProfileFile":
         """Return the profile file that a calibration reads and writes."""
         from smarttouch.boards.open import default_profile
-        from smarttouch.experiments.profile_file import file_to_calibrate
+        from smarttouch.experiments.calibration import file_to_calibrate
 
         if self.output is None:
             raise CalibrationError("give a file FILE.toml for what is measured")
@@ -51,7 +51,7 @@ class CalibrationOptions(OptionGroup):
 
 def _weights_laid() -> Iterator[float]:
     """Yield the grams that a user lays on a load cell and types in."""
-    from smarttouch.experiments.force_curve import parse_grams
+    from smarttouch.experiments.calibration import parse_grams
 
     while answer := _answer("Grams on the cell, at rest (Enter: no more)"):
         yield parse_grams(answer)
@@ -165,7 +165,7 @@ def force(
     seconds: Annotated[float, option("Read each weight for this time.", "S")] = 2.0,
 ) -> None:
     """Measure the load cell's curve with known weights."""
-    from smarttouch.experiments.force_curve import fit_curve, weigh_on
+    from smarttouch.experiments.calibration import fit_curve, weigh_on
 
     require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)
     file = calibration.file("force")
@@ -220,7 +220,7 @@ def contact(
     board: _BoardUrl = "emulator:",
 ) -> None:
     """Find the electrodes that touch the skin, by repeated measurements of their impedance."""
-    from smarttouch.experiments.contact import judge_contact, measure_contact
+    from smarttouch.experiments.calibration import judge_contact, measure_contact
     from smarttouch.running.display import open_display
 
     simulated = board.startswith("emulator:")

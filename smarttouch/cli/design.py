@@ -159,7 +159,7 @@ def new(
     """Write a profile for editing: a copy with its comments, or one with another array."""
     from smarttouch.base.errors import ProfileError
     from smarttouch.base.files import write_bytes
-    from smarttouch.experiments.profile_file import ProfileFile
+    from smarttouch.experiments.calibration import ProfileFile
     from smarttouch.profile.electrodes import grid_of
     from smarttouch.profile.toml_files import as_toml
 

@@ -23,7 +23,7 @@ from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_rules import Room
 from smarttouch.emulator.skin import EmulatedFinger
-from smarttouch.sources.sensor_protocol import encode_force, encode_frame
+from smarttouch.sources.serial_array import encode_force, encode_frame
 
 BOARDS = {"link": (64, 1, 4096), "kajimoto61": (61, 61, 61), "etactilekit": (32, 1, 255)}
 """Default, smallest and largest number of electrodes of each board."""

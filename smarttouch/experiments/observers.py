@@ -26,8 +26,7 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
 from smarttouch.emulator.emulated_boards import Pulses
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import DeliveredSlots, fire_all
-from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.physiology.spikes import DeliveredSlots, SpikeModel, fire_all
 from smarttouch.physiology.vibration_thresholds import best_hz, sensitivity
 from smarttouch.profile import Profile
 

@@ -28,7 +28,7 @@ from smarttouch.base.files import make_folder, read_text, write_bytes
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import ignore_nan, middle_90
+from smarttouch.physiology.spikes import ignore_nan, middle_90
 from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.toml_tables import Table, UnfitError, load_model
 from smarttouch.reading.legibility import (

@@ -14,8 +14,8 @@ from smarttouch.base.events import Advice, BoardRestarted, Event, FingerLifted
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.experiments.answers import NUMBER, OPTIONAL, WORDS, AnswerFile, Value
+from smarttouch.experiments.calibration import ProfileFile
 from smarttouch.experiments.procedures import Condition, middle_and_spread
-from smarttouch.experiments.profile_file import ProfileFile
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import STEP_S, Course, Setup, Trial, Trials
 from smarttouch.kernels.bank import single_bank

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ScheduleError
 from smarttouch.imaging.array_window import reading_force_n
-from smarttouch.instruments.receptor_responses import ReceptorResponse, split_trace
-from smarttouch.instruments.skin_trace import Trace, open_trace
+from smarttouch.instruments.skin_trace import ReceptorResponse, Trace, open_trace, split_trace
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import require_driven

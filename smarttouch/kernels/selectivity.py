@@ -1,5 +1,6 @@
 """Selectivity of the finished currents of slots with several points of one class."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -143,3 +144,249 @@ def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
     """Return the activation of single kernels at full comfortable current, (E,) V/mm², from
     `KernelBank.kernels` and `KernelBank.receptor` of the class, (E, E)."""
     return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
+
+
+_SOFT = 1e-6
+"""Part of the targets' mean response that keeps systems solvable if all sites are active."""
+AIM = 0.8  # part of the allowed unevenness by which all targets are made weaker, to save current
+
+
+class FrameOperator:
+    """Solver for the kernels of sites that share slots."""
+
+    def __init__(self, judge: FrameJudge) -> None:
+        self.judge = judge
+        driven, count = judge.profile.driven, len(judge.profile.electrodes)
+        gram = judge.own.T.astype(np.float64) @ judge.own
+        form = np.eye(count) + gram / np.trace(gram) * count
+        # Masked electrodes carry nothing, and all currents sum to zero.
+        basis = _zero_sum(len(driven))
+        inner = basis.T @ form[np.ix_(driven, driven)] @ basis
+        inverse = np.zeros((count, count))
+        inverse[np.ix_(driven, driven)] = basis @ np.linalg.inv(inner) @ basis.T
+        self._columns = inverse @ judge.target.T
+        self._response = judge.target @ self._columns
+        self._soft = _SOFT * float(np.trace(self._response)) / len(self._response)
+
+    def independent(self, sites: NDArray[np.intp]) -> Array:
+        """Return kernels (A, E) mA per V/mm² of a set of sites that do not disturb one another."""
+        system = self._response[np.ix_(sites, sites)] + self._soft * np.eye(len(sites))
+        return np.asarray(np.linalg.solve(system, self._columns[:, sites].T))
+
+
+def _zero_sum(count: int) -> Array:
+    """Return an orthonormal basis of the vectors that sum to zero, (n, n − 1)."""
+    full, _ = np.linalg.qr(np.c_[np.ones(count), np.eye(count)[:, 1:]])
+    return np.asarray(full[:, 1:])
+
+
+MOST_PROVED = 300  # largest number of electrodes for which sets are proved, in about a second
+_STEPS = (2, 3, 4)  # distances, in rows and columns, between the points of a set to try
+_SINGLE = 1.0001  # factor above the loss of single precision in a field
+_HALF_UA_MA = 0.0005
+_HALF_AMPLITUDE_MA = 0.000125 * (1 + 1e-9)  # half a step of an amplitude
+_HALF_WEIGHT = (0.5 + 1e-6) / 32_768  # half a step of a weight, over what stands for a whole one
+_WEIGHT_PEAK = 32_767 / 32_768
+
+
+@dataclass(frozen=True, eq=False)
+class SharedKernels:
+    """Kernels of sites that may be on together, in any combination."""
+
+    operator: FrameOperator
+    sites: NDArray[np.intp]  # (A,)
+
+    @cached_property
+    def kernels(self) -> Array:
+        """Kernels (A, E) mA: row i gives site i its wish, and the others of the set nothing."""
+        return np.asarray(self.operator.independent(self.sites) * self._wish[:, None])
+
+    @property
+    def _wish(self) -> Array:
+        return self.operator.judge.wish_af[self.sites]
+
+    @cached_property
+    def excited(self) -> tuple[Array, Array]:
+        """What each kernel excites, (A, N) V/mm²: nodes of other classes, and of the own.
+
+        A node of the own class counts only if every active site is more than a pitch away: nearer
+        ones add nothing.
+        """
+        judge = self.operator.judge
+        others, own = self.kernels @ judge.others.T, np.maximum(self.kernels @ judge.own.T, 0)
+        for row, site in zip(own, self.sites, strict=True):
+            row[~judge.far(np.array([site]))] = 0
+        return np.maximum(others, 0), own
+
+    @property
+    def off_target(self) -> float:
+        """Upper bound of `FrameFigures.off_target` over all subsets."""
+        return self._against_targets(float(self.excited[0].sum(axis=0).max()))
+
+    @property
+    def spill(self) -> float:
+        """Upper bound of `FrameFigures.spill` over all subsets."""
+        return self._against_targets(float(self.excited[1].sum(axis=0).max()))
+
+    @cached_property
+    def totals_ma(self) -> Array:
+        """Total current of the kernel of each site, (A,); their sum bounds that of any subset."""
+        return np.asarray(np.abs(self.kernels).sum(axis=1) / 2)
+
+    @cached_property
+    def electrode_ma(self) -> Array:
+        """Upper bound of the current of each electrode over all subsets, (E,)."""
+        positive = np.maximum(self.kernels, 0).sum(axis=0)
+        return np.asarray(np.maximum(positive, np.maximum(-self.kernels, 0).sum(axis=0)))
+
+    @cached_property
+    def weakest(self) -> float:
+        """Lower bound of an active target's fraction of its requested activation, over all subsets.
+
+        It is below 1 with as many wishes as electrodes: zero-sum currents cannot meet them all.
+        """
+        return float((self._reached / self._wish).min())
+
+    def _against_targets(self, reached: float) -> float:
+        """Return a value over the least activation of a target; infinite if that is zero."""
+        return reached / self.smallest if self.smallest > 0 else np.inf
+
+    @cached_property
+    def smallest(self) -> float:
+        """Lower bound of the activation of an active target of level 1, over all subsets, V/mm²."""
+        return float(self._reached.min())
+
+    @cached_property
+    def _reached(self) -> Array:
+        each = self.operator.judge.target[self.sites] @ self.kernels.T
+        own = np.diag(each)
+        return np.asarray(own + np.minimum(each - np.diag(own), 0).sum(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Certainty:
+    """Bounds over all subsets of N sets, in V/mm², of currents as they are sent, all rounding
+    included.
+
+    A slot asks kernel k, of peak p_k, for c_k K_k mA, where c_k is aim times intensity times level.
+    What is sent differs by three errors, each with an exact bound (`KernelLists.current_ua`):
+
+    - Amplitudes are whole quarters of a µA: c_k is off by at most e_k, an eighth of a µA over p_k.
+    - Weights are whole parts of 32,767: all currents are smaller by φ = 32,767/32,768, and each
+      kernel's sum of currents from electrode 0 to any other is off by at most half a part. Those of
+      a slot, whose peaks add up to P at most, are off by P/65,536 together.
+    - The sum of currents from electrode 0 to any other is rounded to whole µA: by half a µA.
+
+    The last two are an error h of the running sum, which is 0 at the last electrode. By summation
+    by parts a row g of a field is then off by at most h Σ|g_j − g_j+1|. A node of another class
+    gets at most Σ_k (c_k + e_k) max(g·K_k, 0) + h Σ|g_j − g_j+1|; target i, over its level, at
+    least φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] − h Σ|T_j − T_j+1|. Currents that
+    are added up in doubles and rounded once, as for boards that keep no kernels, have less error.
+    """
+
+    # (2, N) most that nodes of other classes and of the own get, per intensity
+    reached: Array
+    rounding: Array  # (2, N) most that rounding adds to it
+    target: Array  # (N,) least that the weakest target gets, scaled to level 1, per intensity
+    lost: Array  # (N,) most that rounding takes from it
+    total_ua: float  # most that rounding adds to the total current of a slot
+
+    @classmethod
+    def of(
+        cls, sets: Sequence[SharedKernels], aim: float, faintest: float, most_ma: float
+    ) -> "Certainty":
+        """Return the bounds for levels from ``faintest`` to 1, targets at ``aim`` of theirs, and
+        slots of a total current of ``most_ma``."""
+        found = [cls._of_one(each, aim, faintest, most_ma) for each in sets]
+        columns = np.array(found, np.float64).reshape(-1, 7).T
+        return cls(
+            columns[:2], columns[2:4], columns[4], columns[5], float(columns[6].max(initial=0))
+        )
+
+    @staticmethod
+    def _of_one(
+        kernels: SharedKernels, aim: float, faintest: float, most_ma: float
+    ) -> tuple[float, ...]:
+        judge = kernels.operator.judge
+        peaks_ma = np.abs(kernels.kernels).max(axis=1)
+        error = _HALF_AMPLITUDE_MA / peaks_ma
+        # A kernel's peak is no more than its total.
+        peak_ma = min(most_ma, float(aim * peaks_ma.sum())) + len(peaks_ma) * _HALF_AMPLITUDE_MA
+        running_ma = _HALF_UA_MA + peak_ma * _HALF_WEIGHT
+        rows = judge.target[kernels.sites]
+        each = rows @ kernels.kernels.T
+        own = np.diag(each)
+        against = np.minimum(each - np.diag(own), 0)
+        # What is fainter than another point gets so much more of what that one's kernel does.
+        least = own + against.sum(axis=1) / faintest
+        lost = own * error - against @ error
+        lost += running_ma * np.abs(np.diff(rows, axis=1)).sum(axis=1)
+        reached = (aim * _SINGLE * each.sum(axis=0).max() for each in kernels.excited)
+        rounding = (
+            _SINGLE * (error @ each).max() + running_ma * steps
+            for each, steps in zip(kernels.excited, judge.uneven_af, strict=True)
+        )
+        total_ma = running_ma * len(judge.full_ma) + error @ kernels.totals_ma
+        return (
+            *reached,
+            *rounding,
+            aim * _WEIGHT_PEAK * float(least.min()),
+            float(lost.max()) / faintest,
+            1000 * float(total_ma),
+        )
+
+    def figures(self, intensity: float) -> Array:
+        """Return the upper bounds of `FrameFigures.off_target` and `spill` of each set, (2, N)."""
+        weakest = intensity * self.target - self.lost
+        most = intensity * self.reached + self.rounding
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.where(weakest > 0, most / np.maximum(weakest, 0), np.inf))
+
+    def least(self, bounds: FrameBounds) -> float:
+        """Return the intensity from which bounds are kept; infinite if never."""
+        most = np.array([[bounds.other], [bounds.spill]])
+        room = most * self.target - self.reached
+        needed = self.rounding + most * self.lost
+        if (room <= 0).any():
+            return np.inf
+        return float((needed / room).max(initial=0))
+
+
+def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
+    """Return a grid's sites by rows and columns modulo a step; DesignError if it is no grid."""
+    array, driven = operator.judge.profile.electrodes, operator.judge.profile.driven
+    x, column = np.unique(array.position_mm[:, 0].round(6), return_inverse=True)
+    y, row = np.unique(array.position_mm[:, 1].round(6), return_inverse=True)
+    if len(x) * len(y) != len(array):
+        message = "color classes are for grids: give the sites of each set by yourself"
+        raise DesignError(message)
+    color = (row % step) * step + column % step
+    sets = (driven[color[driven] == each] for each in range(step * step))
+    return [SharedKernels(operator, sites) for sites in sets if len(sites)]
+
+
+def provable(profile: Profile) -> bool:
+    """Return whether sets of an array may be proved: it is a grid, and not too large."""
+    return profile.array.layout == "grid" and len(profile.electrodes) <= MOST_PROVED
+
+
+def proved_sets(judge: FrameJudge, bounds: FrameBounds) -> list[SharedKernels]:
+    """Return few sets of sites whose subsets all keep the bounds with targets aimed at `AIM`.
+
+    Limits of single electrodes are kept too, the total current is not checked. None are returned
+    where the array is no grid or large, or nothing could be proved.
+    """
+    if not provable(judge.profile):
+        return []
+    aim, operator = 1 - AIM * bounds.uneven, FrameOperator(judge)
+    for step in _STEPS:
+        sets = color_classes(operator, step)
+        if all(
+            each.off_target <= bounds.other
+            and each.spill <= bounds.spill
+            and aim * each.weakest >= 1 - bounds.uneven
+            and (aim * each.electrode_ma <= judge.full_ma).all()
+            for each in sets
+        ):
+            return sets
+    return []

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ProfileError
-from smarttouch.physiology.driving_function import DrivingFunction, load_driving
+from smarttouch.physiology.membrane import DrivingFunction, load_driving
 from smarttouch.profile.toml_tables import Positive, Table, load_model
 
 _SHIPPED = Path(__file__).with_name("anatomies")

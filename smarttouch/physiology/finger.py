@@ -14,11 +14,11 @@ from smarttouch.base.errors import ProfileError, require_within
 from smarttouch.physiology import activating_function as nominal
 from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import Anatomy, ClassAnatomy, load_anatomy
-from smarttouch.physiology.driving_function import DrivingFunction
+from smarttouch.physiology.membrane import DrivingFunction
 from smarttouch.profile import Profile, load_profile
 
 if TYPE_CHECKING:
-    from smarttouch.physiology.response import Feeling
+    from smarttouch.physiology.spikes import Feeling
 
 Array = NDArray[np.float64]
 
@@ -133,7 +133,7 @@ class Finger:
         seed : int
             Of the noise from pulse to pulse.
         """
-        from smarttouch.physiology.response import feel
+        from smarttouch.physiology.spikes import feel
 
         return feel(self, given, seed)
 

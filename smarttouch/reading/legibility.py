@@ -20,15 +20,16 @@ from smarttouch.imaging.line_picture import LinePicture
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import (
+from smarttouch.physiology.spikes import (
     FIELD_MM,
     ResponseQuality,
+    SlotCurrents,
+    SpikeModel,
     delivered_spikes,
     ignore_nan,
     response_map,
     response_quality,
 )
-from smarttouch.physiology.spikes import SlotCurrents, SpikeModel
 from smarttouch.profile import Profile
 from smarttouch.reading.letter_shapes import ALPHABET, draw_letter, require_rows, shape_line
 from smarttouch.reading.line_source import LineMotion, ReadingSource, TouchLine

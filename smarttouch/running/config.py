@@ -134,7 +134,7 @@ class RunConfig(Table):
         elif isinstance(self.scan, SlotPolicy):
             sharing = self.scan
         else:
-            from smarttouch.kernels.proved_sets import provable
+            from smarttouch.kernels.selectivity import provable
 
             shares = not self.hold and provable(profile)
             sharing = SlotPolicy((Afferent.RA,)) if shares else NO_SHARING

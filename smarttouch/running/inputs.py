@@ -22,8 +22,7 @@ from smarttouch.boards.board import Board
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.sources.force import ForceSource
-from smarttouch.sources.given_sources import checked_input
-from smarttouch.sources.source_contract import Frame, Input, Source
+from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 
 STEP = 0.05  # change of level by one press of a key
 

@@ -30,8 +30,14 @@ from smarttouch.profile import Profile
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.loop import Loop
 from smarttouch.running.step import Listener, RunContext, StepResult
-from smarttouch.sources.given_sources import checked_activation, gray_image
-from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
+from smarttouch.sources.source_contract import (
+    Frame,
+    Input,
+    Source,
+    Stimulus,
+    checked_activation,
+    gray_image,
+)
 from smarttouch.stimulation.pulse_rates import force_gate
 
 STEADY = 0.98  # part of a level that counts as reached

@@ -30,10 +30,15 @@ from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import recorded_settings
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import Listener, RunContext, Step, StepResult, as_listeners
-from smarttouch.sources import open_source, options_taken
+from smarttouch.sources import open_source, options_taken, source_of
 from smarttouch.sources.force import ForceSource, open_force
-from smarttouch.sources.given_sources import Given, Imaging, OwnImaging, checked_input, source_of
-from smarttouch.sources.source_contract import Source
+from smarttouch.sources.source_contract import (
+    Given,
+    Imaging,
+    OwnImaging,
+    Source,
+    checked_input,
+)
 from smarttouch.stimulation.safety_limits import rms_ma_cm2
 from smarttouch.stimulation.sequence_limits import Dose
 

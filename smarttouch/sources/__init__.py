@@ -2,16 +2,19 @@
 
 import inspect
 import re
+from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from smarttouch.base.errors import SourceError
 from smarttouch.base.files import file_at, named_file
 from smarttouch.base.registry import Registry, unknown
 from smarttouch.base.url_options import given_options, joined_options, read_options
 from smarttouch.profile import Profile, load_profile
-from smarttouch.sources.source_contract import Source
+from smarttouch.sources.source_contract import Given, Images, Source
 
 SOURCES = Registry(
     "smarttouch.sources",
@@ -113,3 +116,38 @@ def open_source(
     SOURCES.require_kind(source, url)
     source.url = url
     return source
+
+
+def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) -> Source:
+    """Return the source that a program asks for.
+
+    Parameters
+    ----------
+    given : Source, str, Path, ndarray or iterable
+        A source; its URL; the path of an image, document, video, folder of images or recording;
+        images (N, H, W) uint8 or, in color, (N, H, W, 3); or an iterable of images or frames.
+    profile : Profile
+        Its optics and the finger's force.
+    light_on_dark : bool
+        Whether print is lighter than paper.
+
+    Raises
+    ------
+    SourceError
+        If it is nothing of these, or cannot be opened.
+    """
+    if isinstance(given, Source):
+        return given
+    if isinstance(given, str | Path):
+        url = given if isinstance(given, str) else f"{kind_of(given)}:{given}"
+        return open_source(url, profile, light_on_dark=light_on_dark)
+    if isinstance(given, np.ndarray) and given.ndim < 3:
+        raise SourceError(
+            f"an array of {given.dtype} {given.shape} is no row of images: give (N, H, W) uint8"
+        )
+    if not isinstance(given, Iterable) or isinstance(given, bytes | dict):
+        raise SourceError(
+            f"a {type(given).__name__} is no source: give a Source, a URL such as 'text:Hello', a "
+            "path, or images"
+        )
+    return Images(given, profile)

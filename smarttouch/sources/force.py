@@ -2,7 +2,7 @@
 
 ``hx711:`` reads lines of text as Arduino sketches for the HX711 print them, at 57,600
 baud as in the examples of its library; ``hx711:PORT?baud=115200`` sets another speed.
-``loadcell:`` reads FORCE packets of `smarttouch.sources.sensor_protocol`.
+``loadcell:`` reads FORCE packets of `smarttouch.sources.serial_array`.
 
 The profile's ``force.curve`` turns readings into newtons.
 """
@@ -23,7 +23,7 @@ from smarttouch.base.registry import Registry
 from smarttouch.base.stopping import Closing
 from smarttouch.base.wire.port import LINE_ERRORS, Port, open_port
 from smarttouch.profile import Profile
-from smarttouch.sources.sensor_protocol import PacketReadings, TextReadings, read_available
+from smarttouch.sources.serial_array import PacketReadings, TextReadings, read_available
 from smarttouch.sources.source_contract import Device, DeviceWarnings
 
 LARGEST_FIXED_N = 20.0

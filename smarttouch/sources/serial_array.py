@@ -1,19 +1,313 @@
-"""``serial-array:PORT``: a patch of photo-transistors or an optical-mouse sensor on a serial line.
+"""Wire format of sensors; a specification for firmware.
 
-The device streams frames of up to 255 × 255 pixels in the format of
-`smarttouch.sources.sensor_protocol`. Of several frames that
-arrive together the newest is taken and the others are counted.
+The device streams on its own, over a USB or any other serial line; the host sends
+nothing. A packet is COBS-encoded and ends with one 0x00, so a receiver that has
+lost its place resynchronizes at the next zero. Decoded, all little endian::
+
+    u8  version = 1
+    u8  type
+    u32 number      counts the packets of its type from 0 on and wraps; a gap
+                    gives the number of lost ones
+    ... payload
+    u32 CRC-32      (IEEE 802.3) of all before it
+
+==== ===== ==================================================================
+type name  payload
+==== ===== ==================================================================
+0x41 FRAME u8 rows H, u8 columns W, u32 device time µs, u8 pixels [H][W]: row
+           by row from the top left, 0 black to 255 white, as seen on the page
+0x42 FORCE i32 reading of the load cell, u32 device time µs; the reading
+           −2147483648 means none
+==== ===== ==================================================================
+
+What a device does:
+
+- It sends a FRAME as soon as it has one, whole, and never queues: one that cannot
+  be sent in time is dropped, and its number with it.
+- Device time is when the frame or reading was taken, on any clock that does not
+  stop; it wraps after 71.6 minutes. The host counts age from the arrival.
+- A device with a patch and a load cell may send both over one line. Packets of other
+  types are ignored.
+
+A FRAME of 64 × 64 is up to 4,130 bytes on the line, so 200 a second need 826 kB/s: USB.
+921,600 baud carry 22 of them a second, 88 of 32 × 32, 335 of 16 × 16 and 2,700 of 4 × 4.
+
+Text is what HX711 sketches print, one reading to a line::
+
+    HX711 reading: -8388        the library's own example
+    Reading: 12.34 g
+    one reading:        4.5     | average:      4.6
+    0.00 kg
+
+The first number that is not part of a word counts, so the 711 of ``HX711`` does not. A line
+that ends with a colon is a label, its value comes in the next one. Text has no checksum: a
+lost digit passes for a smaller number. A FORCE packet has one.
 """
 
 import contextlib
+import math
+import re
+import struct
 import time
+from dataclasses import dataclass
+from enum import IntEnum
 
-from smarttouch.base.errors import SourceError
-from smarttouch.base.wire.port import LINE_ERRORS, Port, open_port
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import SourceError, SourceLostError
+from smarttouch.base.wire.framing import Deframer, WirePacket, frame_packet
+from smarttouch.base.wire.port import LINE_ERRORS, Port, open_port, reason
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
-from smarttouch.sources.sensor_protocol import ArrayFrame, MessageStream, gap, read_available
 from smarttouch.sources.source_contract import DeviceWarnings
+
+VERSION = 1
+MOST_PIXELS_A_SIDE = 255
+NO_READING = -(2**31)
+LARGEST_BODY = MOST_PIXELS_A_SIDE**2 + 16  # most bytes of a packet, with head and CRC
+NUMBERS = 2**32
+
+_FRAME = struct.Struct("<BBI")
+_FORCE = struct.Struct("<iI")
+
+
+class PacketKind(IntEnum):
+    """Types of packets."""
+
+    FRAME = 0x41
+    FORCE = 0x42
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayFrame:
+    """One frame of a sensor array, read-only; number and device time are modulo 2³²."""
+
+    number: int
+    time_us: int
+    image: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class CellReading:
+    """One reading of a load cell; None where the device has none."""
+
+    number: int
+    time_us: int
+    reading: int | None
+
+
+Message = ArrayFrame | CellReading
+
+
+def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
+    """Return a frame, (H, W) uint8 with 1 to 255 rows and columns, in its wire format."""
+    if image.ndim != 2 or image.dtype != np.uint8:
+        raise SourceError(
+            f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}"
+        )
+    rows, columns = image.shape
+    if not (1 <= rows <= MOST_PIXELS_A_SIDE and 1 <= columns <= MOST_PIXELS_A_SIDE):
+        raise SourceError(
+            f"a frame on the wire has 1 to {MOST_PIXELS_A_SIDE} rows and columns, "
+            f"not {rows} x {columns}"
+        )
+    head = _FRAME.pack(rows, columns, time_us % NUMBERS)
+    return frame_packet(VERSION, PacketKind.FRAME, number % NUMBERS, head + image.tobytes())
+
+
+def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
+    """Return a load cell's reading in its wire format."""
+    value = NO_READING if reading is None else reading
+    if not NO_READING <= value < 2**31:
+        raise SourceError(f"reading {value} does not fit 32 bits: scale it down")
+    payload = _FORCE.pack(value, time_us % NUMBERS)
+    return frame_packet(VERSION, PacketKind.FORCE, number % NUMBERS, payload)
+
+
+def decode(packet: WirePacket) -> Message | None:
+    """Return a packet's message; None if it is malformed or of an unknown kind or version."""
+    if packet.version != VERSION:
+        return None
+    if packet.kind == PacketKind.FRAME:
+        return _decode_frame(packet.number, packet.payload)
+    if packet.kind == PacketKind.FORCE and len(packet.payload) == _FORCE.size:
+        value, time_us = _FORCE.unpack(packet.payload)
+        return CellReading(packet.number, time_us, None if value == NO_READING else value)
+    return None
+
+
+def _decode_frame(number: int, payload: bytes) -> ArrayFrame | None:
+    if len(payload) < _FRAME.size:
+        return None
+    rows, columns, time_us = _FRAME.unpack_from(payload)
+    if not rows * columns or len(payload) != _FRAME.size + rows * columns:
+        return None
+    pixels = np.frombuffer(payload, np.uint8, offset=_FRAME.size)
+    return ArrayFrame(number, time_us, pixels.reshape(rows, columns))
+
+
+def gap(before: int, number: int) -> int:
+    """Return the number of packets missing between two numbers.
+
+    A device that has restarted, or an old packet, is no gap.
+    """
+    missing = (number - before - 1) % NUMBERS
+    return missing if missing < NUMBERS // 2 else 0
+
+
+class MessageStream:
+    """Parser of messages in a stream that may start in the middle of one.
+
+    ``broken`` counts pieces between zeros that were no packet or a malformed one, but not the
+    first, which may have lost its start. Packets of other kinds are ignored.
+    """
+
+    def __init__(self) -> None:
+        self.broken: int = 0
+        self._deframer = Deframer(LARGEST_BODY)
+        self._begun = False
+
+    def feed(self, data: bytes) -> list[Message]:
+        """Return the messages completed by these bytes."""
+        messages: list[Message] = []
+        before = self._deframer.errors
+        for packet in self._deframer.feed(data):
+            self._begin()
+            message = decode(packet)
+            if message is not None:
+                messages.append(message)
+            elif packet.version != VERSION or packet.kind in set(PacketKind):
+                self.broken += 1
+        if self._deframer.errors > before:
+            self._begin()
+        self.broken += self._deframer.errors - before
+        return messages
+
+    def _begin(self) -> None:
+        if not self._begun:
+            self.broken -= min(1, self._deframer.errors)
+            self._begun = True
+
+
+_LARGEST_READ = 65536
+
+
+def read_available(port: Port, title: str) -> bytes:
+    """Return the bytes that have arrived; wait for the first up to the port's timeout."""
+    try:
+        # Waiting for one byte more than has arrived would take the whole timeout.
+        data = bytes(port.read(port.in_waiting or 1))
+        # Over TCP pyserial never reports how much has arrived.
+        wire = getattr(port, "_socket", None)
+        if data and wire is not None:
+            with contextlib.suppress(BlockingIOError):
+                data += wire.recv(_LARGEST_READ)
+    except LINE_ERRORS as error:
+        raise SourceLostError(f"{title} was disconnected: {reason(error)}") from None
+    return data
+
+
+LONGEST_LINE = 240
+LARGEST_READING = 1e9  # largest plausible reading; the converter itself ends at 8,388,607
+_NUMBER = re.compile(rb"(?<![\w.+-])[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?(?![\d.])")
+_NOT_A_NUMBER = re.compile(rb"(?<!\w)[+-]?(?:nan|inf|ovf)(?!\w)", re.IGNORECASE)
+_TEXT = re.compile(rb"[\t\x20-\x7e]*")
+
+
+def parse_line(line: bytes) -> float | None:
+    """Return the reading of a line without its end; NaN if it reports none, None if it is
+    invalid.
+    """
+    if not _TEXT.fullmatch(line):
+        return None
+    number, none = _NUMBER.search(line), _NOT_A_NUMBER.search(line)
+    if none is not None and (number is None or none.start() < number.start()):
+        return math.nan
+    if number is None:
+        return None
+    value = float(number[0])
+    return value if abs(value) <= LARGEST_READING else math.nan
+
+
+class TextReadings:
+    """Readings in lines of text.
+
+    The first line is ignored, as it may have lost its start, and so is the first reading after
+    bytes that are no text, as garbage has digits, too.
+    """
+
+    def __init__(self) -> None:
+        self.garbled: int = 0
+        self.last_garbled: str = ""
+        self.restart()
+
+    def restart(self) -> None:
+        """Discard a partial reading: the line was interrupted."""
+        self._waiting = bytearray()
+        self._skipping = True
+        self._in_doubt = False
+
+    def feed(self, data: bytes) -> list[float]:
+        """Return the readings of all lines completed by these bytes."""
+        *whole, rest = data.replace(b"\r", b"\n").split(b"\n")
+        readings: list[float] = []
+        for piece in whole:
+            line = bytes(self._waiting) + piece
+            self._waiting.clear()
+            skipped, self._skipping = self._skipping, False
+            if not skipped:
+                readings += self._read(line)
+        self._waiting += rest
+        if len(self._waiting) > LONGEST_LINE:
+            if not self._skipping:
+                self._count(bytes(self._waiting))
+                self._in_doubt = True
+            self._waiting.clear()
+            self._skipping = True
+        return readings
+
+    def _read(self, line: bytes) -> list[float]:
+        """Return the reading of a whole line, if it is plausible."""
+        line = line.strip()
+        if not line or (line.endswith(b":") and _TEXT.fullmatch(line)):
+            return []
+        reading = parse_line(line)
+        if reading is None:
+            self._in_doubt = self._in_doubt or not _TEXT.fullmatch(line)
+            self._count(line)
+            return []
+        doubted, self._in_doubt = self._in_doubt, False
+        return [] if doubted else [reading]
+
+    def _count(self, line: bytes) -> None:
+        self.garbled += 1
+        self.last_garbled = ascii(line[:40].decode("latin-1"))
+
+
+class PacketReadings:
+    """Readings in packets of the sensors' own format."""
+
+    def __init__(self) -> None:
+        self.garbled: int = 0
+        self.last_garbled = "a broken packet"
+        self.restart()
+
+    def restart(self) -> None:
+        """Discard a partial reading: the line was interrupted."""
+        self._stream = MessageStream()
+
+    def feed(self, data: bytes) -> list[float]:
+        """Return the readings of all packets completed by these bytes."""
+        before = self._stream.broken
+        values = [
+            message.reading
+            for message in self._stream.feed(data)
+            if isinstance(message, CellReading)
+        ]
+        self.garbled += self._stream.broken - before
+        return [math.nan if value is None else float(value) for value in values]
+
 
 USUAL_BAUD = 921_600  # default speed of lines that have one; over USB it has no effect
 _WAIT_S = 0.05  # longest single read
@@ -113,5 +407,5 @@ class SerialArrayDevice(ImageDevice):
             raise SourceError(
                 f"{self._name} sends no frames: check its speed (now "
                 f"{self._baud} baud) and that the device sends the format of "
-                "smarttouch/sources/sensor_protocol.py"
+                "smarttouch/sources/serial_array.py"
             )

@@ -9,8 +9,14 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.kernels.proved_sets import AIM, Certainty, proved_sets
-from smarttouch.kernels.selectivity import FrameBounds, FrameJudge, full_wish
+from smarttouch.kernels.selectivity import (
+    AIM,
+    Certainty,
+    FrameBounds,
+    FrameJudge,
+    full_wish,
+    proved_sets,
+)
 from smarttouch.profile import Profile
 from smarttouch.stimulation.point_slots import Slots, constant_us, perceived_at
 from smarttouch.stimulation.scan_sequence import (

@@ -19,7 +19,7 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.pages.page_image import INCH_MM
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import FIELD_MM, MOST_SLOTS, Counts, delivered_spikes, in_color
+from smarttouch.physiology.spikes import FIELD_MM, MOST_SLOTS, Counts, delivered_spikes, in_color
 from smarttouch.profile import Profile
 from smarttouch.running.delivered import DeliveredResponses
 from smarttouch.running.step import Listener, RunContext, StepResult

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from smarttouch.experiments.force_curve import STANDARD_GRAVITY
+from smarttouch.experiments.calibration import STANDARD_GRAVITY
 from smarttouch.experiments.sensor_optics import picture
 
 

@@ -13,13 +13,15 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import CalibrationError, LineLostError, ProfileError
 from smarttouch.base.files import data_folder
 from smarttouch.boards.reports import Impedance
-from smarttouch.experiments.contact import (
+from smarttouch.experiments.calibration import (
     MOST_LOSSES,
+    ProfileFile,
+    file_to_calibrate,
+    fit_curve,
     judge_contact,
     measure_contact,
+    weigh,
 )
-from smarttouch.experiments.force_curve import fit_curve, weigh
-from smarttouch.experiments.profile_file import ProfileFile, file_to_calibrate
 from smarttouch.profile import list_profiles, load_profile
 
 from ..support.checks import raises

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import CalibrationError, ExperimentError, LineLostError
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.open import MemoryDriver
-from smarttouch.experiments.profile_file import file_to_calibrate
+from smarttouch.experiments.calibration import file_to_calibrate
 from smarttouch.experiments.thresholds import (
     MOST_HURRIED,
     STOP_KEYS,

@@ -28,8 +28,7 @@ from smarttouch.instruments.color_mix import (
     stimulated,
     thinned,
 )
-from smarttouch.instruments.receptor_responses import split_trace
-from smarttouch.instruments.skin_trace import open_trace
+from smarttouch.instruments.skin_trace import open_trace, split_trace
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile, load_profile
 from smarttouch.running.config import RunConfig

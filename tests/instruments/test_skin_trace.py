@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError, SmartTouchError
-from smarttouch.instruments.receptor_responses import SPAN_DB, split_trace
-from smarttouch.instruments.skin_trace import SAMPLE_HZ, Trace, open_trace
+from smarttouch.instruments.skin_trace import SAMPLE_HZ, SPAN_DB, Trace, open_trace, split_trace
 from smarttouch.physiology.vibration_thresholds import threshold_um
 
 from ..support.checks import raises

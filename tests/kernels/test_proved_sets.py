@@ -8,14 +8,16 @@ from hypothesis import strategies as st
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
 from smarttouch.kernels.design_problem import Problem
-from smarttouch.kernels.proved_sets import (
+from smarttouch.kernels.selectivity import (
     Certainty,
+    FrameBounds,
+    FrameJudge,
     FrameOperator,
     SharedKernels,
     color_classes,
+    full_wish,
     proved_sets,
 )
-from smarttouch.kernels.selectivity import FrameBounds, FrameJudge, full_wish
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.scan_sequence import (
     KernelLists,

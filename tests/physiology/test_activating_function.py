@@ -11,20 +11,18 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
 from smarttouch.physiology import activating_function
 from smarttouch.physiology.activating_function import (
+    Field,
     af_matrix,
     along_axon,
-    everywhere,
-    field_at,
-    potential_mv,
-    targets,
-)
-from smarttouch.physiology.potential import (
-    Field,
     annulus,
     disc,
+    everywhere,
+    field_at,
     line_in_plane,
     point,
+    potential_mv,
     rectangle,
+    targets,
 )
 from smarttouch.profile import list_profiles, load_profile
 

@@ -14,10 +14,9 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ProfileError
 from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import load_anatomy
-from smarttouch.physiology.driving_function import FIBERS, load_driving
 from smarttouch.physiology.finger import Finger, axon_path_points
-from smarttouch.physiology.response import response_quality
-from smarttouch.physiology.spikes import NodeDrives, SpikeModel
+from smarttouch.physiology.membrane import FIBERS, load_driving
+from smarttouch.physiology.spikes import NodeDrives, SpikeModel, response_quality
 from smarttouch.profile import load_profile
 
 from ..fit_fibers import fiber_fit

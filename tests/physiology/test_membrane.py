@@ -9,9 +9,16 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from smarttouch.base.errors import DesignError
-from smarttouch.physiology.driving_function import FIBERS, load_driving, passes
-from smarttouch.physiology.membrane import Axon, Fiber, threshold_ma, weiss_fit
-from smarttouch.physiology.potential import disc_potential
+from smarttouch.physiology.activating_function import disc_potential
+from smarttouch.physiology.membrane import (
+    FIBERS,
+    Axon,
+    Fiber,
+    load_driving,
+    passes,
+    threshold_ma,
+    weiss_fit,
+)
 
 from ..fit_fibers import fiber_fit
 from ..support.checks import raises

@@ -15,14 +15,15 @@ import smarttouch
 from smarttouch.base.errors import SourceError
 from smarttouch.profile import load_profile
 from smarttouch.running.check_recording import assert_replays
-from smarttouch.sources import open_source, source_url
-from smarttouch.sources.given_sources import (
+from smarttouch.sources import open_source, source_of, source_url
+from smarttouch.sources.serial_array import encode_frame
+from smarttouch.sources.source_contract import (
+    Frame,
+    OpticalSource,
+    Stimulus,
     checked_activation,
     gray_image,
-    source_of,
 )
-from smarttouch.sources.sensor_protocol import encode_frame
-from smarttouch.sources.source_contract import Frame, OpticalSource, Stimulus
 from smarttouch.testing.source_contracts import SourceContract
 
 from ..support.checks import raises

@@ -14,7 +14,7 @@ from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.base.wire.framing import Deframer, WirePacket, frame_packet
 from smarttouch.sources import open_source, serial_array
-from smarttouch.sources.sensor_protocol import (
+from smarttouch.sources.serial_array import (
     LARGEST_BODY,
     NO_READING,
     VERSION,
@@ -22,12 +22,12 @@ from smarttouch.sources.sensor_protocol import (
     CellReading,
     MessageStream,
     PacketKind,
+    SerialArrayDevice,
     decode,
     encode_force,
     encode_frame,
     gap,
 )
-from smarttouch.sources.serial_array import SerialArrayDevice
 
 from ..support.checks import numbers_in, raises
 from ..support.runs import until

@@ -8,8 +8,7 @@ from PIL import Image
 
 import smarttouch as st
 from smarttouch.pages.page_image import Page
-from smarttouch.physiology.response import DeliveredSlots, delivered_spikes
-from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.physiology.spikes import DeliveredSlots, SpikeModel, delivered_spikes
 from smarttouch.sources.source_contract import Pose, Sheet
 from smarttouch.views.delivered_drawing import PageDrawing, SpikeMap
 

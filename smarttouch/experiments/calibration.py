@@ -1,0 +1,437 @@
+"""What is measured of a device: contact, the line of a load cell; and the profile that keeps it."""
+
+import math
+import os
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, MutableMapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+
+from smarttouch.base import __version__
+from smarttouch.base.errors import CalibrationError, LineLostError, ProfileError
+from smarttouch.base.files import (
+    MOST_TOML_BYTES,
+    read_text,
+    read_toml,
+    require_replaceable,
+    write_bytes,
+)
+from smarttouch.boards.board import Board
+from smarttouch.boards.reports import Condition, Impedance
+from smarttouch.experiments.procedures import middle_and_spread
+from smarttouch.profile import ForceLaw, Profile, load_profile
+from smarttouch.profile.toml_files import difference, in_rows, profile_of, profile_path
+from smarttouch.sources.force import open_cell
+
+Value = str | float | Sequence[float]
+
+_LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "scipy": "scipy"}
+
+
+class ProfileFile:
+    """Edit of ``profile``, a shipped one or a file, to a ``.toml`` file.
+
+    Everything but the keys that are set stays as it is, comments included. The output may be there
+    already with ``overwrite``; with ``update`` it is what it begins as, and is replaced unless it
+    changes meanwhile. Raises ProfileError if the start is no profile, and CalibrationError if the
+    output may not be written, before anything is measured.
+    """
+
+    def __init__(
+        self, start: str, output: Path, overwrite: bool = False, *, update: bool = False
+    ) -> None:
+        source = profile_path(start)
+        self._text, self._document, profile = _begin(source)
+        self.profile: Profile = profile
+        self.output: Path = output
+        self._update, self._overwrite = update, overwrite
+        if output.suffix != ".toml":
+            raise CalibrationError(
+                f"the new profile {output} must end in .toml: give another --output"
+            )
+        if not output.absolute().parent.is_dir():
+            raise CalibrationError(f"cannot write {output}: its folder does not exist: make it")
+        self._require_free(output)
+        if (named := self._table("optics").get("flat_field")) is not None:
+            found = (source.parent / str(named)).resolve()
+            self.set("optics.flat_field", os.path.relpath(found, output.absolute().parent))
+
+    def beside(self, ending: str) -> Path:
+        """Return the path of a file that belongs to the output."""
+        return self.output.with_name(f"{self.output.stem}.{ending}")
+
+    def set(self, key: str, value: Value) -> None:
+        """Change one key, such as ``force.curve``."""
+        table, _, name = key.partition(".")
+        self._table(table)[name] = value if isinstance(value, str | int | float) else in_rows(value)
+
+    def note(self, what: str, found: str) -> None:
+        """Record time, versions and result of a calibration."""
+        used = [("smarttouch", __version__)]
+        used += [(name, version(package)) for name, package in _LIBRARIES.items()]
+        entry = tomlkit.table()
+        entry["when"] = datetime.now(UTC).replace(microsecond=0)
+        entry["versions"] = ", ".join(f"{name} {number}" for name, number in used)
+        entry["found"] = found
+        if "calibrated" not in self._document:
+            self._document["calibrated"] = tomlkit.table(is_super_table=True)
+        self._table("calibrated")[what] = entry
+
+    def write(self, others: Mapping[Path, bytes] | None = None) -> Profile:
+        """Write the profile and the files that go with it; return it as it loads."""
+        for path in (self.output, *(others or {})):
+            self._require_free(path)
+        text = tomlkit.dumps(self._document)
+        try:
+            profile_of(tomllib.loads(text), self.output)
+        except ProfileError as error:
+            said = str(error).removeprefix(f"{self.output}: ")
+            raise CalibrationError(
+                f"what was measured is no valid profile, so nothing was written: {said}",
+                electrode=error.electrode,
+            ) from None
+        # The profile comes last: the files it names are there before it is.
+        for path, data in {**(others or {}), self.output: text.encode()}.items():
+            write_bytes(path, data, CalibrationError)
+        return load_profile(self.output)
+
+    def _require_free(self, path: Path) -> None:
+        require_replaceable(path, CalibrationError)
+        if self._update and path == self.output:
+            if read_text(path, CalibrationError, MOST_TOML_BYTES) != self._text:
+                raise CalibrationError(
+                    f"{path} was changed meanwhile, nothing was written: repeat the command"
+                )
+        elif path.exists() and not self._overwrite:
+            raise CalibrationError(f"{path} exists already: give another file, or add --overwrite")
+
+    def _table(self, name: str) -> MutableMapping[str, Any]:
+        table = self._document[name]
+        # A table, or the proxy of one whose parts are scattered over the file.
+        assert isinstance(table, MutableMapping)
+        return table
+
+
+def file_to_calibrate(
+    part: str,  # calibration
+    # profile that was asked for; where the output is there, one that differs from it in
+    # calibrations only
+    start: str | None,
+    usual: str,  # what a new output begins as where no profile was asked for
+    output: Path,
+    overwrite: bool = False,  # whether the part may be there already
+    *,
+    # whether nothing real is measured: added to what was, only with ``overwrite``
+    simulated: bool = False,
+) -> ProfileFile:
+    """Return the profile that a calibration adds its part to, on its way to the output.
+
+    An output that exists is continued: all in it is kept but this part.
+    """
+    if not output.exists():
+        return ProfileFile(start or usual, output, overwrite)
+    require_replaceable(output, CalibrationError)
+    file = ProfileFile(str(output), output, overwrite, update=True)
+    key = None if start is None else difference(file.profile, _begin(profile_path(start))[-1])
+    if key is not None:
+        raise CalibrationError(
+            f"{output} is there, and differs from {start} in {key}: continue from what is there, "
+            "or give another file to --output"
+        )
+    if part in file.profile.calibrated and not overwrite:
+        raise CalibrationError(
+            f"{output} has its {part} already: --overwrite replaces that and keeps the rest, "
+            "--output writes another file"
+        )
+    notes = file.profile.calibrated
+    measured = [name for name in notes if not notes[name].found.startswith("simulated")]
+    if simulated and measured and not overwrite:
+        raise CalibrationError(
+            f"{output} has its {measured[0]} from a real finger or sensor: write a "
+            "simulation to another file, or overwrite it"
+        )
+    return file
+
+
+def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, Profile]:
+    """Return a profile as text, as document and as it loads."""
+    table, text = read_toml(path, ProfileError), read_text(path, ProfileError, MOST_TOML_BYTES)
+    try:
+        document = tomlkit.parse(text)
+    except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
+        raise ProfileError(f"{path} cannot be changed: {error}", key="file") from None
+    return text, document, profile_of(table, path)
+
+
+MOST_BROKEN = 0.5
+"""Largest part of open or shorted electrodes; with more, the finger lies beside the array."""
+MOST_RESTLESS = 0.5
+"""Largest spread of the median electrode over its median; with more, the finger moved."""
+MOST_LOSSES = 3  # times that a board may be lost while it measures
+
+
+@dataclass(frozen=True, eq=False)
+class ContactFound:
+    """Contact of each electrode."""
+
+    kohm: NDArray[np.float64]  # (E,): medians; infinite where open
+    # (E,): robust standard deviations; NaN of one measurement, or where open
+    spread_kohm: NDArray[np.float64]
+    # (E,): result of most measurements; ``unsure`` where they disagree
+    condition: tuple[Condition, ...]
+    repeats: int
+    current_ma: float
+
+    @property
+    def broken(self) -> list[int]:
+        """Electrodes that are open or shorted."""
+        return [i for i, each in enumerate(self.condition) if each in ("open", "short")]
+
+    def masked(self, profile: Profile) -> list[int]:
+        """Return the electrodes to mask: broken ones, and those that were masked before."""
+        return sorted({*profile.output.masked, *self.broken})
+
+    def impedances(self, profile: Profile) -> list[float]:
+        """Return an impedance for each electrode, kΩ: the median where none was measured."""
+        touching = np.isfinite(self.kohm) & ~np.isin(np.arange(len(self.kohm)), self.broken)
+        usual = float(np.median(self.kohm[touching]))
+        return [float(f"{each:.4g}") for each in np.where(touching, self.kohm, usual)]
+
+    def sentence(self) -> str:
+        """Return the sentence for the profile."""
+        good = np.array([each == "good" for each in self.condition])
+        low, middle, high = np.percentile(self.kohm[good], [0, 50, 100])
+        counts = [f"{good.sum()} good"]
+        for each in ("open", "short", "unsure"):
+            if at := [str(i) for i, has in enumerate(self.condition) if has == each]:
+                counts.append(f"{len(at)} {each} (electrodes {', '.join(at)})")
+        spread = np.nanmedian(self.spread_kohm[good]) / middle if self.repeats > 1 else np.nan
+        return (
+            f"{', '.join(counts)} of {len(self.kohm)} electrodes, the good ones {middle:.3g} kohm "
+            f"({low:.3g} to {high:.3g}), {self.repeats} measurements at {self.current_ma:.2g} mA"
+            + ("" if np.isnan(spread) else f" that differ by {spread:.1%}")
+        )
+
+
+def measure_contact(
+    opened: Callable[[], AbstractContextManager[Board]], repeats: int
+) -> list[Impedance]:
+    """Measure repeatedly; a board that is lost meanwhile is opened again, up to `MOST_LOSSES`
+    times."""
+    found: list[Impedance] = []
+    losses = 0
+    while True:
+        try:
+            with opened() as board:
+                while len(found) < repeats:
+                    found.append(board.measure())
+                return found
+        except LineLostError:
+            losses += 1
+            if losses > MOST_LOSSES:
+                raise
+
+
+def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
+    """Return the joint result of repeated measurements."""
+    if any(each.lifted for each in measured):
+        raise CalibrationError(
+            "no electrode touches anything: put the finger on the array, and measure again"
+        )
+    kohm = np.array([each.kohm for each in measured])
+    condition = tuple(_most(each) for each in zip(*(m.condition for m in measured), strict=True))
+    count = len(condition)
+    # A reading without end is as far from the others as one can be: the median still holds.
+    middle = np.sort(kohm, axis=0)[(len(kohm) - 1) // 2 : len(kohm) // 2 + 1].mean(axis=0)
+    touching = np.isfinite(kohm).all(axis=0)
+    spread = np.full(count, np.nan)
+    if len(kohm) > 1:
+        away = np.abs(kohm[:, touching] - middle[touching])
+        spread[touching] = 1.4826 * np.median(away, axis=0)
+    found = ContactFound(middle, spread, condition, len(measured), measured[0].current_ma)
+    broken, good = len(found.broken), condition.count("good")
+    lost = broken > MOST_BROKEN * count
+    if lost or not good:
+        raise CalibrationError(
+            f"{broken} of {count} electrodes do not touch or are shorted, and {good} are good: lay "
+            "the finger on all of the array, clean and moisten it, and measure again"
+        )
+    restless = np.nanmedian(spread[touching] / middle[touching]) if len(kohm) > 1 else 0.0
+    if restless > MOST_RESTLESS:
+        raise CalibrationError(
+            f"measurements of one electrode differ by {restless:.0%}: hold the finger still, and "
+            "measure again"
+        )
+    return found
+
+
+def _most(conditions: Sequence[Condition]) -> Condition:
+    """Return the result of more than half of the measurements."""
+    for each in conditions:
+        if 2 * conditions.count(each) > len(conditions):
+            return each
+    return "unsure"
+
+
+STANDARD_GRAVITY = 9.80665  # m/s²
+FEWEST_READINGS = 5
+MOST_MISSING = 0.5  # largest part of missing readings
+MOST_RESIDUAL = 0.05  # largest rms residual, as a part of full force
+MOST_DRIFT = 0.03  # largest drift, as a part of full force, while one weight lies on the cell
+LEAST_REACH = 0.5  # least heaviest weight, as a part of full force
+
+
+class Cell(Protocol):
+    """Source of raw readings, such as a load cell on a serial port."""
+
+    def collect(self, seconds: float) -> NDArray[np.float64]: ...
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """Readings of one weight on the cell."""
+
+    grams: float
+    reading: float  # median of the raw readings
+    spread: float  # robust standard deviation of single readings
+    drift: float  # from the first half of the readings to the second
+    count: int  # number of readings
+
+    @property
+    def force_n(self) -> float:
+        return self.grams / 1000 * STANDARD_GRAVITY
+
+
+@dataclass(frozen=True)
+class ForceFound:
+    """A line from readings to forces, and its errors."""
+
+    curve: tuple[float, float]  # N at a reading of 0, and N for one count
+    full_n: float  # full force, the reference of percentages
+    weighings: tuple[Weighing, ...]
+
+    @property
+    def slope_n(self) -> float:
+        """N for one count."""
+        return self.curve[1]
+
+    @property
+    def zero(self) -> float:
+        """Reading without a weight."""
+        return -self.curve[0] / self.slope_n
+
+    def force_n(self, reading: float) -> float:
+        """Return the force of a reading."""
+        return self.curve[0] + self.slope_n * reading
+
+    @property
+    def off_n(self) -> NDArray[np.float64]:
+        """Error of the line at each weighing."""
+        return np.array([self.force_n(each.reading) - each.force_n for each in self.weighings])
+
+    @property
+    def residual_n(self) -> float:
+        """Root of the mean square error."""
+        return float(np.sqrt(np.mean(self.off_n**2)))
+
+    def sentence(self) -> str:
+        """Return the sentence for the profile."""
+        grams = [each.grams for each in self.weighings]
+        return (
+            f"line through {len(grams)} weighings from {min(grams):g} to {max(grams):g} g, zero "
+            f"at {self.zero:.6g}, {self.slope_n:.4g} N a count, residual rms "
+            f"{self.residual_n:.4f} N ({self.residual_n / self.full_n:.2%} of full force), worst "
+            f"{np.abs(self.off_n).max():.4f} N"
+        )
+
+
+def weigh_on(url: str, weights: Iterable[float], seconds: float) -> list[Weighing]:
+    """Weigh on a load cell by its URL; each weight, in grams, is taken when it lies on the cell."""
+    with open_cell(url) as cell:
+        return [weigh(cell, grams, seconds) for grams in weights]
+
+
+def parse_grams(text: str) -> float:
+    """Return a weight, g, as somebody typed it."""
+    try:
+        grams = float(text)
+    except ValueError:
+        grams = math.nan
+    if not 0 <= grams < math.inf:
+        raise CalibrationError(f"{text!r} is not a weight: give grams, such as 20")
+    return grams
+
+
+def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
+    """Take readings of one weight."""
+    raw = np.asarray(cell.collect(seconds), np.float64)
+    good = raw[np.isfinite(raw)]
+    if len(good) < FEWEST_READINGS or len(good) < (1 - MOST_MISSING) * len(raw):
+        raise CalibrationError(
+            f"{len(good)} of {len(raw)} readings at {grams:g} g are numbers, {FEWEST_READINGS} "
+            "and half of all are needed: check the cell's connections, or read longer (--seconds)"
+        )
+    middle, spread = middle_and_spread(good)
+    half = len(good) // 2
+    drift = float(np.median(good[half:]) - np.median(good[:half]))
+    return Weighing(grams, middle, spread, drift, len(good))
+
+
+def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
+    """Fit a line to weighings of three weights or more; residuals are judged by the law's full
+    force."""
+    grams = np.array([each.grams for each in weighings])
+    reading = np.array([each.reading for each in weighings])
+    _require_weights(grams, law)
+    _require_answer(weighings, reading)
+    # Fitted about the mean, as raw counts are large.
+    forces = [each.force_n for each in weighings]
+    zero_n, slope_n = np.polynomial.Polynomial.fit(reading, forces, 1).convert().coef
+    curve = float(f"{zero_n:.9g}"), float(f"{slope_n:.9g}")
+    found = ForceFound(curve, law.full_n, tuple(weighings))
+    if found.residual_n > MOST_RESIDUAL * law.full_n:
+        worst = weighings[int(np.abs(found.off_n).argmax())]
+        raise CalibrationError(
+            f"the line misses the weights by {found.residual_n:.3f} N rms, above "
+            f"{MOST_RESIDUAL:.0%} of full force, {law.full_n:g} N: weigh {worst.grams:g} g again"
+        )
+    restless = max(weighings, key=lambda each: abs(each.drift))
+    drift_n = abs(restless.drift * found.slope_n)
+    if drift_n > MOST_DRIFT * law.full_n:
+        raise CalibrationError(
+            f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "
+            "wait until it settles, and weigh again"
+        )
+    return found
+
+
+def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
+    distinct = len(np.unique(grams))
+    if distinct < 3:
+        raise CalibrationError(
+            f"{distinct} different weights do not determine the residual: give three or more"
+        )
+    full_g = 1000 * law.full_n / STANDARD_GRAVITY
+    if grams.max() < LEAST_REACH * full_g:
+        raise CalibrationError(
+            f"the heaviest weight of {grams.max():g} g is far below full force, {full_g:.0f} g: "
+            "give one about as heavy as that"
+        )
+
+
+def _require_answer(weighings: Sequence[Weighing], reading: NDArray[np.float64]) -> None:
+    noise = float(np.median([each.spread for each in weighings]))
+    moved = float(np.ptp(reading))
+    if moved <= 5 * noise or moved == 0:
+        raise CalibrationError(
+            f"the readings move by {moved:.6g} from the lightest to the heaviest weight, and by "
+            f"{noise:.6g} by themselves: is the cell connected, and the weight on it?"
+        )
