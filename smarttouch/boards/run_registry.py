@@ -118,17 +118,12 @@ class _Run:
             time.sleep(0.01)
         if self.is_here or self.is_locked:
             return Answer(f"{name} did not answer: switch the board off")
-        if not self.host:
-            path = self.path("json")
-            return Answer(f"{path} cannot be read: remove it if no board is driven")
-        if self.host != socket.gethostname():
+        if self.host not in ("", socket.gethostname()):
             return Answer(f"1 run is on host {self.host}: stop it there")
-        # If it lives, it announces itself again within a second.
+        # Of another start of this computer, of a container, or no file of ours. A run that lives
+        # ends without it.
         self.remove("json", "lock", "stop")
-        return Answer(
-            f"{name}, from before the last start of this computer or from another container, did "
-            "not answer: if it still drives a board, switch that off"
-        )
+        return Answer(f"{name} did not answer: if it still drives a board, switch that off")
 
 
 class RunEntry:
@@ -140,9 +135,13 @@ class RunEntry:
 
     def __init__(self, on_stop: Callable[[str], bool]) -> None:
         self.lost_a_board = False  # whether one was closed that had not confirmed zero
-        self._on_stop, self._lock_number = on_stop, -1
+        self._on_stop, self._over = on_stop, threading.Event()
         self._run = _Run(uuid4().hex, *_place(), os.getpid(), _start_ns(os.getpid()))
-        self._over, self._changing = threading.Event(), threading.Lock()
+        make_folder(registry_folder())
+        flags = os.O_RDWR | os.O_CREAT | O_NOFOLLOW
+        self._lock_number = os.open(self._run.path("lock"), flags, 0o600)
+        # Where the file system has no locks, the run is asked all the same.
+        try_lock(self._lock_number)
         self._announce(0)
         threading.Thread(target=self._watch, name="stop requests", daemon=True).start()
 
@@ -169,55 +168,32 @@ class RunEntry:
 
     def withdraw(self) -> None:
         """Remove the entry; a stop under way learns whether all boards have confirmed zero."""
-        with self._changing:
-            self._over.set()
-            if self.lost_a_board:
-                with suppress(OSError):
-                    self._run.path("unconfirmed").touch(0o600)
-            self._answer(not self.lost_a_board)
-            self.close()
-            self._run.remove("json", "lock", "stop", "zero")
+        self._over.set()
+        if self.lost_a_board:
+            with suppress(OSError):
+                self._run.path("unconfirmed").touch(0o600)
+        self._answer(not self.lost_a_board)
+        self.close()
+        self._run.remove("json", "lock", "stop", "zero")
 
     def close(self) -> None:
         """Release the lock: of a forked process, whose entry stays the parent's."""
         os.close(self._lock_number)
 
     def _announce(self, current_ua: int) -> None:
-        """Write the file of this run, and lock the one beside it."""
-        with self._changing:
-            if self._over.is_set():
-                return
-            make_folder(registry_folder())
-            if not self._run.has("lock"):
-                flags = os.O_RDWR | os.O_CREAT | O_NOFOLLOW
-                before, self._lock_number = (
-                    self._lock_number, os.open(self._run.path("lock"), flags, 0o600)
-                )  # fmt: skip
-                # Where the file system has no locks, the run is asked all the same.
-                try_lock(self._lock_number)
-                if before >= 0:
-                    os.close(before)
-            self._run = replace(self._run, current_ua=current_ua)
-            _write(self._run.path("json"), json.dumps(asdict(self._run)))
+        self._run = replace(self._run, current_ua=current_ua)
+        _write(self._run.path("json"), json.dumps(asdict(self._run)))
 
     def _watch(self) -> None:
         looks = 0
         while not self._over.wait(_LOOK_S):
-            looks += 1
-            reason = "" if looks % _LOOKS_PER_CHECK else self._announce_again()
-            if self.is_asked or reason:
-                self._answer(self._on_stop(reason or "smarttouch stop"))
-
-    def _announce_again(self) -> str:
-        """Announce this run again if its files are gone; return why it must end, if it must."""
-        if self._run.has("json") and self._run.has("lock"):
-            return ""
-        try:
-            self._announce(self._run.current_ua)
-        except OSError as error:
-            return f"the loss of {self._run.path('json')} ({error.strerror})"
-        # A stop that came meanwhile did not find this run, but it left its mark.
-        return "smarttouch stop" if stopped_since_start() else ""
+            looks, reason = looks + 1, "smarttouch stop" * self.is_asked
+            # A stop would not find this run any more.
+            for kind in ("json", "lock") if looks % _LOOKS_PER_CHECK == 0 else ():
+                if not (reason or self._run.has(kind) or self._over.is_set()):
+                    reason = f"the loss of {self._run.path(kind)}"
+            if reason:
+                self._answer(self._on_stop(reason))
 
     def _answer(self, at_zero: bool) -> None:
         with suppress(OSError):
