@@ -12,33 +12,23 @@ import pytest
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import SmartTouchError, SourceError
+from smarttouch.base.errors import SmartTouchError
 from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
 
 READS = 30  # of a source
+QUICKEST_S = 0.01  # the quickest of many reads takes no longer: it waits for nothing
+LARGEST_N = 100.0  # no finger presses harder
 
 
 class _Opened:
     """Contract of whatever a URL opens."""
 
-    error: type[SmartTouchError] = SmartTouchError
-
-    def make_impossible(self, profile: Profile) -> None:
-        """Open a source that does not exist, as a file without a name; override it."""
-        pytest.skip("make_impossible is not given")
-
     @pytest.fixture
     def profile(self) -> Profile:
         """Optics and force that it is made for."""
         return load_profile(DEFAULT_PROFILE)
-
-    def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile: Profile) -> None:
-        with pytest.raises(self.error) as error:
-            self.make_impossible(profile)
-        assert str(error.value)
-        assert "\n" not in str(error.value)
 
 
 class SourceContract(_Opened):
@@ -51,14 +41,11 @@ class SourceContract(_Opened):
     longest_s : float, s
     step_s : float, s
         From one frame to the next.
-    quickest_s : float, s
-        The quickest of many reads takes no longer: it waits for nothing.
     """
 
     ends = True
     longest_s: float = 120.0
     step_s: float = 0.02
-    quickest_s: float = 0.01
 
     def make(self, profile: Profile) -> Source:
         """Return a new source, from its beginning."""
@@ -161,7 +148,7 @@ class SourceContract(_Opened):
             start_s = time.perf_counter()
             given = source.read(time_ns)
             took_s.append(time.perf_counter() - start_s)
-        assert min(took_s) < self.quickest_s
+        assert min(took_s) < QUICKEST_S
 
 
 class StimulusContract(SourceContract):
@@ -198,19 +185,7 @@ def _content(given: Input) -> NDArray[Any]:
 
 
 class ForceContract(_Opened):
-    """Contract of every source of force: subclass it as ``TestMine``, with `make`.
-
-    Attributes
-    ----------
-    quickest_s : float, s
-        The quickest of many reads takes no longer: it waits for nothing.
-    largest_n : float, N
-        No finger presses harder.
-    """
-
-    quickest_s: float = 0.005
-    largest_n: float = 100.0
-    error = SourceError
+    """Contract of every source of force: subclass it as ``TestMine``, with `make`."""
 
     def make(self, profile: Profile) -> ForceSource:
         """Return a new source of force."""
@@ -230,8 +205,8 @@ class ForceContract(_Opened):
             force_n = force.read(time_ns)
             took_s.append(time.perf_counter() - start_s)
             assert isinstance(force_n, float)
-            assert math.isnan(force_n) or 0 <= force_n <= self.largest_n
-        assert min(took_s) < self.quickest_s
+            assert math.isnan(force_n) or 0 <= force_n <= LARGEST_N
+        assert min(took_s) < QUICKEST_S
         assert force.title
         assert all(isinstance(note, str) and note for note in force.notes)
 

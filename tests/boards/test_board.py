@@ -4,6 +4,7 @@ import contextlib
 import os
 import signal
 import threading
+from dataclasses import replace
 
 import pytest
 
@@ -143,6 +144,31 @@ def test_a_stop_that_is_interrupted_while_it_waits_still_ends_in_zero(monkeypatc
             with pytest.raises(KeyboardInterrupt):
                 getattr(board, how)()
         assert board.driver.zeros
+
+
+@pytest.mark.parametrize("queued", [False, True])
+def test_a_driver_that_breaks_is_put_at_zero(monkeypatch, make_sequence, queued):
+    """Whose sender thread it breaks in says so at the next call."""
+    broken = RuntimeError("the driver broke")
+
+    def write(*_):
+        raise broken
+
+    monkeypatch.setattr(Unlined, "write", write)
+    monkeypatch.setattr(Unlined, "queued", queued)
+
+    def drive(board):
+        with board:
+            for step in range(2):
+                silent = make_sequence(0, electrodes=4, period_us=20_000)
+                board.send(replace(silent, time_ns=step * 10**9))
+                board.drain()
+
+    board = plain()
+    with pytest.raises((RuntimeError, BoardError)) as error:
+        drive(board)
+    assert broken in (error.value, error.value.__cause__)
+    assert board.driver.zeros
 
 
 KIT_LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)

@@ -18,7 +18,12 @@ from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_rules import BrokenRule, LinkRules
 from smarttouch.profile.device import Output
-from smarttouch.testing.driver_contract import DriverContract, SentPulse, planned_pulses
+from smarttouch.testing.driver_contract import (
+    LATE_NS,
+    DriverContract,
+    SentPulse,
+    planned_pulses,
+)
 from tests.boards.fresh import deliver, fresh_state, until
 
 from ..support.checks import raises
@@ -174,7 +179,7 @@ class Contract(DriverContract):
 
     def board(self, driver, limits):
         return Board(
-            driver, limits, self.output, on_a_finger=False, claimed_time=True, late_ns=self.late_ns
+            driver, limits, self.output, on_a_finger=False, claimed_time=True, late_ns=LATE_NS
         )
 
     @pytest.fixture(autouse=True)

@@ -85,7 +85,7 @@ elif KIND in ("run", "own handler"):
 elif KIND == "session":
     attempt("session", session)
 elif KIND == "left open":
-    display.board.open()
+    attempt("open", display.board.open)
     attempt("drive", lambda: drive(display.board))
     attempt("send", lambda: drive(display.board, 0.1))
 else:

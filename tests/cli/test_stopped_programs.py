@@ -54,7 +54,7 @@ def is_whole(path):
     ("own handler", {"run": "done"}),
     ("session", {"session": "SmartTouchError"}),
     ("board", {"drive": "BoardStoppedError"}),
-    ("left open", {"drive": "BoardStoppedError", "send": "BoardStoppedError"}),
+    ("left open", {"open": "done", "drive": "BoardStoppedError", "send": "BoardStoppedError"}),
 ])  # fmt: skip
 def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_path, kind, first):
     process, books = start(kind)

@@ -48,8 +48,9 @@ class OfForce(ForceContract):
     def make(self, profile):
         return open_force(self.url, profile)
 
-    def make_impossible(self, profile):
-        open_force(self.nowhere, profile)
+    def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile):
+        with raises(SourceError):
+            open_force(self.nowhere, profile)
 
 
 class TestFixed(OfForce):

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 import smarttouch
-from smarttouch.base.errors import SourceError
+from smarttouch.base.errors import SmartTouchError, SourceError
 from smarttouch.profile import load_profile
 from smarttouch.running.check_recording import assert_replays
 from smarttouch.sources import open_source, source_of, source_url
@@ -223,8 +223,9 @@ class Contract(SourceContract):
         options = {"unpaced": self.unpaced, "page_width_mm": self.width_mm, "fps": self.fps}
         return open_source(self.url, profile, **options)
 
-    def make_impossible(self, profile):
-        open_source(self.nowhere, profile)
+    def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile):
+        with raises(SmartTouchError):
+            open_source(self.nowhere, profile)
 
 
 class TestPage(Contract):

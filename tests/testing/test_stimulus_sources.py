@@ -12,15 +12,9 @@ class TestTexture(StimulusContract):
         motion = lab.open_motion_over(texture, "sweep:", profile, speed_mm_s=60)
         return lab.MouseSource(texture, motion, profile, press_n=lab.reading_force_n(profile))
 
-    def make_impossible(self, profile):
-        lab.open_texture("grating:-4mm")
-
 
 class TestVibration(StimulusContract):
     def make(self, profile):
         trace = lab.open_trace("tone:30Hz,9um+press:0.45N", 0.5)
         mixture = lab.mix_colors(trace, profile, st.load_kernels(profile))
         return ColorSource("a vibration", profile, mixture)
-
-    def make_impossible(self, profile):
-        lab.open_trace("tone:loud")

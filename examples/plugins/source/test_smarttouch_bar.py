@@ -14,9 +14,6 @@ class TestBar(SourceContract):
     def make(self, profile: st.Profile) -> st.OpticalSource:
         return open_bar("", profile)
 
-    def make_impossible(self, profile: st.Profile) -> None:
-        open_bar("wide", profile)
-
     def test_it_moves_to_the_right(self, profile: st.Profile) -> None:
         with open_bar("2", profile, speed_mm_s=20.0) as source:
             centers = [np.flatnonzero(source.read(t * 10**8).image[0] < 100).mean() for t in (1, 2)]

@@ -13,9 +13,6 @@ class TestCircle(StimulusContract):
     def make(self, profile: st.Profile) -> CircleSource:
         return open_circle("", profile)
 
-    def make_impossible(self, profile: st.Profile) -> None:
-        open_circle("round", profile)
-
     def test_after_half_a_turn_it_is_on_the_other_side(self, profile: st.Profile) -> None:
         place_mm = profile.electrodes.position_mm - profile.electrodes.position_mm.mean(axis=0)
         with open_circle("1", profile) as source:
