@@ -113,7 +113,7 @@ def rebuild_pipeline(recording: RecordedRun, profile: Profile, bank: KernelBank)
                 f"the settings in {recording.path} do not show how it was made: compliance_v is "
                 "missing, which hold needs"
             )
-        adaptation = Adaptation(profile, run.hold, run.compliance_v, run.timing)
+        adaptation = Adaptation(profile, run.hold, run.compliance_v)
     if run.balance:
         ledger = ChargeBalance(len(profile.electrodes))
         if run.carried_pc:

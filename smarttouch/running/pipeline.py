@@ -288,7 +288,8 @@ def make_regulator(
             raise BoardError(
                 "hold needs a board that measures the voltage of each slot, and this one does not"
             )
-        if not board.driver.timing.own_widths and config.hold == "charge":
+        timing = board.driver.timing
+        if config.hold == "charge" and not (timing.own_widths and timing.width_us is None):
             raise BoardError(
                 "hold charge needs a pulse width of its own for each slot, and this board has "
                 "one for all: choose energy"
@@ -298,7 +299,7 @@ def make_regulator(
                 f"Energy is held from {RESERVED:.0%} of the current on, so that it can rise where "
                 "skin becomes wet: raise the intensity until it is as strong as you want."
             )
-        adaptation = Adaptation(profile, config.hold, can.compliance_v, board.driver.timing)
+        adaptation = Adaptation(profile, config.hold, can.compliance_v)
     if config.balance:
         if can.recharges:
             recharge = RechargeRules.of(profile, board.driver.timing)

@@ -10,10 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import ScheduleError
 from smarttouch.profile import Profile
 from smarttouch.stimulation.point_slots import Slots
-from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.scan_sequence import ScanSequence, round_charge_balanced
 
 NEAR = 0.92  # part of the compliance above which a source counts as saturated
@@ -40,14 +38,7 @@ class Adaptation:
     first observation, either way; what was asked for is never exceeded.
     """
 
-    def __init__(
-        self, profile: Profile, hold: Hold, compliance_v: float, timing: ScanTiming | None = None
-    ) -> None:
-        if hold == "charge" and timing is not None and timing.width_us is not None:
-            raise ScheduleError(
-                "hold charge needs longer pulses, and this board's pulses last "
-                f"{timing.width_us} µs always: hold energy"
-            )
+    def __init__(self, profile: Profile, hold: Hold, compliance_v: float) -> None:
         sites = len(profile.electrodes)
         self._limits = profile.limits
         self.holds: Hold = hold

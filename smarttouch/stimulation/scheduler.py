@@ -279,11 +279,11 @@ class ScanScheduler:
         adaptation: Adaptation | None,
     ) -> Slots:
         """Return the slots of all classes that are due; none of the first if none is."""
-        rows = [
-            self._makers[each].slots(activation[each], intensity if due else 0.0)
-            for each in due or (self._first,)
-        ]
-        made = joined(rows) if len(rows) > 1 else rows[0]
+        one, *others = due or (self._first,)
+        made = self._makers[one].slots(activation[one], intensity if due else 0.0)
+        if others:
+            rows = [self._makers[each].slots(activation[each], intensity) for each in others]
+            made = joined([made, *rows])
         return made if adaptation is None or not len(made.site) else adaptation.apply(made)
 
     def _within_ramp(

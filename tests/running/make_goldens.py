@@ -196,7 +196,7 @@ def make(golden, path):
         golden.timing,
     )
     pipeline.regulator = Regulator(
-        Adaptation(profile, golden.hold, 100.0, golden.timing) if golden.hold else None,
+        Adaptation(profile, golden.hold, 100.0) if golden.hold else None,
         ChargeBalance(len(profile.electrodes)) if golden.balance else None,
     )
     board = board_without_finger(profile, partial(GoldenDriver, golden))

@@ -9,18 +9,18 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.clock import SimulatedClock
-from smarttouch.base.errors import SafetyError, ScheduleError
+from smarttouch.base.errors import BoardError, SafetyError, ScheduleError
 from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
+from smarttouch.boards.open import MemoryDriver
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
-from smarttouch.running.pipeline import Pipeline, Regulator
+from smarttouch.running.pipeline import Pipeline, Regulator, make_regulator
 from smarttouch.running.runner import run
 from smarttouch.sources.source_contract import Frame, Pose, Stimulus, StimulusSource
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.point_slots import perceived_at
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
@@ -225,26 +225,6 @@ def test_a_sensation_is_placed_at_the_receptor(profile, settled, changed):
     assert sequence.site.tolist() == [27, 35]
 
 
-@given(shift=st.tuples(st.floats(-20, 20), st.floats(-20, 20)), afferent=st.sampled_from(Afferent))
-def test_every_point_is_felt_within_half_a_cell_of_where_it_should_be(
-    profile, changed, shift, afferent
-):
-    felt = perceived_at(
-        changed(profile, {f"perception.{afferent.name.lower()}_shift_mm": shift}), afferent
-    )
-    if felt is None:
-        assert shift == (0, 0)
-        return
-    place = profile.electrodes.position_mm
-    here = felt < 64
-    away = np.abs(place[here] + shift - place[felt[here]])
-    assert (away <= np.array(profile.electrodes.cell_mm) / 2 + 1e-6).all()
-    # Nowhere else: a place that no point is felt at lies more than half a cell from all of them.
-    beyond = place[~here] + shift
-    outside = np.abs(beyond) > np.abs(place).max(axis=0) + np.array(profile.electrodes.cell_mm) / 2
-    assert outside.any(axis=1).all()
-
-
 BRIGHTER_NS = 1_200_000_000
 
 
@@ -319,6 +299,18 @@ def test_what_was_measured_is_kept_and_changes_what_is_sent(profile, regulated):
     peaks = [np.abs(step.sequence.current_ua.astype(int)).max() for step in steps]
     # Twice the impedance: less by its square root.
     assert peaks[2] == pytest.approx(peaks[1] / np.sqrt(2), rel=0.01)
+
+
+@pytest.mark.parametrize("timing", [ScanTiming(own_widths=False), ScanTiming(width_us=200)])
+def test_a_board_with_one_width_holds_energy_and_no_charge(profile, timing):
+    def measures(driver, line, limits):
+        return replace(MemoryDriver.open(driver, line, limits), measures=True, compliance_v=300.0)
+
+    kind = type("Measuring", (MemoryDriver,), {"timing": timing, "open": measures})
+    with board_without_finger(profile, kind) as board:
+        assert make_regulator(board, profile, RunConfig(hold="energy"), print).adaptation
+        with raises(BoardError, names="hold charge"):
+            make_regulator(board, profile, RunConfig(hold="charge"), print)
 
 
 def test_the_user_is_told_what_regulation_could_not_do(profile, regulated):

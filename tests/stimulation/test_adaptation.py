@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import ScheduleError
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import Profile, load_profile
@@ -15,7 +14,6 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scheduler import ScanScheduler
 
-from ..support.checks import raises
 from ..support.full import WHOLE
 from ..support.scans import open_level
 
@@ -42,7 +40,7 @@ class Finger:
     """A finger of plain resistances under a pipeline's scan, pulse by pulse."""
 
     def __init__(self, profile, hold, timing=None):
-        self.adaptation = Adaptation(profile, hold, COMPLIANCE_V, timing)
+        self.adaptation = Adaptation(profile, hold, COMPLIANCE_V)
         self.scan = ScanScheduler(
             profile, load_bank(profile), (Afferent.RA,), profile.pulse.rate_hz, timing
         )
@@ -145,12 +143,6 @@ def test_longer_pulses_lengthen_the_period():
     busy = int(sent.width_us.sum(dtype=int) + sent.discharge_us.sum(dtype=int))
     assert asked.period_us < sent.period_us
     assert sent.period_us == busy + 64 + 5
-
-
-def test_one_width_only_cannot_hold_charge():
-    with raises(ScheduleError, names="hold", value="charge", allowed="energy"):
-        Adaptation(MOUSE, "charge", COMPLIANCE_V, ScanTiming(width_us=50))
-    Adaptation(MOUSE, "energy", COMPLIANCE_V, ScanTiming(width_us=50))
 
 
 SAFE = [
