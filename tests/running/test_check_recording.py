@@ -107,13 +107,6 @@ def test_another_profile_is_reported(golden, changed):
         assert_replays(path, profile=profile)
 
 
-def test_another_bound_on_shared_slots_is_reported(golden, changed):
-    path = golden("shared")
-    profile = changed(RecordedRun(path).profile, {"frames.other": 0.1})
-    report = check_recording(path, profile=profile)
-    assert any(": slots " in line for line in report.differences)
-
-
 def test_a_sequence_without_its_slots_is_one_difference(golden, changed):
     path = golden("ra")
     pressed = {"force.contact_n": 50.0, "force.full_n": 60.0}
@@ -234,15 +227,3 @@ def test_charge_that_an_earlier_run_left_is_known(write, balance):
     path = write(name="short", recharge=True, carried_pc=[0] * 63)
     with raises(RecordingError, value=63, allowed=64):
         check_recording(path)
-
-
-def test_another_threshold_is_reported_with_its_electrode(write, profile, changed):
-    path = write(recharge=True)
-    higher = changed(
-        profile, {"perception.threshold_ma": 1.21, "perception.comfort_ma": (2.4,) * 64}
-    )
-    report = check_recording(path, profile=higher)
-    listed = "\n".join(report.differences)
-    recorded, new = re.search(r"recharge_us (\d+) recorded, (\d+) now", listed).groups()
-    assert int(new) < int(recorded)
-    assert re.search(r"recharge_ua\[\d+\]", listed)

@@ -1,19 +1,9 @@
 """The subject's own control stays between nothing and the ceiling."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Mode
 from smarttouch.running.inputs import STEP, Controls, ControlState
-
-
-@given(st.lists(st.floats(-2, 2), max_size=20))
-def test_a_level_never_leaves_its_range(changes):
-    controls = Controls(ControlState(Mode.RA, 0.5))
-    for change in changes:
-        controls.change_level(change)
-        assert 0 <= controls.state(0).level <= 1
 
 
 def test_as_many_steps_up_as_down():

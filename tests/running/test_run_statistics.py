@@ -51,14 +51,6 @@ def test_frames_are_felt_once(steps):
     assert (tally.slots, tally.scan_us) == (len(numbers), 20_000 * len(numbers))
 
 
-def test_durations_of_a_step():
-    tally = RunStatistics()
-    for error_us in (None, 4.0):
-        tally.enter(sent(), error_us)
-    assert (tally.latency.total_us, tally.motion_to_bytes.total_us) == (600, 600)
-    assert (tally.period_error.count, tally.period_error.total_us) == (1, 4)
-
-
 def test_the_worst_of_shared_slots_is_kept():
     tally, points = RunStatistics(), np.array([3, 1], np.uint16)
     for other, spill in ((0.1, 0.2), (0.2, 0.1)):

@@ -15,7 +15,7 @@ from smarttouch.imaging.array_window import reading_force_n
 from smarttouch.instruments.electric_mouse import MouseSource, open_motion_over
 from smarttouch.instruments.relief import open_texture
 from smarttouch.running.config import RunConfig
-from smarttouch.running.display import Display, open_display
+from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
 from smarttouch.running.walk import Walk
 from smarttouch.sources import open_source
@@ -117,25 +117,16 @@ def test_a_source_that_measures_force_needs_no_other(flows, profile):
     assert flows(Pattern(profile, measured=True))
 
 
-def test_a_recorded_force_opens_nothing_for_programs_without_a_runner(profile, bank):
-    from smarttouch.running.inputs import Controls, ControlState, Inputs
-    from smarttouch.running.pipeline import Pipeline
-    from smarttouch.running.run_statistics import RunStatistics
-
+def test_a_recorded_force_presses_on_no_finger(flows, profile):
     class Recorded(ForceSource):
         is_live = False
 
         def read(self, _time_ns):
             return 0.9
 
-    display, pipeline = open_display("link:/dev/nowhere", profile), Pipeline(profile, bank)
-    controls = Controls(ControlState(pipeline.mode))
-    for force in (None, Recorded("a table")):
-        inputs = Inputs(
-            Pattern(profile), force, display.board, pipeline, controls, RunStatistics(), print
-        )
-        given, _ = inputs.read(0, 0)
-        assert given.force_n == 0
+    with raises(SourceError, names="force"):
+        flows(Pattern(profile), Recorded("a table"))
+    assert flows(Pattern(profile), Recorded("a table"), on_a_finger=False)
 
 
 def test_nothing_that_ships_measures_force_by_itself():

@@ -31,31 +31,8 @@ def test_intensity_at_a_force(law, half_n):
     assert [force_gate(force_n, law) for force_n in (1.0, 50.0, math.inf)] == [1.0] * 3
 
 
-@given(st.floats(0, 5), st.floats(0, 5), st.sampled_from([LINEAR, LOGARITHMIC]))
-def test_intensity_never_falls_with_force(one, other, law):
-    low, high = sorted((one, other))
-    assert 0 <= force_gate(low, law) <= force_gate(high, law) <= 1
-
-
 KAJIMOTO = ScanTiming(50, 150, slot_extra_us=8, scan_us=700, in_index_order=True, load=1 / 1.1)
 ETACTILEKIT = ScanTiming(slot_extra_us=10, every_electrode=True, whole_hz=True, load=0.9)
-
-
-def test_without_a_board_only_the_slots_count():
-    assert ScanTiming().shortest_period_us(5, 64, 200, 100) == 1500
-    assert ScanTiming().shortest_period_us(0, 64, 200, 100) == 0
-
-
-def test_the_61_kit():
-    """Interval of 0.7 ms and 0.208 ms for each active electrode, plus 10 %."""
-    assert KAJIMOTO.shortest_period_us(61, 61, 50, 150) == math.ceil(1.1 * (700 + 208 * 61))
-    assert KAJIMOTO.shortest_period_us(0, 61, 50, 150) == pytest.approx(770, abs=1)
-
-
-@pytest.mark.parametrize("slots", [0, 1, 32])
-def test_an_idle_electrode_takes_time_too(slots):
-    """32 times 210 µs is 6.72 ms, in 0.9 of a period: 133 Hz."""
-    assert ETACTILEKIT.shortest_period_us(slots, 32, 100, 100) == math.ceil(1e6 / 133)
 
 
 @given(st.floats(5000, 999_999))

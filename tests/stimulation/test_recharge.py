@@ -1,13 +1,10 @@
 """Net charge of each electrode, kept near zero by polarity or by a recharge phase."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.base.errors import SafetyError
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import (
@@ -17,15 +14,12 @@ from smarttouch.stimulation.recharge import (
     net_charge_pc,
     recharge_most_ua,
 )
-from smarttouch.stimulation.safety_gate import SafetyLimits, frozen
 from smarttouch.stimulation.scan_sequence import SelectivityReport
 from smarttouch.stimulation.sequence_limits import (
     MOST_RECHARGE_PC,
     MOST_RECHARGE_US,
-    prove_sequence,
 )
 
-from ..support.checks import raises
 from ..support.scans import sequence
 
 
@@ -88,12 +82,6 @@ def rules(most_ua=120, electrodes=4, total_ua=10_000, timing=None):
 
 NOTHING = np.zeros(4, np.int64)
 ONE = [[1000, -600, -400, 0]]
-
-
-def with_phase(current_ua, width_us=100, **other):
-    return replace(
-        sequence(ONE), recharge_ua=np.array(current_ua, np.int16), recharge_us=width_us, **other
-    )
 
 
 @st.composite
@@ -198,11 +186,6 @@ def test_the_largest_is_two_microcoulombs_and_twenty_milliseconds():
         assert (planned.recharge_us, planned.recharge_ua[0]) == (width_us, -current_ua)
 
 
-def test_without_slots_there_is_none():
-    still = sequence([])
-    assert add_recharge(still, np.array([9000, -9000, 0, 0]), rules()) is still
-
-
 def test_a_tenth_of_threshold_is_never_rounded_up():
     # 1.2 in double precision is a little less than 1.2, in single precision a little more.
     assert recharge_most_ua(np.array([1.2, 0.4, 5.0])).tolist() == [119, 40, 500]
@@ -211,50 +194,3 @@ def test_a_tenth_of_threshold_is_never_rounded_up():
     found = RechargeRules.of(profile, ScanTiming())
     assert found.most_ua.tolist() == [120] * 64
     assert found.total_ua == 10_000
-
-
-MOST = SafetyLimits(
-    4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4, threshold_ma=(1.2001, 1.2001, 1.2001, 0.6001)
-)  # fmt: skip
-
-
-def prove(sequence, limits=MOST):
-    """At most 120 µA, and 60 through the last."""
-    prove_sequence(frozen(sequence), limits, 10**9)
-
-
-def test_a_good_phase_and_none_pass():
-    prove(sequence(ONE))
-    prove(sequence([]))
-    prove(with_phase([-120, 60, 0, 60], np.uint16(16_666), period_us=30_000))
-    prove(with_phase([-1, 1, 0, 0], 11_800))
-
-
-@pytest.mark.parametrize(("bad", "limit"), [
-    (with_phase([-121, 61, 0, 60]), "recharge_ua"),
-    (with_phase([0, -1, -60, 61]), "recharge_ua"),
-    (with_phase([-120, 60, 0, 60], 16_667), "recharge_ua"),
-    (with_phase([-100, 100, 0, 0], 20_001, period_us=50_000), "recharge_us"),
-    (with_phase([-1, 1, 0, 0], 0), "recharge_us"),
-    (with_phase([-1, 1, 0, 0], 100.0), "recharge_us"),
-    (with_phase([-100, 60, 0, 39]), "balance"),
-    (with_phase([-1, 1, 0, 0], 19_681), "period_us"),
-    (with_phase([[-1, 1, 0, 0]]), "recharge_ua"),
-    (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.array([-1.0, 1, 0, 0])), "recharge_ua"),
-    (replace(with_phase([-1, 1, 0, 0]), recharge_ua=None), "recharge_ua"),
-    (sequence([], recharge_ua=np.zeros(4, np.int16), recharge_us=5), "recharge_ua"),
-])  # fmt: skip
-def test_a_bad_phase_is_refused(bad, limit):
-    with raises(SafetyError, limit=limit):
-        prove(bad)
-
-
-LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4, threshold_ma=1.25)
-
-
-def test_a_phase_is_bounded_whatever_the_threshold():
-    """Limits may claim any threshold up to the ceiling of current, and a tenth of that counts."""
-    with pytest.raises(SafetyError):
-        replace(LIMITS, threshold_ma=1e6)
-    assert replace(LIMITS, threshold_ma=5.0).faint_ua.tolist() == [500] * 4
-    assert replace(LIMITS, masked=(2,)).faint_ua.tolist() == [125, 125, 0, 125]

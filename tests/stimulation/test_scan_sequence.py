@@ -110,11 +110,6 @@ def test_whole_currents_sum_to_zero_and_none_is_off_by_one(slots, electrodes, se
     assert (np.abs(whole - current_ua) < 1).all()
 
 
-def test_whole_currents_stay_as_they_are():
-    current_ua = np.array([[2400.0, -2400.0, 0.0], [1.0, 1.0, -2.0]])
-    assert (round_charge_balanced(current_ua) == current_ua).all()
-
-
 def test_shared_slots_are_reported_apart_from_single_points():
     ratio = np.array([0.5, 0.2, 0.25, np.nan], np.float32)
     proof = SelectivityReport(np.array([1, 2, 3, 0], np.uint16), ratio, ratio / 2)
