@@ -30,7 +30,6 @@ from smarttouch.instruments.electric_mouse import MouseSource as MouseSource
 from smarttouch.instruments.electric_mouse import open_motion_over as open_motion_over
 from smarttouch.instruments.relief import open_texture as open_texture
 from smarttouch.instruments.skin_trace import open_trace as open_trace
-from smarttouch.instruments.skin_trace import split_trace as split_trace
 from smarttouch.pages.prepared_page import print_text as print_text
 from smarttouch.physiology.activating_function import depth_mm as depth_mm
 from smarttouch.physiology.activating_function import field_at as field_at
