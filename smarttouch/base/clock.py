@@ -4,9 +4,6 @@ import threading
 import time
 from typing import Protocol
 
-from smarttouch.base.posix import is_prioritized
-
-SPIN_NS = 300_000  # spun end of each wait at real-time priority: a sleep alone wakes .1 ms late
 LATE_NS = 100_000_000
 """Delay after which nothing is sent to a board any more, and intensity restarts at zero."""
 
@@ -31,23 +28,13 @@ class MonotonicClock:
     """The machine's clock, for threads that sleep to a deadline.
 
     It never goes back, and runs on while the machine is suspended: what was due before that is late
-    after it. The end of a wait is spun: `SPIN_NS` in threads of real-time priority and nothing in
-    others, where it gains nothing that repeats.
+    after it.
     """
-
-    def __init__(self, spin_ns: int | None = None) -> None:
-        self._spin_ns = spin_ns
 
     now_ns = staticmethod(now_ns)
 
     def wait_until(self, deadline_ns: int, stop: threading.Event) -> None:
-        spin_ns = self._spin_ns
-        if spin_ns is None:
-            spin_ns = SPIN_NS if is_prioritized() else 0
-        left = deadline_ns - self.now_ns()
-        if left > spin_ns and stop.wait((left - spin_ns) / 1e9):
-            return
-        while self.now_ns() < deadline_ns and not stop.is_set():
+        while (left_ns := deadline_ns - self.now_ns()) > 0 and not stop.wait(left_ns / 1e9):
             pass
 
 

@@ -6,7 +6,6 @@ What is written is for its owner alone.
 import contextlib
 import csv
 import io
-import json
 import math
 import os
 import re
@@ -14,7 +13,6 @@ import stat
 import tempfile
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -222,24 +220,11 @@ def unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> Sm
     return error(f"cannot write {path}: {failure.strerror}")
 
 
-def require_folder(path: Path | None) -> None:
-    """Raise before any work is done if a file could not be written in the end."""
-    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-        message = f"cannot write {path}: give a file in a folder that exists"
-        raise SmartTouchError(message)
-
-
 def write_json(path: Path, figures: Any) -> None:
     """Write figures as JSON; NaN and infinite numbers become null."""
-    write_bytes(path, (json.dumps(_finite(figures), indent=2, allow_nan=False) + "\n").encode())
+    from pydantic_core import to_json  # help and short commands need none
 
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    write_bytes(path, to_json(figures, indent=2, inf_nan_mode="null") + b"\n")
 
 
 def data_folder(name: str) -> Path:
@@ -254,74 +239,57 @@ def data_folder(name: str) -> Path:
     return inside if inside.is_dir() else package.parent / name
 
 
-@dataclass(frozen=True, eq=False)
-class CsvTable:
-    """Rows of a CSV file below its heading, with their line numbers; blank ones are left out."""
+def read_csv(
+    path: Path,
+    error: type[SmartTouchError],
+    needed: Sequence[str],
+    optional: Sequence[str] = (),
+    *,
+    rising: bool = True,
+) -> "dict[str, NDArray[np.float64]]":
+    """Return the needed columns of numbers in a CSV file, and those of the optional ones it has.
 
-    path: Path
-    error: type[SmartTouchError]
-    head: tuple[str, ...]
-    rows: list[list[str]]
-    lines: list[int]
+    Others are not used. The first must rise, if ``rising``. Raises the given type of error.
+    """
+    import numpy as np  # help and short commands need none
 
-    def numbers(
-        self, names: Sequence[str], fewest: int = 2, rising: bool = True
-    ) -> "NDArray[np.float64]":
-        """Return the named columns of numbers, (N, len(names)); the first must rise, if ``rising``.
-
-        Raises the error of the table about ``columns``, ``rows`` or a ``line``.
-        """
-        if not set(names) <= set(self.head):
-            message = (
-                f"{self.path} has the columns {', '.join(self.head) or 'none'}: its first line "
-                f"must name {', '.join(names)}"
-            )
-            raise self.error(message)
-        import numpy as np  # help and short commands need none
-
-        places = [self.head.index(name) for name in names]
-        values = np.array([self._row(row, places) for row in range(len(self.rows))])
-        if len(values) < fewest:
-            message = f"{self.path} has {len(values)} rows of numbers: give {fewest} or more"
-            raise self.error(message)
-        falls = np.flatnonzero(np.diff(values[:, 0]) <= 0)
-        if rising and len(falls):
-            row = int(falls[0]) + 1
-            now, before = values[row, 0], values[row - 1, 0]
-            words = f"{names[0]} {now:g} is not above the {before:g} before it: it must rise"
-            raise self.wrong(row, words)
-        return values
-
-    def wrong(self, row: int, words: str) -> SmartTouchError:
-        """Return the error of a row, with its line."""
-        line = self.lines[row]
-        message = f"{self.path}, line {line}: {words}"
-        return self.error(message)
-
-    def _row(self, row: int, places: list[int]) -> list[float]:
-        cells = self.rows[row]
-        # A decimal comma shows as one cell too many, and moves all others.
-        if any(map(str.strip, cells[len(self.head) :])):
-            raise self.wrong(row, f"{len(cells)} cells, where the heading has {len(self.head)}")
-        cells = cells + [""] * (len(self.head) - len(cells))
-        numbers = [finite(cells[place]) for place in places]
-        for place, number in zip(places, numbers, strict=True):
-            if math.isnan(number):
-                words = f"{self.head[place]} is {cells[place]!r}, not a number: correct it"
-                raise self.wrong(row, words)
-        return numbers
-
-
-def read_csv(path: Path, error: type[SmartTouchError]) -> CsvTable:
-    """Read a table of cells between commas; raises the given type of error."""
     try:
         reader = csv.reader(io.StringIO(read_text(path, error), newline=""))
-        found = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
+        lines = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
     except csv.Error as failure:
-        message = f"{path} is no CSV file ({failure}): save it as one in UTF-8"
-        raise error(message) from None
-    lines, (head, *rows) = [line for line, _ in found[1:]], [row for _, row in found] or [[]]
-    return CsvTable(path, error, tuple(map(str.strip, head)), rows, lines)
+        raise error(f"{path} is no CSV file ({failure}): save it as one in UTF-8") from None
+    head = [cell.strip() for cell in lines[0][1]] if lines else []
+    names = [*needed, *(name for name in optional if name in head)]
+    if not set(needed) <= set(head):
+        raise error(
+            f"{path} has the columns {', '.join(head) or 'none'}: its first line must name "
+            f"{', '.join(needed)}"
+        )
+    rows: list[list[float]] = []
+    for line, cells in lines[1:]:
+        try:
+            rows.append(_numbers(head, cells, names))
+            if rising and len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
+                now, before = rows[-1][0], rows[-2][0]
+                raise ValueError(
+                    f"{names[0]} {now:g} is not above the {before:g} before it: it must rise"
+                )
+        except ValueError as wrong:
+            raise error(f"{path}, line {line}: {wrong}") from None
+    if len(rows) < 2:
+        raise error(f"{path} has {len(rows)} rows of numbers: give 2 or more")
+    return dict(zip(names, np.array(rows).T.copy(), strict=True))
+
+
+def _numbers(head: list[str], cells: list[str], names: list[str]) -> list[float]:
+    # A decimal comma shows as one cell too many, and moves all others.
+    if any(map(str.strip, cells[len(head) :])):
+        raise ValueError(f"{len(cells)} cells, where the heading has {len(head)}")
+    row = dict(zip(head, cells, strict=False))
+    for name in names:
+        if math.isnan(finite(row.get(name, ""))):
+            raise ValueError(f"{name} is {row.get(name, '')!r}, not a number: correct it")
+    return [float(row[name]) for name in names]
 
 
 def finite(text: str) -> float:

@@ -1,5 +1,4 @@
-"""What only POSIX has: modules, flags of `os.open`, file locks, users, signals of one thread, and
-real-time priority.
+"""What only POSIX has: modules, flags of `os.open`, file locks, users and real-time priority.
 
 On other systems modules are None, flags 0 and the rest does nothing, so that all works that needs
 no terminal and no watchdog process.
@@ -8,9 +7,7 @@ no terminal and no watchdog process.
 import ctypes
 import errno
 import os
-import signal
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -59,14 +56,6 @@ def try_lock(number: int, shared: bool = False) -> bool:
 def user_number() -> int | None:
     """Return the number of this process's user; None where users have none."""
     return os.geteuid() if hasattr(os, "geteuid") else None
-
-
-def interrupt_main_thread() -> None:
-    """Send SIGTERM to the main thread of this process, so that it ends what it waits for."""
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
-    else:
-        signal.raise_signal(signal.SIGTERM)
 
 
 def write_now(number: int, data: bytes) -> int:
@@ -123,8 +112,3 @@ def prioritized() -> Iterator[bool]:
     finally:
         # Without this flag only root may set it: it stays, whatever this thread does.
         os.sched_setscheduler(0, before[0] | _RESET, before[1])
-
-
-def is_prioritized() -> bool:
-    """Return whether the calling thread has real-time priority."""
-    return _FIFO is not None and os.sched_getscheduler(0) & ~_RESET == _FIFO

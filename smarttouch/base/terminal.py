@@ -97,47 +97,23 @@ _LONGEST_NAME = 40  # longest text at the left of a table that stays in one line
 
 
 def print_table(
-    rows: Iterable[Sequence[Any]],
-    heading: Sequence[str] = (),
-    *,
-    title: str | None = None,
-    note: str | None = None,
-    ruled: bool = False,
-    left: int = 1,
+    rows: Sequence[Sequence[Any]], heading: Sequence[str] = (), *, left: int = 1
 ) -> None:
-    """Print a table of texts; its first ``left`` columns are aligned left, the others right.
-
-    In a pipe or a dumb terminal there are no rules, which would be read aloud, and a row of several
-    texts is a line.
-    """
-    from rich.box import HEAVY_HEAD
+    """Print a table of texts; its first ``left`` columns are aligned left, the others right."""
     from rich.table import Table
 
-    rows, shown = list(rows), console()
-    drawn = ruled and draws(shown)
+    shown = console()
     if left > 1 and not draws(shown):
-        shown.width = _WIDEST
-    names = all(len(str(row[0])) <= _LONGEST_NAME for row in rows if row)
-    table = Table(
-        title=title,
-        title_justify="left",
-        box=HEAVY_HEAD if drawn else None,
-        pad_edge=drawn,
-        show_header=bool(heading),
-    )
-    for column in range(len(heading or max(rows, key=len, default=()))):
-        table.add_column(
-            heading[column] if heading else "",
-            justify="left" if column < left else "right",
-            # Sentences at the left must leave room for what stands beside them.
-            no_wrap=ruled or (column == 0 and names),
-            overflow="fold",
-        )
+        shown.width = _WIDEST  # a row of several texts is a line
+    table = Table(box=None, pad_edge=False, show_header=bool(heading))
+    # Sentences at the left must leave room for what stands beside them.
+    names = all(len(str(row[0])) <= _LONGEST_NAME for row in rows)
+    for column, name in enumerate(heading or [""] * max(map(len, rows), default=0)):
+        justify: Any = "left" if column < left else "right"
+        table.add_column(name, justify=justify, no_wrap=not column and names, overflow="fold")
     for row in rows:
         table.add_row(*row)
     shown.print(table)
-    if note is not None:
-        shown.print(note, style="dim", soft_wrap=True)
 
 
 @cache

@@ -132,7 +132,7 @@ class Board:
         self._output = output
         self._limits = limits.on(output)
         # Waits for a deadline need to be exact only where the host times the pulses.
-        self.clock: Clock = clock or MonotonicClock(None if driver.queued else 0)
+        self.clock: Clock = clock or MonotonicClock()
         # By the time that sequences state, nothing is late.
         self._late_ns = late_ns if self.announced else 2**62
         self._gate = SafetyGate(self._limits, None if claimed_time else self.clock)

@@ -17,7 +17,6 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from smarttouch.base.errors import BoardError, BoardStoppedError, SmartTouchError
-from smarttouch.base.posix import interrupt_main_thread
 from smarttouch.base.stopping import SIGNALS, RunStopped, StopRequest, interrupt
 from smarttouch.boards.run_registry import RunEntry, registry_folder, stopped_since_start
 
@@ -148,7 +147,7 @@ class _Process:
     def _stop_requested(self, reason: str) -> bool:
         at_zero = self.end(reason)
         if self.command is not None:
-            interrupt_main_thread()
+            _interrupt_main_thread()
         return at_zero
 
 
@@ -330,3 +329,11 @@ def stoppable_run(stop: StopRequest, board: "Board") -> Iterator[Callable[[], No
             _process.withdraw()
         if main and signals is not None and _process.command is None:
             signals.end_main_thread()
+
+
+def _interrupt_main_thread() -> None:
+    """Send SIGTERM to the main thread of this process, so that it ends what it waits for."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+    else:
+        signal.raise_signal(signal.SIGTERM)

@@ -100,7 +100,9 @@ def _print(table: "WordTable", marked: Sequence[Sequence[bool]] = ()) -> None:
     rows: list[list[Any]] = [list(row) for row in table.rows]
     for row, marks in zip(rows, marked, strict=False):
         row[:] = [Text(cell, "bold reverse" * mark) for cell, mark in zip(row, marks, strict=True)]
-    print_table(rows, table.heading, title=table.title, note=table.note, ruled=True, left=0)
+    print(table.title)
+    print_table(rows, table.heading, left=0)
+    print(table.note)
 
 
 profiles: Commands = Commands(
@@ -126,9 +128,11 @@ def list_profiles(context: typer.Context) -> None:
     print_table(
         rows,
         ("name", "what it is", "board"),
-        note="Make your own with 'smarttouch profiles new FILE --like NAME', and give its file to "
-        "--profile.",
         left=3,
+    )
+    print(
+        "Make your own with 'smarttouch profiles new FILE --like NAME', and give its file to "
+        "--profile."
     )
 
 

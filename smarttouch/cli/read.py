@@ -277,11 +277,12 @@ def _print_tables() -> None:
             for name, title in known_tables().items()
         ],
         ("name", "language", "what it is"),
-        note=f"Or any table file of liblouis {version}, or the tag of a language, such as pt."
-        if version
-        else f"liblouis is not here: of these only en-1 works. For all: {louis.INSTALL}",
         left=3,
     )
+    if version:
+        print(f"Or any table file of liblouis {version}, or the tag of a language, such as pt.")
+    else:
+        print(f"liblouis is not here: of these only en-1 works. For all: {louis.INSTALL}")
 
 
 @drives_a_board

@@ -118,5 +118,7 @@ def study(
     ):
         rows = run_study(asked, plan.parent, output, designing, advance)
     heading, lines = study_table(study_sums(rows))
-    print_table(lines, heading, title=asked.title, note=TABLE_NOTE, ruled=True, left=2)
+    print(asked.title)
+    print_table(lines, heading, left=2)
+    print(TABLE_NOTE)
     print(output / ROWS_FILE)

@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_limits
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SmartTouchError, choice_of, require_within
 from smarttouch.base.url_options import options_of, read_options
-from smarttouch.base.wire.device_lines import PtyLine, TcpLine
 from smarttouch.boards.link.protocol import OUTPUTS
+from smarttouch.emulator.device_lines import PtyLine, TcpLine
 from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, DeviceClock, Firmware
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware

@@ -76,7 +76,6 @@ def open_motion(url: str, **options: Any) -> HandMotion:
 
 
 _PATH_RESOLUTION_MM = 0.01  # resolution of recorded paths; an estimate of ours
-_NEEDED = ("time_s", "x_mm", "y_mm")
 
 
 def open_path(rest: str) -> "PathMotion":
@@ -97,9 +96,9 @@ class PathMotion(HandMotion):
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"the way of {path.name}")
-        read = read_csv(path, SourceError)
-        self.knows_force: bool = "force_n" in read.head
-        table = read.numbers((*_NEEDED, "force_n") if self.knows_force else _NEEDED)
+        columns = read_csv(path, SourceError, ("time_s", "x_mm", "y_mm"), ("force_n",))
+        self.knows_force: bool = "force_n" in columns
+        table = np.column_stack([*columns.values()])
         table[:, 0] -= table[0, 0]
         self._table = table
         self.duration_s: float = float(table[-1, 0])

@@ -57,22 +57,18 @@ def read_trace(path: Path) -> Trace:
     Between samples it runs straight. It is resampled at the rate of most samples, but between
     `SAMPLE_HZ` and `HIGHEST_SAMPLE_HZ`.
     """
-    table = read_csv(path, SmartTouchError)
-    beside = [name for name in (_DISPLACEMENT, _FORCE) if name in table.head]
-    if not beside:
+    columns = read_csv(path, SmartTouchError, (_TIME,), (_DISPLACEMENT, _FORCE))
+    time = columns.pop(_TIME)
+    if not columns:
         raise SmartTouchError(
-            f"{path} has the columns {', '.join(table.head) or 'none'}: name them time_s and "
-            "displacement_um or force_n"
+            f"{path} has no displacement_um and no force_n beside time_s: name a column so"
         )
-    time, *columns = table.numbers((_TIME, *beside)).T
     lasts_s = float(time[-1] - time[0])
     if lasts_s > LONGEST_S:
         raise SmartTouchError(f"{path} lasts {lasts_s:g} s: at most {LONGEST_S:g}, cut it")
     sample_hz = float(np.clip(1 / np.median(np.diff(time)), SAMPLE_HZ, HIGHEST_SAMPLE_HZ))
     even = time[0] + np.arange(max(2, round(lasts_s * sample_hz) + 1)) / sample_hz
-    rows = {
-        name: np.interp(even, time, column) for name, column in zip(beside, columns, strict=True)
-    }
+    rows = {name: np.interp(even, time, column) for name, column in columns.items()}
     nothing = np.zeros_like(even)
     displacement, force = (rows.get(name, nothing) for name in (_DISPLACEMENT, _FORCE))
     return Trace(displacement, force, sample_hz, str(path))

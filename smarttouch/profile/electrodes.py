@@ -324,9 +324,8 @@ def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
     """
     if isinstance(table, Path | str):
         path = Path(table)
-        found = read_csv(path, ProfileError)
-        names = ("x_mm", "y_mm", "diameter_mm")
-        numbers = found.numbers(names[: 2 + ("diameter_mm" in found.head)], rising=False)
+        columns = read_csv(path, ProfileError, ("x_mm", "y_mm"), ("diameter_mm",), rising=False)
+        numbers = np.column_stack([*columns.values()])
     else:
         path, numbers = Path("the table"), np.asarray(table, np.float64)
     if numbers.ndim != 2 or numbers.shape[1] not in (2, 3) or not len(numbers):

@@ -80,7 +80,7 @@ class RecordedPath:
     """A path from a CSV file with the columns time_s, x_mm, y_mm, angle_deg, force_n."""
 
     def __init__(self, path: Path) -> None:
-        self._table = read_csv(path, SourceError).numbers(_COLUMNS).T.copy()
+        self._table = np.array([*read_csv(path, SourceError, _COLUMNS).values()])
         self._table[0] -= self._table[0, 0]
         self.duration_s: float = float(self._table[0, -1])
 

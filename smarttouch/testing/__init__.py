@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from smarttouch.base.wire.device_lines import PtyLine, TcpLine
+    from smarttouch.emulator.device_lines import PtyLine, TcpLine
     from smarttouch.testing.driver_contract import ZERO, DriverContract, SentPulse
     from smarttouch.testing.source_contracts import ForceContract, SourceContract, StimulusContract
 
@@ -13,7 +13,7 @@ __all__ = [
     "StimulusContract", "TcpLine",
 ]  # fmt: skip
 
-_MODULES = "base.wire.device_lines", "testing.source_contracts", "testing.driver_contract"
+_MODULES = "emulator.device_lines", "testing.source_contracts", "testing.driver_contract"
 
 if not TYPE_CHECKING:  # pytest loads a plug-in from here before it can rewrite what it asserts
 

@@ -1,6 +1,7 @@
 """Paths of users are opened only if they are files, and read no further than a limit."""
 
 import errno
+import math
 import os
 import re
 import resource
@@ -15,10 +16,12 @@ import pytest
 from smarttouch.base import files as module
 from smarttouch.base.errors import PageError, ProfileError
 from smarttouch.base.files import (
+    finite,
     make_folder,
     open_alone,
     open_file,
     read_bytes,
+    read_csv,
     read_text,
     read_toml,
     require_file,
@@ -265,3 +268,38 @@ def test_a_file_system_without_locks_lets_everybody_in(tmp_path, monkeypatch):
     monkeypatch.setattr(module.fcntl, "flock", without)
     with open_alone(tmp_path / "a", PageError), open_alone(tmp_path / "a", PageError) as second:
         assert second.writable()
+
+
+@pytest.fixture
+def table(tmp_path):
+    def read(text, *names, **how):
+        path = tmp_path / "a.csv"
+        path.write_text(text, encoding="utf-8", newline="")
+        columns = read_csv(path, PageError, names, **how)
+        return {name: column.tolist() for name, column in columns.items()}
+
+    return read
+
+
+def test_columns_come_in_the_order_asked_and_others_are_not_used(table):
+    text = "\ufeff\nb, note ,a\r\n1, x,2\r\n\r\n , ,\r\n3,,4,\r\n"
+    assert list(table(text, "a", "b").items()) == [("a", [2, 4]), ("b", [1, 3])]
+    assert table(text, "a", optional=("c", "b")) == {"a": [2, 4], "b": [1, 3]}
+    assert table('a,note\n2,"x\ny"\n1,z\n', "a", rising=False) == {"a": [2, 1]}
+
+
+@pytest.mark.parametrize(("text", "about", "value"), [
+    ("", "columns", ()), ("a,c\n1,2\n", "columns", ("a", "c")), ("a,b\n1,2\n", "rows", 1),
+    ("a,b\n1,2\n\n2\n", "line", 4), ("a,b\n1,2\n2,\n", "line", 3),
+    ("a,b\n1,2\n2,1e999\n", "line", 3), ("a,b\n0,5,1\n", "line", 2),
+    ("a,b\n1,2\n3,4\n3,5\n", "line", 4), ('a,b\n1,"2\n"\nx,3\n', "line", 4),
+])  # fmt: skip
+def test_errors_of_tables_name_their_line(table, text, about, value):
+    with raises(PageError, names=about, value=value):
+        table(text, "a", "b")
+
+
+@pytest.mark.parametrize("text", ["", "x", "nan", "-inf", "1,5"])
+def test_what_is_no_finite_number(text):
+    assert math.isnan(finite(text))
+    assert finite(" -1.5 ") == -1.5

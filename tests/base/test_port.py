@@ -2,16 +2,12 @@
 
 import contextlib
 import os
-import shutil
 import socket
-import subprocess
 import threading
-from pathlib import Path
 
 import pytest
 
 from smarttouch.base.errors import BoardError, OtherDeviceError
-from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.base.wire.port import (
     LINE_ERRORS,
     UsbIdentity,
@@ -21,9 +17,9 @@ from smarttouch.base.wire.port import (
     reopen_port,
     write_before,
 )
+from smarttouch.emulator.device_lines import PtyLine
 
 from ..support.checks import raises
-from ..support.runs import until
 
 
 @pytest.mark.parametrize("name", [
@@ -205,16 +201,6 @@ def test_waiting_for_a_port_ends_when_the_waiter_is_stopped():
 
     with pytest.raises(StoppedError):
         reopen_port("/dev/nowhere", 600.0, None, stop)
-
-
-def test_brltty_is_named_where_it_may_have_claimed_a_port(tmp_path):
-    shutil.copy("/bin/sleep", tmp_path / "brltty")
-    with subprocess.Popen([tmp_path / "brltty", "60"]) as process:
-        # A new process has the name of its parent for a moment.
-        until(lambda: Path(f"/proc/{process.pid}/comm").read_text() == "brltty\n")
-        with raises(BoardError, names="BRLTTY"):
-            open_port("/dev/ttyUSB99")
-        process.kill()
 
 
 def test_bytes_that_another_program_has_taken_are_no_loss(monkeypatch):

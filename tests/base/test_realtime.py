@@ -7,9 +7,12 @@ import threading
 
 import pytest
 
-from smarttouch.base import clock, posix
-from smarttouch.base.clock import SPIN_NS, MonotonicClock
-from smarttouch.base.posix import PRIORITY, is_prioritized, prioritized
+from smarttouch.base import posix
+from smarttouch.base.posix import PRIORITY, prioritized
+
+
+def is_prioritized():
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
 
 
 def in_a_thread(work):
@@ -72,28 +75,3 @@ def test_on_systems_without_it_work_goes_on(monkeypatch):
     monkeypatch.setattr(posix, "_FIFO", None)
     with prioritized() as given:
         assert not given
-        assert not is_prioritized()
-
-
-class Event:
-    """Keeps how long it was waited for."""
-
-    waited_s = None
-
-    def wait(self, timeout_s):
-        self.waited_s = timeout_s
-        return True
-
-    def is_set(self):
-        return False
-
-
-@pytest.mark.parametrize(("spin_ns", "real_time", "spun_ns"), [
-    (None, False, 0), (None, True, SPIN_NS), (0, True, 0), (2_000_000, False, 2_000_000),
-])  # fmt: skip
-def test_only_where_it_has_priority_a_wait_is_spun(monkeypatch, spin_ns, real_time, spun_ns):
-    monkeypatch.setattr(clock, "is_prioritized", lambda: real_time)
-    machine, event = MonotonicClock(spin_ns), Event()
-    monkeypatch.setattr(machine, "now_ns", lambda: 1_000_000)
-    machine.wait_until(11_000_000, event)
-    assert event.waited_s == pytest.approx((10_000_000 - spun_ns) / 1e9)

@@ -9,13 +9,13 @@ from dataclasses import replace
 import pytest
 
 from smarttouch.base.errors import BoardError, BoardStoppedError
-from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
 from smarttouch.boards.open import MemoryDriver, make_board
 from smarttouch.boards.reports import Capabilities
 from smarttouch.boards.run_registry import registry_folder
+from smarttouch.emulator.device_lines import PtyLine
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 

@@ -12,8 +12,8 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from smarttouch.base.errors import BoardError, CalibrationError, ProfileError, SourceError
-from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.cli.calibrate import calibrate
+from smarttouch.emulator.device_lines import PtyLine
 from smarttouch.emulator.devices import EmulatedLoadCell, Server
 from smarttouch.emulator.firmware import read_state
 from smarttouch.experiments.sensor_optics import target_for

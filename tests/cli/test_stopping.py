@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.boards.run_registry import registry_folder
+from smarttouch.emulator.device_lines import PtyLine
 from smarttouch.emulator.firmware import read_state
 
 from ..boards.fresh import until

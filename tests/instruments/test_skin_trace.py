@@ -55,7 +55,7 @@ def test_a_file_of_force_and_displacement(csv_file):
 
 @pytest.mark.parametrize(("text", "about", "value"), [
     ("a,b\n1,2\n", "columns", ("a", "b")),
-    ("time_s,amplitude_um\n1,2\n", "columns", ("time_s", "amplitude_um")),
+    ("time_s,amplitude_um\n1,2\n2,2\n", "columns", ("time_s", "displacement_um")),
     ("time_s,force_n\n0,1\n", "rows", 1),
     ("time_s,force_n\n0,1\n\n2,1\n1.5,1\n", "line", 5),
     ("time_s,force_n\n0,1\n700,1\n", "duration_s", 700),

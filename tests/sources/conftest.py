@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from smarttouch.base.wire.device_lines import PtyLine
+from smarttouch.emulator.device_lines import PtyLine
 from smarttouch.sources import force, live_capture
 
 

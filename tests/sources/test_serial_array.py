@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from smarttouch.base.errors import SourceError, SourceLostError
-from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.base.wire.framing import Deframer, WirePacket, frame_packet
+from smarttouch.emulator.device_lines import PtyLine
 from smarttouch.sources import open_source, serial_array
 from smarttouch.sources.serial_array import (
     LARGEST_BODY,

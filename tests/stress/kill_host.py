@@ -21,10 +21,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from smarttouch.base.errors import BoardRestartedError, SafetyError, SequenceLateError
-from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.boards.kits import current_scale
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
+from smarttouch.emulator.device_lines import PtyLine
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, DeviceClock
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware

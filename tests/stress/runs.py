@@ -20,8 +20,8 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from smarttouch.base.posix import prioritized
-from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.cli import main
+from smarttouch.emulator.device_lines import PtyLine
 from smarttouch.emulator.devices import Server
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog

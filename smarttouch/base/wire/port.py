@@ -203,14 +203,6 @@ def reason(error: Exception) -> str:
     return os.strerror(number) if number else (str(error) or type(error).__name__)
 
 
-def _brltty_runs() -> bool:
-    for file in Path("/proc").glob("[0-9]*/comm"):
-        with contextlib.suppress(OSError):
-            if file.read_text() == "brltty\n":
-                return True
-    return False
-
-
 def _advice(error: Exception) -> str:
     text = str(error)
     if "lock" in text or "busy" in text.lower():
@@ -220,12 +212,10 @@ def _advice(error: Exception) -> str:
     if "refused" in text:
         return "nobody listens there: check that it is on, its address and port"
     if "No such file" in text or getattr(error, "errno", None) == 2:
-        if _brltty_runs():
-            return (
-                "there is no such port, and BRLTTY runs, which claims boards with a CH340, CP210x "
-                "or FTDI chip as Braille displays: let it leave this one (docs/install.md)"
-            )
-        return "there is no such port: check the cable and the name"
+        return (
+            "there is no such port: check the cable and the name. BRLTTY may have claimed a board "
+            "with a CH340, CP210x or FTDI chip: let it leave this one (docs/install.md)"
+        )
     if "ermission" in text:
         return "permission denied: add yourself to the group of the port (often dialout)"
     return text
