@@ -239,14 +239,9 @@ def main() -> None:
     with progress("Fitting") as advance:
         fits = fit_fiber(profile, load_bank(profile), asked.fiber, progress=advance, keep=keep)
     heading, *rows = error_rows(fits)
-    print_table(
-        rows,
-        heading,
-        title="Errors of predicted thresholds in %, on kernels not fitted to",
-        note="AF: the activating function with the threshold that suits the fitted cases.",
-        ruled=True,
-        left=2,
-    )
+    print("Errors of predicted thresholds in %, on kernels not fitted to")
+    print_table(rows, heading, left=2)
+    print("AF: the activating function with the threshold that suits the fitted cases.")
     if asked.json is not None:
         write_json(asked.json, as_json(fits))
 

@@ -262,5 +262,7 @@ def _concentric_rows(
 
 if __name__ == "__main__":
     print_table(
-        effects(sys.argv[1], range(1, int(sys.argv[2]) + 1)), ["effect", "paper", "fingers"], left=3
+        [*effects(sys.argv[1], range(1, int(sys.argv[2]) + 1))],
+        ["effect", "paper", "fingers"],
+        left=3,
     )

@@ -220,6 +220,13 @@ def unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> Sm
     return error(f"cannot write {path}: {failure.strerror}")
 
 
+def require_folder(path: Path | None) -> None:
+    """Raise before any work is done if a file could not be written in the end."""
+    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+        message = f"cannot write {path}: give a file in a folder that exists"
+        raise SmartTouchError(message)
+
+
 def write_json(path: Path, figures: Any) -> None:
     """Write figures as JSON; NaN and infinite numbers become null."""
     from pydantic_core import to_json  # help and short commands need none

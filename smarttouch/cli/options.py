@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError, choice_of, require_within
+from smarttouch.base.files import require_folder
 from smarttouch.base.terminal import draws
 
 if TYPE_CHECKING:
@@ -39,9 +40,7 @@ def output_file(says: str, metavar: str, *names: str) -> Any:
 
 
 def _in_a_folder(path: Path | None) -> Path | None:
-    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-        message = f"cannot write {path}: give a file in a folder that exists"
-        raise SmartTouchError(message)
+    require_folder(path)
     return path
 
 
