@@ -155,31 +155,32 @@ _WIDEST_GAP = 3.8  # in heights of the taller letter: a dash or = between two sp
 _LEAST_OVERLAP = 0.45  # of two letters of a row, as a part of the lower one's height
 _LARGEST_RATIO = 2.8  # of heights in a row: a parenthesis has 2.5 times the height of an x
 _LEAST_SPACE = 0.35  # narrowest space, in letter heights; a narrower gap is within a word
-_NARROWEST, _LITTLE_WIDER, _WIDER, _WIDE = 0.75, 1.25, 1.9, 2.2
-"""Narrowest gutter, in letter heights; factors of usual spaces to a gutter between many lines, and
-between few; gap, in letter heights, that may always be one between few."""
-_LANE, _OTHER_LINE, _FEW_LINES, _MANY_LINES = 12.0, 0.8, 2, 5
-"""Farthest lines beside a gutter, and least distance of lines, in letter heights; few lines, and
-many."""
-_FAR = 1 << 30
+_NARROWEST, _LANES = 0.75, ((1.25, 15.0), (1.9, 8.0))
+"""Least width of the white between columns, in letter heights, and in usual spaces if it is so
+many letter heights long."""
+_LANE_REACH, _SHORT_LINES = 16.0, 6.5
+"""Farthest print on both sides of a lane, and height of short lines among it, in letter heights."""
 
 
-def find_rows(letters: Components, marks: Components, walls: NDArray[np.bool_]) -> list[Indices]:
+def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Indices]:
     """Return the indices of the letters of each row, from left to right.
 
-    Rows end at ``walls``, (H, W), which are vertical rules and pictures, and at gutters. All
-    components of the page, ``marks``, fill gaps between letters.
+    Rows end at ``walls``, (H, W), which are vertical rules and pictures, and at white lanes in
+    ``ink``, (H, W), between columns.
     """
     if len(letters.area) < 2:
         return [np.arange(1)] * len(letters.area)
     first, second, gap = _link_neighbors(letters)
+    spaces = gap[gap > _LEAST_SPACE * letters.height[first]]
+    lanes = _lanes(ink, height, float(np.median(spaces)) if len(spaces) else 0.0)
     middle = (letters.top[first] + letters.bottom[first]) // 2
-    passed = np.cumsum(walls, axis=1, dtype=np.int32)
-    ends = np.minimum(letters.left[second], walls.shape[1] - 1)
-    free = passed[middle, ends] <= passed[middle, letters.right[first] - 1]
-    first, second, gap = first[free], second[free], gap[free]
-    kept = ~_over_gutters(letters, first, second, gap, marks)
-    following = dict(zip(first[kept].tolist(), second[kept].tolist(), strict=True))
+    ends = np.minimum(letters.left[second], ink.shape[1] - 1)
+    passed = (np.cumsum(mask, axis=1, dtype=np.int32) for mask in (walls, lanes))
+    walled, laned = (x[middle, ends] > x[middle, letters.right[first] - 1] for x in passed)
+    # Letters of a headline are farther apart than columns.
+    wide = 2 * gap > _NARROWEST * (letters.height[first] + letters.height[second])
+    free = ~(walled | (laned & wide))
+    following = dict(zip(first[free].tolist(), second[free].tolist(), strict=True))
     rows = []
     for start in sorted(set(range(len(letters.area))) - set(following.values())):
         row = [start]
@@ -187,6 +188,23 @@ def find_rows(letters: Components, marks: Components, walls: NDArray[np.bool_]) 
             row.append(following[row[-1]])
         rows.append(np.array(row))
     return rows
+
+
+def _lanes(ink: Ink, height: float, space: float) -> Ink:
+    """Return the tall white between print on both sides, (H, W)."""
+    page = ink.view(np.uint8)
+    beside = np.ones((1, round(_LANE_REACH * height)), np.uint8)
+    leading = np.ones((round(_SHORT_LINES * height) | 1, 1), np.uint8)
+    white = ~ink
+    for x in (0, beside.size - 1):
+        near = cv2.dilate(page, beside, anchor=(x, 0))
+        white &= cv2.morphologyEx(near, cv2.MORPH_CLOSE, leading) > 0
+    found = np.zeros_like(ink)
+    for spaces, length in _LANES:
+        width = max(3, round(max(_NARROWEST * height, spaces * space)))
+        lane = np.ones((round(length * height), width), np.uint8)
+        found |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
+    return found
 
 
 def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
@@ -217,57 +235,3 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     follows, precedes = (np.unique(each, return_index=True)[1] for each in (first, second))
     agreed = np.intersect1d(follows, precedes)
     return first[agreed], second[agreed], gap[agreed]
-
-
-def _over_gutters(
-    letters: Components, first: Indices, second: Indices, gap: Indices, marks: Components
-) -> NDArray[np.bool_]:
-    """Return for each link, (L,), whether it leads over a white lane that parts columns."""
-    # Mean of both letters, as a parenthesis is much taller than the others.
-    mean = (letters.height[first] + letters.height[second]) / 2
-    part = gap / mean
-    spaces = part[part > _LEAST_SPACE]
-    usual = float(np.median(spaces)) if len(spaces) else 0.0
-    narrow = max(_NARROWEST, _LITTLE_WIDER * usual)
-    sure = min(max(_NARROWEST, _WIDER * usual), _WIDE)
-    over = np.zeros(len(first), np.bool_)
-    for k in np.flatnonzero(part > narrow):
-        size, y = float(mean[k]), float(letters.bottom[first[k]] + letters.bottom[second[k]]) / 2
-        ends = float(letters.right[first[k]]), float(letters.left[second[k]])
-        start, end = _widest_white(marks, *ends, y - size, y)
-        if end - start > narrow * size:
-            lane = end - _NARROWEST * size
-            lanes = (lane, start, (start + lane) / 2) if end - start > _WIDE * size else (lane,)
-            fewest = _FEW_LINES if end - start > sure * size else _MANY_LINES
-            over[k] = any(_parted_lines(letters, at, y, size) >= fewest for at in lanes)
-    return over
-
-
-def _parted_lines(letters: Components, left: float, y: float, size: float) -> int:
-    """Return the number of other lines, on both sides, between which a lane is white."""
-    right = left + _NARROWEST * size
-    across = (letters.right > left) & (letters.left < right)
-    above = letters.bottom[across & (letters.bottom < y - size / 2)].max(initial=-_FAR)
-    below = letters.top[across & (letters.top > y - size / 2)].min(initial=_FAR)
-    beside = (letters.top > above) & (letters.bottom < below)
-    beside &= np.abs(letters.bottom - y) > _OTHER_LINE * size
-    lines = []
-    for near in (
-        (letters.left >= right) & (letters.left < left + _LANE * size),
-        (letters.right <= left) & (letters.right > left - _LANE * size),
-    ):
-        bottoms = np.sort(letters.bottom[beside & near])
-        lines.append(int(np.count_nonzero(np.diff(bottoms, prepend=-_FAR) > _OTHER_LINE * size)))
-    return min(lines)
-
-
-def _widest_white(
-    components: Components, left: float, right: float, top: float, bottom: float
-) -> tuple[float, float]:
-    """Return the ends of the widest part without ink, px, of a gap from ``left`` to ``right``."""
-    inside = (components.right > left) & (components.left < right)
-    inside &= (components.bottom > top) & (components.top < bottom)
-    starts = np.concatenate([[left], np.sort(components.right[inside])])
-    ends = np.concatenate([np.sort(components.left[inside]), [right]])
-    widest = int((ends - starts).argmax())
-    return float(starts[widest]), float(ends[widest])

@@ -152,7 +152,7 @@ def _lines_in_ink(ink: Ink, height: float, mm_per_pixel: float, leftward: bool) 
     walls = dividers | np.append(False, pictures)[labels]
     components = without_specks(components)
     letters = components.of(like_letters(components, height))
-    rows = [letters.of(row) for row in find_rows(letters, components, walls)]
+    rows = [letters.of(row) for row in find_rows(letters, parted, walls, height)]
     baselines, small = _measured(parted, rows)
     left_out = _left_out(small, int(pictures.sum()))
     if not baselines:
