@@ -27,7 +27,7 @@ def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
-@pytest.mark.parametrize("path", sample(SCRIPTS, 4), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sample(SCRIPTS, 8), ids=lambda path: path.stem)
 def test_it_runs(path, cache, tmp_path, monkeypatch, capsys):
     if path.stem in LONG:
         pytest.skip("long: run where the pages are built")

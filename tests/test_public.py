@@ -22,7 +22,6 @@ from smarttouch import lab, plugins, testing, types
 
 from .public_api import names_of
 from .support.checks import raises
-from .support.full import sample
 
 
 def test_they_are_few_and_all_described():
@@ -257,7 +256,8 @@ RIGHT = [
 CHECKERS = [("mypy", "--strict"), ("pyright", "--pythonpath", sys.executable)]
 
 
-@pytest.mark.parametrize("checker", sample(CHECKERS), ids=lambda each: each[0])
+@pytest.mark.long
+@pytest.mark.parametrize("checker", CHECKERS, ids=lambda each: each[0])
 def test_misspellings_are_all_that_is_found(checker):
     """In one run: a checker reads the package each time."""
     if importlib.util.find_spec(checker[0]) is None:

@@ -137,7 +137,7 @@ MUTANTS = {
         one_source, RULES, "? total_ua : st_magnitude(", "? share[0] : st_magnitude("
     ),
 }  # fmt: skip
-USUAL = ("the sign of a recharge", "net charge of the last passes", "the strength of a pulse")
+USUAL = ("net charge of the last passes",)
 
 
 @pytest.mark.parametrize(

@@ -34,14 +34,14 @@ def checks(name="st_checks"):
     return built("checks", name, "cc")
 
 
-@pytest.mark.parametrize("slots", [30_000, pytest.param(1_000_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("slots", [3_000, pytest.param(1_000_000, marks=pytest.mark.long)])
 def test_the_rest_is_kept_however_long_a_port_takes(slots):
     """Functions that take 0 to 500 us at random, and call `st_zero` now and then."""
     found = re.match(
         r"(\d+) slots, 0 overlaps, 0 after (\d+) zeros", check(checks(), "times", slots)
     )
     assert int(found[1]) >= slots
-    assert int(found[2]) > 100
+    assert int(found[2]) > slots / 300
 
 
 def test_an_interrupt_ends_all():
@@ -89,9 +89,8 @@ def test_a_core_without_one_guard_is_found_out(tmp_path, name):
     assert found != check(checks(), "init")
 
 
-@pytest.mark.parametrize(
-    "shift", [3, *(pytest.param(each, marks=pytest.mark.long) for each in (2, 4, 6))]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("shift", [2, 3, 4, 6])
 def test_rests_on_a_cortex_m3(shift):
     """Of slots of 1 to 24 kernels at 250 to 15.6 MIPS: kept, or refused with the slot."""
     elf = built("measure", "st_measure.elf", "arm-none-eabi-gcc", "qemu-system-arm")
@@ -111,6 +110,7 @@ def test_rests_on_a_cortex_m3(shift):
     assert [each for each in rests if each[5] > 32 * (250 + each[2]) + 6000] == []
 
 
+@pytest.mark.long
 def test_what_was_built_with_other_options_is_built_again(tmp_path):
     """A kit's firmware must not pass for another's, whose counts are four times the current."""
     if not SOURCES.is_dir() or shutil.which("make") is None or shutil.which("cc") is None:

@@ -75,6 +75,7 @@ def test_what_was_read_replays_to_the_bit_and_is_felt_once_more(program_here, fi
     assert figures_of("replay run.mcap --board simulated:")["slots"] == read["slots"] > 0
 
 
+@pytest.mark.long
 @needs_tesseract
 def test_legibility_of_a_page(program_here, tmp_path, page_file):
     (tmp_path / "truth.txt").write_text("a thin light beam")

@@ -137,6 +137,7 @@ def test_lone_discs_give_the_figures_of_published_experiments(mouse):
     assert found["anodic"] < found["cathodic"]
 
 
+@pytest.mark.long
 def test_a_page_is_read_and_kept(tmp_path):
     kept, setting = tmp_path / "pages.jsonl", replace(BEFORE, size=0.75)
     try:

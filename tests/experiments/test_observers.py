@@ -21,7 +21,7 @@ from smarttouch.experiments.trials import Setup
 from smarttouch.physiology.finger import Finger
 
 from ..support.checks import raises
-from ..support.full import WHOLE, sample
+from ..support.full import sample
 from .simulated import ratio_of, sit, weber_fraction
 
 RA, SAI, PC = Afferent
@@ -226,10 +226,8 @@ def test_two_looks_make_a_choice(observer, train):
     assert 8 < tossed.count("1") < 32
 
 
-EXPERIMENTS = ["detection", "localization"]
-
-
-@pytest.mark.parametrize("name", EXPERIMENTS if WHOLE else EXPERIMENTS[1:])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["detection", "localization"])
 def test_the_model_sits_every_experiment(profile, bank, tmp_path, name):
     setup = Setup(profile, repetitions=2, train_s=0.1)
     path = tmp_path / "rows.csv"

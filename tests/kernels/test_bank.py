@@ -167,6 +167,7 @@ def test_a_bank_around_masked_electrodes(name, keys, changed):
         assert bank.kernel(afferent, 2, "weighted").off_target > 0
 
 
+@pytest.mark.long
 def test_a_kernel_without_current_at_a_masked_electrode_stays_the_best(profile, bank, changed):
     problem = Problem(changed(profile, {"output.masked": [9]}), Afferent.PC)
 
@@ -263,6 +264,7 @@ def test_a_bank_that_cannot_be_kept_is_used_all_the_same(cache, mine, monkeypatc
     assert os.strerror(28) in str(caught.value)
 
 
+@pytest.mark.long
 def test_processes_that_design_one_bank_at_once(tmp_path, mine):
     code = (
         "import sys; from smarttouch.kernels.bank import load_bank; "

@@ -171,6 +171,7 @@ def test_both_optima_at_a_tenth_of_a_millimeter_by_code_of_their_own(three_by_th
     assert kernel.spill == pytest.approx(spill, abs=1e-3)
 
 
+@pytest.mark.long
 def test_confined_kernels_do_not_spill(profile, changed):
     problem = Problem(
         changed(profile, {"limits.total_ma": None, "frames.share": False}), Afferent.RA

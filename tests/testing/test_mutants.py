@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from ..support.full import WHOLE
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "plugins" / "board"
@@ -350,6 +352,7 @@ SHOWN = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 def test_what_is_broken_fails_the_test_that_is_about_it(tmp_path):
     found = failed(tmp_path, BROKEN)
     assert {
