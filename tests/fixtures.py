@@ -97,7 +97,7 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: "realtime" not in item.keywords)
     if not full.WHOLE:
         for item in items:
-            if "long" in item.keywords:
+            if item.get_closest_marker("long"):
                 item.add_marker(pytest.mark.skip(reason="long: with --full, as in .ci/run"))
 
 
