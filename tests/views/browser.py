@@ -48,13 +48,3 @@ def opened(browser, address, width=1440, height=900, **options):
         assert wrong == []
     finally:
         page.close()
-
-
-def violations(page):
-    """Return what axe-core finds wrong; skip where that is not installed."""
-    if not AXE.is_file():
-        pytest.skip("there is no axe-core: npm install --prefix build/axe axe-core")
-    # The page forbids scripts of others; the browser may bring one along.
-    page.evaluate(AXE.read_text("utf-8"))
-    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
-    return [(each["id"], [node["html"] for node in each["nodes"]]) for each in found]

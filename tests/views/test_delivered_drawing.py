@@ -1,21 +1,18 @@
-"""The picture of what was felt shows current where it was delivered."""
-
-import sys
-from dataclasses import replace
-from pathlib import Path
+"""Pictures of what was felt show current where it was delivered, and spikes by class."""
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import smarttouch as st
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.pages.page_image import Page
+from smarttouch.physiology.spikes import DeliveredSlots, SpikeModel, delivered_spikes
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.source_contract import Frame, Pose, Sheet
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.views.delivered_drawing import PageDrawing
-from smarttouch.views.figure_style import require_drawable
+from smarttouch.views.delivered_drawing import PageDrawing, SpikeMap
 
 from ..support.checks import raises
 
@@ -86,66 +83,70 @@ def test_a_full_pulse_is_black_and_a_weaker_one_grey(drawing):
     assert abs(int(picture[:, 150:].min()) - 128) <= 2
 
 
-def test_a_shorter_pulse_does_less_than_a_long_one_and_more_than_its_charge(drawing):
-    drawing.watch(at(1, 12.0, 9.0))
-    # Weiss, chronaxie 200 µs: at 100 µs a current does 2/3 of what it does at 200 µs.
-    deliver(drawing, [1], slot(0, -2400), 100.0)
-    assert drawing.picture(*AREA).min() == pytest.approx(255 * (1 - 1 / 3), abs=2)
-
-
-def test_a_sequence_that_was_lost_with_the_board_is_not_drawn(drawing):
-    drawing.watch(at(1, 12.0, 9.0))
-    for _ in range(3):
-        drawing.watch(replace(at(1, 12.0, 9.0), number=None))
-    deliver(drawing, [1], slot(0, -2400))
-    # Nor does it make what was felt there paler.
-    assert drawing.picture(*AREA).min() == 0
-
-
-def test_where_nothing_was_seen_the_touch_is_drawn_alone(profile, make_bank, tmp_path):
-    own = -np.eye(64, dtype=np.float32)
-    drawing = PageDrawing(profile, make_bank(own, own), (Afferent.RA,))
-    drawing.watch(at(1, 12.0, 9.0))
-    deliver(drawing, [1], slot(0, -2400))
-    assert drawing.picture(*AREA).min() == 0
-    drawing.save(tmp_path / "felt.png")
-    with Image.open(tmp_path / "felt.png") as sheet:
-        assert sheet.height / sheet.width < 1.3
-
-
-def test_lines_that_were_read_are_drawn_one_below_the_other(profile, make_bank):
-    own, line = -np.eye(64, dtype=np.float32), np.full((40, 100), 255, np.uint8)
-    line[:, 50:] = 0
-    sheets = iter([Sheet(0, Page(line, 0.1), (0.0, -2.0)), Sheet(1, Page(line, 0.1), (0.0, 8.0))])
-    drawing = PageDrawing(profile, make_bank(own, own), (Afferent.RA,), lambda: next(sheets))
-    for number, y_mm in enumerate((0.0, 10.0)):
-        drawing.watch(at(number, 5.0, y_mm))
-    _, corner_mm, size_mm, draw = drawing.under()
-    assert (corner_mm, size_mm) == ((0.0, -2.0), (10.0, 14.0))
-    drawn = draw((70, 50), 0.2)
-    assert [drawn[row, 40] for row in (10, 35, 60)] == [0, 255, 0]
-    assert drawn[:, :20].min() == 255
-
-
 def test_save(drawing, tmp_path):
     drawing.watch(at(1, 12.0, 9.0))
     deliver(drawing, [], np.empty((0, 64), np.int16))
     drawing.save(tmp_path / "felt.png")
     with Image.open(tmp_path / "felt.png") as sheet:
         assert sheet.width > 700
-        # A black bar of whole millimeters beside the first label, by the resolution that it says.
-        above = np.asarray(sheet)[:52, :-24] == 40
-        runs = [run for row in above for run in "".join(np.where(row, "#", " ")).split()]
-        bar_px = max(map(len, runs))
-        bar = bar_px / sheet.info["dpi"][0] * 25.4
-        assert bar == pytest.approx(round(bar), abs=0.2)
-        assert bar >= 1
     path = tmp_path / "none" / "felt.png"
     with raises(SmartTouchError, names="file", value=path):
         drawing.save(path)
 
 
-def test_without_matplotlib_a_figure_is_refused_before_any_work(monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with raises(SmartTouchError, names="pip install 'smarttouch[plot]'"):
-        require_drawable(Path("figure.svg"))
+RA, SAI, PC = st.Afferent
+SITE = 27
+
+
+@pytest.fixture(scope="module")
+def finger(profile):
+    return st.Finger(profile, seed=1, anatomy="paper")
+
+
+@pytest.fixture(scope="module")
+def pulse(profile, bank):
+    current = 1000 * profile.full_ma[SITE] * bank.kernels(SAI)[SITE]
+    return np.rint(current).astype(np.int16)
+
+
+def test_spikes_are_those_of_each_sequence(finger, pulse):
+    numbers = np.array([3, 3, 4, 6], np.uint32)
+    current = np.stack([pulse, pulse, 0 * pulse, pulse])
+    width = np.full(4, 200, np.float32)
+    found = delivered_spikes(finger, numbers, width, current, {3: 20_000, 4: 20_000, 5: 20_000})
+    assert list(found) == [3, 4]
+    assert found[4].sum() == 0
+    # A slot later is within the refractory time: one spike each.
+    assert set(found[3]) == {0, 1}
+    alone = DeliveredSlots(pulse[None], np.array([200]), np.array([100]), 20_000)
+    fired = SpikeModel(finger).fire(alone).counts
+    assert np.count_nonzero(found[3] != fired) <= 1
+
+
+@pytest.mark.parametrize(("afferent", "own", "other"), [(RA, 0, 2), (SAI, 2, 0)])
+def test_a_class_is_drawn_in_its_color_where_its_receptors_were(finger, afferent, own, other):
+    distance = np.where(finger.classes == afferent, np.abs(finger.receptor_mm).sum(axis=1), 99)
+    counts = np.zeros(len(finger.classes), np.intp)
+    counts[distance.argmin()] = 3
+    drawn = SpikeMap(finger, lambda places, _: places + 12, (240, 240), 0.1)
+    drawn.add(Pose(0.0, 0.0), counts)
+    image = drawn.image()
+    row, column = np.unravel_index(image.sum(axis=2).argmin(), image.shape[:2])
+    place = np.array([column, row]) * 0.1 - 12
+    assert np.abs(place - finger.receptor_mm[distance.argmin()]).max() < 0.15
+    # Orange has more red than blue; blue the other way round.
+    assert image[row, column, own] > image[row, column, other]
+    assert image.max() == 255
+
+
+@pytest.mark.parametrize("spikes", [False, True])
+def test_the_picture_has_a_panel_in_color(drawing, finger, pulse, tmp_path, spikes):
+    drawing.watch(at(1, 12.0, 9.0))
+    drawing.deliver(np.ones(1, np.uint32), np.full(1, 200, np.float32), pulse[None],
+                    finger if spikes else None)  # fmt: skip
+    drawing.save(tmp_path / "felt.png")
+    with Image.open(tmp_path / "felt.png") as sheet:
+        pixels = np.asarray(sheet.convert("RGB")).astype(int)
+    colored = np.flatnonzero(np.ptp(pixels, axis=2).max(axis=1) > 60)
+    assert (len(colored) > 0) == spikes
+    assert not spikes or colored.min() > len(pixels) / 2

@@ -1,7 +1,5 @@
 """A vibrator plays what sequences ask of PC, and is silent soon after the last one."""
 
-import errno
-import os
 import sys
 import types
 import wave
@@ -83,49 +81,16 @@ def test_it_is_silent_within_100_ms_of_the_last_vibration(played, last, ends_s):
     assert level(samples, ends_s + FADE_S + 1e-4, 1) == 0
 
 
-def test_a_run_and_a_stop(tmp_path):
-    class Stop(st.Listener):
-        def step(self, sent):
-            if sent.sequence.time_ns >= 500_000_000:
-                display.stop()
-
-    display, path = st.open_display("simulated:"), tmp_path / "pc.wav"
-    found = st.run(
-        "vibration:tone:250Hz,2um?seconds=2", display, mode="color", scan="points",
-        listeners=[st.Vibrator(path), Stop()],
-    )  # fmt: skip
-    samples = read(path)
-    assert (found.slots, found.ended) == (0, "the display was stopped")
-    assert 0.5 < len(samples) / RATE_HZ < 0.6
-    assert level(samples, 0.4, 0.5) > 0.5
-    assert abs(samples[-1]) < 1e-3
-
-
-def test_a_full_disk_is_named(tmp_path, monkeypatch):
-    def refuse(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    vibrator = st.Vibrator(tmp_path / "pc.wav")
-    vibrator.prepare(None)
-    with monkeypatch.context() as patch:
-        patch.setattr("wave.Wave_write.writeframes", refuse)
-        with pytest.raises(st.SmartTouchError, match=r"pc\.wav: No space left"):
-            vibrator.step(result(1.0))
-    vibrator.close()
-
-
 class FakeSound(types.ModuleType):
     """A sound card that is asked for samples by the test."""
 
-    def __init__(self, refuse=None):
+    def __init__(self):
         super().__init__("sounddevice")
-        self._refuse, self.active = refuse, True
+        self.active = True
 
     # Named as sounddevice names it.
     def OutputStream(self, rate_hz, callback, **options):  # noqa: N802
         assert (rate_hz, options["channels"]) == (RATE_HZ, 1)
-        if self._refuse is not None:
-            raise self._refuse
         self._fill = callback
         return self
 
@@ -158,8 +123,7 @@ def test_a_sound_card_plays_until_80_ms_after_the_last_step(monkeypatch):
     vibrator.close()
 
 
-@pytest.mark.parametrize("sound", [None, FakeSound(OSError("no default output device"))])
-def test_what_is_missing_for_sound_is_one_sentence(monkeypatch, sound):
-    monkeypatch.setitem(sys.modules, "sounddevice", sound)
+def test_what_is_missing_for_sound_is_one_sentence(monkeypatch):
+    monkeypatch.setitem(sys.modules, "sounddevice", None)
     with pytest.raises(st.SmartTouchError, match="pip install sounddevice"):
         st.Vibrator("sound:").prepare(None)

@@ -3,19 +3,17 @@
 import http.client
 import json
 import random
-from contextlib import ExitStack, suppress
-from socket import SHUT_RDWR
+from contextlib import ExitStack, closing, suppress
 from urllib.parse import urlsplit
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
-import smarttouch as st
 from smarttouch.base.afferent import Mode
 from smarttouch.base.events import Note, RunFailed, TrialEvent
 from smarttouch.base.stopping import StopRequest
-from smarttouch.running.inputs import STEP, Controls, ControlState
+from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.views import window_pages
 from smarttouch.views.window_pages import LOST_S, MOST_PAGES, Steering
 from smarttouch.views.window_server import MOST_MESSAGE_BYTES
@@ -37,13 +35,11 @@ def connect(run, *, origin=None, token=None):
 
 def ask(run, method, path, **headers):
     place = urlsplit(run.address)
-    line = http.client.HTTPConnection(place.hostname, place.port, timeout=10)
-    secret = place.path.split("/")[1]
-    line.request(method, path.replace("SECRET", secret), headers=headers)
-    answer = line.getresponse()
-    answer.read()
-    line.close()
-    return answer
+    with closing(http.client.HTTPConnection(place.hostname, place.port, timeout=10)) as line:
+        line.request(method, path.replace("SECRET", place.path.split("/")[1]), headers=headers)
+        answer = line.getresponse()
+        answer.read()
+        return answer
 
 
 def receive(socket, kind):
@@ -60,31 +56,27 @@ def receive(socket, kind):
 
 def test_only_this_page_of_this_machine_is_served(running):
     with running() as run:
-        netloc = urlsplit(run.address).netloc
-        own = f"http://{netloc}"
-        for path, headers, status in (
-            ("/SECRET/live.html", {}, 200),
-            ("/SECRET/live.html", {"Origin": own}, 200),
-            ("/SECRET/style.css", {}, 200),
-            ("/SECRET/../live.py", {}, 404),
-            ("/SECRET/%2e%2e/live.py", {}, 404),
-            ("/live.html", {}, 403),
-            ("/", {}, 403),
-            ("/SECREX/live.html", {}, 403),
-            ("/SECRET/live.html", {"Host": "example.org"}, 403),
-            ("/SECRET/live.html", {"Origin": "http://example.org"}, 403),
+        own = f"http://{urlsplit(run.address).netloc}"
+        stranger = "http://example.org"
+        for method, path, headers, status in (
+            ("GET", "/SECRET/live.html", {}, 200),
+            ("GET", "/SECRET/live.html", {"Origin": own}, 200),
+            ("GET", "/SECRET/../live.py", {}, 404),
+            ("GET", "/SECRET/%2e%2e/live.py", {}, 404),
+            ("GET", "/live.html", {}, 403),
+            ("GET", "/", {}, 403),
+            ("GET", "/SECREX/live.html", {}, 403),
+            ("GET", "/SECRET/live.html", {"Host": "example.org"}, 403),
+            ("GET", "/SECRET/live.html", {"Origin": stranger}, 403),
+            ("POST", "/SECRET/stop", {}, 403),
+            ("POST", "/SECRET/stop", {"Origin": stranger}, 403),
+            ("POST", "/SECRET/stop", {"Origin": "null"}, 403),
+            ("POST", "/stop", {"Origin": own}, 403),
         ):
-            assert ask(run, "GET", path, **headers).status == status, (path, headers)
-        for path, headers in (
-            ("/SECRET/stop", {}),
-            ("/SECRET/stop", {"Origin": "http://example.org"}),
-            ("/SECRET/stop", {"Origin": "null"}),
-            ("/stop", {"Origin": own}),
-        ):
-            assert ask(run, "POST", path, **headers).status == 403
+            assert ask(run, method, path, **headers).status == status, (path, headers)
         answer = ask(run, "GET", "/SECRET/live.html")
         assert "default-src 'none'" in answer.headers["content-security-policy"]
-        for wrong in ({"origin": "http://example.org"}, {"origin": ""}, {"token": "x" * 32}):
+        for wrong in ({"origin": stranger}, {"origin": ""}, {"token": "x" * 32}):
             with pytest.raises(InvalidStatus) as refused:
                 connect(run, **wrong)
             assert refused.value.response.status_code == 403
@@ -121,19 +113,6 @@ def test_what_is_no_message_ends_a_page_and_nothing_else(running):
         assert run.state() == before
 
 
-def test_a_page_is_sent_the_run(running):
-    with running() as run, connect(run) as socket:
-        hello = receive(socket, "hello")
-        assert hello["modes"][0] == "RA"
-        assert len(hello["array"]["place_mm"]) == 64
-        update = receive(socket, "update")
-        assert update["state"]["steers"] == "nobody"
-        assert any(each["kind"] == "ModeChanged" for each in update["state"]["events"])
-        assert update["picture"]["number"] in run.results
-        socket.send("seen")
-        assert receive(socket, "update")["state"]["events"] == []
-
-
 def test_a_page_does_not_show_a_failed_run_as_being_at_zero(running):
     with running() as run, connect(run) as socket:
         run.window.event(RunFailed(0, "lift the finger"))
@@ -151,23 +130,6 @@ def test_a_page_that_has_lost_its_connection_can_stop(running):
         count = len(run.board.driver.sequences)
         assert run.ended() == "the window"
         assert len(run.board.driver.sequences) == count
-
-
-def test_a_second_page_steers_when_the_first_is_gone(running):
-    with running() as run, connect(run) as second:
-        with connect(run) as first:
-            receive(first, "hello")
-            first.send("do less")
-            until(lambda: run.state().level < 1)
-            second.send("do more")
-            # Killed: without a word.
-            first.socket.shutdown(SHUT_RDWR)
-        until(lambda: run.state().paused)
-        assert run.state().level < 1
-        receive(second, "update")
-        second.send("do resume")
-        until(lambda: not run.state().paused)
-        assert run.window.steering.page is not None
 
 
 def test_current_is_zero_when_the_page_that_steers_hangs(running, monkeypatch):
@@ -193,23 +155,6 @@ def test_a_page_that_reads_nothing_holds_nobody_up(running):
         assert not run.state().paused
 
 
-def test_a_hundred_pages_come_and_go(running):
-    with running() as run:
-        for number in range(100):
-            with connect(run) as socket:
-                receive(socket, "hello")
-                if number % 10 == 0:
-                    socket.send("stee")
-        with ExitStack() as stack:
-            for _ in range(MOST_PAGES):
-                receive(stack.enter_context(connect(run)), "hello")
-            with pytest.raises(ConnectionClosed):
-                receive(stack.enter_context(connect(run)), "hello")
-        until(lambda: run.window.pages == 0)
-        assert not run.state().paused
-    assert run.runner.statistics.ended == "the test"
-
-
 def test_what_would_reveal_the_answer_is_not_sent(running):
     with running(blind=True) as run, connect(run) as socket:
         assert receive(socket, "hello")["blind"]
@@ -226,36 +171,20 @@ def test_what_would_reveal_the_answer_is_not_sent(running):
         assert "the answer" not in told
 
 
-def test_a_page_shows_where_the_finger_is_on_it_pass_after_pass(running, profile, monkeypatch):
-    monkeypatch.setattr("smarttouch.sources.virtual_finger.AGAIN_S", 0.2)
-    source = st.open_source("text:on?passes=0&speed_mm_s=40", profile)
-    again_ns = 1e9 * (source.path.duration_s + 0.2)
-    with running(source) as run, connect(run) as socket:
-        array = receive(socket, "hello")["array"]
-        update = receive(socket, "update")
-        assert update["sheet"]["size_mm"] == pytest.approx(source.page.size_mm, abs=1e-3)
-        assert update["state"]["words"] == "on"
-        picture = ask(run, "GET", "/SECRET/sheet.png")
-        assert picture.status == 200
-        assert picture.headers["content-type"] == "image/png"
-        first, second = set(), set()
-        while min(len(first), len(second)) < 3:
-            socket.send("seen")
-            update = receive(socket, "update")
-            if "picture" in update:
-                found = run.results[update["picture"]["number"]].input
-                x_mm, y_mm = found.pose.x_mm, found.pose.y_mm
-                assert update["picture"]["pose"][:2] == pytest.approx([x_mm, y_mm], abs=1e-3)
-                (first if found.time_ns < again_ns else second).add(x_mm)
-        assert array["field_mm"] == [5.0, 5.0]
-
-
 def update_where(socket, holds):
     """Return the first update for which something holds."""
     while True:
         socket.send("seen")
         if holds(update := receive(socket, "update")):
             return update
+
+
+def test_no_more_pages_than_so_many_are_open(running):
+    with running() as run, ExitStack() as stack:
+        for _ in range(MOST_PAGES):
+            receive(stack.enter_context(connect(run)), "hello")
+        with pytest.raises(ConnectionClosed):
+            receive(stack.enter_context(connect(run)), "hello")
 
 
 @pytest.mark.parametrize("asked", ["pause", "none"])
@@ -279,48 +208,16 @@ def test_a_level_beyond_the_limit_is_refused_in_words(running, level):
         until(lambda: run.state().level == 0.25)
 
 
-def steering(alone=True, most=1.0):
-    """Return the requests of pages of no server, and what they steer."""
-    controls = Controls(ControlState(Mode.RA, 0.5), (Mode.RA, Mode.SAI))
-    controls.most, stop, pressed = most, StopRequest(), []
-    keys = {"r": lambda: pressed.append("r")}
-    return Steering(controls, stop, keys, alone=alone), controls, stop, pressed
-
-
-def test_requests_of_a_page_act_as_keys():
-    pages, controls, stop, pressed = steering(most=0.5 + STEP)
-    for what, expected in (
-        ("more", ControlState(Mode.RA, 0.5 + STEP)),
-        ("more", ControlState(Mode.RA, 0.5 + STEP)),
-        ("less", ControlState(Mode.RA, 0.5)),
-        ("mode:SAI", ControlState(Mode.SAI, 0.5)),
-        ("pause", ControlState(Mode.SAI, 0.5, paused=True)),
-        ("pause", ControlState(Mode.SAI, 0.5, paused=True)),
-        ("resume", ControlState(Mode.SAI, 0.5)),
-        ("level:0.25", ControlState(Mode.SAI, 0.25)),
-        ("none", ControlState(Mode.SAI, 0.0)),
-        ("key:r", ControlState(Mode.SAI, 0.0)),
-    ):
-        assert pages.act(1, what)
-        assert controls.state(0) == expected
-    assert pressed == ["r"]
-    assert not stop.event.is_set()
-
-
 @pytest.mark.parametrize("alone", [True, False])
 def test_a_page_that_falls_silent_steers_no_longer(monkeypatch, alone):
     now_s = [100.0]
     monkeypatch.setattr(window_pages.time, "monotonic", lambda: now_s[0])
-    steer, controls, _, _ = steering(alone)
-    steer.steer(1)
-    now_s[0] += 0.9 * LOST_S
-    steer.look_after()
-    steer.note_alive(1)
-    now_s[0] += 0.9 * LOST_S
-    steer.note_alive(2)
-    steer.look_after()
-    assert steer.page == 1
-    now_s[0] += 0.2 * LOST_S
-    steer.look_after()
-    assert steer.page is None
+    controls = Controls(ControlState(Mode.RA, 0.5), (Mode.RA, Mode.SAI))
+    pages = Steering(controls, StopRequest(), {}, alone=alone)
+    pages.steer(1)
+    for wait_s, alive, steers in ((0.9, 1, 1), (0.9, 2, 1), (0.2, 2, None)):
+        now_s[0] += wait_s * LOST_S
+        pages.note_alive(alive)
+        pages.look_after()
+        assert pages.page == steers
     assert controls.state(0).paused is alone
