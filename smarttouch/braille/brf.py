@@ -116,18 +116,20 @@ def without_page_numbers(pages: Pages, note: Callable[[str], None]) -> Pages:
 
     What stands beside such a number goes where it repeats, too. ``note`` is told of both.
     """
-    for (side, corner), (edge, place) in itertools.product(_CORNERS.items(), _EDGES.items()):
-        lines = ((k, corner.fullmatch(page[place])) for k, page in enumerate(pages) if page)
-        found = {k: (int(line["number"].translate(_DIGITS)) - k, line["rest"].strip(BLANK))
+    for (side, corner), (edge, edge_index) in itertools.product(_CORNERS.items(), _EDGES.items()):
+        lines = ((k, corner.fullmatch(page[edge_index])) for k, page in enumerate(pages) if page)
+        offsets = {k: (int(line["number"].translate(_DIGITS)) - k, line["rest"].strip(BLANK))
                  for k, line in lines if line}  # fmt: skip
-        counts = Counter(ahead for ahead, _ in found.values())
+        counts = Counter(ahead for ahead, _ in offsets.values())
         ((first, times),) = counts.most_common(1) or [(0, 0)]
         if times < 2:
             continue
-        numbered = {k: rest for k, (ahead, rest) in found.items() if ahead == first}
+        numbered = {k: rest for k, (ahead, rest) in offsets.items() if ahead == first}
         heads = [head for head, times in Counter(numbered.values()).items() if head and times > 1]
         for k, rest in numbered.items():
-            pages[k][place : place + 1 or None] = [rest] if rest and rest not in heads else []
+            pages[k][edge_index : edge_index + 1 or None] = (
+                [rest] if rest and rest not in heads else []
+            )
         numbers = f"page numbers {first + min(numbered)} to {first + max(numbered)}, {edge} {side}"
         note(f"{', '.join([numbers, *heads])}, are left out")
     return pages

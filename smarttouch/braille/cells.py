@@ -50,4 +50,4 @@ def dots_to_cells(dots: NDArray[Any]) -> str:
     if dots.ndim != 2 or dots.shape[1] not in (6, 8):
         raise BrailleError(f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)")
     patterns = np.packbits(dots.astype(bool), axis=1, bitorder="little")
-    return "".join(chr(ord(BLANK) + int(each)) for each in patterns.ravel())
+    return "".join(chr(ord(BLANK) + int(pattern)) for pattern in patterns.ravel())

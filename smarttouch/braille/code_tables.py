@@ -114,16 +114,16 @@ class BrailleTable:
     def doubt(self, cells: str, text: str) -> str | None:
         """Return a sentence on words of a text that is translated back from cells, and would make
         others; None if there are none."""
-        given, again = (
-            re.split(f"[{BLANK}\n]+", each)
-            for each in (self._without_typeforms(cells), self.to_cells(text, leave_out=True))
+        plain, again = (
+            re.split(f"[{BLANK}\n]+", cells_form)
+            for cells_form in (self._without_typeforms(cells), self.to_cells(text, leave_out=True))
         )
-        wrong = [k for k, pair in enumerate(zip(given, again, strict=False)) if len(set(pair)) > 1]
+        wrong = [k for k, pair in enumerate(zip(plain, again, strict=False)) if len(set(pair)) > 1]
         if not wrong:
             return None
         example = "".join(re.split(r"\s+", text)[wrong[0] : wrong[0] + 1])
         return (
-            f"{len(wrong)} of {len(given)} words may be wrong, the first {example!r}: table "
+            f"{len(wrong)} of {len(plain)} words may be wrong, the first {example!r}: table "
             f"{self.name} makes other cells of them than these"
         )
 
@@ -140,7 +140,9 @@ class _EnglishLouis(LouisCode):
         if not any(map(is_cell, text)):
             return text
         words, read = zip(cells.split(BLANK), text.split(" "), strict=False), super().decode
-        return " ".join(read(word) if any(map(is_cell, own)) else own for word, own in words)
+        return " ".join(
+            read(word) if any(map(is_cell, original)) else original for word, original in words
+        )
 
 
 class _Known(NamedTuple):
@@ -175,10 +177,10 @@ def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
     A tag such as ``fr`` or ``pt-BR`` gives the plainest table of the language.
     """
     if _TAG.fullmatch(name):
-        own = name.lower().partition("-")[0]
-        name = next((each for each in _KNOWN if each.partition("-")[0] == own), None) or (
-            louis.find_table(name) or name
-        )
+        language = name.lower().partition("-")[0]
+        name = next(
+            (known_name for known_name in _KNOWN if known_name.partition("-")[0] == language), None
+        ) or (louis.find_table(name) or name)
     known = _KNOWN.get(name)
     if known is None:
         if "." in name and louis.has_table(name):
@@ -203,22 +205,30 @@ def _tidy(text: str, code: BrailleCode) -> str:
     """
     plain = re.sub(r"[^\S\n]", " ", text.replace("\r\n", "\n"))
     visible = "".join(
-        each for each in plain if unicodedata.category(each) != "Cf" or each in louis.JOINERS
+        character
+        for character in plain
+        if unicodedata.category(character) != "Cf" or character in louis.JOINERS
     )
 
-    def joined(found: re.Match[str]) -> str:
-        letter = found[0]
+    def joined(match: re.Match[str]) -> str:
+        letter = match[0]
         one = unicodedata.normalize("NFC", letter)
         if len(one) == len(letter):
             one = _excluded().get(letter, letter)
         return letter if code.missing(one) else one
 
     tidy = _MARKED.sub(joined, visible)
-    return tidy.translate({ord(each): "" for each in louis.JOINERS if code.missing(each)})
+    return tidy.translate(
+        {ord(character): "" for character in louis.JOINERS if code.missing(character)}
+    )
 
 
 @cache
 def _excluded() -> dict[str, str]:
     """Return the letters that Unicode excludes from composition, by their parts."""
     every = map(chr, range(0x0900, 0x1000))
-    return {parts: each for each in every if len(parts := unicodedata.normalize("NFC", each)) > 1}
+    return {
+        parts: character
+        for character in every
+        if len(parts := unicodedata.normalize("NFC", character)) > 1
+    }

@@ -22,7 +22,7 @@ def shows_dots(grey: NDArray[np.uint8]) -> bool:
         if 32 / shortest < scale < 2:
             method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
             picture = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=method)
-            if any(_has_cells(_dots(each)) for each in (picture, cv2.bitwise_not(picture))):
+            if any(_has_cells(_dots(polarity)) for polarity in (picture, cv2.bitwise_not(picture))):
                 return True
     return False
 

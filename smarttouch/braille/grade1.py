@@ -59,15 +59,15 @@ class Grade1:
         before, after = _capitals(text)
         cells: list[str] = []
         numeric, opening = False, True
-        for place, character in enumerate(text):
-            following = text[place + 1 : place + 2]
-            if place in before:
-                cells.append(before[place])
+        for index, character in enumerate(text):
+            following = text[index + 1 : index + 2]
+            if index in before:
+                cells.append(before[index])
             if character in _DIGITS:
                 cells += [_DIGITS[character]] if numeric else [_NUMBER, _DIGITS[character]]
                 numeric, opening = True, False
             elif character in ".,":
-                after_letter = place > 0 and _is_letter(text[place - 1])
+                after_letter = index > 0 and _is_letter(text[index - 1])
                 if following in _DIGITS and not numeric and not after_letter:
                     cells.append(_NUMBER)
                     numeric = True
@@ -75,7 +75,7 @@ class Grade1:
                 opening = False
             elif _is_letter(character):
                 spelled = _letter(character)
-                if numeric and place not in before and spelled in _DIGIT_OF:
+                if numeric and index not in before and spelled in _DIGIT_OF:
                     cells.append(_GRADE_1)
                 cells.append(spelled)
                 numeric = opening = False
@@ -84,8 +84,8 @@ class Grade1:
                 cells.append(spelled)
                 quoted = spelled in (_ONE_QUOTE_OR_QUESTION, _SURE_QUOTE) and character != "?"
                 numeric, opening = False, character in _OPENING or quoted
-            if place in after:
-                cells.append(after[place])
+            if index in after:
+                cells.append(after[index])
         return "".join(cells)
 
     def decode(self, cells: str) -> str:
@@ -93,43 +93,43 @@ class Grade1:
         text: list[str] = []
         numeric, opening = False, True
         passage = word = capital = False
-        place = 0
-        while place < len(cells):
-            cell, pair = cells[place], cells[place : place + 2]
+        index = 0
+        while index < len(cells):
+            cell, pair = cells[index], cells[index : index + 2]
             if numeric:
                 digit = _in_number(cell, pair)
                 if digit:
                     text.append(digit)
-                    place += 1
+                    index += 1
                     continue
                 numeric = False
-            if cells.startswith(_CAPITAL_PASSAGE, place):
+            if cells.startswith(_CAPITAL_PASSAGE, index):
                 passage = True
-                place += 3
+                index += 3
             elif pair == _CAPITALS_END:
                 passage = word = False
-                place += 2
+                index += 2
             elif pair == _CAPITAL_WORD:
                 word = True
-                place += 2
+                index += 2
             elif cell == _NUMBER and pair[1:] in (*_DIGIT_OF, "⠂", "⠲"):
                 numeric, opening, word = True, False, False
-                place += 1
+                index += 1
             elif cell == _GRADE_1 and pair[1:] in _LETTER_OF:
-                place += 1
-            elif accented := _letter_at(cells, place):
+                index += 1
+            elif accented := _letter_at(cells, index):
                 letter, length = accented
                 text.append(letter.upper() if passage or word or capital else letter)
                 capital = opening = False
-                place += length
+                index += length
             elif cell == _CAPITAL and pair not in _SIGN_OF:
                 capital = True
-                place += 1
+                index += 1
             else:
-                sign, length, opening = _sign_at(cells, place, opening)
+                sign, length, opening = _sign_at(cells, index, opening)
                 text.append(sign)
                 word = capital = False
-                place += length
+                index += length
         return "".join(text)
 
 
@@ -161,7 +161,7 @@ def _letter(character: str) -> str:
 def _capitals(text: str) -> tuple[dict[int, str], dict[int, str]]:
     """Return the indicators of capitals before, and after, characters of a text."""
     before, after = {}, {}
-    capital = [_is_letter(each) and each.isupper() for each in text]
+    capital = [_is_letter(character) and character.isupper() for character in text]
     for is_capital, run in itertools.groupby(range(len(text)), capital.__getitem__):
         places = list(run)
         if is_capital:
@@ -194,21 +194,21 @@ def _in_number(cell: str, pair: str) -> str:
     return {"⠂": ",", "⠲": "."}.get(cell) or _DIGIT_OF.get(cell, "")
 
 
-def _letter_at(cells: str, place: int) -> tuple[str, int] | None:
+def _letter_at(cells: str, index: int) -> tuple[str, int] | None:
     """Return the letter at a place, with its accents, and its number of cells."""
-    marks, end = "", place
+    marks, end = "", index
     while cells[end : end + 2] in _ACCENT_OF:
         marks += _ACCENT_OF[cells[end : end + 2]]
         end += 2
     letter = _LETTER_OF.get(cells[end : end + 1])
     if letter is None:
         return None
-    return unicodedata.normalize("NFC", letter + marks), end + 1 - place
+    return unicodedata.normalize("NFC", letter + marks), end + 1 - index
 
 
-def _sign_at(cells: str, place: int, opening: bool) -> tuple[str, int, bool]:
+def _sign_at(cells: str, index: int, opening: bool) -> tuple[str, int, bool]:
     """Return the sign at a place, its number of cells, and whether a quote may open after it."""
-    cell, pair = cells[place], cells[place : place + 2]
+    cell, pair = cells[index], cells[index : index + 2]
     if pair == _GRADE_1 + _ONE_QUOTE_OR_QUESTION:
         return "?", 2, False
     if pair == _SURE_QUOTE:

@@ -48,7 +48,9 @@ class LouisCode:
 
     def missing(self, line: str) -> str:
         """Return the characters of a line that the table does not define, each once."""
-        return "".join(each for each in dict.fromkeys(line) if not _defines(self._table, each))
+        return "".join(
+            character for character in dict.fromkeys(line) if not _defines(self._table, character)
+        )
 
     def encode(self, line: str) -> str:
         """Return a line of text as cells."""
@@ -60,7 +62,7 @@ class LouisCode:
         text = _translate(self._table, dots, _DOTS_IO, back=True)
         if text == _translate(self._table, dots, _DOTS_IO | _NO_UNDEFINED, back=True):
             return text
-        return _ESCAPE.sub(lambda found: _cell(found[1]), text)
+        return _ESCAPE.sub(lambda match: _cell(match[1]), text)
 
 
 @cache
@@ -71,7 +73,9 @@ def _defines(table: str, character: str) -> bool:
     if _encoding() == "utf-16-le" and ord(character) > 0xFFFF:
         return False
     mode = _DOTS_IO | _UNICODE_CELLS | _NO_UNDEFINED
-    alone, undefined = (_translate(table, each, mode) for each in (character, _UNDEFINED))
+    alone, undefined = (
+        _translate(table, character_tried, mode) for character_tried in (character, _UNDEFINED)
+    )
     # Some tables translate undefined characters as a question mark or a blank.
     return alone != undefined or (character.isascii() and bool(undefined))
 
@@ -97,21 +101,24 @@ def find_table(language: str) -> str | None:
     """Return the file name of the plainest table of a language tag, such as ``pt`` or ``pt-BR``, if
     need be that of the language itself, or one that is named for it."""
     tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
-    own = tag.partition("-")[0].lower()
+    main_language = tag.partition("-")[0].lower()
 
     def described(*kinds: str) -> Iterator[str]:
-        for each, kind in itertools.product((tag, own), kinds):
-            found = _query("lou_findTable", f"language:{each} type:literary{kind}".encode())
+        for tag_form, kind in itertools.product((tag, main_language), kinds):
+            table_name = _query(
+                "lou_findTable", f"language:{tag_form} type:literary{kind}".encode()
+            )
             # It also finds tables of other languages.
-            if found and own == language_of(found).partition("-")[0]:
-                yield found.rpartition("/")[2]
+            if table_name and main_language == language_of(table_name).partition("-")[0]:
+                yield table_name.rpartition("/")[2]
 
     def named(start: str, ends: Sequence[str] = _PLAIN_ENDS) -> Iterator[str]:
         return (start + end for end in ends if has_table(start + end))
 
     candidates = itertools.chain(
         named(language.lower()) if "-" in language else (),
-        described(*_PLAIN_KINDS), named(own, _PLAIN_ENDS[:4]), described(""), named(own),
+        described(*_PLAIN_KINDS), named(main_language, _PLAIN_ENDS[:4]),
+        described(""), named(main_language),
     )  # fmt: skip
     return next(candidates, None)
 
@@ -133,8 +140,8 @@ def _query(function: str, *arguments: bytes) -> str:
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    found = ctypes.util.find_library("louis")
-    for name in (*([found] if found else ()), *_LIBRARIES):
+    library_path = ctypes.util.find_library("louis")
+    for name in (*([library_path] if library_path else ()), *_LIBRARIES):
         try:
             library = ctypes.CDLL(name)
         except OSError:
@@ -167,12 +174,12 @@ def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
     library, encoding = _library(), _encoding()
     assert library is not None
     translate = library.lou_backTranslate if back else library.lou_translate
-    given = text.encode(encoding, "surrogatepass")
+    encoded = text.encode(encoding, "surrogatepass")
     width = 4 if encoding == "utf-32-le" else 2
-    length = len(given) // width
-    for each in _ROOMS:
-        room = each * length + 64
-        inbuf = ctypes.create_string_buffer(given, len(given) + width)
+    length = len(encoded) // width
+    for room_size in _ROOMS:
+        room = room_size * length + 64
+        inbuf = ctypes.create_string_buffer(encoded, len(encoded) + width)
         outbuf = ctypes.create_string_buffer(room * width)
         read, written = ctypes.c_int(length), ctypes.c_int(room)
         with _lock:

@@ -27,7 +27,7 @@ def lay_out(
             f"a page of {columns} x {rows} cells is too small: give at least {indent + 2} columns "
             "and 1 row"
         )
-    lines = [line for each in paragraphs for line in _wrap(each, columns, indent)]
+    lines = [line for paragraph in paragraphs for line in _wrap(paragraph, columns, indent)]
     return [lines[first : first + rows] for first in range(0, len(lines), rows)]
 
 

@@ -155,7 +155,7 @@ class Braille:
         cell_layout(profile)
         for cells, text in self._cells_of(source):
             if cells.strip(BLANK):
-                eight = any(pattern(each) >= SIX_DOT_PATTERNS for each in cells)
+                eight = any(pattern(cell) >= SIX_DOT_PATTERNS for cell in cells)
                 yield cell_layout(profile, eight).line(cells, text)
 
     def _cells_of(self, source: ReadingMaterial) -> Iterator[tuple[str, str]]:

@@ -63,7 +63,7 @@ class DisplayContent:
         line is another one, presented from its beginning.
         """
         size = max(len(self.cells), len(before.cells))
-        now, former = (each.cells.ljust(size, BLANK) for each in (self, before))
+        now, former = (content.cells.ljust(size, BLANK) for content in (self, before))
         for index, (cell, other) in enumerate(zip(now, former, strict=True)):
             if (ord(cell) ^ ord(other)) & ~_CURSOR:
                 cursor = self.cursor

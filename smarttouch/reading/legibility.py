@@ -188,7 +188,7 @@ def read_at_nerve(
     away = finger.receptor_mm[:, None] - places
     field = np.exp(-(away**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
     silent = np.zeros(len(field), np.intp)
-    found, model = [], SpikeModel(finger)
+    qualities, model = [], SpikeModel(finger)
     values: list[list[NDArray[np.float32]]] = []
     for line in lines:
         periods = dict.fromkeys(line.poses, round(1e6 / profile.pulse.rate_hz))
@@ -197,23 +197,25 @@ def read_at_nerve(
         with threadpool_limits(limits=1, user_api="blas"):
             spikes = delivered_spikes(finger, *slots, periods, model=model)
         counts = {number: spikes.get(number, silent) for number in line.poses}
-        values.append([each @ field for each in counts.values()])
-        found += [
+        values.append([count @ field for count in counts.values()])
+        qualities += [
             response_quality(finger, counts[number], line.meant[number], wanted)
             for number in line.poses
             if number in line.answers
         ]
-    full = float(np.quantile([each.max() for line in values for each in line], _FULL_QUANTILE))
+    full = float(
+        np.quantile([picture.max() for line in values for picture in line], _FULL_QUANTILE)
+    )
     pictures = [LinePicture(profile.electrodes, line.length_mm) for line in lines]
     shown = [
-        [np.clip(each / max(full, 1e-9), 0, 1).astype(np.float32) for each in line]
+        [np.clip(picture / max(full, 1e-9), 0, 1).astype(np.float32) for picture in line]
         for line in values
     ]
     for line, picture, those in zip(lines, pictures, shown, strict=True):
-        for pose, each in zip(line.poses.values(), those, strict=True):
-            picture.add(pose.x_mm, each)
+        for pose, spikes in zip(line.poses.values(), those, strict=True):
+            picture.add(pose.x_mm, spikes)
     measures = (
-        ignore_nan(fmean, (getattr(each, name) for each in found))
+        ignore_nan(fmean, (getattr(quality, name) for quality in qualities))
         for name in ("silent_points", "wrong_class", "misplaced")
     )
     return NerveReading(pictures, shown, *measures)
@@ -263,7 +265,7 @@ def legibility_of_shapes(
         for line in deliver_lines(lines, reading):
             shown.append(line)
             progress(total + len(shown), total + len(lines))
-        texts.append(read_pictures([each.picture for each in shown], options.languages))
+        texts.append(read_pictures([shown_line.picture for shown_line in shown], options.languages))
         total += len(indices)
     page_text, text = "\n".join(page_texts), "\n".join(texts)
     compared = page_text if truth is None else truth
@@ -348,13 +350,13 @@ def letters_on_finger(
     known: Mapping[str, Floats],  # see `letter_templates`
 ) -> list[LetterResponse]:
     """Return the response of a finger to letters, each for ten periods."""
-    model, found = SpikeModel(finger, finger.seed), []
+    model, letters = SpikeModel(finger, finger.seed), []
     for letter, (slots, active) in shown.items():
         above = model.drive(slots.current_ua, slots.width_us, firing=True)
         counts, read_as = spikes_and_letter(model, slots, above, known)
         quality = response_quality(finger, counts, active, wanted)
-        found.append(LetterResponse(letter, finger.seed, quality, read_as))
-    return found
+        letters.append(LetterResponse(letter, finger.seed, quality, read_as))
+    return letters
 
 
 def spikes_and_letter(
@@ -374,14 +376,14 @@ def spikes_and_letter(
 
 def letter_templates(profile: Profile) -> dict[str, Floats]:
     """Return the letters of the alphabet as they are meant, with mean 0 and length 1."""
-    return {each: _centered(draw_letter(each, profile)) for each in ALPHABET}
+    return {letter: _centered(draw_letter(letter, profile)) for letter in ALPHABET}
 
 
 def _most_like(values: Floats, known: Mapping[str, Floats]) -> str:
     if not values.any():
         return ""
     mine = _centered(values)
-    return max(known, key=lambda each: float(known[each] @ mine))
+    return max(known, key=lambda letter: float(known[letter] @ mine))
 
 
 def _centered(values: Floats) -> Floats:

@@ -108,9 +108,9 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
 def _keys(line: PrintedLine) -> Iterator[str]:
     """Yield a line's text, and it with each of its numbers relative to the page's."""
     yield line.text
-    for found in re.finditer(r"\d{1,5}", line.text):
-        before, after = line.text[: found.start()], line.text[found.end() :]
-        yield f"{before}#{after}\n{int(found[0]) - line.page}"
+    for number in re.finditer(r"\d{1,5}", line.text):
+        before, after = line.text[: number.start()], line.text[number.end() :]
+        yield f"{before}#{after}\n{int(number[0]) - line.page}"
 
 
 def _repeated(line: PrintedLine, same: dict[str, list[PrintedLine]]) -> str:
@@ -132,26 +132,26 @@ def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
     """
     layout = _Layout(lines)
     compounds = {word.lower() for line in lines for word in re.findall(r"\w+-\w+", line.text)}
-    found: list[_Paragraph] = []
+    joined: list[_Paragraph] = []
     current: _Paragraph | None = None
     for k, line in enumerate(lines):
         if line.cell:
-            found += [_Paragraph(row, k, k) for row in layout.rows.get(k, ())]
+            joined += [_Paragraph(row, k, k) for row in layout.rows.get(k, ())]
             current = None
             continue
         if k and line.page != lines[k - 1].page:
             # Footnotes may stand below the paragraph that continues.
-            alike = (each for each in reversed(found) if lines[each.last].is_like(line))
+            alike = (earlier for earlier in reversed(joined) if lines[earlier.last].is_like(line))
             current = next(alike, None)
         text = _LEADERS.sub(" ", line.text)
         if current is None or layout.begins(current, k):
             current = _Paragraph(text, k, k)
-            found.append(current)
+            joined.append(current)
         else:
             current.text, current.last = _joined(current.text, text, compounds), k
         if text != line.text or _BLANK.search(text):
             current = None
-    return [paragraph.text for paragraph in found]
+    return [paragraph.text for paragraph in joined]
 
 
 @dataclass
@@ -166,7 +166,7 @@ class _Layout:
 
     def __init__(self, lines: Sequence[PrintedLine]) -> None:
         self._lines = lines
-        pages = {line.page: [each for each in lines if each.page == line.page] for line in lines}
+        pages = {line.page: [other for other in lines if other.page == line.page] for line in lines}
         self._step_mm: dict[int, float] = {}
         for page, group in pages.items():
             steps = np.diff([line.y_mm for line in group if not line.cell])
@@ -320,10 +320,12 @@ def _table_rows(cells: Sequence[PrintedLine]) -> list[str]:
     """Return the rows of a table with semicolons between cells, and a hyphen for an empty one."""
     rows = [
         [cell for _, cell in row]
-        for _, row in itertools.groupby(enumerate(cells), lambda each: each[0] - each[1].cell)
+        for _, row in itertools.groupby(
+            enumerate(cells), lambda numbered: numbered[0] - numbered[1].cell
+        )
     ]
     widest = max(rows, key=len)
-    found = []
+    table_rows = []
     for row in rows:
         texts = ["-"] * len(widest)
         for cell in row:
@@ -331,11 +333,13 @@ def _table_rows(cells: Sequence[PrintedLine]) -> list[str]:
                 max(other.left_mm - cell.right_mm, cell.left_mm - other.right_mm)
                 for other in widest
             ]  # fmt: skip
-            place = int(np.argmin(apart_mm))
-            texts[place] = cell.text if texts[place] == "-" else f"{texts[place]} {cell.text}"
+            widest_gap = int(np.argmin(apart_mm))
+            texts[widest_gap] = (
+                cell.text if texts[widest_gap] == "-" else f"{texts[widest_gap]} {cell.text}"
+            )
         alone = texts[0] != "-" and set(texts[1:]) == {"-"}
-        found.append(_LEADERS.sub(" ", texts[0] if alone else "; ".join(texts)))
-    return found
+        table_rows.append(_LEADERS.sub(" ", texts[0] if alone else "; ".join(texts)))
+    return table_rows
 
 
 def _joined(before: str, after: str, compounds: set[str]) -> str:

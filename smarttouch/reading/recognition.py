@@ -150,8 +150,8 @@ def _run_tesseract(options: Sequence[str], image: bytes, timeout_s: float) -> st
         # A program may end before its pages do, and no thread may be waiting then.
         atexit.register(running.kill)
         try:
-            output, said = (each.decode("utf-8", "replace")
-                            for each in running.communicate(image, timeout_s))  # fmt: skip
+            output, messages = (stream.decode("utf-8", "replace")
+                            for stream in running.communicate(image, timeout_s))  # fmt: skip
         except subprocess.TimeoutExpired:
             raise ReadingError(
                 f"Tesseract read nothing for {timeout_s:g} s: give it a smaller image"
@@ -160,14 +160,14 @@ def _run_tesseract(options: Sequence[str], image: bytes, timeout_s: float) -> st
             atexit.unregister(running.kill)
             running.kill()
     # Missing ones of several languages do not change its exit status.
-    missing = re.search(r"Failed loading language '(.+)'", said)
+    missing = re.search(r"Failed loading language '(.+)'", messages)
     if missing is not None:
         package = "tesseract-ocr-" + missing[1].lower().replace("_", "-")
         raise ReadingError(
             f"Tesseract has no data for the language {missing[1]}: apt install {package}"
         )
     if running.returncode:
-        reason = said.strip().split("\n")[-1] or "no message"
+        reason = messages.strip().split("\n")[-1] or "no message"
         raise ReadingError(f"Tesseract failed with status {running.returncode}: {reason}")
     return output
 
@@ -225,12 +225,12 @@ def _most_legible(
 ) -> tuple[PreparedPage, int]:
     """Return a page turned so that most of a few of its lines is recognized, and that turn in
     degrees, clockwise."""
-    best, most = (prepared, 0), _sampled(prepared, options)
+    best, most_legible = (prepared, 0), _sampled(prepared, options)
     for turn_deg in (90, 180, 270):
         candidate = _turned(page, turn_deg, options)
         legible = _sampled(candidate, options)
-        if legible > _MORE * most:
-            best, most = (candidate, turn_deg), legible
+        if legible > _MORE * most_legible:
+            best, most_legible = (candidate, turn_deg), legible
     return best
 
 

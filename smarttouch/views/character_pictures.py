@@ -44,7 +44,7 @@ def _dots(image: NDArray[np.uint8], columns: int, rows: int) -> list[Row]:
     small = cv2.resize(image, (2 * columns, 4 * rows), interpolation=cv2.INTER_AREA)
     bright = small > np.tile(_DITHER, (rows, -(-columns // 2)))[:, : 2 * columns]
     signs = np.einsum("rickd,id->rc", bright.reshape(rows, 4, columns, 1, 2), _DOTS)
-    return [[("".join(chr(0x2800 + each) for each in row), "")] for row in signs.tolist()]
+    return [[("".join(chr(0x2800 + pattern) for pattern in row), "")] for row in signs.tolist()]
 
 
 class ArrayPicture:
@@ -67,11 +67,11 @@ class ArrayPicture:
         character shows its strongest electrode."""
         merged = self.merged(columns, rows)
         shape = -(-self._rows // merged), -(-self._columns // merged)
-        most = np.full(shape, -1.0)
-        np.maximum.at(most, (self._row // merged, self._column // merged), parts.clip(0, 1))
+        strongest = np.full(shape, -1.0)
+        np.maximum.at(strongest, (self._row // merged, self._column // merged), parts.clip(0, 1))
         spread = min(self._spread, columns // shape[1])
         drawn: list[Row] = []
-        for line in most.tolist():
+        for line in strongest.tolist():
             drawn.append([])
             for part, run in groupby(line):
                 sign, style = _sign(part, spread)

@@ -88,7 +88,9 @@ class SpikeMap:
 
     def _spread(self) -> NDArray[np.float32]:
         """Return spikes of each class, (3, H, W), blurred by receptive fields."""
-        spread = np.stack([cv2.GaussianBlur(each, (0, 0), self._sigma) for each in self._spikes])
+        spread = np.stack(
+            [cv2.GaussianBlur(class_spikes, (0, 0), self._sigma) for class_spikes in self._spikes]
+        )
         if self._mean:
             wide = cv2.GaussianBlur(self._passes, (0, 0), self._sigma)
             spread = spread / np.maximum(wide, wide.max(initial=0) / 20 + 1e-9)
@@ -123,7 +125,7 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         self._magnification = magnification
         self._position_mm = profile.electrodes.position_mm / magnification
         self._cell_mm = tuple(side / magnification for side in profile.electrodes.cell_mm)
-        self._names = " and ".join(each.name for each in afferents)
+        self._names = " and ".join(afferent.name for afferent in afferents)
         self._finger: Finger | None = None
         self.spikes: Counts = {}  # spikes of each afferent, (A,), by number of the sequence
 
@@ -160,8 +162,8 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         """Return the touch of an area as grey levels, (H, W); 255 is nothing, 0 the strongest."""
         raster = Raster(shape, self.strongest)
         for pose, answer in self:
-            place = self.places_mm(pose) - corner_mm
-            pixel = place // pixel_mm if self.strongest else np.rint(place / pixel_mm)
+            position_mm = self.places_mm(pose) - corner_mm
+            pixel = position_mm // pixel_mm if self.strongest else np.rint(position_mm / pixel_mm)
             column, row = pixel.astype(np.intp).T
             raster.add(row, column, answer)
         wide, high = (max(1, round(side / pixel_mm)) for side in self._cell_mm)
@@ -169,11 +171,15 @@ class DeliveredDrawing(DeliveredResponses, ABC):
             cell = np.ones((high, wide), np.uint8)
             return as_ink(np.asarray(cv2.dilate(raster.value, cell), np.float32))
         if _STOOD * len(set(self.poses.values())) > len(self.poses):
-            return as_ink(raster.mean(lambda each: np.asarray(cv2.blur(each, (wide, high)))))
+            return as_ink(
+                raster.mean(lambda raster_plane: np.asarray(cv2.blur(raster_plane, (wide, high))))
+            )
         # Dots where the finger goes in steps, so that those of a Braille cell stand apart.
-        sides = [max(1, round(_DOT_PART * each)) for each in (wide, high)]
+        sides = [max(1, round(_DOT_PART * side)) for side in (wide, high)]
         dot = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, sides).astype(np.float32)
-        return as_ink(raster.mean(lambda each: np.asarray(cv2.filter2D(each, -1, dot))))
+        return as_ink(
+            raster.mean(lambda raster_plane: np.asarray(cv2.filter2D(raster_plane, -1, dot)))
+        )
 
     def felt_picture(
         self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float
@@ -243,7 +249,9 @@ def _draw_scale(
     """Draw a bar of whole millimeters with its length, within a part of ``most`` pixels left of an
     end, (right, top)."""
     right, top = end
-    length_mm = next((each for each in _SCALES_MM if each * per_mm <= _SCALE_PART * most), 0.5)
+    length_mm = next(
+        (scale_mm for scale_mm in _SCALES_MM if scale_mm * per_mm <= _SCALE_PART * most), 0.5
+    )
     left, middle = right - round(length_mm * per_mm), top + _LABEL // 2 - 2
     draw.rectangle((left, middle - 2, right - 1, middle + 1), fill=ink)
     draw.text((left - 8, middle), f"{length_mm:g} mm", fill=ink, font=font, anchor="rm")
@@ -287,11 +295,13 @@ class PageDrawing(DeliveredDrawing):
         """Return all pages and lines; without any, the area that the electrodes touched."""
         if not (self._sheets or self.poses):
             raise SmartTouchError("nothing was delivered to a finger: there is nothing to draw")
-        places_mm = [self.places_mm(each) for each in self.poses.values()]
+        places_mm = [self.places_mm(pose) for pose in self.poses.values()]
         margin_mm = np.array(self._cell_mm)
         if self._sheets:
-            corners = [np.array(each.corner_mm) for each in self._sheets.values()]
-            ends = [each.page.size_mm + np.array(each.corner_mm) for each in self._sheets.values()]
+            corners = [np.array(sheet.corner_mm) for sheet in self._sheets.values()]
+            ends = [
+                sheet.page.size_mm + np.array(sheet.corner_mm) for sheet in self._sheets.values()
+            ]
             places_mm, margin_mm = [np.array([*corners, *ends])], np.zeros(2)
         every = np.concatenate(places_mm)
         left_mm, top_mm = (every.min(axis=0) - margin_mm).tolist()
@@ -303,7 +313,7 @@ class PageDrawing(DeliveredDrawing):
                 (x_mm, y_mm), page = sheet.corner_mm, sheet.page
                 top, left = round((y_mm - top_mm) / pixel_mm), round((x_mm - left_mm) / pixel_mm)
                 space = drawn[top:, left:]
-                wide, high = (max(1, round(each / pixel_mm)) for each in page.size_mm)
+                wide, high = (max(1, round(side_mm / pixel_mm)) for side_mm in page.size_mm)
                 size = min(wide, space.shape[1]), min(high, space.shape[0])
                 space[: size[1], : size[0]] = cv2.resize(
                     page.grey, size, None, 0, 0, cv2.INTER_AREA
@@ -339,9 +349,9 @@ class DeliveredPicture(Listener):
                 "does not: use the board simulated:"
             )
         self._driver = run.board.driver
-        own = getattr(run.source, "drawing", None)
-        if own is not None:
-            self._drawing = own(run.profile, run.bank)
+        source_drawing = getattr(run.source, "drawing", None)
+        if source_drawing is not None:
+            self._drawing = source_drawing(run.profile, run.bank)
         else:
             afferents = run.controls.state(0).mode.afferents
             self._drawing = PageDrawing(run.profile, run.bank, afferents, lambda: run.source.sheet)

@@ -27,7 +27,7 @@ def kernel_figure(profile: Profile, kernels: Mapping[Afferent, Kernel], site: in
     tall = min(2.4, max(1.4, 1.9 * height / width))
     figure = new_figure(8.6, 0.35 + len(kernels) * (tall + 0.35))
     panels = figure.subplots(len(kernels), 4, squeeze=False, sharex=True, sharey=True)
-    x, y = (np.linspace(-each, each, _POINTS) for each in _reach_mm(profile))
+    x, y = (np.linspace(-reach_mm, reach_mm, _POINTS) for reach_mm in _reach_mm(profile))
     per_ma = _per_ma(profile, np.stack(np.meshgrid(x, y), axis=-1))
     for row, (afferent, kernel) in zip(panels, kernels.items(), strict=True):
         weights_drawn = draw_electrodes(row[0], profile, cmap=SIGNED_MAP, clim=(-1, 1))
@@ -49,8 +49,8 @@ def kernel_figure(profile: Profile, kernels: Mapping[Afferent, Kernel], site: in
         drawn, ax=panels[:, 1:], orientation="horizontal", aspect=40, extend="both"
     )
     bar.set_label("activating function, of the target's (strongest direction)", fontsize=8)
-    for each in (weights_bar, bar):
-        each.ax.tick_params(labelsize=7)
+    for axis_bar in (weights_bar, bar):
+        axis_bar.ax.tick_params(labelsize=7)
     return figure
 
 
@@ -89,10 +89,10 @@ def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
     skin = profile.skin
     per_ma = {}
     for shown in Afferent:
-        found, scale = field_at(
+        fields, scale = field_at(
             profile.electrodes, skin, places.reshape(-1, 2), depth_mm(skin, shown)
         )
-        along = scale * np.array([found.along(each) for each in directions(skin, shown)])
+        along = scale * np.array([fields.along(direction) for direction in directions(skin, shown)])
         per_ma[shown] = along.reshape(len(along), *places.shape[:-1], -1)
     return per_ma
 
@@ -134,11 +134,11 @@ def electrode_patches(profile: Profile) -> list[Any]:
 
 def draw_weights(axes: Any, line: Profile, weights: Array) -> None:
     """Draw weights of line electrodes as the paper's bars, cathodic up."""
-    place = line.electrodes.position_mm[:, 0]
+    x_mm = line.electrodes.position_mm[:, 0]
     colors = [CATHODIC if weight > 0 else ANODIC for weight in weights]
-    axes.bar(place, weights, width=0.5 * line.electrodes.pitch_mm, color=colors)
+    axes.bar(x_mm, weights, width=0.5 * line.electrodes.pitch_mm, color=colors)
     axes.axhline(0, color=GREY, lw=0.6)
-    axes.set(ylim=(-1.1, 1.1), xticks=place)
+    axes.set(ylim=(-1.1, 1.1), xticks=x_mm)
 
 
 def draw_field(axes: Any, x: Array, y: Array, af: Array) -> Any:

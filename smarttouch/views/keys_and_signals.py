@@ -128,11 +128,11 @@ def _give_up(number: int) -> None:
     """End the process now: every board is at zero, and something blocks the rest."""
     restore()
     with suppress(OSError, ValueError):
-        for place in (1, 2):
-            if os.isatty(place):
-                os.set_blocking(place, False)
+        for descriptor in (1, 2):
+            if os.isatty(descriptor):
+                os.set_blocking(descriptor, False)
                 try:
-                    os.write(place, _CURSOR_ON)
+                    os.write(descriptor, _CURSOR_ON)
                 finally:
-                    os.set_blocking(place, True)
+                    os.set_blocking(descriptor, True)
     os._exit(128 + number)

@@ -82,7 +82,7 @@ class Screen(Listener):
             self._title = run.source.title
             self._print(f"{self._title}, {run.profile.title}, {self._url}")
             if sys.stdin.isatty():
-                keys = (" ".join(each.split()) for each in self._keys.split("    "))
+                keys = (" ".join(key.split()) for key in self._keys.split("    "))
                 self._print(f"keys: {', '.join(keys)}")
             early, self._early = self._early or [], None
             for line in early:
@@ -164,8 +164,8 @@ class Screen(Listener):
 
     def _print_now(self, line: str) -> None:
         """Print a line; a terminal's are broken at words."""
-        line, whole = line.replace("\n", " "), not self._console.is_terminal
-        self._console.print(line, soft_wrap=whole, highlight=False, markup=False)
+        line, is_plain = line.replace("\n", " "), not self._console.is_terminal
+        self._console.print(line, soft_wrap=is_plain, highlight=False, markup=False)
 
     def _render(self) -> RenderableType:
         """Draw all of it, in a constant number of rows that fits the terminal."""
@@ -195,7 +195,7 @@ class Screen(Listener):
         if not sys.stdin.isatty():
             return []
         # The words on a key stay beside it.
-        groups = (each.replace(" ", "\xa0") for each in self._keys.split("    "))
+        groups = (group.replace(" ", "\xa0") for group in self._keys.split("    "))
         lines = textwrap.wrap("   ".join(groups), width)
         return [line.replace("\xa0", " ") for line in lines]
 
@@ -215,8 +215,8 @@ class Screen(Listener):
         what = f"{sent.step.mode} electrodes" + f", {merged} × {merged} each" * (merged > 1)
         drawn = self._array.draw(electrodes, beside, rows)
         # Always as high as it may be.
-        for each in (pictured, drawn):
-            each += [[] for _ in range(rows - len(each))]
+        for picture in (pictured, drawn):
+            picture += [[] for _ in range(rows - len(picture))]
         pairs = [([(title, "dim")], [(what, "dim")]), *zip(pictured, drawn, strict=True)]
         return [[*_padded(left, wide + 3), *right] for left, right in pairs]
 
@@ -269,7 +269,7 @@ class Screen(Listener):
             for line in (lines[0], account, more):
                 self._print_now(line)
             return
-        for line in (lines[0], *(f"  {each}" for each in (*lines[1:], *notes, *wrote))):
+        for line in (lines[0], *(f"  {text}" for text in (*lines[1:], *notes, *wrote))):
             self._print_now(line)
 
 
@@ -327,14 +327,14 @@ def _padded(row: Row, width: int) -> Row:
 def _columns(rows: Rows, width: int) -> list[Row]:
     """Return names and values, two pairs in a row."""
     wide = max(1, width // 2 - _NAME - 2)
-    found: list[Row] = []
+    columns: list[Row] = []
     for pairs in zip_longest(rows[::2], rows[1::2], fillvalue=("", "")):
         row: Row = []
         for name, value in pairs:
             row += _padded([(_fitting(name, _NAME), "dim")], _NAME + 1)
             row += _padded([(_fitting(value, wide), "")], wide + 1)
-        found.append(row)
-    return found
+        columns.append(row)
+    return columns
 
 
 _BLIND_KEYS = "+ − amplitude    0 none    space pause    q, Esc end, goes on another time"
@@ -388,8 +388,8 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
     net = f"charge left after a discharge {1e6 * net_uc:.3g} pC at worst"
     counted = f"{figures['emulator_violations']} violations counted by the board"
     if by_host:
-        least, most = figures["pulses"], figures["pulses_at_most"]
-        pulses = str(least) if least == most else f"{least} to {most}"
+        least, at_most = figures["pulses"], figures["pulses_at_most"]
+        pulses = str(least) if least == at_most else f"{least} to {at_most}"
         net = f"all pulses add up to {net_uc:.2g} µC on one electrode"
         counted = f"{pulses} pulses, counted by this program: the board reports none"
     lines = [

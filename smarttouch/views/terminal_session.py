@@ -112,10 +112,10 @@ def _operated(
         return config, controls
 
     def limited(state: ControlState, modes: tuple[Mode, ...]) -> Controls:
-        made = controls(state, modes)
+        limited_controls = controls(state, modes)
         if config.intensity is not None:
-            made.most = config.intensity
-        return made
+            limited_controls.most = config.intensity
+        return limited_controls
 
     return (config.model_copy(update={"intensity": 0.0}) if steered else config), limited
 
@@ -168,7 +168,7 @@ def _keyboard(stop: StopRequest, keys: Keys, run: RunContext) -> AbstractContext
     does |= {"=": does["+"], "up": does["+"], "down": does["-"], "_": does["-"]}
 
     def on_key(key: str) -> None:
-        for each in (does, keys):
-            each.get(key, lambda: None)()
+        for key_lines in (does, keys):
+            key_lines.get(key, lambda: None)()
 
     return keyboard_listener(on_key)

@@ -100,7 +100,7 @@ class Window(Listener):
             "blind": self._blind,
             "board": str(run.settings.get("board", "")),
             "moves": run.source.pointer is not None,
-            "modes": [str(each) for each in run.controls.modes],
+            "modes": [str(mode) for mode in run.controls.modes],
             "keys": list(self._keys),
             "keys_help": self._keys_help,
             "array": array_message(run.profile),
@@ -175,8 +175,8 @@ class Window(Listener):
     def update(self, page: ConnectedPage) -> str:
         latest = self._latest
         with self._event_lock:
-            count, kept = self._event_count, [*self._events]
-        events = [entry for number, entry in kept if number > page.events]
+            count, new_events = self._event_count, [*self._events]
+        events = [entry for number, entry in new_events if number > page.events]
         state = {**self._state(page, latest), "events": events}
         parts = [f'"type":"update","state":{json.dumps(state)}']
         if latest is not None and latest is not page.shown and not self._blind:
@@ -240,7 +240,7 @@ def array_message(profile: Profile) -> Message:
     return {
         "profile": profile.title,
         "place_mm": electrodes.position_mm.round(_DIGITS).tolist(),
-        "extent_mm": [round(each, _DIGITS) for each in electrodes.extent_mm],
+        "extent_mm": [round(side_mm, _DIGITS) for side_mm in electrodes.extent_mm],
         "field_mm": [float(profile.optics.field_width_mm), float(profile.optics.field_height_mm)],
         "radius_mm": round(radius_mm, _DIGITS),
         "full_ma": float(profile.full_ma.max()),
@@ -256,20 +256,20 @@ def array_message(profile: Profile) -> Message:
 
 def picture_message(sent: StepResult) -> Message:
     """Return what was seen and delivered in one step."""
-    step, given, sequence = sent.step, sent.step.input, sent.step.sequence
+    step, stimulus, sequence = sent.step, sent.step.input, sent.step.sequence
     picture = {
-        "time_s": given.time_ns / 1e9,
+        "time_s": stimulus.time_ns / 1e9,
         "number": sent.number,
         "mode": str(step.mode),
-        "pose": _pose(given.pose),
-        "force_n": _number(given.force_n),
-        "age_ms": given.age_ns / 1e6,
-        "latency_ms": given.age_ns / 1e6 + sent.latency_us / 1e3,
+        "pose": _pose(stimulus.pose),
+        "force_n": _number(stimulus.force_n),
+        "age_ms": stimulus.age_ns / 1e6,
+        "latency_ms": stimulus.age_ns / 1e6 + sent.latency_us / 1e3,
         "pulse_ms": sent.first_pulse and sent.first_pulse.latency_us / 1e3,
         **sequence_message(sequence),
     }
-    if given.image is not None:
-        picture["image"] = _image(given.image)
+    if stimulus.image is not None:
+        picture["image"] = _image(stimulus.image)
     return picture
 
 
@@ -292,7 +292,7 @@ def sequence_message(sequence: ScanSequence) -> Message:
 def _image(image: NDArray[np.uint8]) -> Message:
     longer = max(image.shape)
     if longer > MOST_PIXELS:
-        height, width = (max(1, round(each * MOST_PIXELS / longer)) for each in image.shape)
+        height, width = (max(1, round(side * MOST_PIXELS / longer)) for side in image.shape)
         image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA))
     return {"height": image.shape[0], "width": image.shape[1], "grey": _base64(image)}
 
@@ -301,8 +301,8 @@ def sheet_message(sheet: Sheet) -> Message:
     """Return where a page or a line lies, as poses count."""
     return {
         "number": sheet.number,
-        "size_mm": [round(each, _DIGITS) for each in sheet.page.size_mm],
-        "corner_mm": [round(each, _DIGITS) for each in sheet.corner_mm],
+        "size_mm": [round(length_mm, _DIGITS) for length_mm in sheet.page.size_mm],
+        "corner_mm": [round(length_mm, _DIGITS) for length_mm in sheet.corner_mm],
     }
 
 

@@ -94,7 +94,7 @@ class Steering:
         kind, _, name = what.partition(":")
         if what in self._does:
             does = self._does[what]
-        elif kind == "mode" and name in {str(each) for each in self.controls.modes}:
+        elif kind == "mode" and name in {str(mode) for mode in self.controls.modes}:
             does = partial(self.controls.choose_mode, Mode(name))
         elif kind == "level":
             does = partial(self.controls.set_level, float(name))

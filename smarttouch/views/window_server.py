@@ -64,9 +64,9 @@ class PageServer:
         self.port: int = int(self._socket.getsockname()[1])
         self._prefix = f"/{secrets.token_urlsafe(24)}/"
         self.address: str = f"http://{HOST}:{self.port}{self._prefix}live.html"
-        self._hosts = {f"{each}:{self.port}" for each in (HOST, "localhost")}
+        self._hosts = {f"{host}:{self.port}" for host in (HOST, "localhost")}
         # Not all browsers count a socket of the same host as 'self'.
-        sockets = " ".join(f"ws://{each}" for each in sorted(self._hosts))
+        sockets = " ".join(f"ws://{host}" for host in sorted(self._hosts))
         policy = f"{_POLICY}; connect-src 'self' {sockets}"
         self._headers = {"content-security-policy": policy, **_HEADERS}
         self._inner = Starlette(routes=[*routes, Mount("/", StaticFiles(directory=PAGE_FOLDER))])
@@ -103,8 +103,8 @@ class PageServer:
 
         async def send_with_headers(message: Any) -> None:
             if message["type"] == "http.response.start":
-                own = [(name.encode(), value.encode()) for name, value in self._headers.items()]
-                message["headers"] = [*message["headers"], *own]
+                added = [(name.encode(), value.encode()) for name, value in self._headers.items()]
+                message["headers"] = [*message["headers"], *added]
             await send(message)
 
         path = scope["path"][len(self._prefix) - 1 :]
@@ -114,7 +114,7 @@ class PageServer:
         origin = headers.get("origin", b"").decode("latin-1")
         # Links may open pages; requests that act must come from our pages.
         acts = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
-        ours = origin in {f"http://{each}" for each in self._hosts} or not (origin or acts)
+        ours = origin in {f"http://{host}" for host in self._hosts} or not (origin or acts)
         path = scope["path"][: len(self._prefix)].encode()
         return (
             headers.get("host", b"").decode("latin-1") in self._hosts
@@ -135,13 +135,13 @@ async def _refuse(scope: Any, send: Any) -> None:
 def import_server() -> Any:
     """Return uvicorn; raises if the extra is missing."""
     modules = ("starlette", "websockets", "uvicorn")
-    return [import_extra(each, "a window", "window") for each in modules][-1]
+    return [import_extra(module, "a window", "window") for module in modules][-1]
 
 
 def has_browser() -> bool:
     """Return whether this desktop may have a browser."""
     return sys.platform in ("win32", "darwin") or any(
-        os.environ.get(each) for each in ("DISPLAY", "WAYLAND_DISPLAY")
+        os.environ.get(variable) for variable in ("DISPLAY", "WAYLAND_DISPLAY")
     )
 
 
