@@ -6,7 +6,7 @@ SAI at the rate that follows pressure. A sequence carries pulses of several clas
 """
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,13 +72,13 @@ def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
 
 def thinned(time_us: Times, least_us: int) -> Times:
     """Return as many of ascending times as possible that are at least an interval apart."""
-    kept, free_us = [], -math.inf
-    for each in time_us.tolist():
+    kept_us, free_us = [], -math.inf
+    for pulse_us in time_us.tolist():
         # Times are whole microseconds: a regular train may tremble by one.
-        if each >= free_us - 1:
-            kept.append(each)
-            free_us = each + least_us
-    return np.array(kept, np.int64)
+        if pulse_us >= free_us - 1:
+            kept_us.append(pulse_us)
+            free_us = pulse_us + least_us
+    return np.array(kept_us, np.int64)
 
 
 def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.intp]]]:
@@ -89,17 +89,19 @@ def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.i
     moved by more than half of the shortest sequence. Trains are (K,) int64, µs, rising; no two
     times of one train are closer than `least_us`, less a microsecond.
     """
-    events = sorted((each, row) for row, train in enumerate(trains) for each in train.tolist())
+    events = sorted(
+        (pulse_us, row) for row, train in enumerate(trains) for pulse_us in train.tolist()
+    )
     begins: list[int] = []
     carried: list[list[int]] = [[] for _ in trains]
     joined: set[int] = set()
-    for each, row in events:
-        if not begins or row in joined or 2 * (each - begins[-1]) >= least_us:
-            begins.append(max(each, begins[-1] + least_us) if begins else each)
+    for pulse_us, row in events:
+        if not begins or row in joined or 2 * (pulse_us - begins[-1]) >= least_us:
+            begins.append(max(pulse_us, begins[-1] + least_us) if begins else pulse_us)
             joined = set()
         joined.add(row)
         carried[row].append(len(begins) - 1)
-    return np.array(begins, np.int64), [np.array(each, np.intp) for each in carried]
+    return np.array(begins, np.int64), [np.array(members, np.intp) for members in carried]
 
 
 PC_RATE_HZ = 150.0
@@ -182,25 +184,27 @@ def mix_colors(
     )
     pulsing, left_out = _drivable(answers, profile, bank, places, vibrated)
     shaking = vibrated and Afferent.PC in pulsing
-    electrical = [each for each in pulsing if not (shaking and each is Afferent.PC)]
+    electrical = [afferent for afferent in pulsing if not (shaking and afferent is Afferent.PC)]
     if len(electrical) > 1 and (timing.whole_hz or timing.every_electrode or timing.in_index_order):
         raise ScheduleError(
-            f"{' and '.join(each.name for each in electrical)} respond to this, each at a rate of "
-            "its own, and this board scans all electrodes at one rate: choose another board, or "
+            f"{_names(electrical)} respond to this, each at a rate of its own, "
+            "and this board scans all electrodes at one rate: choose another board, or "
             "a stimulus that one class alone responds to"
         )
     least_us = shortest_us(profile, len(places) * max(1, len(electrical)), timing)
     ideal = {}
-    for each in electrical:
-        apart_us = max(least_us, math.ceil(1e6 / PC_RATE_HZ) if each is Afferent.PC else 0)
-        ideal[each] = thinned(np.rint(answers[each].spike_s * 1e6).astype(np.int64), apart_us)
+    for afferent in electrical:
+        apart_us = max(least_us, math.ceil(1e6 / PC_RATE_HZ) if afferent is Afferent.PC else 0)
+        ideal[afferent] = thinned(
+            np.rint(answers[afferent].spike_s * 1e6).astype(np.int64), apart_us
+        )
     lasts_us = round(trace.duration_s * 1e6)
     vibration = [np.arange(0, lasts_us, max(VIBRATION_US, least_us))] if shaking else []
     time_us, stimuli = merged([*ideal.values(), *vibration], least_us)
     carried = dict(zip(ideal, stimuli, strict=False))
     drive = np.zeros((len(time_us), len(Afferent)), np.float32)
-    for each, which in carried.items():
-        drive[which, each] = _drive_at(answers[each], ideal[each], trace.duration_s)
+    for begin_us, which in carried.items():
+        drive[which, begin_us] = _drive_at(answers[begin_us], ideal[begin_us], trace.duration_s)
     if shaking:
         drive[:, Afferent.PC] = _drive_at(answers[Afferent.PC], time_us, trace.duration_s)
     end_us = max(int(time_us[-1]) + least_us if len(time_us) else 0, lasts_us)
@@ -208,6 +212,10 @@ def mix_colors(
         time_us, drive, places, len(profile.electrodes), end_us, least_us, ideal, carried, left_out,
         shaking, answers,
     )  # fmt: skip
+
+
+def _names(afferents: Iterable[Afferent]) -> str:
+    return " and ".join(afferent.name for afferent in afferents)
 
 
 def _drivable(
@@ -218,21 +226,21 @@ def _drivable(
     vibrated: bool,
 ) -> tuple[list[Afferent], tuple[Afferent, ...]]:
     """Return the classes that respond and can be driven, and those that cannot."""
-    made = [
-        each
-        for each in Afferent
-        if (vibrated and each is Afferent.PC)
-        or (each in bank.weights and len(stimulated(profile, each, places)))
+    drivable = [
+        afferent
+        for afferent in Afferent
+        if (vibrated and afferent is Afferent.PC)
+        or (afferent in bank.weights and len(stimulated(profile, afferent, places)))
     ]
-    answering = [each for each in Afferent if len(answers[each].spike_s)]
-    left_out = tuple(each for each in answering if each not in made)
+    answering = [afferent for afferent in Afferent if len(answers[afferent].spike_s)]
+    left_out = tuple(afferent for afferent in answering if afferent not in drivable)
     if left_out and len(left_out) == len(answering):
         raise ScheduleError(
-            f"only {' and '.join(each.name for each in left_out)} would respond to this, and the "
-            f"board of {profile.name} drives {' and '.join(each.name for each in made)} at these "
+            f"only {_names(left_out)} would respond to this, and the "
+            f"board of {profile.name} drives {_names(drivable)} at these "
             "sites: choose another profile, or a stimulus that others respond to, too"
         )
-    return [each for each in answering if each in made], left_out
+    return [afferent for afferent in answering if afferent in drivable], left_out
 
 
 def _drive_at(answer: ReceptorResponse, time_us: Times, duration_s: float) -> NDArray[np.float32]:
@@ -289,18 +297,18 @@ class ColorSource(StimulusSource):
 
 def notes(mixture: Mixture) -> list[str]:
     """Return warnings about a mixture, a sentence each."""
-    said = []
+    sentences = []
     if mixture.left_out:
-        names = " and ".join(each.name for each in mixture.left_out)
-        said.append(f"{names} would answer too, and this board cannot drive it here: left out")
+        names = _names(mixture.left_out)
+        sentences.append(f"{names} would answer too, and this board cannot drive it here: left out")
     for afferent, ideal_us in mixture.ideal_us.items():
         spikes = len(mixture.answers[afferent].spike_s)
         if afferent is not Afferent.PC and len(ideal_us) < 0.9 * spikes:
-            said.append(
+            sentences.append(
                 f"{afferent.name} gets {len(ideal_us)} of {spikes} pulses: a sequence for "
                 f"{len(mixture.sites)} sites takes {mixture.least_us / 1000:.1f} ms, choose fewer"
             )
-    return said
+    return sentences
 
 
 def open_vibration(
@@ -325,9 +333,9 @@ def open_vibration(
     source = ColorSource(trace.title, profile, mixture, reading_force_n(profile))
     source.notes += notes(mixture)
     if mixture.pulses(Afferent.PC):
-        most = bank.off_target[Afferent.PC].max()
+        worst_other = bank.off_target[Afferent.PC].max()
         source.notes.append(
-            f"PC pulses reach another class up to {most:.1f} times as strongly as PC: current "
-            "cannot drive PC alone"
+            f"PC pulses reach another class up to {worst_other:.1f} times as strongly as PC: "
+            "current cannot drive PC alone"
         )
     return source

@@ -119,8 +119,11 @@ class TexturePicture(DeliveredDrawing):
     def watch(self, sent: StepResult) -> None:
         """Store the pose of a step and the extent of the hand's motion."""
         super().watch(sent)
-        place = (sent.input.pose.x_mm, sent.input.pose.y_mm)
-        self._least, self._most = np.minimum(self._least, place), np.maximum(self._most, place)
+        position_mm = (sent.input.pose.x_mm, sent.input.pose.y_mm)
+        self._least, self._most = (
+            np.minimum(self._least, position_mm),
+            np.maximum(self._most, position_mm),
+        )
 
     def under(self) -> Under:
         """Return the part of the texture that the array passed over."""
@@ -231,15 +234,15 @@ class MouseSource(StimulusSource):
         if self._origin is None:
             self._origin = self.motion.origin_mm or self.texture.middle_mm
         x, y = self._steady.follow(*moved)
-        place = (self._origin[0] + x, self._origin[1] + y)
+        position_mm = (self._origin[0] + x, self._origin[1] + y)
         activation = np.zeros((len(Afferent), self._electrodes), np.float32)
-        if place != self._place:
-            activation[self._afferent] = self._pulses(place, time_ns)
-            self._draw_image(place)
+        if position_mm != self._place:
+            activation[self._afferent] = self._pulses(position_mm, time_ns)
+            self._draw_image(position_mm)
         force_n = self.motion.force_n if self.motion.knows_force else self._press_n
         return Stimulus(
             activation, time_ns, math.nan if force_n is None else force_n, self._period_us,
-            pose=Pose(*place), number=self.frames - 1, image=self._image,
+            pose=Pose(*position_mm), number=self.frames - 1, image=self._image,
         )  # fmt: skip
 
     def drawing(self, profile: Profile, bank: KernelBank) -> TexturePicture:
@@ -253,15 +256,15 @@ class MouseSource(StimulusSource):
         for note in [*self.texture.notes, *self.motion.notes]:
             self._said.put(note, note)
 
-    def _pulses(self, place: tuple[float, float], time_ns: int) -> NDArray[np.float32]:
-        before, self._place = self._place, place
+    def _pulses(self, position_mm: tuple[float, float], time_ns: int) -> NDArray[np.float32]:
+        before, self._place = self._place, position_mm
         # Also the first place, whose distance is NaN.
-        if not math.dist(place, before) <= JUMP_MM:
-            self._feeler.place(*place)
+        if not math.dist(position_mm, before) <= JUMP_MM:
+            self._feeler.place(*position_mm)
             return np.zeros(self._electrodes, np.float32)
-        passed = self._feeler.move(*place)
+        passed = self._feeler.move(*position_mm)
         self.merged += passed.merged
-        kept = self._limit.keep(passed.height, time_ns)
+        kept_pulses = self._limit.keep(passed.height, time_ns)
         if self._limit.left_out and not self._warned:
             self._warned = True
             self.emit(
@@ -271,12 +274,12 @@ class MouseSource(StimulusSource):
                     "can follow: some are left out",
                 )
             )
-        return kept
+        return kept_pulses
 
-    def _draw_image(self, place: tuple[float, float]) -> None:
+    def _draw_image(self, position_mm: tuple[float, float]) -> None:
         rows, columns = self._shape
-        left = place[0] - columns * self._pixel_mm / 2
-        top = place[1] - rows * self._pixel_mm / 2
+        left = position_mm[0] - columns * self._pixel_mm / 2
+        top = position_mm[1] - rows * self._pixel_mm / 2
         self._image = self.texture.draw(left, top, self._shape, self._pixel_mm)
         self.frames += 1
 

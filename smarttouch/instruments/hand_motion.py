@@ -70,9 +70,9 @@ def open_motion(url: str, **options: Any) -> HandMotion:
         "evdev": open_evdev, "path": open_path, "sweep": open_sweep,
     }  # fmt: skip
     opener = openers[kind]
-    given = given_options(opener, url, options, SourceError)
+    accepted = given_options(opener, url, options, SourceError)
     rest, in_url = read_options(opener, rest, SourceError, _NOT_IN_URLS)
-    return opener(rest, **joined_options(url, given, in_url, SourceError))
+    return opener(rest, **joined_options(url, accepted, in_url, SourceError))
 
 
 _PATH_RESOLUTION_MM = 0.01  # resolution of recorded paths; an estimate of ours
@@ -109,7 +109,7 @@ class PathMotion(HandMotion):
         time_s, times = time_ns / 1e9, self._table[:, 0]
         if time_s > times[-1]:
             return None
-        x, y, *force = (float(np.interp(time_s, times, each)) for each in self._table.T[1:])
+        x, y, *force = (float(np.interp(time_s, times, column)) for column in self._table.T[1:])
         if force:
             self.force_n: float = max(0.0, force[0])
         assert self.origin_mm is not None
@@ -140,14 +140,14 @@ class SourceMotion(HandMotion):
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
         """Return how far the source is from where it was first; None after its end."""
-        given = self._source.read(time_ns)
-        if given is None:
+        frame = self._source.read(time_ns)
+        if frame is None:
             return None
         if self._first is None:
-            self._first = given.pose
+            self._first = frame.pose
         # What was seen last may be gone: whether the finger is still there is unknown.
-        self.force_n: float = math.nan if given.stale else given.force_n
-        return given.pose.x_mm - self._first.x_mm, given.pose.y_mm - self._first.y_mm
+        self.force_n: float = math.nan if frame.stale else frame.force_n
+        return frame.pose.x_mm - self._first.x_mm, frame.pose.y_mm - self._first.y_mm
 
     def close(self) -> None:
         """Close the source."""
@@ -217,7 +217,7 @@ class SweepMotion(HandMotion):
         time_s = time_ns / 1e9
         if time_s > self._table[-1, 0]:
             return None
-        x, y = (float(np.interp(time_s, self._table[:, 0], each)) for each in self._table.T[1:])
+        x, y = (float(np.interp(time_s, self._table[:, 0], column)) for column in self._table.T[1:])
         return x, y
 
 

@@ -246,9 +246,9 @@ class ReliefFeeler:
         on_map: tuple[NDArray[np.float32], NDArray[np.float32]],
     ) -> RidgeCrossing:
         lowest = np.minimum.accumulate(np.minimum(depth, self._lowest), axis=0)
-        found, last, merged = self._crests(depth, lowest, step_mm)
-        inside = self._inside(places, depth) & ~found
-        pulsed = found | inside
+        is_crest, last, merged = self._crests(depth, lowest, step_mm)
+        inside = self._inside(places, depth) & ~is_crest
+        pulsed = is_crest | inside
         if not pulsed.any():
             self._lowest = lowest[-1]
             return self._nothing
@@ -258,9 +258,9 @@ class ReliefFeeler:
         gone_mm = np.maximum(np.abs(gone), grain_mm)
         over = gone_mm - grain_mm < step_mm * (len(places) - 2)
         due = self._pulsed + gone * np.where(over, grain_mm / gone_mm, 1.0)
-        self._pulsed = np.where(found, places[last], np.where(inside, due, self._pulsed))
-        row = np.where(found, last, len(places) - 1)
-        x, y = (each[row, self._all][None] for each in on_map)
+        self._pulsed = np.where(is_crest, places[last], np.where(inside, due, self._pulsed))
+        row = np.where(is_crest, last, len(places) - 1)
+        x, y = (coordinates[row, self._all][None] for coordinates in on_map)
         height = self._sample(self._relief.height, x, y)[0]
         return RidgeCrossing(np.asarray(height * pulsed, np.float32), merged)
 
@@ -273,13 +273,13 @@ class ReliefFeeler:
         crest = (middle >= depth[:-2]) & (middle > depth[2:]) & (middle > self._least_mm)
         crest &= middle - lowest[1:-1] >= _RISEN * middle
         last = len(crest) - crest[::-1].argmax(axis=0)
-        found = crest[last - 1, self._all]
-        if not found.any():
-            return found, last, 0
+        is_crest = crest[last - 1, self._all]
+        if not is_crest.any():
+            return is_crest, last, 0
         own_mm = depth[last, self._all]
         apart_mm = (last - 1 - crest.argmax(axis=0)) * step_mm
-        merged = int((found & (apart_mm >= np.maximum(own_mm, step_mm))).sum())
-        return found, last, merged
+        merged = int((is_crest & (apart_mm >= np.maximum(own_mm, step_mm))).sum())
+        return is_crest, last, merged
 
     def _inside(
         self, places: NDArray[np.complex128], depth: NDArray[np.float32]
@@ -335,17 +335,17 @@ def open_texture(
     ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file. Options may stand behind it,
     as in ``wood.png?dpi=300``.
     """
-    place, in_url = read_options(open_texture, spec, PageError)
-    given = {
+    address, in_url = read_options(open_texture, spec, PageError)
+    accepted = {
         "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm,
         "light_on_dark": light_on_dark or None,
     }  # fmt: skip
-    given = {name: value for name, value in given.items() if value is not None}
+    accepted = {name: value for name, value in accepted.items() if value is not None}
     if in_url:
-        return open_texture(place, **joined_options(spec, given, in_url, PageError))
+        return open_texture(address, **joined_options(spec, accepted, in_url, PageError))
     kind, _, rest = spec.partition(":")
     if kind == "grating" and ":" in spec:
-        for name in given:
+        for name in accepted:
             message = f"{name} is for images, and {spec} is exact: leave it out"
             raise PageError(message)
         return _grating(spec, rest)

@@ -227,7 +227,7 @@ def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int
     """Return the samples of upward zero crossings of the real part while driven, once per cycle,
     counted on through silences of up to ``gap`` samples."""
     turns = (np.unwrap(np.angle(turning)) + math.pi / 2) / (2 * math.pi)
-    whole = np.floor(turns).astype(np.int64)
+    full_turns = np.floor(turns).astype(np.int64)
     on = np.flatnonzero(driven)
     if not len(on):
         return np.empty(0)
@@ -235,11 +235,11 @@ def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int
     # by stretch, each set off above the one before.
     starts = on[np.diff(on, prepend=-gap - 1) > gap]
     stretch = np.cumsum(np.bincount(starts, minlength=len(driven))) - 1
-    height = whole - whole[starts][stretch] + stretch * (2 * len(driven))
+    height = full_turns - full_turns[starts][stretch] + stretch * (2 * len(driven))
     highest = np.maximum.accumulate(height)
     at = np.flatnonzero((np.diff(highest) > 0) & driven[:-1] & driven[1:])
     step = turns[at + 1] - turns[at]
-    return np.asarray(at + np.clip((whole[at + 1] - turns[at]) / step, 0, 1))
+    return np.asarray(at + np.clip((full_turns[at + 1] - turns[at]) / step, 0, 1))
 
 
 def _rate_hz(spike_s: Array, trace: Trace, drive: Array) -> Array:

@@ -152,7 +152,7 @@ class SocketSource(Program):
         if asked.image is not None:
             return self.checked(Frame(array.astype(np.uint8), 0))
         if array.shape == self._nothing.shape and np.delete(array, self.afferents, axis=0).any():
-            driven = ", ".join(each.name for each in self.afferents)
+            driven = ", ".join(afferent.name for afferent in self.afferents)
             raise SourceError(f"this run drives {driven}: leave the other rows at zero")
         return self.checked(array)
 
@@ -172,7 +172,7 @@ def _parse(line: bytes) -> _Request:
         return _Request.model_validate_json(line)
     except ValidationError as error:
         first = error.errors()[0]
-        where = "".join(f"{each}: " for each in first["loc"][:1])
+        where = "".join(f"{field_name}: " for field_name in first["loc"][:1])
         raise SourceError(f"a request is not valid: {where}{first['msg']}") from None
 
 

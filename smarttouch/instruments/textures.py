@@ -93,7 +93,9 @@ class Grating(Texture):
         across = (left_mm + pixel_mm * (np.arange(columns) + 0.5)) * self.per_mm[0]
         down = (top_mm + pixel_mm * (np.arange(rows) + 0.5)) * self.per_mm[1]
         # Sums of bytes go round as phases do.
-        across, down = ((each % 1 * _LEVELS).astype(np.uint8) for each in (across, down))
+        across, down = (
+            (coordinate % 1 * _LEVELS).astype(np.uint8) for coordinate in (across, down)
+        )
         return np.asarray(_WAVE[across[None] + down[:, None]])
 
 

@@ -45,7 +45,9 @@ class KernelBank:
     """Kernels of every site of a profile, by class."""
 
     def __repr__(self) -> str:
-        kinds = ", ".join(f"{each.name} {own.shape}" for each, own in self.weights.items())
+        kinds = ", ".join(
+            f"{afferent.name} {weights.shape}" for afferent, weights in self.weights.items()
+        )
         return f"KernelBank({kinds})"
 
     weights: Column  # (E, E) mA per V/mm²: row s is site s, activation 1, sum 0; 0 if masked
@@ -86,9 +88,9 @@ class KernelBank:
     def _made(self, afferent: Afferent) -> NDArray[np.float64]:
         if afferent not in self.weights:
             offered = ", ".join(
-                f"{each.name} (other classes reach {self.off_target[each].max():.2g} of the "
-                f"target, its own elsewhere {self.spill[each].max():.2g})"
-                for each in sorted(self.weights)
+                f"{known.name} (other classes reach {self.off_target[known].max():.2g} of the "
+                f"target, its own elsewhere {self.spill[known].max():.2g})"
+                for known in sorted(self.weights)
             )
             raise DesignError(
                 f"mode {afferent.name} is not possible with this profile's board: "
@@ -176,9 +178,9 @@ def _known(profile: Profile) -> tuple[Profile, KernelBank] | None:
     differ in masks, limits and full currents."""
     if profile.output.kind != "weighted":
         return None
-    whole = profile.output.model_copy(update={"masked": ()})
+    unmasked = profile.output.model_copy(update={"masked": ()})
     others = [load_profile(name) for name in list_profiles()]
-    others.append(profile.model_copy(update={"output": whole}))
+    others.append(profile.model_copy(update={"output": unmasked}))
     wanted = _array_problem(profile)
     for other in others:
         if _array_problem(other) == wanted and (bank := find_bank(other)) is not None:
@@ -229,9 +231,9 @@ def design_bank(
     if known is not None and problem_hash(known[0]) != problem_hash(profile):
         design = design_unless_known(design, known[0], known[1].kernel)
     columns: dict[str, Any] = {name: {} for name in _IN_FILE}
-    made: dict[Afferent, Array] = {}
+    node_rows: dict[Afferent, Array] = {}
     for index, afferent in enumerate(modes):
-        problem = Problem(profile, afferent, made=made)
+        problem = Problem(profile, afferent, made=node_rows)
         timed = design_sites(problem, design, None, part_of(progress, index, len(modes)), keep)
         _enter(columns, problem, timed)
     return KernelBank(**columns)
@@ -265,7 +267,7 @@ def design_confined(
 def _enter(columns: dict[str, Any], problem: "Problem", timed: "Sequence[Timed]") -> None:
     """Store the kernels of a class, and the seconds that each took."""
     afferent, kernels = problem.afferent, [kernel for kernel, _ in timed]
-    found: dict[str, tuple[Any, Any]] = {
+    fields: dict[str, tuple[Any, Any]] = {
         "weights": ([kernel.weights for kernel in kernels], np.float64),
         "off_target": ([kernel.off_target for kernel in kernels], np.float64),
         "worst_class": ([kernel.off_target_class for kernel in kernels], np.int8),
@@ -273,10 +275,10 @@ def _enter(columns: dict[str, Any], problem: "Problem", timed: "Sequence[Timed]"
         "gap": ([kernel.gap for kernel in kernels], np.float64),
         "seconds": ([seconds for _, seconds in timed], np.float32),
     }
-    for name, (values, kind) in found.items():
-        made = np.array(values, kind)
-        columns[name][afferent] = np.zeros((problem.electrodes, *made.shape[1:]), kind)
-        columns[name][afferent][problem.driven] = made
+    for name, (values, kind) in fields.items():
+        array = np.array(values, kind)
+        columns[name][afferent] = np.zeros((problem.electrodes, *array.shape[1:]), kind)
+        columns[name][afferent][problem.driven] = array
     columns["receptor"][afferent] = np.asarray(problem.target, np.float32)
 
 
@@ -333,9 +335,9 @@ def single_bank(profile: Profile) -> KernelBank:
     if "anodic" in profile.output.polarities:
         weights = -weights
     nothing, nowhere = np.zeros(count), np.zeros((count, count), np.float32)
-    each = {Afferent.RA: nothing}
+    zeros = {Afferent.RA: nothing}
     return KernelBank(
-        weights={Afferent.RA: weights}, off_target=each,
-        worst_class={Afferent.RA: nothing.astype(np.int8)}, spill=each, gap=each, seconds=each,
+        weights={Afferent.RA: weights}, off_target=zeros,
+        worst_class={Afferent.RA: nothing.astype(np.int8)}, spill=zeros, gap=zeros, seconds=zeros,
         receptor={Afferent.RA: nowhere}, discs=(Afferent.RA,),
     )  # fmt: skip

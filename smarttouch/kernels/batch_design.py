@@ -74,7 +74,11 @@ def design_sites(
         problem.check_site(site)
     ways = [problem.representative(site) for site in sites]
     distinct = sorted({first for first, _ in ways})
-    done = {first: kept for first in distinct if (kept := kept_kernel(keep, problem, first))}
+    done = {
+        first: known_kernel
+        for first in distinct
+        if (known_kernel := kept_kernel(keep, problem, first))
+    }
     missing = [first for first in distinct if first not in done]
     answers = Parallel(n_jobs=-1, prefer="threads", return_as="generator_unordered")(
         delayed(_timed)(design, problem, first) for first in missing
@@ -153,12 +157,12 @@ def kept_kernel(keep: Path | None, problem: Problem, site: int) -> Timed | None:
             off_target_class=Afferent[fields["worst_other_class"]], spill=fields["own_spill"],
             node=fields["node"], kind=fields["kind"], gap=fields["gap"],
         )  # fmt: skip
-        whole = kernel.weights.shape == (problem.electrodes,) and bool(
+        is_complete = kernel.weights.shape == (problem.electrodes,) and bool(
             np.isfinite([*kernel.weights, kernel.off_target, kernel.spill, kernel.gap]).all()
         )
     except (DesignError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         return None
-    return (kernel, seconds) if whole else None
+    return (kernel, seconds) if is_complete else None
 
 
 _NOTHING = 1e-9  # part of a kernel's strongest current that is a last bit of the solver's
@@ -192,8 +196,8 @@ def design_unless_known(
 
 
 def _same_limits(before: Profile, now: Profile, site: int) -> bool:
-    (total, own), (total_now, own_now) = limits_ma(before), limits_ma(now)
-    alike = total == total_now and np.array_equal(own, own_now)
+    (total, own_ma), (total_now, own_now) = limits_ma(before), limits_ma(now)
+    alike = total == total_now and np.array_equal(own_ma, own_now)
     return alike and bool(before.full_ma[site] == now.full_ma[site])
 
 
@@ -223,16 +227,16 @@ class Tile:
 def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
     """Return the tiles of sites with `Kernels.neighbors` driven electrodes each at most, whole
     rings of equal distance."""
-    array, most = profile.electrodes, profile.kernels.neighbors or len(profile.electrodes)
+    array, neighbors = profile.electrodes, profile.kernels.neighbors or len(profile.electrodes)
     is_driven = np.isin(np.arange(len(array)), profile.driven)
     properties = np.column_stack(own_properties(profile))
     moves = mirrors(profile, tuple(Afferent))
-    found: dict[bytes, Tile] = {}
+    tiles: dict[bytes, Tile] = {}
     for site in sites:
         apart_mm = array.position_mm - array.position_mm[site]
         away_mm = np.hypot(*apart_mm.T).round(_DECIMALS)
         rings_mm, counts = np.unique(away_mm[is_driven], return_counts=True)
-        radius_mm = rings_mm[max(1, int(counts.cumsum().searchsorted(most, "right")) - 1)]
+        radius_mm = rings_mm[max(1, int(counts.cumsum().searchsorted(neighbors, "right")) - 1)]
         seen = np.flatnonzero(away_mm <= radius_mm + _RING_PITCHES * array.pitch_mm)
         drives = is_driven[seen] & (away_mm[seen] <= radius_mm)
         keys = []
@@ -242,12 +246,12 @@ def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
             rows = np.column_stack([away_mm[seen], moved, drives, properties[seen]])
             order = np.lexsort(rows.T[2::-1])
             keys.append((rows[order].tobytes(), order, moved[order]))
-        key, order, places_mm = min(keys, key=lambda each: each[0])
+        key, order, places_mm = min(keys, key=lambda candidate: candidate[0])
         members = seen[order]
-        if key not in found:
-            found[key] = Tile(_cut(profile, members, places_mm, drives[order]))
-        found[key].members[site] = members
-    return list(found.values())
+        if key not in tiles:
+            tiles[key] = Tile(_cut(profile, members, places_mm, drives[order]))
+        tiles[key].members[site] = members
+    return list(tiles.values())
 
 
 def _cut(
@@ -255,14 +259,14 @@ def _cut(
 ) -> Profile:
     """Return the profile of a tile: electrodes (N,) at places (N, 2), of which some are driven."""
     array, felt, limits = profile.electrodes, profile.perception, profile.limits
-    each = [array.own[index] for index in members] if array.own else None
+    shapes = [array.own[index] for index in members] if array.own else None
     layout = FreeLayout(
         layout="free",
         positions_mm=tuple((x, y) for x, y in places_mm.tolist()),
         shape=array.shape,
         size_mm=array.size_mm,
-        shapes=None if each is None else tuple(shape for shape, _ in each),
-        sizes_mm=None if each is None else tuple(size for _, size in each),
+        shapes=None if shapes is None else tuple(shape for shape, _ in shapes),
+        sizes_mm=None if shapes is None else tuple(size for _, size in shapes),
     )
 
     def of(values: Any) -> Any:
@@ -293,10 +297,10 @@ def design_tiles(
     and the target's activating function by each of them, (N,) V/mm² per mA."""
     tiles = tiles_of(profile, sites)
     for index, tile in enumerate(tiles):
-        made: dict[Afferent, Array] = {}
+        node_rows: dict[Afferent, Array] = {}
         folder = None if keep is None else keep / f"tile-{index}"
         for number, afferent in enumerate(modes):
-            problem = Problem(tile.profile, afferent, made=made)
+            problem = Problem(tile.profile, afferent, made=node_rows)
             advance = part_of(progress, index * len(modes) + number, len(tiles) * len(modes))
             ((kernel, seconds),) = design_sites(problem, design, [0], advance, folder)
             for site, members in tile.members.items():

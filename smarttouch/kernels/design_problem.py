@@ -39,16 +39,18 @@ _SQUARE = [
 def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
     """Return permutations that keep the problem, identity first: e goes to ``permutation[e]``."""
     array = profile.electrodes
-    kept = []
+    moves = []
     kind = _kinds(profile)
     for matrix in mirrors(profile, (afferent,)):
         moved = array.position_mm @ matrix.T
         gaps = np.linalg.norm(moved[:, None, :] - array.position_mm[None, :, :], axis=2)
         gaps[kind[:, None] != kind] = np.inf
         if gaps.min(axis=1).max() <= 1e-6:
-            kept.append(np.asarray(gaps.argmin(axis=1), np.intp))
-    own = own_properties(profile)
-    return [move for move in kept if all(np.array_equal(each[move], each) for each in own)]
+            moves.append(np.asarray(gaps.argmin(axis=1), np.intp))
+    properties = own_properties(profile)
+    return [
+        move for move in moves if all(np.array_equal(values[move], values) for values in properties)
+    ]
 
 
 def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[np.int_]]:
@@ -57,12 +59,13 @@ def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[
     skin = profile.skin
     kinds = profile.electrodes.kinds
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in kinds)
-    sets = [directions(skin, each) for each in Afferent]
-    sets += [directions(skin, each)[:1] for each in targets_of]
+    sets = [directions(skin, afferent) for afferent in Afferent]
+    sets += [directions(skin, afferent)[:1] for afferent in targets_of]
     return [
         matrix
         for matrix in _SQUARE
-        if not (upright and matrix[0, 0] == 0) and all(_keeps(each, matrix) for each in sets)
+        if not (upright and matrix[0, 0] == 0)
+        and all(_keeps(direction_set, matrix) for direction_set in sets)
     ]
 
 
@@ -76,15 +79,17 @@ def _kinds(profile: Profile) -> NDArray[np.float64]:
 
 def own_properties(profile: Profile) -> list[NDArray[np.float64]]:
     """Return properties by which an electrode may differ from another, (E,) each."""
-    limits, own = profile.limits, [profile.admittance, _kinds(profile)]
+    limits, properties = profile.limits, [profile.admittance, _kinds(profile)]
     if profile.output.masked:
-        own.append(np.isin(np.arange(len(profile.electrodes)), profile.driven).astype(np.float64))
+        properties.append(
+            np.isin(np.arange(len(profile.electrodes)), profile.driven).astype(np.float64)
+        )
     if limits.electrode_ma is not None:
-        own.append(np.array(limits.electrode_ma))
+        properties.append(np.array(limits.electrode_ma))
     if limits.electrode_ma is not None or profile.design_total_ma is not None:
         # Limits are multiples of a site's full current.
-        own.append(np.asarray(profile.full_ma, np.float64))
-    return own
+        properties.append(np.asarray(profile.full_ma, np.float64))
+    return properties
 
 
 def _keeps(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:
@@ -126,12 +131,12 @@ _FIRST_MM = 0.5  # distance of the places at which a design looks first
 
 def _sublattice(grids: list[tuple[tuple[int, int], int]], apart: int) -> NDArray[np.intp]:
     """Return every so many rows and columns of stacks of lattices, (K,), by index of all."""
-    found, start = [], 0
+    starts, start = [], 0
     for (high, wide), count in grids:
         index = np.arange(start, start + count * high * wide).reshape(count, high, wide)
-        found.append(index[:, ::apart, ::apart].ravel())
+        starts.append(index[:, ::apart, ::apart].ravel())
         start += index.size
-    return np.concatenate(found)
+    return np.concatenate(starts)
 
 
 def limits_ma(profile: Profile) -> tuple[float, Array]:
@@ -169,34 +174,36 @@ class Problem:
         self.profile: Profile = profile
         self.afferent: Afferent = afferent
         if others is None:
-            others = [each for each in Afferent if each is not afferent]
+            others = [other for other in Afferent if other is not afferent]
         if afferent in others or not others:
             raise DesignError(
                 f"{afferent.name} must be selected against one or two other classes, not against "
-                f"{', '.join(each.name for each in others) or 'none'}"
+                f"{', '.join(other.name for other in others) or 'none'}"
             )
-        nodes = {each: everywhere(profile, each) for each in (afferent, *others)}
+        nodes = {other: everywhere(profile, other) for other in (afferent, *others)}
         made = {} if made is None else made
-        for each in nodes.keys() - made.keys():
-            made[each] = af_matrix(profile, nodes[each])
+        for other in nodes.keys() - made.keys():
+            made[other] = af_matrix(profile, nodes[other])
         self.target: Array = af_matrix(profile, targets(profile, afferent))
         """Row of the target of every site, (E, E) V/mm² per mA."""
-        self.other: Array = np.concatenate([made[each] for each in others])
+        self.other: Array = np.concatenate([made[other] for other in others])
         """Rows of every node of the other classes, (N, E)."""
         self.own: Array = made[afferent]
         """Rows of every node of the own class, (M, E)."""
         self.other_class: NDArray[np.int8] = np.concatenate(
-            [np.full(len(made[each]), each, np.int8) for each in others]
+            [np.full(len(made[other]), other, np.int8) for other in others]
         )
         self.grids: list[tuple[tuple[int, int], int]] = [
-            (nodes[each].grid, len(nodes[each].direction)) for each in others
+            (nodes[other].grid, len(nodes[other].direction)) for other in others
         ]
-        own = nodes[afferent]
+        own_nodes = nodes[afferent]
         apart = max(1, round(_FIRST_MM / profile.skin.node_spacing_mm))
         self.coarse_other: NDArray[np.intp] = _sublattice(self.grids, apart)
         """Rows of other classes, and of the own, that lie about `_FIRST_MM` apart."""
-        self.coarse_own: NDArray[np.intp] = _sublattice([(own.grid, len(own.direction))], apart)
-        self._own_position_mm = np.tile(own.position_mm, (len(own.direction), 1))
+        self.coarse_own: NDArray[np.intp] = _sublattice(
+            [(own_nodes.grid, len(own_nodes.direction))], apart
+        )
+        self._own_position_mm = np.tile(own_nodes.position_mm, (len(own_nodes.direction), 1))
 
     @property
     def electrodes(self) -> int:
@@ -226,8 +233,8 @@ class Problem:
     def beyond_a_pitch(self, site: int, node: int = 0) -> NDArray[np.bool_]:
         """Return which own rows are farther than one pitch from a node of a site's axon, (M,)."""
         electrodes = self.profile.electrodes
-        place = self.axon_mm(site)[node, :2] if node else electrodes.position_mm[site]
-        away = np.linalg.norm(self._own_position_mm - place, axis=1)
+        target_mm = self.axon_mm(site)[node, :2] if node else electrodes.position_mm[site]
+        away = np.linalg.norm(self._own_position_mm - target_mm, axis=1)
         return np.asarray(away > electrodes.pitch_mm + 1e-9)
 
     def full_ma(self, site: int) -> float:

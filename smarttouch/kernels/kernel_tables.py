@@ -61,26 +61,29 @@ def kernels_designed(
     if not any_node and profile.kernels.neighbors is not None:
         return kernels_of_bank(profile, design_confined(profile, sites, progress), modes, sites)
     design_one = design_any_node if any_node else designer(profile)
-    found = []
+    kernels = []
     for index, mode in enumerate(modes):
         problem = Problem(profile, mode)
         timed = design_sites(problem, design_one, sites, part_of(progress, index, len(modes)))
-        found += [SiteKernel(mode, site, *each) for site, each in zip(sites, timed, strict=True)]
-    return found
+        kernels += [
+            SiteKernel(mode, site, *timed_kernel)
+            for site, timed_kernel in zip(sites, timed, strict=True)
+        ]
+    return kernels
 
 
 def middle_kernels(
     profile: Profile, kernels: Sequence[SiteKernel]
 ) -> tuple[int, dict[Afferent, Kernel]]:
     """Return the site nearest to the middle, and its kernel of each class."""
-    sites = sorted({each.site for each in kernels})
+    sites = sorted({site_kernel.site for site_kernel in kernels})
     away_mm = np.linalg.norm(profile.electrodes.position_mm[sites], axis=1)
     site = sites[int(away_mm.argmin())]
-    found: dict[Afferent, Kernel] = {}
-    for each in kernels:
-        if each.site == site:
-            found[each.afferent] = each.kernel
-    return site, found
+    nearest: dict[Afferent, Kernel] = {}
+    for site_kernel in kernels:
+        if site_kernel.site == site:
+            nearest[site_kernel.afferent] = site_kernel.kernel
+    return site, nearest
 
 
 def as_json(profile: Profile, kernels: Sequence[SiteKernel]) -> dict[str, Any]:
@@ -89,7 +92,7 @@ def as_json(profile: Profile, kernels: Sequence[SiteKernel]) -> dict[str, Any]:
         "profile": profile.name,
         "positive": "cathodic",
         "weights_unit": "mA for an activating function of 1 V/mm² at the target",
-        "kernels": [_one_as_json(profile, each) for each in kernels],
+        "kernels": [_one_as_json(profile, kernel) for kernel in kernels],
     }
 
 
@@ -116,17 +119,17 @@ def _one_as_json(profile: Profile, of: SiteKernel) -> dict[str, Any]:
 
 def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
     """Return one row for each site, with what its kernel of each mode reaches."""
-    modes = sorted({each.afferent for each in kernels})
+    modes = sorted({site_kernel.afferent for site_kernel in kernels})
     heading = ["site", "x mm", "y mm"]
     for mode in modes:
         heading += [f"{mode.name} other", "spill"] if len(modes) > 1 else [
             "worst other", "of", "own spill", "total |w|/peak", "gap",
         ]  # fmt: skip
     rows: dict[int, list[str]] = {}
-    for each in kernels:
-        x, y = profile.electrodes.position_mm[each.site]
-        row = rows.setdefault(each.site, [str(each.site), f"{x:.2f}", f"{y:.2f}"])
-        kernel = each.kernel
+    for site_kernel in kernels:
+        x, y = profile.electrodes.position_mm[site_kernel.site]
+        row = rows.setdefault(site_kernel.site, [str(site_kernel.site), f"{x:.2f}", f"{y:.2f}"])
+        kernel = site_kernel.kernel
         row += [f"{kernel.off_target:.4f}", f"{kernel.spill:.3f}"]
         if len(modes) == 1:
             total = abs(kernel.peak_normalized).sum()
@@ -147,7 +150,7 @@ def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list
     kernel, position = of.kernel, profile.electrodes.position_mm
     weights = kernel.peak_normalized
     lines = []
-    for y in sorted({round(float(each), 6) for each in position[:, 1]}):
+    for y in sorted({round(float(y_mm), 6) for y_mm in position[:, 1]}):
         line = [index for index in range(len(position)) if abs(position[index, 1] - y) < 1e-5]
         lines.append(sorted(line, key=lambda index: position[index, 0]))
     certain = f"within {kernel.gap:.1%} of the best possible" if kernel.gap else "proven optimal"

@@ -79,24 +79,26 @@ class ProgramRows:
     def times(self, weights: Array) -> Array:
         """Return all rows times a pattern (O,), (N,)."""
         pattern = self.orbits @ weights
-        found = []
+        products = []
         for rows, scale, chosen in self._parts:
-            each = rows @ pattern / scale
-            found.append(each if chosen is None else each[chosen])
-        return np.concatenate(found)
+            product = rows @ pattern / scale
+            products.append(product if chosen is None else product[chosen])
+        return np.concatenate(products)
 
     def take(self, index: NDArray[np.intp]) -> Array:
         """Return some rows, (K, O)."""
-        found, part = (
+        taken, part = (
             np.empty((len(index), self.orbits.shape[1])),
             self._ends.searchsorted(index, "right"),
         )
         for which, (rows, scale, chosen) in enumerate(self._parts):
             mine = np.flatnonzero(part == which)
             begin = self._ends[which] - (len(rows) if chosen is None else len(chosen))
-            own = index[mine] - begin
-            found[mine] = rows[own if chosen is None else chosen[own]] @ self.orbits / scale
-        return found
+            row_index = index[mine] - begin
+            taken[mine] = (
+                rows[row_index if chosen is None else chosen[row_index]] @ self.orbits / scale
+            )
+        return taken
 
 
 class LinearProgram:

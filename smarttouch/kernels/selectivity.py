@@ -42,8 +42,8 @@ class FrameBounds:
 
     def __post_init__(self) -> None:
         for name, value in (("other", self.other), ("spill", self.spill), ("uneven", self.uneven)):
-            most = 1 if name == "uneven" else np.inf
-            if not 0 < value < most:
+            upper_bound = 1 if name == "uneven" else np.inf
+            if not 0 < value < upper_bound:
                 raise DesignError(
                     f"bound {name} = {value} of a frame must be above 0, uneven below 1"
                 )
@@ -73,8 +73,8 @@ class FrameJudge:
     @cached_property
     def others(self) -> Single:
         """Activating function at every node of the other classes, (N, E) V/mm² per mA."""
-        others = [each for each in Afferent if each is not self.afferent]
-        return np.concatenate([self._rows(each) for each in others])
+        others = [other for other in Afferent if other is not self.afferent]
+        return np.concatenate([self._rows(other) for other in others])
 
     @cached_property
     def own(self) -> Single:
@@ -89,18 +89,18 @@ class FrameJudge:
     def full_ma(self) -> Array:
         """Largest current of each electrode at intensity 1, (E,) mA in whole µA, 0 where masked."""
         limits = self.profile.limits
-        most = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
+        limit_ma = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
         if limits.electrode_ma is not None:
-            most = np.minimum(most, np.asarray(limits.electrode_ma))
-        most = np.floor(1000 * most + 1e-6) / 1000
-        return np.where(np.isin(np.arange(len(most)), self.profile.driven), most, 0.0)
+            limit_ma = np.minimum(limit_ma, np.asarray(limits.electrode_ma))
+        limit_ma = np.floor(1000 * limit_ma + 1e-6) / 1000
+        return np.where(np.isin(np.arange(len(limit_ma)), self.profile.driven), limit_ma, 0.0)
 
     @cached_property
     def uneven_af(self) -> tuple[float, float]:
         """Largest sum of a row's steps between electrodes: of other classes, of the own."""
         rows_of = self.others, self.own
-        other, own = (float(np.abs(np.diff(rows)).sum(axis=1).max()) for rows in rows_of)
-        return other, own
+        other, own_af = (float(np.abs(np.diff(rows)).sum(axis=1).max()) for rows in rows_of)
+        return other, own_af
 
     @cached_property
     def _near(self) -> NDArray[np.bool_]:
@@ -125,9 +125,9 @@ class FrameJudge:
         if not level.any(axis=1).all():
             raise DesignError("a slot without an active site has no figures: leave it out")
         single = np.asarray(current, np.float32)
-        rest, own = (single @ self.others.T).max(axis=1), single @ self.own.T
+        rest, own_af = (single @ self.others.T).max(axis=1), single @ self.own.T
         return [
-            self._figures(*slot) for slot in zip(current, level, rest.tolist(), own, strict=True)
+            self._figures(*slot) for slot in zip(current, level, rest.tolist(), own_af, strict=True)
         ]
 
     def _figures(self, current: Array, level: Array, rest: float, own: Single) -> FrameFigures:
@@ -136,8 +136,8 @@ class FrameJudge:
         smallest, ratio = float(reached.min()), reached / self.wish_af[active]
         far = max(float(own[self.far(active)].max(initial=-np.inf)), 0.0)
         other, spill = (rest / smallest, far / smallest) if smallest > 0 else (np.inf, np.inf)
-        total, most = float(np.abs(current).sum() / 2), float(np.abs(current).max())
-        return FrameFigures(other, spill, float(ratio.min()), float(ratio.max()), total, most)
+        total, strongest = float(np.abs(current).sum() / 2), float(np.abs(current).max())
+        return FrameFigures(other, spill, float(ratio.min()), float(ratio.max()), total, strongest)
 
 
 def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
@@ -213,10 +213,10 @@ class SharedKernels:
         ones add nothing.
         """
         judge = self.operator.judge
-        others, own = self.kernels @ judge.others.T, np.maximum(self.kernels @ judge.own.T, 0)
-        for row, site in zip(own, self.sites, strict=True):
+        others, own_af = self.kernels @ judge.others.T, np.maximum(self.kernels @ judge.own.T, 0)
+        for row, site in zip(own_af, self.sites, strict=True):
             row[~judge.far(np.array([site]))] = 0
-        return np.maximum(others, 0), own
+        return np.maximum(others, 0), own_af
 
     @property
     def off_target(self) -> float:
@@ -258,9 +258,9 @@ class SharedKernels:
 
     @cached_property
     def _reached(self) -> Array:
-        each = self.operator.judge.target[self.sites] @ self.kernels.T
-        own = np.diag(each)
-        return np.asarray(own + np.minimum(each - np.diag(own), 0).sum(axis=1))
+        at_targets = self.operator.judge.target[self.sites] @ self.kernels.T
+        own_af = np.diag(at_targets)
+        return np.asarray(own_af + np.minimum(at_targets - np.diag(own_af), 0).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,8 +297,8 @@ class Certainty:
     ) -> "Certainty":
         """Return the bounds for levels from ``faintest`` to 1, targets at ``aim`` of theirs, and
         slots of a total current of ``most_ma``."""
-        found = [cls._of_one(each, aim, faintest, most_ma) for each in sets]
-        columns = np.array(found, np.float64).reshape(-1, 7).T
+        certainties = [cls._of_one(site_set, aim, faintest, most_ma) for site_set in sets]
+        columns = np.array(certainties, np.float64).reshape(-1, 7).T
         return cls(
             columns[:2], columns[2:4], columns[4], columns[5], float(columns[6].max(initial=0))
         )
@@ -314,17 +314,17 @@ class Certainty:
         peak_ma = min(most_ma, float(aim * peaks_ma.sum())) + len(peaks_ma) * _HALF_AMPLITUDE_MA
         running_ma = _HALF_UA_MA + peak_ma * _HALF_WEIGHT
         rows = judge.target[kernels.sites]
-        each = rows @ kernels.kernels.T
-        own = np.diag(each)
-        against = np.minimum(each - np.diag(own), 0)
+        at_targets = rows @ kernels.kernels.T
+        own_af = np.diag(at_targets)
+        against = np.minimum(at_targets - np.diag(own_af), 0)
         # What is fainter than another point gets so much more of what that one's kernel does.
-        least = own + against.sum(axis=1) / faintest
-        lost = own * error - against @ error
+        least = own_af + against.sum(axis=1) / faintest
+        lost = own_af * error - against @ error
         lost += running_ma * np.abs(np.diff(rows, axis=1)).sum(axis=1)
-        reached = (aim * _SINGLE * each.sum(axis=0).max() for each in kernels.excited)
+        reached = (aim * _SINGLE * excitation.sum(axis=0).max() for excitation in kernels.excited)
         rounding = (
-            _SINGLE * (error @ each).max() + running_ma * steps
-            for each, steps in zip(kernels.excited, judge.uneven_af, strict=True)
+            _SINGLE * (error @ excitation).max() + running_ma * steps
+            for excitation, steps in zip(kernels.excited, judge.uneven_af, strict=True)
         )
         total_ma = running_ma * len(judge.full_ma) + error @ kernels.totals_ma
         return (
@@ -338,15 +338,15 @@ class Certainty:
     def figures(self, intensity: float) -> Array:
         """Return the upper bounds of `FrameFigures.off_target` and `spill` of each set, (2, N)."""
         weakest = intensity * self.target - self.lost
-        most = intensity * self.reached + self.rounding
+        upper_bound = intensity * self.reached + self.rounding
         with np.errstate(divide="ignore"):
-            return np.asarray(np.where(weakest > 0, most / np.maximum(weakest, 0), np.inf))
+            return np.asarray(np.where(weakest > 0, upper_bound / np.maximum(weakest, 0), np.inf))
 
     def least(self, bounds: FrameBounds) -> float:
         """Return the intensity from which bounds are kept; infinite if never."""
-        most = np.array([[bounds.other], [bounds.spill]])
-        room = most * self.target - self.reached
-        needed = self.rounding + most * self.lost
+        bounds_column = np.array([[bounds.other], [bounds.spill]])
+        room = bounds_column * self.target - self.reached
+        needed = self.rounding + bounds_column * self.lost
         if (room <= 0).any():
             return np.inf
         return float((needed / room).max(initial=0))
@@ -361,7 +361,7 @@ def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
         message = "color classes are for grids: give the sites of each set by yourself"
         raise DesignError(message)
     color = (row % step) * step + column % step
-    sets = (driven[color[driven] == each] for each in range(step * step))
+    sets = (driven[color[driven] == color_index] for color_index in range(step * step))
     return [SharedKernels(operator, sites) for sites in sets if len(sites)]
 
 
@@ -382,11 +382,11 @@ def proved_sets(judge: FrameJudge, bounds: FrameBounds) -> list[SharedKernels]:
     for step in _STEPS:
         sets = color_classes(operator, step)
         if all(
-            each.off_target <= bounds.other
-            and each.spill <= bounds.spill
-            and aim * each.weakest >= 1 - bounds.uneven
-            and (aim * each.electrode_ma <= judge.full_ma).all()
-            for each in sets
+            site_set.off_target <= bounds.other
+            and site_set.spill <= bounds.spill
+            and aim * site_set.weakest >= 1 - bounds.uneven
+            and (aim * site_set.electrode_ma <= judge.full_ma).all()
+            for site_set in sets
         ):
             return sets
     return []

@@ -28,7 +28,9 @@ def polarity(profile: Profile, afferent: Afferent) -> str:
 def possible_modes(profile: Profile) -> list[Afferent]:
     """Return the modes that a profile's board can make."""
     offered = profile.output.polarities if profile.output.kind != "weighted" else ()
-    return [each for each in Afferent if not offered or polarity(profile, each) in offered]
+    return [
+        afferent for afferent in Afferent if not offered or polarity(profile, afferent) in offered
+    ]
 
 
 def designer(profile: Profile) -> Callable[[Problem, int], Kernel]:

@@ -59,9 +59,9 @@ def design_kernel(
     best = program.most_selective()
     if spill is not None and (best > spill) != ways[0]:
         other = rows.program(ways[1], options)
-        found = other.most_selective()
-        if found < best - _WORTHWHILE:
-            program, best = other, found
+        pattern = other.most_selective()
+        if pattern < best - _WORTHWHILE:
+            program, best = other, pattern
     if best == np.inf:
         raise DesignError(
             f"no kernel for {problem.describe(site)}: the target cannot be activated; change the "
@@ -142,12 +142,12 @@ class _Assembled:
         return self._of(slope, bound, options)
 
     def least_spill(
-        self, found: LinearProgram, other: float, options: Options | None
+        self, selective: LinearProgram, other: float, options: Options | None
     ) -> LinearProgram:
         """Return the solved program of the least spill with a bound on what others get."""
         slope = np.repeat([0.0, 1.0, 0.0], self._counts)
         bound = np.repeat([other, 0.0, 1.0], self._counts)
-        program = self._of(slope, bound, options, found)
+        program = self._of(slope, bound, options, selective)
         program.most_selective()
         if self.break_limits(program) and self.limit(program):
             program.most_selective()

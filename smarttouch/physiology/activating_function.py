@@ -110,11 +110,11 @@ def disc_potential(r: Array, depth: float | Array, radius: float) -> Array:
     size = np.broadcast_shapes(np.shape(r), below.shape)
     # In place: new memory for each of millions of values takes longer than the sums.
     span, outer = np.empty(size), np.empty(size)
-    for found, away in ((span, -radius), (outer, radius)):
-        np.add(r, away, out=found)
-        np.square(found, out=found)
-        found += below
-        np.sqrt(found, out=found)
+    for integral, away in ((span, -radius), (outer, radius)):
+        np.add(r, away, out=integral)
+        np.square(integral, out=integral)
+        integral += below
+        np.sqrt(integral, out=integral)
     span += outer
     np.divide(2 * radius, span, out=span)
     np.arcsin(span, out=span)
@@ -262,16 +262,16 @@ def along_axon(profile: Profile, afferent: Afferent, site: int) -> tuple[Afferen
     sets: list[tuple[NDArray[np.float64], float, str | None]]
     if direction[2] == 0:
         # As far as nodes of other axons are looked at.
-        most = _reach_mm(profile) + 1e-9
-        steps = np.arange(1, int(2 * most.max() / spacing) + 1) * spacing
+        reach_mm = _reach_mm(profile) + 1e-9
+        steps = np.arange(1, int(2 * reach_mm.max() / spacing) + 1) * spacing
         away = np.concatenate([[0.0], steps, -steps])
         position = center + away[:, None] * direction[:2]
-        inside = (np.abs(position) <= most).all(axis=1)
+        inside = (np.abs(position) <= reach_mm).all(axis=1)
         sets = [(position[inside], first.depth_mm, None)]
     else:
         below = np.arange(1, max(1, int(2 * profile.electrodes.pitch_mm / spacing)) + 1) * spacing
         sets = [(center[None], first.depth_mm, first.ending)]
-        sets += [(center[None], first.depth_mm + each, None) for each in below]
+        sets += [(center[None], first.depth_mm + offset_mm, None) for offset_mm in below]
     return tuple(
         Afferents(afferent, position, depth, first.direction, ending, (len(position), 1))
         for position, depth, ending in sets
@@ -320,14 +320,14 @@ def field_at(
             2 * np.pi * skin.conductivity_s_per_m * electrodes.cell_mm[1]
         )
     if shape == "rectangle":
-        found = rectangle(x, y, depth_mm, outer, inner)
+        fields = rectangle(x, y, depth_mm, outer, inner)
     elif shape == "annulus":
-        found = annulus(x, y, depth_mm, outer / 2, inner / 2)
+        fields = annulus(x, y, depth_mm, outer / 2, inner / 2)
     elif shape == "point":
-        found = point(x, y, depth_mm)
+        fields = point(x, y, depth_mm)
     else:
-        found = disc(x, y, depth_mm, outer / 2)
-    return found, _volts(skin)
+        fields = disc(x, y, depth_mm, outer / 2)
+    return fields, _volts(skin)
 
 
 def _field_of_kinds(
@@ -337,7 +337,7 @@ def _field_of_kinds(
     depth_mm: float | NDArray[np.float64],
 ) -> tuple[Field, float]:
     """Return `field_at` of an array that mixes shapes, from that of each shape alone."""
-    whole = Field(*np.zeros((len(Field._fields), len(position_mm), len(electrodes))))
+    field = Field(*np.zeros((len(Field._fields), len(position_mm), len(electrodes))))
     scale = 1.0
     for (shape, size_mm), which in electrodes.kinds.items():
         # One electrode is no array: the second one's column is not used.
@@ -346,9 +346,9 @@ def _field_of_kinds(
             places = np.vstack([places, places + electrodes.pitch_mm])
         alone = replace(electrodes, position_mm=places, shape=shape, size_mm=size_mm, own=None)
         part, scale = field_at(alone, skin, position_mm, depth_mm)
-        for into, values in zip(whole, part, strict=True):
+        for into, values in zip(field, part, strict=True):
             into[:, which] = values[:, : len(which)]
-    return whole, scale
+    return field, scale
 
 
 def af_matrix(
@@ -390,20 +390,22 @@ def potential_mv(profile: Profile, points_mm: NDArray[np.float64]) -> NDArray[np
         r2 *= r2
         across *= across
         r2 += across
-        found, scale = np.sqrt(r2, out=r2), _volts(skin)
+        potential, scale = np.sqrt(r2, out=r2), _volts(skin)
         alone = len(electrodes.kinds) == 1
         for (shape, (outer, inner)), those in electrodes.kinds.items():
             # All of them without a copy.
             which = slice(None) if alone else those
             if shape == "disc":
-                found[:, which] = disc_potential(found[:, which], depth, outer / 2)
+                potential[:, which] = disc_potential(potential[:, which], depth, outer / 2)
             else:
-                found[:, which] = annulus_potential(found[:, which], depth, outer / 2, inner / 2)
-        found *= -1000 * scale
+                potential[:, which] = annulus_potential(
+                    potential[:, which], depth, outer / 2, inner / 2
+                )
+        potential *= -1000 * scale
     else:
         fields, scale = field_at(electrodes, skin, flat, depth)
-        found = 1000 * scale * fields.potential
-    return np.asarray(found.reshape(*points_mm.shape[:-1], len(electrodes)))
+        potential = 1000 * scale * fields.potential
+    return np.asarray(potential.reshape(*points_mm.shape[:-1], len(electrodes)))
 
 
 def _volts(skin: Skin) -> float:

@@ -67,8 +67,8 @@ class ClassAnatomy(Table):
 
     def driving(self, width_us: float) -> DrivingFunction:
         """Return the driving function of the fibers for a pulse width."""
-        found = load_driving(self.fiber, self.ending, width_us)
-        return replace(found, internode_mm=self.diameter_factor * found.internode_mm)
+        driving = load_driving(self.fiber, self.ending, width_us)
+        return replace(driving, internode_mm=self.diameter_factor * driving.internode_mm)
 
 
 class Anatomy(Table):

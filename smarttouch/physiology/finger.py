@@ -121,7 +121,7 @@ class Finger:
         self.seed: int = seed
         self.anatomy: Anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
         self.populations: dict[Any, Population] = {
-            each: self._populate(each, self.anatomy.of(each)) for each in Afferent
+            afferent: self._populate(afferent, self.anatomy.of(afferent)) for afferent in Afferent
         }
 
     def feel(self, given: Any, seed: int = 1) -> "Feeling":
@@ -168,7 +168,7 @@ class Finger:
         Drives are for 1 mA of cathodic current and the profile's pulse: 1 is the threshold. Nodes
         of afferent i begin at ``starts[i]``; each has at least one, if only of zeros.
         """
-        found, starts, count = [], [], 0
+        row_parts, starts, count = [], [], 0
         for one in self.populations.values():
             rows, owner = self._drives(one)
             every = np.arange(len(one.factor))
@@ -176,10 +176,10 @@ class Finger:
             rows = np.vstack([rows, np.zeros((len(silent), rows.shape[1]), np.float32)])
             owner = np.concatenate([owner, silent])
             order = np.argsort(owner, kind="stable")
-            found.append(rows[order])
+            row_parts.append(rows[order])
             starts.append(count + np.searchsorted(owner[order], every))
             count += len(rows)
-        return np.concatenate(found), np.concatenate(starts)
+        return np.concatenate(row_parts), np.concatenate(starts)
 
     def _populate(self, afferent: Afferent, anatomy: ClassAnatomy) -> Population:
         random = np.random.default_rng([self.seed, int(afferent)])
@@ -208,10 +208,10 @@ class Finger:
         reach = self.reach_mm
         area_cm2 = 4 * reach.prod() / 100
         count = random.poisson(anatomy.density_per_cm2 * area_cm2)
-        place = random.uniform(-reach, reach, (count, 2))
-        beyond = place[:, 1] + reach[1] > self.anatomy.tip_mm
+        position_mm = random.uniform(-reach, reach, (count, 2))
+        beyond = position_mm[:, 1] + reach[1] > self.anatomy.tip_mm
         there = ~beyond | (random.random(count) < self.anatomy.beyond_tip)
-        return np.asarray(place[there])
+        return np.asarray(position_mm[there])
 
     def _courses(
         self, anatomy: ClassAnatomy, ending: Array, joint: Array, depth: Array, turn: Array,
@@ -231,14 +231,14 @@ class Finger:
         corners = [(ending, top), (foot, plexus), (start, plexus), (flat, plexus)]
         if anatomy.descent_mm:
             corners.append((flat, plexus + anatomy.descent_mm))
-        return np.stack([np.column_stack(each) for each in corners], axis=1)
+        return np.stack([np.column_stack(corner) for corner in corners], axis=1)
 
     def _drives(self, population: Population) -> tuple[Floats, NDArray[np.intp]]:
         """Return the drive at the nodes of each branch that can fire, and their afferents."""
         driving = population.anatomy.driving(self.profile.pulse.width_us)
         owner = population.owner
         first = np.r_[True, np.diff(owner) > 0] if len(owner) else np.zeros(0, np.bool_)
-        found = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
+        drives = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
         branches = [np.zeros(0, np.intp)]
         # The first branch goes on along the axon, the others end where they join it.
         for which, corners in ((first, population.axon_path_mm.shape[1] - 1), (~first, 2)):
@@ -248,11 +248,11 @@ class Finger:
             for part in np.array_split(indices, max(1, len(indices) // _AT_ONCE)):
                 if len(part):
                     rows, branch = self._part(population, driving, part, corners)
-                    found.append(rows)
+                    drives.append(rows)
                     branches.append(branch)
         branch = np.concatenate(branches)
         order = np.argsort(branch, kind="stable")
-        return np.concatenate(found)[order], owner[branch[order]]
+        return np.concatenate(drives)[order], owner[branch[order]]
 
     def _part(
         self, population: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
@@ -282,9 +282,9 @@ class Finger:
         """
         limits = self.profile.limits
         ranked = np.sort(rows, axis=1)
-        each = float(limits.current_ma)
+        limit_ma = float(limits.current_ma)
         total = float(limits.total_ma or np.inf)
-        share = np.clip(total - each * np.arange(rows.shape[1]), 0, each)
+        share = np.clip(total - limit_ma * np.arange(rows.shape[1]), 0, limit_ma)
         # From the highest to the lowest, then inward; beyond the middle there is nothing to gain.
         return np.asarray(np.maximum(ranked[:, ::-1] - ranked, 0) @ share)
 

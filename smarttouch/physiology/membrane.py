@@ -149,9 +149,9 @@ class Axon:
 def _over_step(fiber: Fiber, count: int, step_us: float) -> Array:
     """Return the matrix of one step on potentials and field, (2P, 2P) of P padded nodes."""
     axial = Axon.passive_parts(fiber, count)[0]
-    found: Array = expm(np.vstack([axial, np.zeros_like(axial)]) * step_us)
-    found.setflags(write=False)
-    return found
+    step_matrix: Array = expm(np.vstack([axial, np.zeros_like(axial)]) * step_us)
+    step_matrix.setflags(write=False)
+    return step_matrix
 
 
 def _gates(v: Array) -> tuple[Array, Array]:
@@ -207,7 +207,9 @@ def _fires(axon: Axon, driven_mv: Array, steps: int) -> NDArray[np.bool_]:
     v, gates = axon.rest(len(driven_mv))
     alive = np.arange(len(driven_mv))
     fires, step = np.zeros(alive.size, np.bool_), 0
-    settled, limit = (steps + int(each / axon.step_us) for each in (_SETTLED_US, _PATIENCE_US))
+    settled, limit = (
+        steps + int(duration_us / axon.step_us) for duration_us in (_SETTLED_US, _PATIENCE_US)
+    )
     while alive.size and step < limit:
         v, gates = axon.advance((v, gates), driven_mv[alive] if step < steps else None)
         step += 1
@@ -313,23 +315,25 @@ def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
     offered = _shipped()
     fitted: dict[str, Any] = offered.get(fiber, {}).get(end, {})
     if not fitted:
-        names = tuple(f"{name}, {each}" for name, ends in offered.items() for each in ends)
+        names = tuple(
+            f"{name}, {ending_name}" for name, ends in offered.items() for ending_name in ends
+        )
         raise DesignError(
             f"no driving function of a {fiber!r} fiber with ending {end!r}: there are those of "
             f"{'; '.join(names)}"
         )
-    widths = sorted(float(each) for each in fitted)
+    widths = sorted(float(width) for width in fitted)
     if not widths[0] <= width_us <= widths[-1]:
         raise DesignError(
             f"a pulse of {width_us:g} µs is outside the fitted widths of {widths[0]:g} to "
             f"{widths[-1]:g} µs: choose one within"
         )
     weights = {
-        part: np.array([fitted[f"{each:g}"][part] for each in widths])
+        part: np.array([fitted[f"{width:g}"][part] for width in widths])
         for part in ("along", "near_end")
     }
     weights["passing"] = np.array(
-        [1 / (fitted[f"{each:g}"].get("block") or np.inf) for each in widths]
+        [1 / (fitted[f"{width:g}"].get("block") or np.inf) for width in widths]
     )
     at = float(np.interp(np.log(width_us), np.log(widths), np.arange(len(widths))))
     below = min(int(at), len(widths) - 2)

@@ -40,18 +40,18 @@ class NodeDrives:
     @cached_property
     def _bounds(self) -> Floats:
         """Largest and smallest drives of each block, (B, 2 E) 1/mA; letters do without."""
-        return np.array([np.r_[each.max(axis=0), each.min(axis=0)] for each in self._blocks])
+        return np.array([np.r_[block.max(axis=0), block.min(axis=0)] for block in self._blocks])
 
     def highest(self, current_ma: Floats) -> Floats:
         """Return the largest drive of each afferent, (A, S), for currents (S, E) in mA."""
-        found = np.empty((len(self._afferents), len(current_ma)), np.float32)
-        for drive, rows in zip(found, self._afferents, strict=True):
+        highest_drive = np.empty((len(self._afferents), len(current_ma)), np.float32)
+        for drive, rows in zip(highest_drive, self._afferents, strict=True):
             (rows @ current_ma.T).max(axis=0, out=drive)
-        return found
+        return highest_drive
 
     def highest_from(self, least: float, current_ma: Floats) -> Floats:
         """Return `highest` where it is at least so much; smaller drives may be minus infinity."""
-        found = np.full((len(self._afferents), len(current_ma)), -np.inf, np.float32)
+        highest_drive = np.full((len(self._afferents), len(current_ma)), -np.inf, np.float32)
         either = np.vstack([np.maximum(current_ma.T, 0), np.minimum(current_ma.T, 0)])
         size = max(1, _AT_ONCE // max(1, len(current_ma)))
         for first in range(0, len(self._blocks), size):
@@ -59,8 +59,8 @@ class NodeDrives:
             for block in np.flatnonzero(may.any(axis=1)):
                 owner, slots = self._owner[first + block], np.flatnonzero(may[block])
                 drive = (self._blocks[first + block] @ current_ma[slots].T).max(axis=0)
-                found[owner, slots] = np.maximum(found[owner, slots], drive)
-        return found
+                highest_drive[owner, slots] = np.maximum(highest_drive[owner, slots], drive)
+        return highest_drive
 
 
 _KNOWN = 1024  # slots whose drives are kept
@@ -107,9 +107,15 @@ class SpikeModel:
         self.finger = finger
         anatomy = [one.anatomy for one in finger.populations.values()]
         classes = finger.classes
-        self._chronaxie_us = np.array([each.chronaxie_us for each in anatomy], np.float32)
-        self._noise = np.array([each.noise for each in anatomy], np.float32)[classes]
-        self._refractory_us = np.array([each.refractory_us for each in anatomy])[classes]
+        self._chronaxie_us = np.array(
+            [class_anatomy.chronaxie_us for class_anatomy in anatomy], np.float32
+        )
+        self._noise = np.array([class_anatomy.noise for class_anatomy in anatomy], np.float32)[
+            classes
+        ]
+        self._refractory_us = np.array([class_anatomy.refractory_us for class_anatomy in anatomy])[
+            classes
+        ]
         self._seed = seed
         self._reference = strength(finger.profile.pulse.width_us, self._chronaxie_us)
         self._drives = NodeDrives(*finger.rows)
@@ -132,12 +138,12 @@ class SpikeModel:
         Slots that come again are computed once.
         """
         slots = np.column_stack([current_ua, width_us]).astype(np.float32)
-        keys = [(firing, each.tobytes()) for each in slots]
-        new = {key: each for key, each in zip(keys, slots, strict=True) if key not in self._known}
+        keys = [(firing, slot.tobytes()) for slot in slots]
+        new = {key: slot for key, slot in zip(keys, slots, strict=True) if key not in self._known}
         known = self._known
         if new:
-            found = self._computed(np.stack(list(new.values())), firing)
-            known = known | dict(zip(new, found.T, strict=True))
+            new_drives = self._computed(np.stack(list(new.values())), firing)
+            known = known | dict(zip(new, new_drives.T, strict=True))
             self._known = known if len(known) <= _KNOWN else {}
         drives = [known[key] for key in keys]
         return np.stack(drives, axis=1) if drives else self._computed(slots, firing)
@@ -203,7 +209,7 @@ def response_quality(
     electrodes = finger.profile.electrodes
     fired = np.flatnonzero(counts)
     spikes, classes = counts[fired], finger.classes[fired]
-    right = np.isin(np.arange(len(Afferent)), [int(each) for each in wanted])[classes]
+    right = np.isin(np.arange(len(Afferent)), [int(afferent) for afferent in wanted])[classes]
     away = finger.receptor_away_mm[np.ix_(fired, active)]
     beyond = (away > electrodes.pitch_mm).all(axis=1)
     reached = (away[right] <= electrodes.pitch_mm / 2).any(axis=0)
@@ -220,14 +226,14 @@ def response_quality(
 
 def ignore_nan(how: Callable[[list[float]], float], values: Iterable[float]) -> float:
     """Return a mean or median of the values that are numbers; NaN if none is."""
-    numbers = [each for each in values if not isnan(each)]
+    numbers = [value for value in values if not isnan(value)]
     return how(numbers) if numbers else nan
 
 
 def middle_90(values: Iterable[float]) -> tuple[float, float, float]:
     """Return the median of the values that are numbers, and the bounds of their middle 90 %; NaN if
     none is."""
-    known = [each for each in values if not isnan(each)]
+    known = [value for value in values if not isnan(value)]
     middle, low, high = np.quantile(known, (0.5, 0.05, 0.95)) if known else (nan, nan, nan)
     return float(middle), float(low), float(high)
 
@@ -244,7 +250,9 @@ def response_map(
     away = places_mm[None] - finger.receptor_mm[fired, None]
     weight = np.exp(-(away**2).sum(axis=2) / (2 * blur_mm**2)) * counts[fired, None]
     classes = finger.classes[fired]
-    return np.stack([weight[classes == each].sum(axis=0) for each in Afferent]).astype(np.float32)
+    return np.stack([weight[classes == afferent].sum(axis=0) for afferent in Afferent]).astype(
+        np.float32
+    )
 
 
 def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
@@ -270,8 +278,8 @@ class Feeling:
     def counts(self) -> NDArray[np.intp]:
         """Number of spikes of each afferent, (A,)."""
         counts = np.zeros(len(self.finger.classes), np.intp)
-        for each in self.spikes:
-            counts += each.counts
+        for spikes in self.spikes:
+            counts += spikes.counts
         return counts
 
     @cached_property
@@ -283,16 +291,16 @@ class Feeling:
 def feel(finger: Finger, given: Any, seed: int = 1) -> Feeling:
     """Return a finger's spikes under a Step, StepResult or ScanSequence, or several in order."""
     parts = list(given) if isinstance(given, Iterable) else [given]
-    steps = [getattr(each, "step", each) for each in parts]
-    sequences: list[SlotCurrents] = [getattr(each, "sequence", each) for each in steps]
+    steps = [getattr(part, "step", part) for part in parts]
+    sequences: list[SlotCurrents] = [getattr(step, "sequence", step) for step in steps]
     active = np.zeros(len(finger.profile.electrodes), np.bool_)
     wanted: set[Afferent] = set()
-    for each in steps:
-        if hasattr(each, "tactile"):
-            active |= each.tactile.activation.any(axis=0)
-            wanted.update(each.mode.afferents)
+    for step in steps:
+        if hasattr(step, "tactile"):
+            active |= step.tactile.activation.any(axis=0)
+            wanted.update(step.mode.afferents)
         else:
-            active[getattr(each, "site", [])] = True
+            active[getattr(step, "site", [])] = True
             wanted.update(Afferent)
     model = SpikeModel(finger, seed)
     return Feeling(finger, tuple(fire_all(model, sequences)), active, tuple(sorted(wanted)))
@@ -302,13 +310,13 @@ def fire_all(model: SpikeModel, sequences: Sequence[SlotCurrents]) -> Iterator[S
     """Yield the spikes of sequences that follow each other; equal slots are computed once."""
     if not sequences:
         return
-    current_ua = np.concatenate([each.current_ua for each in sequences])
-    width_us = np.concatenate([each.width_us for each in sequences])
+    current_ua = np.concatenate([sequence.current_ua for sequence in sequences])
+    width_us = np.concatenate([sequence.width_us for sequence in sequences])
     above = model.drive(current_ua, width_us, firing=True)
     begin = 0
-    for each in sequences:
-        end = begin + len(each.width_us)
-        yield model.fire(each, above[:, begin:end])
+    for sequence in sequences:
+        end = begin + len(sequence.width_us)
+        yield model.fire(sequence, above[:, begin:end])
         begin = end
 
 
@@ -353,8 +361,8 @@ def delivered_spikes(
                 current_ua[part], width, discharge, period_us[number]
             )
     every = 1 if most_slots is None else 1 + len(numbers) // most_slots
-    kept = dict(list(sequences.items())[::every])
+    sampled = dict(list(sequences.items())[::every])
     model = SpikeModel(finger) if model is None else model
     model.reset()
-    spikes = fire_all(model, list(kept.values()))
-    return {number: each.counts for number, each in zip(kept, spikes, strict=True)}
+    spikes = fire_all(model, list(sampled.values()))
+    return {number: fired.counts for number, fired in zip(sampled, spikes, strict=True)}
