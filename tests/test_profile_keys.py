@@ -25,13 +25,6 @@ def test_every_key_has_a_type_and_a_sentence(name):
         assert meaning.endswith((".", ".)")), key
 
 
-def test_units_limits_and_defaults():
-    rows = {row[0]: row[1:] for row in key_rows(TABLES["`[limits]`"])}
-    assert rows["`current_ma`"][:4] == ("number", "mA", "must be given", "> 0, ≤ 5")
-    assert rows["`density_uc_cm2`"][:4] == ("number", "µC/cm²", "`100.0`", "> 0, ≤ 100")
-    assert rows["`electrode_ma`"][:4] == ("list of numbers", "mA", "", "> 0")
-
-
 @pytest.mark.parametrize("name", list_profiles())
 def test_every_key_of_the_shipped_profiles_is_in_it(name):
     known = {row[0].strip("`") for table in TABLES.values() for row in key_rows(table)}

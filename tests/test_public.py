@@ -21,7 +21,6 @@ import smarttouch as st
 from smarttouch import lab, plugins, testing, types
 
 from .public_api import names_of
-from .support.checks import raises
 
 
 def test_they_are_few_and_all_described():
@@ -99,27 +98,6 @@ def test_a_run_in_a_thread_ends_by_its_display():
     thread.join(60)
     assert found[0].frames > 0
     assert found[0].figures["emulator_violations"] == 0
-
-
-def test_a_kernel_is_designed_by_the_name_of_its_class():
-    kernel = st.design_kernel(st.load_profile("line-8"), "RA", 3)
-    assert kernel.weights.shape == (8,)
-    assert abs(kernel.weights.sum()) < 1e-6 * np.abs(kernel.weights).sum()
-
-
-def test_kernels_of_one_array_are_found():
-    profile = st.load_profile("electric-mouse")
-    assert st.load_kernels(profile).weights[st.Afferent.SAI].shape == (64, 64)
-
-
-def test_errors_are_public():
-    with raises(st.ProfileError, names="profile"):
-        st.load_profile("nothing")
-    profile = st.load_profile("electric-mouse")
-    with raises(st.BoardError, names="board"):
-        st.open_display("nothing:", profile)
-    with raises(st.SourceError, names="source"):
-        st.open_source("nothing:", profile)
 
 
 def test_objects_show_themselves_in_a_line():

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.base.errors import BoardError, PageError, SourceError
+from smarttouch.base.errors import BoardError, SourceError
 from smarttouch.base.url_options import read_options
 from smarttouch.boards.open import make_board
-from smarttouch.cli.read import DocumentOptions
 from smarttouch.profile import load_profile
 from smarttouch.sources import open_source
 from smarttouch.stimulation.safety_gate import SafetyLimits
@@ -99,20 +98,3 @@ def test_boards_by_url(tmp_path):
     assert (tmp_path / "state.json").exists()
     with raises(BoardError, names="?firmware", allowed="books, events"):
         make_board("emulator:?firmware=1", limits)
-
-
-def test_a_document_with_its_options(tmp_path):
-    path = tmp_path / "page.png"
-    Image.new("L", (9, 9)).save(path)
-    place, how = DocumentOptions(languages="de").recognition(
-        f"{path}?dpi=300&pages=2&light_on_dark=0"
-    )
-    assert place == str(path)
-    assert (how.dpi, how.languages, how.light_on_dark, how.pages) == (300, "deu", False, "2")
-    with raises(PageError, names="languages"):
-        DocumentOptions(languages="de").recognition(f"{path}?languages=eng")
-    # A password is kept with no settings and told by no recording, as names are.
-    with raises(PageError, names="?password"):
-        DocumentOptions().recognition(f"{path}?password=secret")
-    assert DocumentOptions().recognition("text:what?dpi=3")[0] == "text:what?dpi=3"
-    assert DocumentOptions().recognition("text:a")[1].languages == "eng"

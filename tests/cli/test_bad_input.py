@@ -1,13 +1,7 @@
 """Bad input gets one clear sentence and exit 2, and never a traceback."""
 
-import inspect
-import os
-import random
-import signal
-import socket
+import math
 import struct
-import subprocess
-import typing
 import zlib
 from pathlib import Path
 
@@ -17,6 +11,7 @@ from PIL import Image
 
 from smarttouch.base.errors import (
     BoardError,
+    DesignError,
     PageError,
     ProfileError,
     RecordingError,
@@ -24,11 +19,8 @@ from smarttouch.base.errors import (
     SmartTouchError,
     SourceError,
 )
-from smarttouch.cli import app
 from smarttouch.profile.toml_files import profile_path
 
-from ..support.full import WHOLE
-from ..support.processes import PROGRAM, Forked
 from .conftest import refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
@@ -110,6 +102,22 @@ def no_place(name):
     ("live --board memory: --set hold=charge", says(BoardError)),
     ("live --board memory: --set hold=power",
      says(value="power", allowed=("charge", "energy"))),
+    ("live --intensity 1.2", says(value=1.2, allowed=(0, 1))),
+    ("live --set softness=nan", says(value=math.nan, allowed=(0, 1))),
+    ("live camera:0?size=640", says(SourceError, "size", "640x480")),
+    ("live text:a?exposure=3", says(SourceError, " exposure:", "speed_mm_s")),
+    ("live --mode natural --set rate_hz=50",
+     says(ScheduleError, " 50 Hz", "pulse.ra_rate_hz", "pulse.sai_rate_hz")),
+    ("live --force cell:", says(SourceError, value="cell:")),
+    ("design 7 --profile=line-7", says(value=7, allowed=(0, 6))),
+    ("design --mode=PA", says(value="PA", allowed=("RA", "SAI", "PC"))),
+    ("design --profile=kajimoto-61 --mode=SAI",
+     says(DesignError, value="SAI", allowed=("RA",))),
+    ("design --plot=k.jpg --profile=line-7", says(SmartTouchError, "k.jpg", "*.png")),
+    ("devices show text:x --seconds 0", says(value=0, allowed=(0, 3600))),
+    ("devices show hx711:/dev/nowhere",
+     says(SourceError, "electric-mouse", "force.curve", "0.00980665")),
+    ("devices emulate hx711?books=no/where", says(value=Path("no/where"))),
 ])  # fmt: skip
 def test_one_sentence(program_here, folder, arguments, wrong):
     wrong(refused(program_here(*arguments.split(" "))))
@@ -123,120 +131,3 @@ def test_usage(program_here, arguments):
     done = program_here(*arguments.split(" "))
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
-
-
-NUMBERS = (
-    "nan", "inf", "-inf", "-1", "0", "-0.0", "1", "0.5", "3", "1e30", "-1e30", "1e-30", "1e308",
-    "1e400", "", " ", "9" * 30, "-" + "9" * 30, "9" * 5000, "2147483648", "65536", "１",
-)  # fmt: skip
-
-
-def free_port():
-    """Return a free TCP port of this machine."""
-    with socket.create_server(("127.0.0.1", 0)) as one:
-        return one.getsockname()[1]
-
-
-SMALL = "--profile smarttouch-4x4"
-PAGE = "--seconds 0.2 --board memory:"
-BASES = {
-    "live": f"live text:i {SMALL} {PAGE}",
-    "read": f"read text:i {SMALL} {PAGE}",
-    "braille": "braille hello",
-    "braille-display": f"braille-display {free_port()} {SMALL} {PAGE}",
-    "replay": f"replay {{golden}} {PAGE}",
-    "design": "design --profile line-7",
-    "profiles new": "profiles new mine.toml --grid 2x2 --overwrite",
-    "experiment run": (
-        "experiment run detection?trials=1&procedure=questplus --simulate random --subject x"
-    ),
-    "experiment fit": "experiment fit {answers}",
-    "devices test": "devices test emulator: --profile line-7 --seconds 0.05 --current-ma 0.5",
-    "calibrate scale": "calibrate scale emulator: --volts 1 --ohm 1000",
-    "devices show": "devices show text:i --seconds 0.1",
-    "calibrate force": "calibrate force --cell loadcell:none --output mine.toml --overwrite",
-}
-"""A command line of each command that has numbers, to which one is added."""
-
-PATIENCE_S = 2
-ENDING_S = 10
-
-
-def commands(typer_app, path=()):
-    for each in typer_app.registered_commands:
-        yield " ".join((*path, each.name or each.callback.__name__.replace("_", "-"))), each
-    for each in typer_app.registered_groups:
-        yield from commands(each.typer_instance, (*path, each.name))
-
-
-def numeric_options(command):
-    hints = typing.get_type_hints(command.callback, include_extras=True)
-    for name in inspect.signature(command.callback).parameters:
-        kind, *notes = typing.get_args(hints[name]) or (hints[name],)
-        if {int, float} & {kind, *typing.get_args(kind)}:
-            declared = [each for note in notes for each in getattr(note, "param_decls", None) or ()]
-            yield next(iter(declared), "--" + name.replace("_", "-"))
-
-
-OPTIONS = [(name, each) for name, found in commands(app) for each in numeric_options(found)]
-
-
-def test_every_command_with_numbers_is_tried():
-    assert {name for name, _ in OPTIONS} == set(BASES)
-    assert len(OPTIONS) > 20
-
-
-def one_run(folder, arguments, patience_s=PATIENCE_S):
-    """Return exit status and errors of a run, and how often one that goes on was interrupted."""
-    streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
-    with Forked(
-        [PROGRAM, *arguments], cwd=folder, stdin=subprocess.DEVNULL, start_new_session=True,
-        text=True, errors="replace", **streams,
-    ) as process:  # fmt: skip
-        # Twice, as anyone would: this is not the test of what a single Ctrl-C does.
-        for interrupted, wait_s in enumerate((patience_s, ENDING_S, ENDING_S)):
-            try:
-                out, err = process.communicate(timeout=wait_s)
-            except subprocess.TimeoutExpired:
-                # As a terminal does; in the end whatever it takes.
-                os.killpg(process.pid, signal.SIGINT if interrupted < 2 else signal.SIGKILL)
-            else:
-                assert "Traceback" not in out, (arguments, out)
-                return process.returncode, err, interrupted
-    raise AssertionError(f"it could not be interrupted: {arguments}")
-
-
-def assert_in_order(arguments, code, err, interrupted):
-    """Check that a run did nothing that no run may do."""
-    done = arguments, code, err
-    for sign in ("Traceback", "internal error", "Warning", "Exception"):
-        assert sign not in err, done
-    assert code in ((0, 130) if interrupted else (0, 2)), done
-    assert err or code != 2, done
-    assert not err.startswith("smarttouch: ") or err.count("\n") == 1, done
-
-
-@pytest.mark.timeout(0)
-def test_numbers(tmp_path, runs):
-    """Of all pairs of an option and a number, so many."""
-    pairs = [(name, option, each) for name, option in OPTIONS for each in NUMBERS]
-    chosen = random.Random(12).sample(pairs, min(runs or (12 if WHOLE else 6), len(pairs)))
-    answers = tmp_path / "answers.csv"
-    answers.write_text("standard,comparison,success\n" + "1,0.5,0\n1,1,1\n1,2,1\n" * 9)
-    golden = Path(__file__).parent.parent / "running" / "goldens" / "ra.mcap"
-    bases = {
-        name: base.format(golden=golden, answers=answers).split() for name, base in BASES.items()
-    }
-    for name, base in bases.items():
-        if name in {name for name, _, _ in chosen}:
-            code, err, interrupted = one_run(tmp_path, base, 100)
-            # Where the device is missing, it ends before the numbers count.
-            assert (code, interrupted) == (2 * (name == "calibrate force"), 0), (base, err)
-            assert_in_order(base, code, err, interrupted)
-    for name, option, number in chosen:
-        base = list(bases[name])
-        if option in base:
-            at = base.index(option)
-            del base[at : at + 2]
-        arguments = [*base, f"{option}={number}"]
-        assert_in_order(arguments, *one_run(tmp_path, arguments))

@@ -1,12 +1,9 @@
 """All calibrations, walked through: what they show, write, and refuse to write."""
 
 import os
-import re
 import threading
 import time
-from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 from typer.testing import CliRunner
@@ -103,23 +100,6 @@ def test_optics_needs_dark_and_white(run, tmp_path):
     assert unanswered.output.count(" Enter") == 1
     wrong()(unanswered.exception)
     assert not list(tmp_path.glob("mine*"))
-
-
-def test_registration_of_a_camera(run, tmp_path, profile):
-    view = View(tilt_deg=18, toward_deg=50, turn_deg=-12, zoom=0.85)
-    save(tmp_path / "seen", [view.render(target_for(profile), profile.optics, (480, 640))])
-    seen = "registration --source frames:seen --target target.png"
-    shown = done(run(f"{seen} --output mine.toml", typed="\n"))
-    assert re.search(r"\d markers in 640 × 480 pixels, correlation \.?\d", shown)
-    optics = load_profile(tmp_path / "mine.toml").optics
-    assert (optics.sensor_columns, optics.sensor_rows) == (640, 480)
-    truth = view.homography(profile.optics, (480, 640))
-    found = np.reshape(optics.homography, (3, 3))
-    assert found == pytest.approx(truth / truth[2, 2], rel=0.02, abs=0.2)
-    with Image.open(tmp_path / "target.png") as image:
-        assert image.info["dpi"][0] == pytest.approx(1270, abs=1)
-    again = run("registration --target target.png")
-    wrong(value=Path("target.png"))(again.exception)
 
 
 def test_a_target_alone(run, tmp_path):

@@ -1,15 +1,11 @@
 """A run is steered by keys, and ended by them, by another process, and by losing the terminal."""
 
 import json
-import math
 import os
 
 import pytest
 
-from smarttouch.base.errors import ScheduleError, SourceError
 from smarttouch.running.recording import RecordedRun
-
-from .conftest import refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
@@ -76,26 +72,3 @@ def test_another_process_stops_all_runs(start_at_a_terminal, program_here, tmp_p
     again = program_here("stop")
     assert (again.returncode, again.stdout) == (1, "")
     assert str(tmp_path / "state") in again.stderr
-
-
-def test_a_run_that_was_killed_is_no_run(start_at_a_terminal, program_here, tmp_path):
-    process, _ = start_at_a_terminal(*RUN, "--board", "emulator:")
-    wait_for_the_run(process)
-    process.kill()
-    process.wait()
-    assert list((tmp_path / "state").rglob("*.json"))
-    assert program_here("stop").returncode == 1
-    assert not list((tmp_path / "state").rglob("*.json"))
-
-
-@pytest.mark.parametrize(("arguments", "wrong"), [
-    ("--intensity 1.2", says(value=1.2, allowed=(0, 1))),
-    ("--set softness=nan", says(value=math.nan, allowed=(0, 1))),
-    ("camera:0?size=640", says(SourceError, "size", "640x480")),
-    ("text:a?exposure=3", says(SourceError, " exposure:", "speed_mm_s")),
-    ("--mode natural --set rate_hz=50",
-     says(ScheduleError, " 50 Hz", "pulse.ra_rate_hz", "pulse.sai_rate_hz")),
-    ("--force cell:", says(SourceError, value="cell:")),
-])  # fmt: skip
-def test_what_cannot_be_asked_for(program_here, arguments, wrong):
-    wrong(refused(program_here("live", *arguments.split())))

@@ -1,20 +1,17 @@
 """``design`` shows what is shipped, and what a user describes."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.base.errors import DesignError, SmartTouchError
 from smarttouch.base.files import data_folder
 from smarttouch.cli.options import RunOptions
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.profile.toml_files import profile_path
 
 from ..support.full import sample
-from .conftest import refused, says
 
 KEYS = {
     "mode", "site", "weights", "worst_other", "worst_other_class", "own_spill", "sum",
@@ -82,18 +79,6 @@ def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
     _, table = designed("--profile=mine.toml", "--mode=SAI")
     assert {kernel["site"] for kernel in table["kernels"]} == set(range(5))
     assert all(0 < kernel["worst_other"] < 1 for kernel in table["kernels"])
-
-
-@pytest.mark.parametrize(("arguments", "wrong"), [
-    ("7 --profile=line-7", says(value=7, allowed=(0, 6))),
-    ("--mode=PA", says(value="PA", allowed=("RA", "SAI", "PC"))),
-    ("--profile=kajimoto-61 --mode=SAI",
-     says(DesignError, value="SAI", allowed=("RA",))),
-    ("--plot=k.jpg --profile=line-7", says(SmartTouchError, "k.jpg", "*.png")),
-    ("--plot=no/k.png", says(value=Path("no/k.png"))),
-])  # fmt: skip
-def test_nonsense_is_one_sentence(program_here, arguments, wrong):
-    wrong(refused(program_here("design", *arguments.split())))
 
 
 def one_sentence(done):

@@ -7,12 +7,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-from smarttouch.base.errors import ProfileError, SourceError
 from smarttouch.boards.open import may_touch_a_finger
 from smarttouch.cli.devices import devices
 from smarttouch.emulator.firmware import STATE_FILE, read_slots, read_state
@@ -122,14 +120,6 @@ def test_info(program_here, kit):
     assert told["firmware"]
     assert "mA" in told["current"]
     assert state_of(kit[1])["slots"] == 0
-
-
-def test_measuring_finds_bad_electrodes(program_here, start_emulator):
-    events = ("event=0 open 5", "event=0 short 9")
-    _, port, _ = start_emulator(32, "etactilekit", *events)
-    done = program_here(f"devices measure etactilekit:{port}").fine()
-    assert "masked = [5, 9]" in done.stdout
-    assert ["5", "-", "open"] in [line.split() for line in done.stdout.splitlines()]
 
 
 @on("etactilekit")
@@ -246,20 +236,6 @@ def test_a_page_is_shown(run):
     assert re.findall(r"\d+", rows["read"]) == ["21", "100"]
     assert rows["size"].startswith("64 x 64, ")
     assert re.search(r"\b0\.\d+ N", rows["force"])
-
-
-@pytest.mark.parametrize(("arguments", "wrong"), [
-    ("show nothing:", says(SourceError, value="nothing:")),
-    ("show text:x --seconds 0", says(value=0, allowed=(0, 3600))),
-    ("show text:x --profile none", says(ProfileError, "'none'")),
-    ("show hx711:/dev/nowhere",
-     says(SourceError, "electric-mouse", "force.curve", "0.00980665")),
-    ("emulate mouse",
-     says(value="mouse", allowed=("serial-array", "hx711", "loadcell"))),
-    ("emulate hx711?books=no/where", says(value=Path("no/where"))),
-])  # fmt: skip
-def test_wrong_requests_end_in_one_sentence(run, arguments, wrong):
-    wrong(run(*arguments.split()).exception)
 
 
 def test_an_array_is_played_and_shown(run):

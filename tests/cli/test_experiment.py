@@ -1,7 +1,6 @@
 """Experiments as a user runs them: at a terminal, simulated, stopped, killed and gone on with."""
 
 import csv
-import io
 import json
 import os
 import re
@@ -9,27 +8,20 @@ import signal
 import threading
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import joblib
 import numpy as np
 import pytest
 import typer
-from rich.console import Console
 from typer.testing import CliRunner
 
 import smarttouch as st
-from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import ExperimentError, ProfileError, SmartTouchError
-from smarttouch.base.events import FingerLifted, TrialEvent
 from smarttouch.cli.experiment import fit
 from smarttouch.cli.simulate import study
 from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.procedures import constant_stimuli, ratio_pairs
-from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.recording import RecordedRun
-from smarttouch.running.run_statistics import RunStatistics
-from smarttouch.views.screen import BlindScreen
 
 from ..experiments.simulated import Subject, answer_all
 from ..support.checks import assert_says
@@ -161,31 +153,6 @@ def test_free_stimulation_by_hand(start_at_a_terminal, tmp_path):
 ])  # fmt: skip
 def test_what_cannot_be_asked_for(program_here, arguments, check):
     check(refused(program_here(arguments)))
-
-
-def test_a_participant_s_screen_does_not_show_the_answer(profile, make_frame):
-    run = SimpleNamespace(
-        source=SimpleNamespace(title="frequency-RA, trial 3 of 50: which was faster? 1 or 2"),
-        profile=profile, controls=Controls(ControlState(Mode.RA, 0.5)), board=None,
-        statistics=RunStatistics(),
-    )  # fmt: skip
-    screen = BlindScreen("emulator:", plain=True)
-    screen.prepare(run)
-    frame = make_frame([[0]], force_n=0.45)
-    sequence = SimpleNamespace(rate_hz=45.0, current_ua=None)
-    step = SimpleNamespace(input=frame, sequence=sequence)
-    screen.step(SimpleNamespace(step=step, first_pulse=None))
-    screen.event(TrialEvent(10**9, "trial 3: standard 30 Hz, comparison 45 Hz second"))
-    console = Console(width=100, file=io.StringIO())
-    console.print(screen._render())
-    seen = console.file.getvalue()
-    assert all(part in seen for part in run.source.title.split(": "))
-    assert "45" not in seen
-    assert "Hz" not in seen
-    assert f"amplitude {'█' * 10}{'░' * 10}" in seen
-    screen.event(FingerLifted(2 * 10**9))
-    console.print(screen._render())
-    assert "2.0 s: the finger is lifted" in console.file.getvalue()
 
 
 @pytest.fixture

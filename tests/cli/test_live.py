@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from smarttouch.base.errors import BoardError
 from smarttouch.base.files import data_folder
 from smarttouch.emulator.firmware import read_slots
 from smarttouch.profile import list_profiles, load_profile
@@ -19,7 +18,7 @@ from smarttouch.profile import list_profiles, load_profile
 from ..boards.fresh import fresh_state
 from ..support.full import sample
 from ..support.processes import PROGRAM, Forked
-from .conftest import panels, refused, says
+from .conftest import panels
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
@@ -203,9 +202,3 @@ def test_one_source_reverses_with_a_note_on_the_effect(live):
     assert "SAI where RA is meant" in done.stderr
     assert figures["emulator_violations"] == 0
     assert figures["slots"] > 20
-
-
-def test_a_board_of_one_polarity_refuses(live, start_emulator):
-    _, port, _ = start_emulator(61, "kajimoto61")
-    done = live(f"--board kajimoto61:{port} --force fixed:1 --set balance")
-    says(BoardError, value=("anodic",))(refused(done))

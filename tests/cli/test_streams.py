@@ -1,6 +1,5 @@
 """Streams that are closed, full or obeyed by a terminal, and unexpected names."""
 
-import errno
 import json
 import os
 import re
@@ -75,16 +74,6 @@ def test_a_full_disk_behind_standard_output(tmp_path, command):
     ):  # fmt: skip
         said = process.communicate(timeout=100)[1]
     assert "standard output" in refused(process.returncode, said)
-
-
-@pytest.mark.parametrize("option", ["--json", "--felt"])
-def test_a_full_disk_behind_a_file(program_here, option):
-    done = program_here(*SHORT.split(), option, "/dev/full")
-    assert done.returncode == 2
-    assert done.stderr.startswith("smarttouch: ")
-    assert done.stderr.count("\n") == 1
-    assert "/dev/full" in done.stderr
-    assert os.strerror(errno.ENOSPC) in done.stderr
 
 
 def test_errors_that_cannot_be_printed_change_nothing():

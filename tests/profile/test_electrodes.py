@@ -70,16 +70,6 @@ def test_electrodes_that_overlap_are_refused(places, first, shown):
         MOUSE.with_electrodes(places)
 
 
-@pytest.mark.parametrize(("text", "words"), [
-    ("x,y\n1,2\n3,4", "x_mm"), ("x_mm,y_mm\n1,2\n3,a", "line 3"), ("x_mm,y_mm\n1,2", "1 row"),
-])  # fmt: skip
-def test_what_is_no_table_is_one_sentence(tmp_path, text, words):
-    path = tmp_path / "mine.csv"
-    path.write_text(text, encoding="utf-8")
-    with raises(ProfileError, value=words):
-        MOUSE.with_electrodes(path)
-
-
 def smarttouch(*words):
     streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
     with Forked([PROGRAM, *map(str, words)], text=True, **streams) as run:

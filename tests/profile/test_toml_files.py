@@ -59,25 +59,11 @@ def test_what_is_known_of_a_board(edited):
     assert profile.output.ua_per_count == 9.7
 
 
-def test_no_toml(edited):
-    path = edited(("[array]", "[array"))
-    with raises(ProfileError, value=path) as caught:
-        load_profile(path)
-    assert str(path) in str(caught.value)
-
-
 def test_unknown_name():
     names = tuple(list_profiles())
     with raises(ProfileError, names="profile", value="nothing", allowed=names) as caught:
         load_profile("nothing")
     assert all(name in str(caught.value) for name in ("nothing", *ELECTRODES))
-
-
-def test_not_text(tmp_path):
-    path = tmp_path / "x.toml"
-    path.write_bytes(b"\xff\xfe\x00")
-    with raises(ProfileError, value=path):
-        load_profile(path)
 
 
 def read_back(text, profile):
