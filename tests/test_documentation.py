@@ -124,14 +124,6 @@ def plain(text):
     return " ".join(re.sub(r"[-+−]?\d[\d.,]*", "0", text).split())
 
 
-@pytest.mark.parametrize("command", [
-    "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/smarttouch live",
-    "python3 -m venv .venv && .venv/bin/pip install -e '.[test]' && .venv/bin/pytest",
-])  # fmt: skip
-def test_readme_has_the_two_commands(command):
-    assert f"\n```sh\n{command}\n```\n" in README.read_text("utf-8")
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_links_between_files_hold(page):
     """Sphinx looks after links of docs; this is for those who read the files where they lie."""

@@ -46,28 +46,3 @@ def test_every_public_name_is_in_one():
     shown = "\n".join(path.read_text("utf-8") for path in SCRIPTS)
     names = [name for name in st.__all__ if not name.startswith("_")]
     assert [name for name in names if not re.search(rf"\bst\.{name}\b", shown)] == []
-
-
-def test_from_an_image_to_the_skin_takes_few_lines_and_public_names_alone():
-    script = (EXAMPLES / "image_to_skin.py").read_text("utf-8")
-    assert len(script.splitlines()) < 60
-    assert re.findall(r"^(?:import|from) smarttouch.*", script, re.MULTILINE) == [
-        "import smarttouch as st", "from smarttouch.plugins import Capabilities"
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize(("script", "begins", "ends", "most"), [
-    ("own_feed.py", "line = socket", "print", 20),
-    ("own_imaging.py", "class Indentation", "return np.stack", 12),
-    ("two_intervals.py", "import csv", "", 25),
-])  # fmt: skip
-def test_what_a_researcher_does_takes_few_lines_and_public_names_alone(script, begins, ends, most):
-    text = (EXAMPLES / script).read_text("utf-8")
-    imports = re.findall(r"^(?:import|from) smarttouch.*", text, re.MULTILINE)
-    # Types, for annotations alone, have a public module of their own.
-    types = [each for each in imports if each.startswith("from smarttouch.types import ")]
-    assert [each for each in imports if each not in types] == ["import smarttouch as st"]
-    part = text[text.index(begins) :]
-    part = part[: part.index(ends)] if ends else part
-    lines = [each for each in part.splitlines() if each.strip() and not each.startswith("#")]
-    assert len(lines) + len(types) <= most

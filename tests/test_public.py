@@ -10,7 +10,6 @@ import re
 import shutil
 import subprocess
 import sys
-import threading
 import typing
 from pathlib import Path
 
@@ -56,23 +55,6 @@ def test_importing_it_imports_nothing_heavy():
     assert library & (heavy | {"typer", "rich"}) == program & heavy == set()
 
 
-@pytest.mark.usefixtures("patient_boards")
-def test_a_run_in_ten_lines(tmp_path):
-    profile = st.load_profile("electric-mouse")
-    with (
-        st.open_source("text:touch", profile, speed_mm_s=200) as source,
-        st.open_display("emulator:", profile) as display,
-    ):
-        statistics = st.run(
-            source, display, mode="RA", listeners=[st.Recorder(tmp_path / "run.mcap")]
-        )
-    assert statistics.figures["emulator_violations"] == 0
-    assert statistics.frames > 0
-    display = st.open_display("simulated:", profile)
-    again = st.replay(tmp_path / "run.mcap", display)
-    assert again.slots == statistics.slots
-
-
 def test_steps_without_a_board_are_those_of_a_run():
     profile, sent = st.load_profile("electric-mouse"), []
     display = st.open_display("simulated:", profile)
@@ -82,22 +64,6 @@ def test_steps_without_a_board_are_those_of_a_run():
     for ours, run in zip(stepped, sent, strict=True):
         np.testing.assert_array_equal(ours.sequence.current_ua, run.sequence.current_ua)
         np.testing.assert_array_equal(ours.tactile.activation, run.tactile.activation)
-
-
-@pytest.mark.usefixtures("patient_boards")
-def test_a_run_in_a_thread_ends_by_its_display():
-    profile, found = st.load_profile("electric-mouse"), []
-    display = st.open_display("emulator:", profile)
-    source, began = st.open_source("text:a long line of text", profile), threading.Event()
-    thread = threading.Thread(
-        target=lambda: found.append(st.run(source, display, listeners=[lambda result: began.set()]))
-    )
-    thread.start()
-    assert began.wait(60)
-    display.stop()
-    thread.join(60)
-    assert found[0].frames > 0
-    assert found[0].figures["emulator_violations"] == 0
 
 
 def test_objects_show_themselves_in_a_line():

@@ -91,17 +91,6 @@ def test_one_profile_for_all(run, tmp_path, profile, monkeypatch):
     assert FlatField.load(tmp_path / "mine.flat-field.npz").gain == pytest.approx(field_before)
 
 
-def test_optics_needs_dark_and_white(run, tmp_path):
-    save(tmp_path / "same", SimulatedPatch().images(4, light=True))
-    asked = run("optics --source frames:same --output mine.toml", typed="\n\n")
-    assert asked.output.count(" Enter") == 2
-    wrong(" 0 grey levels", " 40 ")(asked.exception)
-    unanswered = run("optics --source frames:same --output mine.toml")
-    assert unanswered.output.count(" Enter") == 1
-    wrong()(unanswered.exception)
-    assert not list(tmp_path.glob("mine*"))
-
-
 def test_a_target_alone(run, tmp_path):
     result = run("registration --target target.png")
     assert result.exit_code == 0, result.exception
@@ -176,14 +165,6 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
     assert said in profile.calibrated["contact"].found
     assert said in shown
     assert "[5, 9]" in shown
-
-
-def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
-    _, port, _ = start_emulator(16, "link", "output=three-state", "event=0 lift")
-    small = f"contact --board link:{port} --profile smarttouch-4x4"
-    lifted = run(f"{small} --output mine.toml")
-    wrong("electrode")(lifted.exception)
-    assert not (tmp_path / "mine.toml").exists()
 
 
 @pytest.mark.parametrize(("arguments", "check"), [

@@ -7,7 +7,6 @@ import pytest
 from PIL import Image
 
 from smarttouch.base.files import data_folder
-from smarttouch.cli.options import RunOptions
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.profile.toml_files import profile_path
 
@@ -130,21 +129,6 @@ def test_board_form_and_plain_lines_come_from_the_profile(program_here, tmp_path
     for done in (kept, given):
         assert "line 1 of 1: a\n" in done.stdout
         assert "1 line read: a\n" in done.stdout
-
-
-@pytest.mark.parametrize(("kept", "given", "drawn"), [
-    (True, None, False), (True, False, True), (False, None, True), (False, True, False),
-])  # fmt: skip
-def test_what_is_drawn(profile, kept, given, drawn, monkeypatch):
-    shown = []
-    monkeypatch.setattr(
-        "smarttouch.views.terminal_session.run_in_terminal",
-        lambda *_, plain, **more: shown.append(not plain),
-    )
-    own = profile.model_copy(update={"defaults": {"plain": kept}})
-    run = RunOptions(board="memory:", plain=given)
-    run.start(None, own, run.config("RA"))
-    assert shown == [drawn]
 
 
 def test_all_that_is_wrong_stands_in_a_line_of_its_own(program_here, tmp_path):

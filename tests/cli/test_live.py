@@ -192,13 +192,3 @@ def test_a_board_on_a_line_makes_them(live, start_emulator):
     assert state["recharges"] == len(read_slots(books, recharges=True)) > 0
     assert (state["unsafe"], state["violations"]) == (0, 0)
     assert np.abs(state["passed_uc"]).max() < 0.02
-
-
-def test_one_source_reverses_with_a_note_on_the_effect(live):
-    done = live("--board simulated: --profile smarttouch-4x4 --set balance").fine()
-    figures = done.figures
-    for said in (done.stderr, done.stdout):
-        assert all(name in said for name in ("RA", "SAI"))
-    assert "SAI where RA is meant" in done.stderr
-    assert figures["emulator_violations"] == 0
-    assert figures["slots"] > 20

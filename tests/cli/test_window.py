@@ -65,11 +65,6 @@ def test_a_window_nobody_opens_is_given_up(start_program):
     assert run.wait(60) == 128 + signal.SIGINT
 
 
-def test_with_a_limit_of_time_a_page_is_not_waited_for_longer(start_program):
-    run = start_program("live", "--window", "--seconds", "0.2", "--profile", "smarttouch-4x4")
-    assert run.wait(60) == 0
-
-
 def page_of(address):
     """Return the socket of a page."""
     place = urlsplit(address)

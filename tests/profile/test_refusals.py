@@ -136,18 +136,6 @@ def test_impossible_arrays(edited, positions, shape, size, attributes):
              ("limits.current_ma", 50.0, 5)],
         ),
         (
-            [("[optics]", "masked = [64]\nwiring = [1, 2]\n[optics]"),
-             ("threshold_ma = 1.2", "threshold_ma = [1.2]")],
-            [("output.masked", 64, 63), ("output.wiring", 2, 64),
-             ("perception.threshold_ma", 1, 64)],
-        ),
-        (
-            [("comfort_ratio = 2.0", "comfort_ratio = 5.0"), ("pulse_us = 200", "pulse_us = 100")],
-            [("limits.current_ma", "6.00", 5),
-             ("limits.charge_uc", "1.2", 0.5),
-             ("pulse.width_us", 200, 100)],
-        ),
-        (
             [("threshold_ma = 1.2", 'threshold_ma = [1.2, "x", -1.0]')],
             [("perception.threshold_ma.1", "x"),
              ("perception.threshold_ma.2", -1.0, 0)],
