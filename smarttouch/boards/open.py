@@ -4,8 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from smarttouch.base.errors import BoardError
-from smarttouch.base.registry import Registry, refuse_rest
-from smarttouch.base.url_options import read_options
+from smarttouch.base.urls import Registry, read_options, refuse_rest
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line

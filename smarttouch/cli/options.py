@@ -81,7 +81,7 @@ def read_form(
     form: Callable[..., Any], text: str, error: type[SmartTouchError], but: Collection[str] = ()
 ) -> tuple[str, dict[str, Any]]:
     """Return a name, and the options of a function that follow it after ``?``."""
-    from smarttouch.base.url_options import options_of, read_options
+    from smarttouch.base.urls import options_of, read_options
 
     name, given = read_options(form, text, error, but)
     if "?" in name:

@@ -56,7 +56,7 @@ class DocumentOptions(OptionGroup):
 
     def recognition(self, source: str) -> "tuple[str, RecognitionOptions]":
         """Return the document, and its options: these, and those that follow its name."""
-        from smarttouch.base.url_options import joined_options, read_options
+        from smarttouch.base.urls import joined_options, read_options
         from smarttouch.pages.document import password_of
         from smarttouch.pages.text_file import FileKind, file_kind
         from smarttouch.reading.recognition import RecognitionOptions

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
 from smarttouch.base.posix import HAS_POSIX
-from smarttouch.base.registry import refuse_rest
+from smarttouch.base.urls import refuse_rest
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.link_driver import LinkDriver

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import SourceError, SourceLostError, import_extra, require_within
 from smarttouch.base.files import read_csv
-from smarttouch.base.registry import unknown
-from smarttouch.base.url_options import given_options, joined_options, read_options
+from smarttouch.base.urls import given_options, joined_options, read_options, unknown
 from smarttouch.pages.page_image import INCH_MM
 from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
 from smarttouch.sources import SOURCES, open_source

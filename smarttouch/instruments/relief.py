@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError, require_within
-from smarttouch.base.url_options import joined_options, read_options
+from smarttouch.base.urls import joined_options, read_options
 from smarttouch.instruments.textures import (
     COARSEST_PITCH_MM,
     FINEST_PITCH_MM,

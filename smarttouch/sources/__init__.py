@@ -11,8 +11,7 @@ import numpy as np
 
 from smarttouch.base.errors import SourceError
 from smarttouch.base.files import file_at, named_file
-from smarttouch.base.registry import Registry, unknown
-from smarttouch.base.url_options import given_options, joined_options, read_options
+from smarttouch.base.urls import Registry, given_options, joined_options, read_options, unknown
 from smarttouch.profile import Profile, load_profile
 from smarttouch.sources.source_contract import Given, Images, Source
 

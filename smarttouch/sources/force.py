@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SourceError, SourceLostError
-from smarttouch.base.registry import Registry
 from smarttouch.base.stopping import Closing
+from smarttouch.base.urls import Registry
 from smarttouch.base.wire.port import LINE_ERRORS, Port, open_port
 from smarttouch.profile import Profile
 from smarttouch.sources.serial_array import PacketReadings, TextReadings, read_available

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from smarttouch.base.errors import BoardError, SourceError
-from smarttouch.base.url_options import read_options
+from smarttouch.base.urls import read_options
 from smarttouch.boards.open import make_board
 from smarttouch.profile import load_profile
 from smarttouch.sources import open_source
