@@ -185,64 +185,7 @@ def test_folders_are_for_their_owner_alone(tmp_path, umask):
             make_folder(path)
 
 
-HOLDER = """
-import sys
-from pathlib import Path
-from smarttouch.base.errors import ProfileError
-from smarttouch.base.files import open_alone
-
-try:
-    file = open_alone(Path(sys.argv[1]), ProfileError)
-except ProfileError as error:
-    sys.exit(str(error))
-print("has it", flush=True)
-sys.stdin.read()
-"""
-
-
-@pytest.fixture
-def hold(tmp_path):
-    """Return a starter of processes that open a file alone, until their input ends."""
-    started = []
-
-    def start(path):
-        process = subprocess.Popen(
-            [sys.executable, "-c", HOLDER, path],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        started.append(process)
-        return process, process.stdout.readline().strip()
-
-    yield start
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-@pytest.mark.parametrize("killed", [False, True])
-def test_a_file_is_one_program_s_alone_until_it_ends(tmp_path, hold, killed):
-    path = tmp_path / "a.csv"
-    path.write_bytes(b"precious")
-    first, said = hold(path)
-    assert said == "has it"
-    second, said = hold(path)
-    assert said == ""
-    assert second.wait() == 1
-    assert str(path) in second.stderr.read()
-    for other in (tmp_path / "none" / "a", tmp_path):
-        with raises(PageError, value=other):
-            open_alone(other, PageError)
-    if killed:
-        first.kill()
-        first.wait()
-    else:
-        first.communicate()
-    with open_alone(path, PageError) as file:
-        assert file.read() == b"precious"
-        assert not os.get_inheritable(file.fileno())
-
-
-def test_a_lock_on_a_file_that_was_removed_keeps_nobody_out(tmp_path, hold, monkeypatch):
+def test_a_lock_on_a_file_that_was_removed_keeps_nobody_out(tmp_path, monkeypatch):
     """Removed by its holder between opening and locking: the next one has the new file."""
     path, flock = tmp_path / "lock", module.fcntl.flock
     path.write_bytes(b"old")
@@ -258,7 +201,8 @@ def test_a_lock_on_a_file_that_was_removed_keeps_nobody_out(tmp_path, hold, monk
         assert removed
         assert file.read() == b""
         assert os.path.samestat(os.fstat(file.fileno()), path.stat())
-        assert hold(path)[1] == ""
+        with raises(PageError, value=path):
+            open_alone(path, PageError)
 
 
 def test_a_file_system_without_locks_lets_everybody_in(tmp_path, monkeypatch):

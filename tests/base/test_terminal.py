@@ -1,16 +1,11 @@
 """No control character reaches a terminal, whatever its origin."""
 
-import errno
 import io
-import os
 import sys
 import unicodedata
 
 from smarttouch.base import terminal
-from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.terminal import PlainStream, guarded_output, printable
-
-from ..support.checks import raises
+from smarttouch.base.terminal import PlainStream, printable
 
 OBEYED = (
     *range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F),
@@ -76,42 +71,6 @@ def test_a_console_draws_and_shows_nothing_else(monkeypatch):
     for evil in ("\x1b]0;", "\x1b[2J", "\x9b", "\u202e", "\x07", "\x7f", "\x08"):
         assert evil not in written
     assert "[red]:smile:[/nothing]" in written
-
-
-class Full(io.StringIO):
-    def write(self, text):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
-def test_what_cannot_be_written_is_one_sentence_and_what_cannot_be_complained_of_nothing():
-    name = "standard output"
-    with raises(SmartTouchError, value=name) as error:
-        print("x", file=PlainStream(Full(), name))
-    assert os.strerror(errno.ENOSPC) in str(error.value)
-    print("x", file=PlainStream(Full(), ""))
-
-
-def test_streams_are_as_before_at_the_end():
-    before = sys.stdout, sys.stderr
-    with guarded_output():
-        assert isinstance(sys.stdout, PlainStream)
-        assert isinstance(sys.stderr, PlainStream)
-    assert (sys.stdout, sys.stderr) == before
-
-
-def test_a_closed_stream_leads_nowhere_and_no_file_takes_its_place(monkeypatch):
-    kept = os.dup(0)
-    os.close(0)
-    monkeypatch.setattr(sys, "stdin", None)
-    try:
-        with guarded_output():
-            assert sys.stdin.read() == ""
-            assert not sys.stdin.isatty()
-            assert os.read(0, 9) == b""
-            sys.stdin.close()
-    finally:
-        os.dup2(kept, 0)
-        os.close(kept)
 
 
 def test_a_sentence_at_the_left_leaves_room_beside_it(capsys, monkeypatch):

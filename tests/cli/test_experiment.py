@@ -9,7 +9,6 @@ import threading
 import time
 from pathlib import Path
 
-import joblib
 import numpy as np
 import pytest
 import typer
@@ -18,7 +17,6 @@ from typer.testing import CliRunner
 import smarttouch as st
 from smarttouch.base.errors import ExperimentError, ProfileError, SmartTouchError
 from smarttouch.cli.experiment import fit
-from smarttouch.cli.simulate import study
 from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.procedures import constant_stimuli, ratio_pairs
 from smarttouch.running.recording import RecordedRun
@@ -253,20 +251,6 @@ def test_what_a_user_can_do_wrong(program, tmp_path, options, wrong):
 PLAN = (
     'title = "x"\nprofiles = ["smarttouch-4x4"]\nanatomies = ["paper"]\nfingers = 1\nletters = "L"'
 )
-
-
-@pytest.fixture
-def plan(tmp_path):
-    path = tmp_path / "plan.toml"
-    path.write_text(PLAN)
-    return path
-
-
-def test_a_table(plan, tmp_path, capsys):
-    with joblib.parallel_config("threading", n_jobs=1):
-        study(plan, tmp_path / "out")
-    assert len((tmp_path / "out" / "rows.csv").read_text().splitlines()) == 2
-    assert str(tmp_path / "out" / "rows.csv") in capsys.readouterr().out
 
 
 def test_it_ends_with_one_sentence(program_here, tmp_path):

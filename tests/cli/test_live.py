@@ -159,11 +159,6 @@ def test_on_a_screen_it_is_read_again(monkeypatch):
     assert lasts(seconds=1 + 2 * (time.monotonic() - begun_s))
 
 
-def test_what_is_kept_is_read_once(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert not lasts("--json", "f.json", seconds=60)
-
-
 @pytest.fixture
 def live(program_here):
     """Return a runner of ``live`` over a short word."""
