@@ -155,14 +155,23 @@ class Line:
             try:
                 self.require_running()
                 if proved is not None:
-                    self._require_proved(proved)
+                    if type(proved) is not ProvedSequence:
+                        kind = type(self._board.driver).__name__
+                        raise BoardError(f"{kind} sends what the gate has not proved")
+                    if proved.session != self._gate.session:
+                        raise BoardStoppedError("the board was closed before this: begin at zero")
+                    permits = self._gate.ramp.permits
+                    if self._board.clock.now_ns() > proved.write_before_ns or not permits(
+                        proved.strength_ppb, proved.sequence.time_ns
+                    ):
+                        raise self.late()
                 begun = True
                 yield
                 if proved is not None:
                     self._board._note_written(proved)
             finally:
                 self._lock.release()
-                if begun and self.is_stopped:
+                if begun and self._stopped.is_set() and not self._zeroing.depth:
                     # The stop may not have waited for this write.
                     self._put_at_zero()
 
@@ -179,17 +188,6 @@ class Line:
             return self._gate.repeated(proved, due_ns)
         except SafetyError:
             raise self.late() from None
-
-    def _require_proved(self, proved: ProvedSequence) -> None:
-        if type(proved) is not ProvedSequence:
-            raise BoardError(
-                f"{type(self._board.driver).__name__} sends what the gate has not proved"
-            )
-        if proved.session != self._gate.session:
-            raise BoardStoppedError("the board was closed before this was sent: begin at zero")
-        permits, time_ns = self._gate.ramp.permits, proved.sequence.time_ns
-        if self.now_ns() > proved.write_before_ns or not permits(proved.strength_ppb, time_ns):
-            raise self.late()
 
     # -- reading -----------------------------------------------------------
 

@@ -67,14 +67,13 @@ def probe_sequences(
     top = peak_ma / limits.full_ma
     # Only the time of passes with current counts towards the rise.
     step_us = max(_SLOWEST_US, int(np.ceil(1.05e6 * limits.ramp_s * top / _STEPS)))
-    sites = np.delete(np.arange(limits.electrodes), limits.masked).tolist()
     cathodic = output is None or "cathodic" in output.polarities
     time_ns = 0
     for step in range(_STEPS + 1):
         part = step / _STEPS
         probe = one_each(
             limits, round(1000 * peak_ma * part), PROBE_US, top * part, time_ns, cathodic=cathodic,
-            sites=sites, masked=limits.masked, period_us=step_us, in_pairs=in_pairs,
+            period_us=step_us, in_pairs=in_pairs,
         )  # fmt: skip
         yield probe
         time_ns += 1000 * probe.period_us
@@ -89,17 +88,17 @@ def one_each(
     *,
     cathodic: bool,
     sites: list[int] | None = None,
-    masked: tuple[int, ...] = (),
     discharge_us: int = 100,
     period_us: int = 0,
     in_pairs: bool = False,
 ) -> ScanSequence:
-    """Return a scan of one slot for each site (all if not given): ``level_ua`` through it, returned
-    equally by the other electrodes; no slots if that is 0. Masked ones take no share, as an open
-    one would need all the voltage there is. In pairs, one near site returns it, each in a slot of
-    its own: over a scan each site carries as much of either sign."""
-    electrodes = limits.electrodes
-    driven = list(range(electrodes) if sites is None else sites) if level_ua else []
+    """Return a scan of one slot for each site (all but masked ones if not given): ``level_ua``
+    through it, returned equally by the other electrodes; no slots if that is 0. Masked ones take no
+    share, as an open one would need all the voltage there is. In pairs, one near site returns it,
+    each in a slot of its own: over a scan each site carries as much of either sign."""
+    electrodes, masked = limits.electrodes, limits.masked
+    unmasked = np.delete(np.arange(electrodes), masked).tolist()
+    driven = (unmasked if sites is None else sites) if level_ua else []
     if in_pairs:
         strides = range(1, min(_PAIRS, len(driven) // 2) + 1)
         returns = [[site] for stride in strides for site in np.roll(driven, -stride).tolist()]

@@ -1,8 +1,6 @@
 """The contract of drivers, run over each way to reach a board."""
 
-import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -172,8 +170,7 @@ class Contract(DriverContract):
         polarities = ("anodic", "cathodic") if self.cathodic else ("anodic",)
         self.output = Output(kind=self.output_kind, polarities=polarities)
         options = {"books": self.folder} if url == "emulator:" else {}
-        here = url(self.output.kind) if callable(url) else url
-        self.driver = make_board(here, limits, self.output, **options).driver
+        self.driver = make_board(url, limits, self.output, **options).driver
         self.keep_sent()
         return self.driver
 
@@ -222,18 +219,6 @@ class TestEmulator(Contract):
     @pytest.fixture
     def url(self):
         return "emulator:"
-
-
-@without_repeating(CLOSES, "test_it_can_be_opened_again_and_begins_at_zero")
-class TestLink(Contract):
-    @pytest.fixture
-    def url(self, start_emulator, tmp_path):
-        def url(kind):
-            # Books of its own: the board before may still be writing in its.
-            self.folder = Path(tempfile.mkdtemp(dir=tmp_path))
-            return "link:" + start_emulator(f"books={self.folder}", output=kind)[1]
-
-        return url
 
 
 class OneAgainstAll(Contract):

@@ -16,7 +16,7 @@ import pytest
 import typer
 
 from smarttouch.base.clock import now_ns
-from smarttouch.base.errors import BoardError, BoardStoppedError, SmartTouchError
+from smarttouch.base.errors import BoardError, SmartTouchError
 from smarttouch.boards import run_registry
 from smarttouch.boards.run_registry import registry_folder, stop_all, stopped_since_start
 from smarttouch.cli.live import stop
@@ -258,22 +258,6 @@ def test_a_run_in_another_pid_namespace_is_stopped(folder, locks):
         assert answer.at_zero
         assert "on host" in answer.sentence
         assert process.wait(20) == 0
-
-
-def test_a_program_older_than_a_stop_opens_nothing_and_a_younger_one_does(folder):
-    def opens(say):
-        say()
-        os.read(goes_on, 1)
-        with pytest.raises(BoardStoppedError):
-            Display().__enter__()
-
-    goes_on, go = os.pipe()
-    with in_child(opens) as child:
-        stop_all()
-        os.write(go, b".")
-        assert exit_code(child) == 0
-    with in_child(until_zero(Display(), 0.0)) as child:
-        assert exit_code(child) == 98
 
 
 @pytest.mark.parametrize("mark", [

@@ -1,6 +1,5 @@
 """A process has one entry for all its boards, and signals bring them to zero before it ends."""
 
-import gc
 import hashlib
 import os
 import signal
@@ -13,13 +12,13 @@ from smarttouch.base.errors import BoardError
 from smarttouch.base.stopping import RunStopped, StopRequest, uninterrupted
 from smarttouch.boards.open import make_board
 from smarttouch.boards.run_registry import registry_folder, stop_all
-from smarttouch.boards.shutdown import enter, expect, running_command, stoppable_run
+from smarttouch.boards.shutdown import expect, running_command, stoppable_run
 from smarttouch.profile.ceilings import CEILING_USER_MA
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises
 from .fresh import until
-from .runs import ANSWERED_S, PATIENCE_S, Display, exit_code, in_child
+from .runs import PATIENCE_S, Display, exit_code, in_child
 
 MOST_UA = round(1000 * CEILING_USER_MA)
 
@@ -42,22 +41,6 @@ def test_boards_of_a_process_share_the_budget(folder):
             pass
     with Display(MOST_UA):
         pass
-
-
-def test_a_board_that_its_program_has_forgotten_is_stopped():
-    """Nothing else refers to it, and it goes on."""
-
-    def work(say):
-        zeros = []
-        Display(zeros=zeros).__enter__()
-        gc.collect()
-        say()
-        until(lambda: zeros)
-        time.sleep(ANSWERED_S)
-
-    with in_child(work) as child:
-        assert [answer.at_zero for answer in stop_all()] == [True]
-        assert exit_code(child) == 0
 
 
 def test_that_zero_was_not_confirmed_is_said_also_where_the_program_closes_its_board():
@@ -348,16 +331,3 @@ class TestCommands:
             assert [answer.at_zero for answer in stop_all()] == [True]
             assert exit_code(child) == 128 + signal.SIGTERM
         assert runs(folder) == 0
-
-    def test_a_board_that_refuses_after_a_stop_ends_it_as_the_stop_does(self):
-        def work(say):
-            with running_command(os._exit):
-                say()
-                os.read(goes_on, 1)
-                enter(Display())
-
-        goes_on, go = os.pipe()
-        with in_child(work) as child:
-            stop_all()
-            os.write(go, b".")
-            assert exit_code(child) == 128 + signal.SIGTERM

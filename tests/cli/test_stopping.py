@@ -43,18 +43,6 @@ def test_a_signal_while_a_board_is_being_opened(start_program, deaf, number, nam
     assert name in errors
 
 
-def test_a_stop_while_a_board_is_being_opened(start_program, deaf):
-    port, written = deaf
-    process = start_program("devices", "measure", f"link:{port}")
-    until(written)
-    process.send_signal(signal.SIGSTOP)
-    stop = start_program("stop")
-    until(lambda: list(registry_folder().glob("*.stop")))
-    process.send_signal(signal.SIGCONT)
-    assert process.wait(PATIENCE_S) == 128 + signal.SIGTERM
-    assert f"process {process.pid} " in "".join(stop.communicate(timeout=PATIENCE_S))
-
-
 def test_a_stop_before_a_command_opens_its_board(start_program, program_here, deaf):
     """It is announced before it designs the kernels of a new profile."""
     port, written = deaf
@@ -126,11 +114,3 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
     state = read_state(books)
     assert (state["state"], state["reason"]) == ("shorted", "stop")
     assert (tmp_path / "run.json").exists()
-
-
-def test_a_simulated_run_needs_no_writable_home(program, tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    for name in ("HOME", "XDG_STATE_HOME", "XDG_CACHE_HOME"):
-        monkeypatch.setenv(name, str(tmp_path / "file"))
-    done = program("live", "text:a?passes=1", "--board", "simulated:", "--seconds", "0.5")
-    assert done.returncode == 0, done.stderr
