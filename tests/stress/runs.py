@@ -1,4 +1,4 @@
-"""Runs that are ended at random instants: ``signals COUNT STUCK SEED`` and ``stops COUNT SEED``.
+"""Runs that are ended at random instants: ``signals COUNT SEED`` and ``stops COUNT SEED``.
 
 Hosts and emulated boards are forks of one process that has imported everything. A program that is
 started takes a second of processor time; a fork of one that has begun takes a hundredth.
@@ -13,7 +13,6 @@ import signal
 import struct
 import sys
 import tempfile
-import termios
 import time
 from pathlib import Path
 
@@ -77,7 +76,7 @@ class Emulated:
         line.close()
 
     def _serve(self, line):
-        quiet(out=os.devnull)
+        quiet(os.devnull)
         books = _Shared(KINDS[self.kind], self._page)
         firmware = {
             "link": lambda: LinkFirmware("weighted", books),
@@ -105,34 +104,34 @@ class Emulated:
         }  # fmt: skip
 
 
-def start_host(arguments, state, *, out=os.devnull, terminal=None, delay_s=0.0):
+def start_host(arguments, state, out, delay_s=0.0):
     """Fork the program with arguments; return its process."""
     process = os.fork()
     if process == 0:
-        run_and_exit(lambda: _host(arguments, state, out, terminal, delay_s))
+        run_and_exit(lambda: _host(arguments, state, out, delay_s))
     return process
 
 
-def _host(arguments, state, out, terminal, delay_s):
+def _host(arguments, state, out, delay_s):
     os.setsid()
     # Whoever started this in the background has them ignored, until the program heeds them.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     os.environ["XDG_STATE_HOME"] = str(state)
     os.environ["TERM"] = "xterm"
-    quiet(out, terminal)
+    quiet(out)
     # As long as a program takes that imports, and has told nobody of itself.
     time.sleep(delay_s)
     sys.argv = ["smarttouch", *map(str, arguments)]
     main()
 
 
-def quiet(out, terminal=None):
+def quiet(out):
     """Let this process read from and write to other places."""
     with contextlib.suppress(ValueError, OSError):
         sys.stdout.flush()
-    inward = os.open(terminal or os.devnull, os.O_RDWR | os.O_NOCTTY)
-    outward = inward if terminal else os.open(out, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    inward = os.open(os.devnull, os.O_RDWR)
+    outward = os.open(out, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(inward, 0)
     os.dup2(outward, 1)
     os.dup2(outward, 2)
@@ -159,22 +158,6 @@ def run_and_exit(act):
         os._exit(code)
 
 
-def stuck_terminal(keys):
-    """Return both ends of a terminal that has stopped reading, with keys pressed already."""
-    ours, theirs = os.openpty()
-    name = os.ttyname(theirs)
-    settings = termios.tcgetattr(theirs)
-    settings[3] &= ~termios.ECHO
-    termios.tcsetattr(theirs, termios.TCSANOW, settings)
-    os.set_blocking(theirs, False)
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            os.write(theirs, b"." * 64)
-    os.set_blocking(theirs, True)
-    os.write(ours, keys)
-    return ours, theirs, name
-
-
 def wait_for_end(process, seconds):
     """Return the exit code of a process and how long it took; None and the time if it did not."""
     begin = time.monotonic()
@@ -186,17 +169,11 @@ def wait_for_end(process, seconds):
     return None, time.monotonic() - begin
 
 
-def signalled(draw, number, kind, stuck, folder):
+def signalled(draw, number, kind, folder):
     """Start a run, end it by a signal, and return what came of it."""
     board = Emulated(kind)
-    run = ["live", "--board", board.url, "--force", "fixed:1", "--seconds", "60"]
-    ends = None
-    if stuck:
-        *ends, name = stuck_terminal(b"+" * 20)
-        host = start_host(run, folder, terminal=name)
-    else:
-        run += ["--intensity", "1"]
-        host = start_host(run, folder, out=folder / "out")
+    run = ["live", "--board", board.url, "--force", "fixed:1", "--intensity", "1"]
+    host = start_host([*run, "--seconds", "60"], folder, folder / "out")
     after_s = draw.uniform(0.0, LONGEST_START_S)
     time.sleep(after_s)
     board.flag()
@@ -205,10 +182,8 @@ def signalled(draw, number, kind, stuck, folder):
     if code is None:
         os.kill(host, signal.SIGKILL)
         os.waitpid(host, 0)
-    for end in ends or ():
-        os.close(end)
     return {
-        "signal": signal.Signals(number).name, "board": kind, "stuck": stuck,
+        "signal": signal.Signals(number).name, "board": kind,
         "after_s": after_s, "code": code, "took_s": took_s, **board.ended(),
     }  # fmt: skip
 
@@ -224,12 +199,12 @@ def stopped(draw, folder):
         run = ["live", "--board", board.url, "--force", "fixed:1", "--intensity", "1"]
         run += ["--seconds", "60"]
         delay_s = draw.uniform(0.0, IMPORTING_S)
-        hosts.append(start_host(run, state, out=state / "out", delay_s=delay_s))
+        hosts.append(start_host(run, state, state / "out", delay_s))
     # Later than the last, by more than the system's steps of the time when it was started.
     time.sleep(draw.uniform(0.02, RUNS_FOR_S))
     for board in boards:
         board.flag()
-    code, took_s = wait_for_end(start_host(["stop"], state, out=state / "stop"), 15.0)
+    code, took_s = wait_for_end(start_host(["stop"], state, state / "stop"), 15.0)
     found, said = [], (state / "stop").read_text()
     for board, host in zip(boards, hosts, strict=True):
         own, _ = wait_for_end(host, 2.0)
@@ -242,13 +217,13 @@ def stopped(draw, folder):
     return [each | board.ended() for each, board in zip(found, boards, strict=True)]
 
 
-def signals(count, stuck, seed, folder):
-    """Send so many signals, to so many runs with a stuck terminal."""
+def signals(count, seed, folder):
+    """Send so many signals."""
     kinds = list(KINDS)
     return [
         signalled(
             random.Random(1000 * seed + each), NUMBERS[each % 3], kinds[(each + each // 3) % 3],
-            each < stuck, Path(folder),
+            Path(folder),
         )
         for each in range(count)
     ]  # fmt: skip

@@ -1,7 +1,6 @@
-"""Stops, signals and pauses at random instants.
+"""Stops and signals at random instants.
 
-A few of each by default; ``--runs 100 --timeout 0`` makes it 300 signals (100 of them with a
-terminal that has stopped reading) and 100 starting runs.
+A few of each by default; ``--runs 100 --timeout 0`` makes it 300 signals and 100 starting runs.
 """
 
 import json
@@ -30,7 +29,7 @@ def stress(*given):
 
 def test_signals_end_runs_with_the_board_at_zero(runs):
     count = runs or 1
-    ended = stress("signals", 3 * count, count, SEED)
+    ended = stress("signals", 3 * count, SEED)
     assert len(ended) == 3 * count
     for run in ended:
         assert run["code"] is not None, run
