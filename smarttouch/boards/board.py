@@ -181,7 +181,7 @@ class Board:
         if self._opened:
             raise BoardError("the board is open already: close it first")
         self._opened_by = os.getpid()
-        if self.device is not None and (record := find_latch(self.device)) is not None:
+        if (record := find_latch(self.device)) is not None:
             raise BoardLatchedError(
                 f"the board ({self.device}) is latched since {record}; have it checked, then clear "
                 "it with smarttouch devices clear"
@@ -247,7 +247,6 @@ class Board:
         """Connect again to a lost device, at zero, up to three times; raise if that fails."""
         self._is_lost = self._line.reopened = True
         self._close_driver()
-        # The line may be lost again meanwhile.
         for left in reversed(range(RESTARTS)):
             try:
                 self._open_driver(again=True)
@@ -257,6 +256,7 @@ class Board:
             except OtherDeviceError as other:
                 raise BoardError(f"{lost}; {other}") from None
             except BoardError as again:
+                # The line may be lost again meanwhile.
                 if not left or not isinstance(again, LineLostError | SilentBoardError):
                     raise lost from None
         # Nothing was delivered for a while: what comes next begins at zero.
@@ -402,18 +402,17 @@ class Board:
 
     def _not_sent(self, error: BoardError) -> BoardError:
         """Return the error to raise for a sequence that was not sent, at zero."""
+        # On a stopped board any failure is due to the stop.
+        self._line.require_running()
         if isinstance(error, SequenceLateError):
             self.dropped_late += 1
             # Nothing was delivered for a while: what comes next begins at zero.
             self._gate.restart()
-            return error
-        # On a stopped board any failure is due to the stop.
-        self._line.require_running()
-        if not isinstance(error, LineLostError):
-            return error
-        self._recover(error)
-        self.notes.append(f"{error}: restarted")
-        return BoardRestartedError(f"{error}, and was restarted")
+        elif isinstance(error, LineLostError):
+            self._recover(error)
+            self.notes.append(f"{error}: restarted")
+            return BoardRestartedError(f"{error}, and was restarted")
+        return error
 
     def _note_written(self, proved: ProvedSequence) -> None:
         """Count a sequence whose bytes have just been written, with the line's lock held."""
@@ -570,11 +569,6 @@ class Board:
         try:
             self.take_volts()
             return measure_by_probes(self._probe, self._limits, self._output, self.capabilities)
-        except BoardError as error:
-            # A board whose line is lost is at zero only if the stop has reached it.
-            if self._zeroed or not isinstance(error, LineLostError):
-                self._line.require_running()
-            raise
         finally:
             # What comes next begins at zero, and its time may start again.
             self._gate.restart()

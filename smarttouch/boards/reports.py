@@ -1,7 +1,6 @@
 """Reports of a board: its capabilities, delivery statistics, impedances and faults."""
 
 import hashlib
-import json
 import time
 from dataclasses import dataclass, replace
 from itertools import compress
@@ -181,7 +180,7 @@ class Impedance:
 
 # A fault of a board latches it, which keeps it from being opened until a person clears that. The
 # record is a small file in the user's state folder, named by a digest of the device: its USB
-# vendor, product and serial number, else its port.
+# vendor, product and serial number, else its port. It says "DATE: reason"; older ones are JSON.
 
 
 def latch(device: str, reason: str) -> None:
@@ -189,25 +188,25 @@ def latch(device: str, reason: str) -> None:
     if find_latch(device) is None:
         path = _record(device)
         make_folder(path.parent)
-        record = f"{time.strftime('%Y-%m-%d %H:%M:%S')}: {reason}"
-        write_bytes(path, json.dumps(record).encode())
+        write_bytes(path, f"{time.strftime('%Y-%m-%d %H:%M:%S')}: {reason}".encode())
 
 
-def find_latch(device: str) -> str | None:
+def find_latch(device: str | None) -> str | None:
     """Return since when a board is latched, and why; None if it is not. A record that cannot be
     read counts as a fault."""
     try:
-        return str(json.loads(_record(device).read_bytes()))
+        return None if device is None else _record(device).read_text("utf-8", "replace")
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
-        return f"?: its record {_record(device)} cannot be read ({error})"
+    except OSError as error:
+        return f"?: its record cannot be read ({error})"
 
 
-def clear_latch(device: str) -> str | None:
+def clear_latch(device: str | None) -> str | None:
     """Remove the record of a board; return what `find_latch` did."""
     record = find_latch(device)
-    _record(device).unlink(missing_ok=True)
+    if device is not None:
+        _record(device).unlink(missing_ok=True)
     return record
 
 

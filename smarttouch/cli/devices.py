@@ -131,7 +131,7 @@ def clear(url: _Url, profile: ProfileOption = None) -> None:
     from smarttouch.running.display import open_display
 
     device = open_display(url, profile).board.device
-    found = None if device is None else clear_latch(device)
+    found = clear_latch(device)
     if found is None:
         typer.echo(f"{url} is not latched.")
     else:
