@@ -139,11 +139,6 @@ patient = pytest.mark.usefixtures("patient_boards")
 FAULTY = str(Path(__file__).with_name("faulty_board.py"))
 
 
-@pytest.fixture(autouse=True)
-def own_state(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-
-
 @pytest.fixture
 def start_faulty():
     """Return a starter of boards with a fault; it returns their port."""
@@ -195,10 +190,10 @@ def test_an_output_beside_the_pattern_latches_a_kit(start_faulty, make_limits, m
     assert find_latch(board.device) is not None
 
 
-def test_a_record_outlives_its_process_and_is_private(tmp_path, make_limits):
+def test_a_record_outlives_its_process_and_is_private():
     latch("USB 1234:5678 A1", "a fault")
     latch("USB 1234:5678 A1", "a later one")
-    (record,) = tmp_path.rglob("*.json")
+    (record,) = Path(os.environ["XDG_STATE_HOME"]).rglob("*.json")
     assert record.stat().st_mode & 0o077 == 0
     assert find_latch("USB 1234:5678 A1").endswith(": a fault")
     record.write_text("nonsense")
