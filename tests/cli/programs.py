@@ -64,17 +64,9 @@ def drive_anew():
         drive(board, 0.1)
 
 
-def stop_display():
-    """Stop what another thread drives, as a program's own button does."""
-    time.sleep(0.5)
-    display.stop()
-
-
 display = st.open_display(URL)
 if KIND == "own handler":
     signal.signal(signal.SIGTERM, lambda *_: print("own handler", flush=True))
-if KIND == "display":
-    threading.Thread(target=stop_display).start()
 if KIND == "thread":
     thread = threading.Thread(target=attempt, args=("run", run), daemon=True)
     thread.start()
@@ -91,12 +83,10 @@ elif KIND == "left open":
 else:
     attempt("drive", drive_opened)
 attempt("again", drive_opened)
-if KIND != "display":
-    attempt("another", drive_anew)
-    attempt(
-        "another run",
-        lambda: st.run(
-            st.open_source("text:a", display.profile), st.open_display(URL), intensity=1.0,
-            force=FORCE,
-        ),
-    )  # fmt: skip
+attempt("another", drive_anew)
+attempt(
+    "another run",
+    lambda: st.run(
+        st.open_source("text:a", display.profile), st.open_display(URL), intensity=1.0, force=FORCE
+    ),
+)

@@ -75,14 +75,6 @@ def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_pa
     assert read_state(books)["slots"] == after["slots"]
 
 
-def test_a_display_that_is_stopped_stops_what_drives_its_board(start):
-    process, books = start("display")
-    attempts, _ = told(process)
-    assert attempts == {"drive": "BoardStoppedError", "again": "BoardStoppedError"}
-    until(lambda: read_state(books)["reason"] == "stop")
-    assert read_state(books)["state"] == "shorted"
-
-
 @pytest.mark.parametrize(("kind", "number"), [
     ("run", signal.SIGTERM), ("session", signal.SIGHUP), ("thread", signal.SIGTERM),
     ("board", signal.SIGHUP),
