@@ -33,7 +33,7 @@ PATIENT_WATCHDOG = (
     f"import watchdog; watchdog.SILENCE_S = {PATIENCE_S}; watchdog.main()"
 )
 PATIENT = {
-    "smarttouch.boards.kits.watched_port.COMMAND": [
+    "smarttouch.boards.kits.etactilekit_line.COMMAND": [
         sys.executable,
         "-I",
         "-S",

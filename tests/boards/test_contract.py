@@ -227,7 +227,7 @@ class OneAgainstAll(Contract):
 
     @pytest.fixture(autouse=True)
     def _no_boot(self, monkeypatch):
-        monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
 
     def keep_sent(self):
         self.sent = SentBytes(time.monotonic_ns)

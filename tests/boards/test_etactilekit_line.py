@@ -1,8 +1,6 @@
-"""To the byte: what goes to an eTactileKit, in whatever state it is, and what always means zero;
-and when it scans."""
+"""To the byte: what goes to an eTactileKit, in whatever state it is, and what always means zero."""
 
 import contextlib
-import random
 from dataclasses import replace
 
 import numpy as np
@@ -11,20 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError, SilentBoardError
-from smarttouch.boards.kits.current_scale import scale_of
-from smarttouch.boards.kits.etactilekit import ETactileKitDriver
+from smarttouch.boards.kits import scale_of
+from smarttouch.boards.kits.etactilekit import (
+    ETactileKitDriver,
+    Settings,
+    payload,
+    settings_commands,
+    settings_of,
+)
 from smarttouch.boards.kits.etactilekit_line import (
     GO,
     LOAD,
     PING,
     QUIET,
     READINGS,
-    ScanLock,
-    Settings,
-    Span,
-    payload,
-    settings_commands,
-    settings_of,
     zero_anywhere,
 )
 from smarttouch.boards.open import make_board
@@ -351,51 +349,3 @@ def test_zero_ends_every_half_command_and_survives_losses(drives_after):
         assert not drives_after(RUNNING, ZERO[:first] + ZERO[first + 1 :])
         for run in (2, 1, 3):
             assert not drives_after(RUNNING, ZERO[:first] + ZERO[first + run :] + ZERO)
-
-
-T = 20_000_000
-
-
-@pytest.fixture
-def lock():
-    return ScanLock(T)
-
-
-def test_what_is_not_renewed_or_contradicted_is_forgotten(lock):
-    lock.learn(Span(0, 1_000_000))
-    lock.learn(Span(8_000_000, 9_000_000))
-    assert lock.last is None
-    lock.learn(Span(0, 1_000_000))
-    lock.check(400 * T)
-    assert lock.last is not None
-    lock.check(700 * T)
-    assert lock.last is None
-
-
-@given(
-    phase=st.integers(0, T - 1),
-    drift=st.floats(-200e-6, 200e-6),
-    seed=st.integers(0, 1000),
-    step=st.integers(1, 30),
-)
-def test_it_is_never_wrong(phase, drift, seed, step):
-    rng = random.Random(seed)
-    true = T * (1 + drift)
-    lock = ScanLock(T)
-    for number in range(0, 40 * step, step):
-        start = phase + number * true
-        bracket = Span(int(start - rng.uniform(0, 1e6)), int(start + rng.uniform(1, 1e6)))
-        lock.learn(bracket)
-        assert lock.last is not None
-        for other in range(-3, 4):
-            at = start + other * true
-            scan = lock.scan(lock.first_after(int(at - T // 2)))
-            assert scan.early <= at + 1
-            assert at - 1 <= scan.late
-        begin, end = sorted(rng.uniform(start, start + 5 * T) for _ in range(2))
-        happened = sum(begin < phase + k * true < end for k in range(number - 1, number + 8))
-        spread = rng.uniform(0, 1e6)
-        least, most = lock.starts(
-            Span(int(begin - spread), int(begin + spread)), Span(int(end), int(end + spread))
-        )
-        assert least <= happened <= most

@@ -21,7 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from smarttouch.base.errors import BoardRestartedError, SafetyError, SequenceLateError
-from smarttouch.boards.kits import current_scale
+from smarttouch.boards import kits
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.device_lines import PtyLine
@@ -179,7 +179,7 @@ def one_run(kind, how, option, opening, at_s):
 def repeat(one, count):
     """Return what so many runs found, each given its number."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-    current_scale.BOOT_S = 0.0
+    kits.BOOT_S = 0.0
     with threadpool_limits(1):
         return [one(number) for number in range(count)]
 
