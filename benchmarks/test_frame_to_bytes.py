@@ -12,8 +12,9 @@ import pytest
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.wire.framing import LARGEST_PACKET
-from smarttouch.boards.link.protocol import HostSession, MessageKind
+from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.link.sequence_encoding import KernelImage
+from smarttouch.boards.link.session import LinkSession
 from smarttouch.physiology.activating_function import af_matrix, targets
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
@@ -69,7 +70,7 @@ class Ours:
         self.pipeline = Pipeline(profile, bank, config, in_sums=True)
         self.image = KernelImage.of(self.pipeline.table, 1 << 23, 4096)
         self.gate = SafetyGate(SafetyLimits.of(profile))
-        self.session = HostSession()
+        self.session = LinkSession(None)
         self()
 
     def __call__(self):

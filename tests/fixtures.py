@@ -41,7 +41,7 @@ PATIENT = {
         PATIENT_WATCHDOG,
     ],
     "smarttouch.boards.kits.watchdog.SILENCE_S": PATIENCE_S,
-    "smarttouch.boards.link.packet_line.SILENCE_S": PATIENCE_S,
+    "smarttouch.boards.link.session.SILENCE_S": PATIENCE_S,
     "smarttouch.emulator.link_firmware.SILENCE_MS": 1000 * PATIENCE_S,
     "smarttouch.running.loop.LATE_NS": NEVER_LATE_NS,
     "smarttouch.boards.board.LATE_NS": NEVER_LATE_NS,

@@ -5,10 +5,10 @@ import itertools
 
 import numpy as np
 
-from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import OUTPUTS, HostSession, MessageKind, encode_volts
+from smarttouch.boards.link.protocol import OUTPUTS, MessageKind, encode_volts
 from smarttouch.boards.link.sequence_encoding import KernelImage, encode_limits
+from smarttouch.boards.link.session import LinkSession
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import NAME, LinkFirmware
 from smarttouch.emulator.link_packets import BoardSession
@@ -246,8 +246,7 @@ class Talk:
     def begin(self, limits=None, image=None):
         """Begin a session; give limits and kernels if there are any."""
         self.half += 1
-        self.host = HostSession(lambda: self.half)
-        self.deframer = Deframer()
+        self.host = LinkSession(lambda message: None, lambda: self.half)
         self.say(MessageKind.HELLO)
         self.say(MessageKind.BEGIN)
         if limits is not None:
@@ -269,7 +268,7 @@ class Talk:
         answer, self.pulses = self.board.feed(
             data or self.host.encode(kind, about, payload), self.now_us
         )
-        return self._heard(answer)
+        return self.host.take(answer)
 
     def wait(self, time_us, step_us=5000):
         """Let time pass; return what the board says meanwhile."""
@@ -277,7 +276,7 @@ class Talk:
         while self.now_us < end_us:
             self.now_us = min(end_us, self.now_us + step_us)
             answer, new = self.board.advance(self.now_us)
-            heard += self._heard(answer)
+            heard += self.host.take(answer)
             pulses += new
         self.pulses = pulses
         return heard
@@ -285,7 +284,3 @@ class Talk:
     def send(self, sequence, number, times=1, image=None, switched=False, measure=False):
         payload = encode_lists(sequence, times, measure, switched, image, 1 << 20)
         return self.say(MessageKind.SEQUENCE, number, payload)
-
-    def _heard(self, data):
-        packets = [self.host.take(packet) for packet in self.deframer.feed(data)]
-        return [each for each in packets if each is not None]

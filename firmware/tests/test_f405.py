@@ -133,7 +133,7 @@ def test_a_stop_and_a_silent_host_end_in_zero(start, how):
 def test_a_killed_run_ends_in_zero(start, tmp_path):
     """Within the time of silence after its last packet, by the board's clock."""
     machine = start("st_kajimoto61")
-    Forked.changes["smarttouch.boards.link.packet_line.ANSWER_S"] = 30
+    Forked.changes["smarttouch.boards.link.session.ANSWER_S"] = 30
     command = [PROGRAM, "live", "--board", f"link:socket://127.0.0.1:{machine.port}", "--profile",
                "kajimoto-61", "--force", "fixed:0.9", "--intensity", "0.3"]  # fmt: skip
     run = Forked(command, cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)

@@ -151,10 +151,6 @@ class BoardFaultError(BoardError):
     """A board delivered current that was not sent, or contradicts itself: it is latched."""
 
 
-class KernelTableError(BoardFaultError):
-    """A board keeps other kernels than those that it was sent."""
-
-
 class EmergencyStopError(BoardError):
     """The emergency switch of a board is open: close it, then begin again."""
 

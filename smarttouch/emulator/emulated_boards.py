@@ -19,9 +19,9 @@ from smarttouch.base.urls import refuse_rest
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.link_driver import LinkDriver
-from smarttouch.boards.link.packet_line import PacketLine
 from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.link.sequence_encoding import ScanPart
+from smarttouch.boards.link.session import LinkSession
 from smarttouch.boards.reports import Capabilities
 from smarttouch.emulator import link_rules
 from smarttouch.emulator.firmware import DeliveryLog
@@ -60,8 +60,8 @@ class _KeptBooks(DeliveryLog):
         )
 
 
-class _Packets(PacketLine):
-    """Packets to and from firmware in the same thread, with the time that both go by."""
+class _DirectSession(LinkSession):
+    """Session with firmware in the same thread, with the time that both go by."""
 
     def power_up(self, firmware: LinkFirmware) -> None:
         self._firmware, self._now_ns, self._said_ns = firmware, 0, 0
@@ -105,7 +105,7 @@ class SimulatedDriver(LinkDriver):
     simulated_time: ClassVar[bool] = True
     idle_s: ClassVar[float] = 0.0
     room: Room = Room()  # what the board has room for
-    _packets: _Packets
+    _session: _DirectSession
 
     def __init__(
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
@@ -113,7 +113,7 @@ class SimulatedDriver(LinkDriver):
         super().__init__("simulated", limits, output)
         refuse_rest("simulated:", rest, BoardError)
         self.port = None
-        self._packets = _Packets(self._receive)
+        self._session = _DirectSession(self._receive)
         self._books = _KeptBooks(limits.electrodes)
         self._numbers = [0]  # of the board's sequences, by the numbers of their packets
 
@@ -125,7 +125,7 @@ class SimulatedDriver(LinkDriver):
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
         can = super().open(line, limits)
         # Until it reports the finger's force.
-        self._packets.wait_until(protocol.ALIVE_MS * 1_000_000)
+        self._session.wait_until(protocol.ALIVE_MS * 1_000_000)
         return can
 
     def _connect(self) -> None:
@@ -137,19 +137,19 @@ class SimulatedDriver(LinkDriver):
             room=self.room,
         )
         self._line.name = "simulated:"
-        self._packets.power_up(self._firmware)
+        self._session.power_up(self._firmware)
         self._number, self._numbers = 0, [0]
         self._stamp_ns = self._ahead_ns = 0
         """Time stamp of the last sequence, and by how much such stamps are ahead of time here."""
 
     def write(self, proved: ProvedSequence) -> None:
-        packets, sequence = self._packets, proved.sequence
+        session, sequence = self._session, proved.sequence
         with self._line.current():
-            packets.wait_until(self._start_ns(sequence.time_ns))
-            end_ns = packets.now_ns() + sequence.period_us * proved.times * 1000
+            session.wait_until(self._start_ns(sequence.time_ns))
+            end_ns = session.now_ns() + sequence.period_us * proved.times * 1000
             super().write(proved)
-            packets.wait_until(end_ns)
-        packets.raise_fault()
+            session.wait_until(end_ns)
+        session.raise_fault()
         if self._suspicion:
             raise self._line.events.fault(self._suspicion)
 
@@ -159,7 +159,7 @@ class SimulatedDriver(LinkDriver):
 
     def _start_ns(self, stamp_ns: int) -> int:
         """Return when a sequence with a time stamp begins."""
-        now_ns, before_ns, self._stamp_ns = self._packets.now_ns(), self._stamp_ns, stamp_ns
+        now_ns, before_ns, self._stamp_ns = self._session.now_ns(), self._stamp_ns, stamp_ns
         if not self._number or stamp_ns < before_ns:
             # Time stamps have started again, as they may.
             self._ahead_ns = stamp_ns - now_ns
@@ -204,7 +204,7 @@ class EmulatorDriver(LinkDriver):
         url += "".join(f"&event={quote(event)}" for event in events)
         url += "" if books is None else f"&books={quote(str(books))}"
         self.process: EmulatorProcess = EmulatorProcess(url)
-        self._packets.answer_s = self._packets.silence_s = _SPEAKS_WITHIN_S
+        self._session.answer_s = self._session.silence_s = _SPEAKS_WITHIN_S
 
     def _connect(self) -> None:
         self._line.connect(self.process.start(self._line))

@@ -118,7 +118,7 @@ def test_a_silent_port_is_reported(make_limits):
 def test_a_board_stopped_by_another_program_is_reported(make_limits, make_sequence):
     with make_board("emulator:", make_limits()) as board:
         board.send(make_sequence(0))
-        board.driver._packets.send(MessageKind.STOP)
+        board.driver._session.send(MessageKind.STOP)
         with raises(BoardError):
             send_on(board, make_sequence)
 

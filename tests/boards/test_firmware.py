@@ -81,10 +81,10 @@ def test_a_board_whose_session_is_over_gets_its_kernels_in_another(start_firmwar
     table = random_table(np.random.default_rng(0), 9, limits.electrodes)
     port = start_firmware()[1]
     with make_board(f"link:{port}", limits, Output(kind="weighted")) as board:
-        packets = board.driver._packets
+        packets = board.driver._session
         packets.beat = lambda: 0.01
         time.sleep(0.3)
         del packets.beat
-        first = packets.session.number
+        first = packets.number
         board.keep_kernels(table)
-        assert packets.session.number != first
+        assert packets.number != first

@@ -146,7 +146,7 @@ def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
     written = []
     with emulated(clock := ManualClock()) as board:
         deliver(board, pulses(8, 0))
-        packets, again = board.driver._packets, []
+        packets, again = board.driver._session, []
         # Its answers are lost, so that it is sent again, and again.
         monkeypatch.setattr(packets, "take", lambda data: 1)
         send = packets.send

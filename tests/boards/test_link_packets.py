@@ -19,16 +19,15 @@ from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer, WirePacket
 from smarttouch.boards.board import Board
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.packet_line import SILENCE_S, BoardClock, PacketLine
 from smarttouch.boards.link.protocol import (
     WHOLE_HEAD_BYTES,
-    HostSession,
     MessageKind,
     decode,
     decode_head,
     encode,
 )
 from smarttouch.boards.link.sequence_encoding import encode_scan
+from smarttouch.boards.link.session import SILENCE_S, LinkSession
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.link_packets import decode_lists
 from smarttouch.emulator.link_rules import Room
@@ -127,8 +126,8 @@ def test_what_is_too_short_belongs_to_no_session():
 
 
 def test_when_numbers_run_out_another_session_is_needed(monkeypatch):
-    monkeypatch.setattr(protocol, "LAST_NUMBER", 2)
-    session = HostSession()
+    monkeypatch.setattr("smarttouch.boards.link.session.LAST_NUMBER", 2)
+    session = LinkSession(None)
     for _ in range(2):
         session.encode(MessageKind.HEARTBEAT)
     with raises(LineLostError, names="packets", allowed=2):
@@ -152,7 +151,7 @@ class Reads:
         time.sleep(piece if isinstance(piece, float) else 0.02)
         if piece == SAYS:
             self.number += 1
-            session, payload = self.packets.session.number, protocol.ALIVE.pack(0)
+            session, payload = self.packets.number, protocol.ALIVE.pack(0)
             return encode(MessageKind.ALIVE, session, self.number, payload=payload)
         return piece if isinstance(piece, bytes) else b""
 
@@ -169,9 +168,9 @@ class Reads:
     ([SAYS, b"nothing whole"], True, True),
 ])  # fmt: skip
 def test_a_silent_board_is_gone(pieces, begun, is_gone):
-    packets = PacketLine(lambda message: None)
+    packets = LinkSession(lambda message: None)
     packets.open(Reads(packets, *pieces))
-    packets.session.begun, packets.silence_s = begun, SILENCE_S
+    packets.begun, packets.silence_s = begun, SILENCE_S
     try:
         if is_gone:
             until(lambda: packets.fault is not None)
@@ -238,12 +237,12 @@ def test_what_a_small_board_delivers_is_what_a_large_one_does(make_limits, seed)
     st.integers(0, 10**6),
 )
 def test_no_sequence_begins_before_it_was_sent_or_after_its_answer(sequences, first_us):
-    clock, sent_ns, behind_us = BoardClock(), 10**9, 0
+    session, sent_ns, behind_us = LinkSession(None), 10**9, 0
     for waits_ms, answers_ms, stands_still_ms in sequences:
         behind_us += 1000 * stands_still_ms
         sent_ns += stands_still_ms * MS
         began_ns = sent_ns + waits_ms * MS
         board_us = began_ns // 1000 + first_us - behind_us
-        time_ns = clock.note(board_us, sent_ns, began_ns + answers_ms * MS)
+        time_ns = session.start_ns(board_us, sent_ns, began_ns + answers_ms * MS)
         assert sent_ns <= time_ns <= began_ns + answers_ms * MS
         sent_ns = began_ns + 20 * MS

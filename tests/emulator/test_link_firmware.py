@@ -10,15 +10,14 @@ import pytest
 
 from firmware.tests.scenes import sequence_of
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import KernelTableError
+from smarttouch.base.errors import BoardFaultError
 from smarttouch.base.wire.framing import Deframer, frame_packet
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.link_driver import give_kernels
+from smarttouch.boards.link.link_driver import LinkDriver
 from smarttouch.boards.link.protocol import (
     ALIVE_MS,
     LATE_MS,
     LONGEST_PACKET_MS,
-    HostSession,
     Message,
     MessageKind,
     decode,
@@ -26,11 +25,13 @@ from smarttouch.boards.link.protocol import (
     digest_of,
 )
 from smarttouch.boards.link.sequence_encoding import KernelImage
+from smarttouch.boards.link.session import LinkSession
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import MOST_HOSTS, BoardSession
 from smarttouch.emulator.link_rules import Room
 from smarttouch.emulator.skin import EmulatedFinger
+from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable
 from tests.boards.payloads import encode_lists, limits_payload, sequence_payload
 
@@ -55,7 +56,7 @@ class Rig:
         self.books = KeptBooks(electrodes)
         self.books.kept = []
         self.board = LinkFirmware(output, self.books, **{"ramp_ms": 0} | given)
-        self.host = HostSession()
+        self.host = LinkSession(lambda message: None)
         said = (MessageKind.HELLO, b""), (MessageKind.BEGIN, b"")
         for kind, payload in (*said, (MessageKind.LIMITS, limits_payload(electrodes))):
             (answer,) = self.say(0, kind, payload=payload)
@@ -81,7 +82,8 @@ class Rig:
 
     def taken(self, data):
         """Return the packets in what a board says; those that no session takes are read, too."""
-        packets = [self.host.take(packet) or decode(packet) for packet in Deframer().feed(data)]
+        self.host.take(data)
+        packets = [decode(packet) for packet in Deframer().feed(data)]
         return [packet for packet in packets if packet.kind != MessageKind.ALIVE]
 
     def send(self, now_ms, current, **more):
@@ -202,6 +204,7 @@ def made_table(seed=0, kernels=5):
 
 
 TABLE = made_table()
+LIMITS = SafetyLimits(E, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0)
 
 
 @pytest.mark.parametrize(("first", "kernel", "amplitude"), [
@@ -233,9 +236,11 @@ def test_a_host_takes_no_table_of_the_same_size_for_its_own():
     for data, session in ((forged.data, 5), (image.data, 4)):
         proof = digest_of(data, session)
         kept = protocol.KEPT.pack(image.identity, len(image.data), 1, proof)
-        line = SimpleNamespace(
-            name="board", session=SimpleNamespace(number=5),
-            ask=lambda *_, kept=kept: SimpleNamespace(payload=kept),
-        )  # fmt: skip
-        with raises(KernelTableError, names="kernels"):
-            give_kernels(line, image, 1000)
+        driver = LinkDriver("x", LIMITS)
+        driver.can = SimpleNamespace(kernel_bytes=10_000, most_kernels=100, packet_bytes=1000)
+        driver._session = SimpleNamespace(
+            name="board", number=5, ask=lambda *_, kept=kept: SimpleNamespace(payload=kept)
+        )
+        driver._line = SimpleNamespace(events=SimpleNamespace(fault=BoardFaultError))
+        with raises(BoardFaultError, names="kernels"):
+            driver.store_kernels(TABLE)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import (
     BoardError,
     EmergencyStopError,
-    KernelTableError,
     LineLostError,
     OtherDeviceError,
     SequenceLateError,
@@ -19,15 +18,6 @@ from smarttouch.base.wire.framing import LARGEST_PACKET
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.packet_line import (
-    HEARTBEAT_S,
-    PAUSED_S,
-    BoardClock,
-    PacketLine,
-    capabilities_of,
-    malformed,
-    reason_of,
-)
 from smarttouch.boards.link.protocol import (
     Message,
     MessageKind,
@@ -41,6 +31,14 @@ from smarttouch.boards.link.sequence_encoding import (
     ScanPart,
     encode_limits,
     encode_scan,
+)
+from smarttouch.boards.link.session import (
+    HEARTBEAT_S,
+    PAUSED_S,
+    LinkSession,
+    capabilities_of,
+    malformed,
+    reason_of,
 )
 from smarttouch.boards.reports import BoardReport, Capabilities, SequenceStart
 from smarttouch.profile.device import Output
@@ -60,34 +58,6 @@ OPEN_SHARE = 0.97
 OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
 _PIECE = 1024  # bytes of kernels at once: nothing else can pass while they do
 _IDLE = 3  # times that nothing new may have been kept
-
-
-def give_kernels(packets: PacketLine, image: KernelImage, most_bytes: int) -> None:
-    """Give a board its kernels, in packets of at most ``most_bytes``; what it keeps already is not
-    sent again. A board that keeps nothing is lost."""
-    piece = min(_PIECE, most_bytes - OVERHEAD - protocol.KERNELS.size)
-    at, most, data, idle = 0, 0, b"", 0
-    while idle < _IDLE:
-        head = protocol.KERNELS.pack(image.identity, len(image.data), at)
-        answer = packets.ask(MessageKind.KERNELS, head + data).payload
-        if len(answer) != protocol.KEPT.size:
-            raise malformed(packets.name)
-        identity, kept, whole, proof = protocol.KEPT.unpack(answer)
-        if identity == image.identity and whole:
-            if proof == digest_of(image.data, packets.session.number):
-                return
-            raise KernelTableError(
-                f"the board at {packets.name} holds other kernels than those sent"
-            )
-        # The first query carries no kernels: its answer shows where to begin.
-        kept = kept if identity == image.identity and kept < len(image.data) else 0
-        idle = 0 if kept > most else idle + 1
-        most = max(most, kept)
-        at, data = kept, image.data[kept : kept + piece]
-    # Its session may have ended, as after 100 ms in which the host was held up.
-    raise LineLostError(
-        f"the board at {packets.name} does not keep the kernels that it is sent: check its firmware"
-    )
 
 
 class SentPart(NamedTuple):
@@ -113,7 +83,7 @@ class LinkDriver(Driver):
         if not port:
             raise BoardError("link: needs a port, for example link:/dev/ttyACM0")
         self.port = port
-        self._packets: PacketLine = PacketLine(self._receive)
+        self._session: LinkSession = LinkSession(self._receive)
         self._flight: SentPart | None = None  # without an answer: the board has room for one
         self._repeated: deque[int] = deque(maxlen=64)
         """Sequences sent more than once: they may be answered more than once."""
@@ -126,14 +96,13 @@ class LinkDriver(Driver):
         """Account of the board at zero, since it was stopped."""
         self._account_before: tuple[Any, ...] = ()
         """Account of the board when it was opened, or opened again after its line was lost."""
-        self._packets_before = 0  # packets that it had refused when it was opened
+        self._refused_before = 0  # packets that it had refused when it was opened
         self._slots_sent = 0  # slots sent since then, repetitions included
         self._unsafe_refused = 0
         """Sequences refused as unsafe since then, and those sent again: they may count twice."""
         self._suspicion = ""  # fault found in what the board says, until the board is latched
         self._table: KernelTable | None = None
         self._image: KernelImage | None = None
-        self._board_clock = BoardClock()
         self._sent: dict[int, SentPart] = {}  # the last of them, by their numbers
         self._volts: list[NDArray[np.float32]] = []  # voltages of the parts of a scan so far
 
@@ -144,20 +113,18 @@ class LinkDriver(Driver):
         self._connect()
         self._flight = None
         self._suspicion = ""
-        self._packets.open(line)
+        self._session.open(line)
         if not line.reopened:
-            self._packets_before = 0
-        self._packets.begin(self._take_offer)
-        limited = self._packets.ask(MessageKind.LIMITS, encode_limits(self._limits))
+            self._refused_before = 0
+        self._session.begin(self._take_offer)
+        limited = self._session.ask(MessageKind.LIMITS, encode_limits(self._limits))
         if limited.payload != b"\1":
-            raise malformed(self._packets.name)
+            raise malformed(self._session.name)
         self._give_kernels()
         self._account_before, self._account = self._ask_account(), None
         self._slots_sent = self._unsafe_refused = 0
-        # It may have been switched off meanwhile.
-        self._board_clock = BoardClock()
         if not line.reopened:
-            self._packets_before = sum(self._account_before[OLD_PACKETS])
+            self._refused_before = sum(self._account_before[OLD_PACKETS])
         assert self.can is not None
         return self.can
 
@@ -177,39 +144,39 @@ class LinkDriver(Driver):
             self._send_part(proved, part)
 
     def zero(self) -> None:
-        packets = self._packets
-        with packets.news:
-            packets.news.notify_all()
-        if not packets.is_open or not packets.session.begun:
+        session = self._session
+        with session.news:
+            session.news.notify_all()
+        if not session.is_open or not session.begun:
             return
-        if packets.fault is not None:
-            packets.stop_blindly()
+        if session.fault is not None:
+            session.stop_blindly()
             return
         try:
-            packets.ask(MessageKind.STOP)
+            session.ask(MessageKind.STOP)
             self._check_zero()
         except BoardError:
             # A lost board has been reported, or will be at the next send.
-            if packets.fault is None:
+            if session.fault is None:
                 raise
 
     def close(self) -> None:
-        packets = self._packets
-        if packets.is_open and packets.session.begun:
+        session = self._session
+        if session.is_open and session.begun:
             # A board still in its session would refuse the next HELLO; after a stop this is barred.
-            packets.stop_blindly()
-        packets.close()
+            session.stop_blindly()
+        session.close()
 
     def idle(self) -> float | None:
         """Send a lost packet again, and a heartbeat if one is due."""
-        if self._packets.fault is not None:
+        if self._session.fault is not None:
             return None
         if self._suspicion:
             fault = self._line.events.fault(self._suspicion)
-            self._packets.fail(fault)
+            self._session.fail(fault)
             raise fault
         self._send_again()
-        return self._packets.beat()
+        return self._session.beat()
 
     def is_busy(self) -> bool:
         return bool(self._ask_account()[7])
@@ -222,7 +189,7 @@ class LinkDriver(Driver):
     @property
     def refused_packets(self) -> int:
         """Number of packets from the board that were old, of another session, or not requested."""
-        return self._packets.session.refused
+        return self._session.refused
 
     # -- the session ---------------------------------------------------------
 
@@ -236,16 +203,37 @@ class LinkDriver(Driver):
         if self._table is None or can is None or not can.kernel_bytes or not can.packet_bytes:
             return
         image = KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
-        try:
-            give_kernels(self._packets, image, can.packet_bytes)
-        except KernelTableError as other:
-            raise self._line.events.fault(str(other)) from None
-        self._image = image
+        piece = min(_PIECE, can.packet_bytes - OVERHEAD - protocol.KERNELS.size)
+        at, most, data, idle = 0, 0, b"", 0
+        # What it keeps already is not sent again; a board that keeps nothing is lost.
+        while idle < _IDLE:
+            head = protocol.KERNELS.pack(image.identity, len(image.data), at)
+            answer = self._session.ask(MessageKind.KERNELS, head + data).payload
+            if len(answer) != protocol.KEPT.size:
+                raise malformed(self._session.name)
+            identity, kept, whole, proof = protocol.KEPT.unpack(answer)
+            if identity == image.identity and whole:
+                if proof != digest_of(image.data, self._session.number):
+                    raise self._line.events.fault(
+                        f"the board at {self._session.name} holds other kernels than those sent"
+                    )
+                self._image = image
+                return
+            # The first query carries no kernels: its answer shows where to begin.
+            kept = kept if identity == image.identity and kept < len(image.data) else 0
+            idle = 0 if kept > most else idle + 1
+            most = max(most, kept)
+            at, data = kept, image.data[kept : kept + piece]
+        # Its session may have ended, as after 100 ms in which the host was held up.
+        raise LineLostError(
+            f"the board at {self._session.name} does not keep the kernels that it is sent: check "
+            "its firmware"
+        )
 
     def _take_offer(self, answer: Message) -> None:
         """Take a board's capabilities if they fit the profile and, once its line was lost, those
         from before. A wrong board has received no more than HELLO."""
-        name, known = self._packets.name, self.can if self._line.reopened else None
+        name, known = self._session.name, self.can if self._line.reopened else None
         found = capabilities_of(answer, name)
         if found.emergency_switch and answer.state & protocol.SWITCH_OPEN:
             raise EmergencyStopError(
@@ -264,9 +252,9 @@ class LinkDriver(Driver):
 
     def _ask_account(self) -> tuple[Any, ...]:
         """Return a REPORT: counts, mA and µC, in the order of `protocol.REPORT`."""
-        answer = self._packets.ask(MessageKind.STATUS)
+        answer = self._session.ask(MessageKind.STATUS)
         if len(answer.payload) != protocol.REPORT.size:
-            raise malformed(self._packets.name)
+            raise malformed(self._session.name)
         fields = protocol.REPORT.unpack(answer.payload)
         strongest_ua, charge_pc, net_pc = fields[4:7]
         return (*fields[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *fields[7:])
@@ -290,40 +278,40 @@ class LinkDriver(Driver):
             raise fault(
                 f"the board delivered {now[4]:g} mA, above the {largest_ma:g} mA that may be sent"
             )
-        refused = max(0, sum(now[OLD_PACKETS]) - self._packets_before)
+        refused = max(0, sum(now[OLD_PACKETS]) - self._refused_before)
         return BoardReport(*(*now[:7], refused))
 
     # -- sequences ---------------------------------------------------------
 
     def _send_part(self, proved: ProvedSequence, part: ScanPart) -> None:
         """Send a sequence, or a part of one, which is due when the part before has begun."""
-        packets, now_ns = self._packets, self._packets.now_ns()
+        session, now_ns = self._session, self._session.now_ns()
         if part.first:
             proved = self._line.later(proved, max(proved.due_ns, now_ns))
-        with packets.news:
+        with session.news:
             self._flight = SentPart(self._number, proved, part, now_ns)
             self._sent[self._number] = self._flight
             self._sent.pop(self._number - 4, None)
             self._slots_sent += part.slots * proved.times
-            self._again_s = packets.now_s() + AGAIN_S
+            self._again_s = session.now_s() + AGAIN_S
         try:
-            packets.send(MessageKind.SEQUENCE, self._number, part.payload, proved=proved)
+            session.send(MessageKind.SEQUENCE, self._number, part.payload, proved=proved)
         except SequenceLateError:
             self._flight = None
             raise
 
     def _wait_for_room(self) -> None:
-        packets, line = self._packets, self._line
+        session, line = self._session, self._line
 
         def is_over() -> bool:
-            return self._flight is None or packets.fault is not None or line.is_stopped
+            return self._flight is None or session.fault is not None or line.is_stopped
 
-        with packets.news:
-            if not packets.wait(is_over, packets.answer_s) and self._flight is not None:
+        with session.news:
+            if not session.wait(is_over, session.answer_s) and self._flight is not None:
                 number = self._flight.number
-                what = f"has not acknowledged sequence {number} within {packets.answer_s:g} s"
+                what = f"has not acknowledged sequence {number} within {session.answer_s:g} s"
                 raise line.lost(what)
-            packets.raise_fault()
+            session.raise_fault()
             line.require_running()
 
     def _send_again(self) -> None:
@@ -331,11 +319,11 @@ class LinkDriver(Driver):
 
         It has the same number: the board recognizes it if only the ACK was lost.
         """
-        packets = self._packets
+        session = self._session
         # Nothing newer can go out between the look and the write.
         with self._line.current():
-            with packets.news:
-                now_s, flight = packets.now_s(), self._flight
+            with session.news:
+                now_s, flight = session.now_s(), self._flight
                 if flight is None or now_s < self._again_s:
                     return
                 self._again_s = now_s + AGAIN_S
@@ -344,14 +332,14 @@ class LinkDriver(Driver):
             # If it is late, the next sequence reports that the board is lost.
             with contextlib.suppress(SequenceLateError):
                 payload, proved = flight.part.payload, flight.proved
-                packets.send(MessageKind.SEQUENCE, flight.number, payload, proved=proved)
+                session.send(MessageKind.SEQUENCE, flight.number, payload, proved=proved)
 
     def _check_zero(self) -> None:
         """Latch the board if it delivers slots after it has confirmed a stop; keep its account."""
         try:
             slots = self._ask_account()[1]
-            with self._packets.news:
-                self._packets.wait(lambda: False, AFTER_ZERO_S)
+            with self._session.news:
+                self._session.wait(lambda: False, AFTER_ZERO_S)
             self._account = self._ask_account()
         except BoardError:
             # It has confirmed zero; what has become of the line since then changes nothing.
@@ -365,13 +353,13 @@ class LinkDriver(Driver):
         """Handle an unrequested packet."""
         can = self.can
         if can is not None and can.emergency_switch and message.state & protocol.SWITCH_OPEN:
-            self._packets.fail(self._emergency())
+            self._session.fail(self._emergency())
         match message.kind:
             case MessageKind.ACK if len(message.payload) == protocol.ACK.size:
                 if sent := self._answered(message):
                     (board_us,) = protocol.ACK.unpack(message.payload)
-                    now_ns = self._packets.now_ns()
-                    time_ns = self._board_clock.note(board_us, sent.sent_ns, now_ns)
+                    session = self._session
+                    time_ns = session.start_ns(board_us, sent.sent_ns, session.now_ns())
                     if not sent.part.first:
                         start = SequenceStart(sent.proved.number, time_ns, board_us)
                         self._line.events.started(start)
@@ -384,12 +372,12 @@ class LinkDriver(Driver):
             case MessageKind.VOLTAGES:
                 self._note_volts(message)
             case _:
-                self._packets.session.refuse()
+                self._session.refuse()
 
     def _note_volts(self, message: Message) -> None:
         sent, can = self._sent.get(message.about), self.can
         if sent is None or can is None:
-            return self._packets.session.refuse()
+            return self._session.refuse()
         sequence, part = sent.proved.sequence, sent.part
         found = decode_volts(message.payload)
         if len(found) != part.slots or not len(found):
@@ -415,20 +403,20 @@ class LinkDriver(Driver):
             self._flight = None
             return flight
         if message.about not in self._repeated:
-            self._packets.session.refuse()
+            self._session.refuse()
         return None
 
     def _emergency(self) -> EmergencyStopError:
         return EmergencyStopError(
-            f"the emergency switch of the board at {self._packets.name} was opened: all electrodes "
+            f"the emergency switch of the board at {self._session.name} was opened: all electrodes "
             "are at zero; close it, then begin again"
         )
 
     def _refused(self, message: Message) -> None:
         why, rule, words = reason_of(message)
-        packets = self._packets
+        session = self._session
         if why == Refusal.EMERGENCY:
-            packets.fail(self._emergency())
+            session.fail(self._emergency())
             return
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
             # Our own part of it is sent again; REPORT counts the rest.
@@ -440,12 +428,12 @@ class LinkDriver(Driver):
             self._unsafe_refused += 1
             # Clocks differ: what rose too fast for the board's restarts at zero.
             lost = self._line.lost(f"refused sequence {message.about} as unsafe: {words}")
-            packets.fail(lost if rule == Rule.RISE else BoardError(str(lost)))
+            session.fail(lost if rule == Rule.RISE else BoardError(str(lost)))
         elif why == Refusal.STOPPED and not self._line.is_stopped:
             lost = self._line.lost("has been stopped or restarted by another program")
-            packets.fail(BoardError(str(lost)))
+            session.fail(BoardError(str(lost)))
         elif why == Refusal.SILENCE:
-            slow = packets.now_s() - packets.paused_at_s < PAUSED_S
+            slow = session.now_s() - session.paused_at_s < PAUSED_S
             cause = "this computer was too slow" if slow else "check the cable"
             silence = f"received nothing for {protocol.SILENCE_MS} ms ({cause})"
-            packets.fail(self._line.lost(silence))
+            session.fail(self._line.lost(silence))

@@ -17,7 +17,6 @@ A packet is COBS-encoded and ends with one 0x00. Decoded, all little endian::
 import hashlib
 import secrets
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Literal, get_args
@@ -25,7 +24,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import BoardError, LineLostError
+from smarttouch.base.errors import BoardError
 from smarttouch.base.wire.framing import HEAD_BYTES, WirePacket, frame_packet, parse_head
 
 VERSION = 5
@@ -34,7 +33,6 @@ SILENCE_MS = 100
 ALIVE_MS = 20
 LATE_MS = 250  # a packet is old if it confirms nothing that the board sent within this time
 LONGEST_PACKET_MS = 1000  # longest time for which an incomplete packet counts as a sign of life
-LAST_NUMBER = 2**32 - 1
 HALF = 2**32 - 1  # the host's half of a session; the board's is above it
 Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
@@ -246,62 +244,3 @@ def decode_head(head: bytes) -> Message:
 def draw_half() -> int:
     """Return 32 random bits that are not all 0."""
     return secrets.randbelow(HALF) + 1
-
-
-class HostSession:
-    """One session with a board, from before HELLO on; ``draw`` returns 32 random bits that are not
-    all 0, and ``refused`` packets were refused in earlier ones."""
-
-    def __init__(self, draw: Callable[[], int] = draw_half, refused: int = 0) -> None:
-        self.number: int = draw()  # its upper half is 0 until the board has answered HELLO
-        self.begun: bool = False  # whether the board has answered BEGIN
-        self.refused: int = refused  # number of packets
-        self.sent: int = 0  # number of the last packet
-        self._taken = self._offered = 0
-        self._asked: dict[int, MessageKind] = {}
-
-    def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
-        """Return the host's next packet."""
-        if self.sent == LAST_NUMBER:
-            raise LineLostError(f"the session of {LAST_NUMBER} packets is over")
-        self.sent += 1
-        if kind in ANSWERS:
-            self._asked[self.sent] = ANSWERS[kind]
-        session = self.number & HALF if kind == MessageKind.HELLO else self.number
-        return encode(kind, session, self.sent, self._taken, about, payload)
-
-    def take(self, packet: WirePacket) -> Message | None:
-        """Return a packet as a message, or None if it is refused."""
-        message = decode(packet)
-        if message.kind == MessageKind.CAPABILITIES:
-            taken = self._take_capabilities(message)
-        elif taken := (
-            message.session == self.number
-            and message.number > self._taken
-            and message.version == VERSION
-        ):
-            self._taken = message.number
-            if message.kind in ANSWERS.values():
-                taken = self._was_asked(message)
-                self.begun |= taken and message.kind == MessageKind.BEGUN
-        if not taken:
-            self.refuse()
-        return message if taken else None
-
-    def refuse(self) -> None:
-        """Count a refused packet; those before CAPABILITIES are of an earlier run."""
-        self.refused += self.number > HALF
-
-    def _take_capabilities(self, message: Message) -> bool:
-        if message.version != VERSION:
-            # A board of another version is reported by its version.
-            return not self.begun
-        if message.session & HALF != self.number & HALF or not self._was_asked(message):
-            return False
-        if self.begun or message.about < self._offered:
-            return message.session == self.number
-        self.number, self._offered = message.session, message.about
-        return True
-
-    def _was_asked(self, message: Message) -> bool:
-        return self._asked.pop(message.about, None) == message.kind

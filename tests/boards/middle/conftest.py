@@ -12,8 +12,8 @@ from cobs import cobs
 from smarttouch.base.clock import LATE_NS
 from smarttouch.boards.board import Board
 from smarttouch.boards.link.link_driver import LinkDriver
-from smarttouch.boards.link.packet_line import PacketLine
 from smarttouch.boards.link.protocol import HALF
+from smarttouch.boards.link.session import LinkSession
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import BoardSession
@@ -157,7 +157,7 @@ class World:
         """Return the board of a host that comes to this one."""
         output = Output(kind="weighted")
         driver = ToldDriver("the middle", LIMITS, output)
-        driver._packets = ToldPackets(self, driver)
+        driver._session = ToldSession(self, driver)
         return Board(
             driver, LIMITS, output, clock=WorldClock(self), on_a_finger=False, claimed_time=True
         )  # fmt: skip
@@ -218,15 +218,15 @@ class World:
                 assert self.refused() == before + 1, "a replay was not told of"
 
     def reach_host(self, piece):
-        before, listening = self.host.session.refused, self.host.session.number > HALF
+        before, listening = self.host.refused, self.host.number > HALF
         self.host.take(piece)
-        if self.host.session.number > HALF:
-            assert self.host.session.number in self.said.sent
-            self.said.open(self.host.session.number)
+        if self.host.number > HALF:
+            assert self.host.number in self.said.sent
+            self.said.open(self.host.number)
         judged = self.said.judge(piece)
         if judged is not None and judged[1] and listening:
             self.replayed["host"] += 1
-            assert self.host.session.refused == before + 1, "a replay was not counted"
+            assert self.host.refused == before + 1, "a replay was not counted"
 
 
 class WorldClock:
@@ -245,8 +245,8 @@ class ToldDriver(LinkDriver):
     idle_s = 0.0
 
 
-class ToldPackets(PacketLine):
-    """The host's packets: while it waits for one, the world goes on."""
+class ToldSession(LinkSession):
+    """The host's session: while it waits for one, the world goes on."""
 
     def __init__(self, world, driver):
         super().__init__(driver._receive, world.draw)

@@ -149,9 +149,9 @@ def test_a_board_of_another_version_is_reported_in_a_sentence(world, monkeypatch
 def test_a_board_that_is_lost_ends_its_session_before_the_next(world, board):
     lose(world, "to_host", MessageKind.ACK)
     write(board, sequence(), 1000)
-    before = board.driver._packets.session.number
+    before = board.driver._session.number
     board._recover(board._line.lost("is gone"))
-    assert board.driver._packets.session.number != before
+    assert board.driver._session.number != before
     assert world.refused() == 0
     send(board)
     assert board.report().refused_packets == 0

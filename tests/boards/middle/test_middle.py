@@ -153,7 +153,7 @@ def test_the_emergency_switch_opened_at_random(make_world, runs):
         last_us = max((time_us for *_, time_us in world.books.kept), default=0)
         assert last_us <= world.opens_ns / 1000
         while_flowing += world.opens_ns / 1000 - last_us <= 5000
-        reported += isinstance(host.board.driver._packets.fault, EmergencyStopError)
+        reported += isinstance(host.board.driver._session.fault, EmergencyStopError)
         check(world, host, gone_ns, ending)
         world.to_board.share = world.to_host.share = 0.0
         with pytest.raises(EmergencyStopError):
