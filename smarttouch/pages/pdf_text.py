@@ -1,4 +1,4 @@
-"""Text that a PDF brings: its words by PDFium, put into lines, and compared with its print."""
+"""Text that a PDF brings: its characters by PDFium, put into lines, and compared with its print."""
 
 import contextlib
 import ctypes
@@ -9,16 +9,23 @@ import statistics
 import unicodedata
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from smarttouch.pages.grey_image import LUMA
 from smarttouch.pages.page_image import Page, TextLine
-from smarttouch.pages.reading_order import MADE_SPACE, SPACE, Line, Word, reading_order, split
+from smarttouch.pages.reading_order import (
+    DOUBTFUL,
+    FIGURE,
+    Line,
+    Segment,
+    are_apart,
+    reading_order,
+    split,
+)
 from smarttouch.pages.text_lines import find_lines
 
 if TYPE_CHECKING:
@@ -26,9 +33,12 @@ if TYPE_CHECKING:
 
 _ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # of most fonts; all in sizes of the letters
 _LEVEL = 10.0  # angle in degrees from which text is aslant
-_GAP, _TOUCHING = 0.7, 0.3  # gaps above which words end, and below which parts of a word touch
+_TOUCHING, _FARTHEST = 0.3, 2.5  # gaps that are no space after a moved pen, nor by a file's space
 _SPACED, _WIDER = 0.8, 1.5  # gap of spaced letters, and ratio to it of the gap between their words
-_SMALLER, _SHIFTED, _NEAR = 0.85, (0.1, 0.8), 0.55
+_EVEN, _EACH = 0.25, 0.4  # difference of the spaces of justified prose, and width for each of them
+_SPACES = _NONE, _MOVED, _MADE, _TYPED = ("", "\n", "\t", " ")
+"""What precedes a character: nothing, a new line, a gap, or a space of the file."""
+_SMALLER, _SHIFTED, _FAR, _NEAR = 0.95, (0.1, 0.8), 0.3, 0.55
 """Size of super- and subscripts, distance from the baseline, and from their word."""
 _INITIAL = 1.8  # size of a letter over several lines
 _ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
@@ -44,6 +54,26 @@ _FAINT = 12  # levels of contrast below which print is not seen
 _MOSTLY = 0.5  # print that the text lacks, relative to it, from which the picture is recognized
 
 
+@dataclass(frozen=True)
+class _Sign:
+    """Character on the visible page, y down, in points."""
+
+    text: str
+    left: float
+    right: float
+    y: float  # of its baseline
+    size: float  # of its font
+    space: str  # one of _SPACES
+    is_filled: bool  # into a form
+    turn_deg: int | None  # by which the page must be turned for it; None if it is aslant
+    grey: float  # level of its color
+
+    def gap(self, other: "_Sign") -> float:
+        """Return the distance of the nearer ends of two characters, in sizes of the larger."""
+        distance = max(other.left - self.right, self.left - other.right)
+        return distance / max(self.size, other.size)
+
+
 def turn_of_text(sheet: "pypdfium2.PdfPage") -> int:
     """Return by how many degrees, clockwise, a page must be turned for its text to be level."""
     counts = Counter(sign.turn_deg for sign in _signs(sheet, 0))
@@ -55,26 +85,29 @@ def with_text(sheet: "pypdfium2.PdfPage", page: Page, point_mm: float, printed: 
     those in fields of a form."""
     signs = list(_signs(sheet, printed))
     turned = [sign for sign in signs if sign.turn_deg != 0]
-    words = _words([sign for sign in signs if sign.turn_deg == 0])
+    segments = _segments([sign for sign in signs if sign.turn_deg == 0])
     if not signs:
         return page
-    seen = [word for word in words if _is_seen(page, word, point_mm)]
-    letters = [unicodedata.bidirectional(letter) for word in words for letter in word.text]
+    seen = [segment for segment in segments if _is_seen(page, segment, point_mm)]
+    hidden = sum(len(part.text.split()) for part in segments if part not in seen)
+    letters = [unicodedata.bidirectional(sign.text[0]) for sign in signs]
     is_leftward = sum(letter in ("R", "AL") for letter in letters) > letters.count("L")
+    parts: list[Segment | _Sign] = [*segments, *turned]
+    boxes = [_box(page, part, point_mm, 0.95, 0.4, 0.2) for part in parts]
     found = reading_order(seen, sheet.get_height(), is_leftward)
     lines = [_text_line(line, point_mm) for line in found]
     texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in found]
     if 2 * len(turned) > len(signs) or not _makes_sense("".join(texts)):
         return _pictured(page, "most of its text is turned or makes no sense")
-    others = _print_beside(page, words + turned, point_mm)
+    others = _print_beside(page, boxes)
     if sum(map(_length, others)) > _MOSTLY * sum(map(_length, lines)):
         return _pictured(page, "much of its print is not in its text")
-    notes = []
+    notes = [DOUBTFUL] if any(line.is_doubtful for line in found) else []
     if turned:
-        text = "".join((" " if sign.before else "") + sign.text for sign in turned).strip()
+        text = "".join((" " if sign.space else "") + sign.text for sign in turned).strip()
         notes.append(f"turned text is left out: {text}")
-    if len(seen) < len(words):
-        notes.append(f"words that are not visible are left out: {len(words) - len(seen)}")
+    if hidden:
+        notes.append(f"words that are not visible are left out: {hidden}")
     if others:
         notes.append(f"print that is not in its text is left out (lines: {len(others)})")
     return replace(page, lines=tuple(lines), words=tuple(texts), notes=tuple(notes))
@@ -84,7 +117,7 @@ def _pictured(page: Page, reason: str) -> Page:
     return replace(page, notes=(f"{reason}, so its picture is recognized instead",))
 
 
-def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Word]:
+def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[_Sign]:
     """Yield the characters on the visible page in the file's order."""
     import pypdfium2.raw as pdfium
 
@@ -98,14 +131,14 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Word]:
 
     x, y, *sides = (ctypes.c_double() for _ in range(6))
     matrix, color = pdfium.FS_MATRIX(), [ctypes.c_uint() for _ in range(4)]
-    before = SPACE
+    space = _TYPED
     with contextlib.closing(sheet.get_textpage()) as layer:
         for k in range(layer.count_chars()):
             text = chr(pdfium.FPDFText_GetUnicode(layer, k)).translate(_PLAIN)
             if text.isspace() or unicodedata.category(text) == "Cf":
                 is_made = pdfium.FPDFText_IsGenerated(layer, k)
-                mark = "\n" if text in "\r\n" else MADE_SPACE if is_made else SPACE
-                before = max(before, mark, key=("", "\n", MADE_SPACE, SPACE).index)
+                mark = _MOVED if text in "\r\n" else _MADE if is_made else _TYPED
+                space = max(space, mark, key=_SPACES.index)
                 continue
             pdfium.FPDFText_GetCharOrigin(layer, k, x, y)
             pdfium.FPDFText_GetCharBox(layer, k, *sides)
@@ -121,73 +154,73 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Word]:
                 turn = round(angle / 90) % 4 * 90 if abs((angle + 45) % 90 - 45) < _LEVEL else None
                 pdfium.FPDFText_GetFillColor(layer, k, *color)
                 grey = float(np.dot(LUMA, [part.value for part in color[:3]]))
-                place = k if k < printed else -1
-                yield Word(text, left, right, start[1], size, place, before, turn, grey)
-                before = ""
+                is_filled = k >= printed
+                yield _Sign(text, left, right, start[1], size, space, is_filled, turn, grey)
+                space = _NONE
 
 
-def _words(signs: list[Word]) -> list[Word]:
-    """Return the words of level text, with ``^`` and ``_`` before super- and subscripts."""
-    words: list[Word] = []
-    for last, sign in itertools.pairwise([None, *signs]):
-        assert sign is not None
-        gap = sign.gap(last) / max(sign.size, last.size) if last else math.inf
-        if (
-            last is None
-            or sign.before
-            or gap > _GAP
-            or abs(sign.y - last.y) > 0.05 * sign.size
-            or abs(sign.size / last.size - 1) > 0.1
-        ):
-            is_touching = sign.before in ("", "\n") and gap < (_TOUCHING if sign.before else _GAP)
-            before = "" if is_touching else SPACE if sign.before == SPACE else MADE_SPACE
-            words.append(replace(sign, before=before))
-        else:
-            word = words[-1]
-            word.text += sign.text
-            word.left, word.right = min(word.left, sign.left), max(word.right, sign.right)
-    _join_spaced(words)
-    for word, after in itertools.pairwise(words):
-        is_large = len(word.text) == 1 and word.size > _INITIAL * after.size
-        is_lower = word.y - after.y > _NEAR * after.size
-        if is_large and is_lower and abs(word.gap(after)) < after.size:
-            after.text, word.text = word.text + after.text, ""
-    words = [word for word in words if word.text]
-    for number, word in enumerate(words):
-        word.place = number if word.place >= 0 else number - len(words)
-        for base in words[max(0, number - 1) : number] + words[number + 1 : number + 2]:
-            raised = (base.y - word.y) / base.size
-            is_near = abs(word.gap(base)) < _NEAR * base.size
-            is_small = word.size < _SMALLER * base.size
-            if is_small and is_near and _SHIFTED[0] < abs(raised) < _SHIFTED[1]:
-                word.text = ("^" if raised > 0 else "_") + word.text
-                word.y, word.size = base.y, base.size
-                break
-    return words
-
-
-def _join_spaced(words: list[Word]) -> None:
-    """Put letters of spaced print into the first of their word."""
-    for run in split(
-        words,
-        lambda before, word: (
-            word.before != MADE_SPACE
-            or before.y != word.y
-            or len(before.text + word.text) > 2
-            or not (before.text + word.text).isalpha()
-        ),
+def _segments(signs: list[_Sign]) -> list[Segment]:
+    """Return level text as segments, with ``^`` and ``_`` before super- and subscripts."""
+    segments: list[Segment] = []
+    for line in split(
+        signs, lambda last, sign: abs(sign.y - last.y) > _SHIFTED[1] * max(sign.size, last.size)
     ):
-        gaps = [after.left - before.right for before, after in itertools.pairwise(run)]
-        usual = statistics.median(gaps) if len(gaps) > 2 else math.inf
-        if usual < _SPACED * run[0].size:
-            for before, after in [*itertools.pairwise(run)][::-1]:
-                if after.left - before.right < _WIDER * usual:
-                    before.text, before.right = before.text + after.text, after.right
-                    after.text = ""
+        tracking, widest = _spacing(line)
+        for last, sign in itertools.pairwise([None, *line]):
+            if sign and not (last and _is_joined(segments[-1], last, sign, tracking, widest)):
+                place = -1 if sign.is_filled else len(segments)
+                segments.append(
+                    Segment(sign.text, sign.left, sign.right, sign.y, sign.size, place, sign.grey)
+                )
+    return segments
+
+
+def _spacing(line: list[_Sign]) -> tuple[float, float]:
+    """Return the gap of spaced letters, and the widest gap that is a space of justified prose, in
+    their sizes; 0 if a line is neither."""
+    gaps = [sign.gap(last) for last, sign in itertools.pairwise(line)]
+    spaces = [gap for gap, sign in zip(gaps, line[1:], strict=True) if sign.space == _MADE]
+    words = "".join(sign.space + sign.text for sign in line).split()
+    is_even = len(spaces) > 1 and max(spaces) - min(spaces) < _EVEN
+    if is_even and sum(len(word) > 1 and not FIGURE.fullmatch(word) for word in words) > 2:
+        return 0.0, _EACH * (len(spaces) + 1)
+    usual = statistics.median(gaps) if len(gaps) > 2 else math.inf
+    is_spaced = usual < _SPACED and "".join(words).isalpha()
+    return (usual, 2 * _WIDER * usual) if is_spaced else (0.0, 0.0)
+
+
+def _is_joined(segment: Segment, last: _Sign, sign: _Sign, tracking: float, widest: float) -> bool:
+    """Add a character to the segment of the one before it; return whether it belongs there."""
+    gap = sign.gap(last)
+    raised = (segment.y - sign.y) / max(segment.size, sign.size)
+    is_space = sign.space == _TYPED or (
+        gap > _WIDER * tracking and (sign.space == _MADE or (gap > _TOUCHING and sign.space))
+    )
+    text = " " * bool(is_space) + sign.text
+    is_script = gap < _NEAR and _SHIFTED[0] < abs(raised) < _SHIFTED[1]
+    is_initial = len(segment.text) == 1 and segment.size > _INITIAL * sign.size
+    if is_initial and raised > 0 and gap < 1:
+        segment.text += text
+        segment.y, segment.size = sign.y, sign.size
+    elif is_script and segment.size < _SMALLER * sign.size:
+        segment.text = ("^" if raised < 0 else "_") + segment.text + text
+        segment.y, segment.size = sign.y, sign.size
+    elif is_script and (sign.size < _SMALLER * segment.size or abs(raised) > _FAR):
+        mark = "^" if raised > 0 else "_"
+        segment.text += text if last.y == sign.y else text.replace(sign.text, mark + sign.text)
+    elif (is_space and abs(sign.grey - segment.grey) >= _FAINT) or (
+        gap > _FARTHEST if sign.space == _TYPED
+        else gap > widest and are_apart(segment.text, sign.text, gap)
+    ):  # fmt: skip
+        return False
+    else:
+        segment.text += text
+    segment.left, segment.right = min(segment.left, sign.left), max(segment.right, sign.right)
+    return True
 
 
 def _text_line(line: Line, point_mm: float) -> TextLine:
-    words = line.words
+    words = line.segments
     size = statistics.median(word.size for word in words) * point_mm
     return TextLine(
         left_mm=min(word.left for word in words) * point_mm,
@@ -215,41 +248,42 @@ def _length(line: TextLine) -> float:
     return line.right_mm - line.left_mm
 
 
-def _is_seen(page: Page, word: Word, point_mm: float) -> bool:
-    """Return whether a word has another color than its ground, or any contrast: scans have it."""
-    box = _box(page, word, point_mm, _X_HEIGHT, 0.0, 0.0).astype(float)
-    return not box.size or np.ptp(box) >= _FAINT or abs(box.mean() - word.grey) >= _FAINT
+_Box = tuple[slice, slice]  # rows and columns of a page
+
+
+def _is_seen(page: Page, segment: Segment, point_mm: float) -> bool:
+    """Return whether text has another color than its ground, or any contrast: scans have it."""
+    box = page.grey[_box(page, segment, point_mm, _X_HEIGHT, 0.0, 0.0)].astype(float)
+    return not box.size or np.ptp(box) >= _FAINT or abs(box.mean() - segment.grey) >= _FAINT
 
 
 def _box(
-    page: Page, word: Word, point_mm: float, above: float, below: float, beside: float
-) -> NDArray[np.uint8]:
-    """Return the pixels of a word, and around its baseline and ends, in sizes of its letters."""
-    scale, size = point_mm / page.mm_per_pixel, word.size
+    page: Page, part: Segment | _Sign, point_mm: float, above: float, below: float, beside: float
+) -> _Box:
+    """Return the pixels of text, and around its baseline and ends, in sizes of its letters."""
+    scale, size = point_mm / page.mm_per_pixel, part.size
+    spans = (part.y - above * size, part.y + below * size), (
+        part.left - beside * size, part.right + beside * size
+    )  # fmt: skip
     rows, columns = (
-        slice(max(0, int(low * scale)), max(0, math.ceil(high * scale)))
-        for low, high in (
-            (word.y - above * size, word.y + below * size),
-            (word.left - beside * size, word.right + beside * size),
-        )
+        slice(max(0, int(low * scale)), max(0, math.ceil(high * scale))) for low, high in spans
     )
-    return page.grey[rows, columns]
+    return rows, columns
 
 
-def _print_beside(page: Page, words: list[Word], point_mm: float) -> list[TextLine]:
-    """Return the lines of print on a page beside its words."""
-    page = replace(page, grey=page.grey.copy())
-    for word in words:
-        box = _box(page, word, point_mm, 0.95, 0.4, 0.2)
-        if box.size:
-            box[:] = np.median(box)
+def _print_beside(page: Page, boxes: list[_Box]) -> list[TextLine]:
+    """Return the lines of print on a page outside boxes."""
+    grey = page.grey.copy()
+    for box in boxes:
+        if grey[box].size:
+            grey[box] = np.median(grey[box])
     step = page.mm_per_pixel / _COARSE_MM
-    coarse = cv2.resize(page.grey, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
+    coarse = cv2.resize(grey, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
     ink = np.abs(coarse - np.median(coarse)) > _CONTRAST
     heights = cv2.connectedComponentsWithStats(ink.astype(np.uint8))[2][1:, cv2.CC_STAT_HEIGHT]
     low, high = (height / _COARSE_MM for height in _LETTERS_MM)
     if np.count_nonzero((heights >= low) & (heights <= high)) < _FEWEST_SPOTS:
         return []
     # A scan may lie on its side.
-    turned = Page(np.ascontiguousarray(np.rot90(page.grey)), page.mm_per_pixel)
-    return find_lines(page, None) or find_lines(turned, None)
+    turned = Page(np.ascontiguousarray(np.rot90(grey)), page.mm_per_pixel)
+    return find_lines(replace(page, grey=grey), None) or find_lines(turned, None)

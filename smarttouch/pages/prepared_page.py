@@ -11,6 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from smarttouch.base.errors import PageError
 from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page, TextLine
+from smarttouch.pages.reading_order import DOUBTFUL
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened, skew_of, turned
 from smarttouch.pages.text_lines import page_lines
 
@@ -117,6 +118,8 @@ def prepare_page(
         page = Page(turned(page.grey, skew_deg), page.mm_per_pixel)
         notes.append(f"the text was tilted by {abs(skew_deg):.1f}° and was turned level")
         straight, paper, found = page_lines(page, light_on_dark, leftward)
+    if found.is_doubtful:
+        notes.append(DOUBTFUL)
     left_out = [words for words in (found.left_out, FAINT if paper.faint else "") if words]
     if left_out:
         notes.append(LEFT_OUT + ", ".join(left_out))

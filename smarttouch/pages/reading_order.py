@@ -1,111 +1,78 @@
-"""Reading order of the words of a PDF, or the lines of a picture: columns one after another, tables
-row by row."""
+"""Reading order of the text segments of a page: columns one after another, tables row by row."""
 
 import itertools
 import math
 import re
 import statistics
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
-SPACE, MADE_SPACE = " ", "\t"
-"""What stands before a word: a space of the file, or one that PDFium makes of a gap."""
 _SAME_LINE, _BESIDE = 0.3, 1.05  # distances of baselines of one line, and of lines side by side
-_WIDE, _FIGURES, _CERTAIN, _APART, _ASLANT = 0.65, 0.4, 1.2, 2.5, 0.1
-"""Gaps that may part columns, and numbers; that are no spaces of justified prose, nor of any; and
-the least that all rows of a picture share."""
+_WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
+"""Gaps that part words, and numbers, and the least that all rows of a picture share."""
+_SPACE, _APART = 0.1, 2.5  # gaps that are a space, and that part a line in any case
 _EVEN, _FLUSH = 0.25, 0.4  # differences of the gaps of justified prose, and of its ends
-_FARTHER, _LARGER = 1.6, 1.15
-"""Distance of blocks, in usual ones of rows, and ratio of sizes of a heading and its text."""
+_FARTHER = 1.6  # distance of blocks, in usual ones of rows
 _EDGE = 0.125  # part of the page's height at its ends that has running heads
 _WIDE_CELL, _WIDER, _WIDEST = 5.0, 8.0, 13.0
 """Mean widths of lines above which columns are prose: of a picture, of a PDF, and of loose ones."""
 _LOOSE, _LONG = (1.42, 1.6), 20
 """Distances of rows that are loose: of fewer than so many, and of more, as in an index."""
-_FIGURE = re.compile(r"[^\w\s]*\d[\d\W]*\w?[^\w\s]*")
+_SURE = 1.15  # ratio of the widths of lines to these above which, or below its inverse, they decide
+DOUBTFUL = "the reading order is doubtful: words side by side may be columns, or rows of a table"
+FIGURE = re.compile(r"[^\w\s]*\d[\d\W]*\w?[^\w\s]*")
 _LABEL = re.compile(r".*:")
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
 """The mark of a list's item, or the number of a section."""
 
 
 @dataclass(eq=False)
-class Word:
-    """Word of a PDF, with its text and place in the file, or line of a picture: its box, y down."""
+class Segment:
+    """Text of a line without a wide gap, or a line of a picture: its box, y down."""
 
     text: str
     left: float
     right: float
     y: float  # of its baseline
-    size: float  # of its font
+    size: float  # of its letters
     place: int  # in the file's order; below 0 in fields of a form and in pictures
-    before: str = MADE_SPACE  # SPACE, MADE_SPACE or nothing
-    turn_deg: int | None = 0  # by which the page must be turned for it; None if it is aslant
     grey: float = 0.0  # level of its color
-    is_joined: bool = False  # to the word before it, as a part of justified prose
-
-    def gap(self, other: "Word") -> float:
-        """Return the distance of the nearer ends of two words, below 0 where they overlap."""
-        return max(other.left - self.right, self.left - other.right)
 
 
-Row = list[Word]
+Row = list[Segment]
 _Span = tuple[float, float]
 _T = TypeVar("_T")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Line:
-    """Words of a line, its text, and whether it is the row of a table."""
+    """Segments of a line, its text, whether it is the row of a table, and whether that is
+    doubtful."""
 
-    words: Row
+    segments: Row
     text: str
     is_cells: bool = False
+    is_doubtful: bool = False
 
 
-def reading_order(words: Row, height: float, leftward: bool = False) -> list[Line]:
+def reading_order(segments: Row, height: float, leftward: bool = False) -> list[Line]:
     """Return the lines of a page of some height; ``leftward`` scripts are read from the right.
 
     Cells of a table's row are parted by semicolons, and an empty one is a hyphen; further lines of
-    cells are rows of their own.
+    cells are rows of their own. Segments of a file's text that are close are joined.
     """
     if leftward:
-        _mirror(words)
-    lines = [line for region in _regions(words, height) for line in _ordered(region)]
+        _mirror(segments)
+    lines = [line for region in _regions(segments, height) for line in _ordered(region)]
     if leftward:
-        _mirror(words)
+        _mirror(segments)
     return lines
 
 
-def _mirror(words: Row) -> None:
-    for word in words:
-        word.left, word.right = -word.right, -word.left
-
-
-def _regions(words: Row, height: float) -> list[list[Row]]:
-    """Return the words of each baseline, from the top down, left to right, parted where running
-    heads end and headings begin."""
-    level = split(
-        sorted(words, key=lambda word: word.y),
-        lambda above, word: word.y - above.y > _SAME_LINE * min(word.size, above.size),
-    )
-    rows = [sorted(row, key=lambda word: word.left) for row in level if row]
-
-    def begins(k: int) -> bool:
-        """Return whether a row follows a running head, or is a heading that follows, in the file,
-        all that is above it."""
-        row, above, below = rows[k], rows[:k], rows[k + 1 :]
-        at_edge = above[-1][0].y < _EDGE * height or row[0].y > (1 - _EDGE) * height
-        if at_edge and row[0].y - above[-1][0].y > _APART * row[0].size:
-            return True
-        is_heading = below and row[0].size > _LARGER * below[0][0].size and len(_pieces(row)) == 1
-        return bool(is_heading and row[0].place >= 0) and (
-            max(word.place for other in above for word in other) < row[0].place
-            <= min((word.place for other in below for word in other if word.place >= 0), default=-1)
-        )  # fmt: skip
-
-    starts = [0, *filter(begins, range(1, len(rows))), len(rows)]
-    return [rows[start:end] for start, end in itertools.pairwise(starts)]
+def _mirror(segments: Row) -> None:
+    for segment in segments:
+        segment.left, segment.right = -segment.right, -segment.left
 
 
 def split(items: list[_T], begins: Callable[[_T, _T], bool]) -> list[list[_T]]:
@@ -118,14 +85,63 @@ def split(items: list[_T], begins: Callable[[_T, _T], bool]) -> list[list[_T]]:
     return pieces
 
 
-def _text_of(words: Row) -> str:
-    """Return the text of words in a line, with the file's own spaces where it is in its order."""
-    text = words[0].text
-    for before, word in itertools.pairwise(words):
-        is_next = word.place == before.place + 1
-        spaced = word.before if is_next else word.left - before.right > 0.1 * word.size
-        text += f" {word.text}" if spaced else word.text
-    return text
+def _regions(segments: Row, height: float) -> list[list[Row]]:
+    """Return the segments of each baseline, from the top down, left to right, parted where running
+    heads end."""
+    level = split(
+        sorted(segments, key=lambda segment: segment.y),
+        lambda above, below: below.y - above.y > _SAME_LINE * min(below.size, above.size),
+    )
+    rows = [_joined(sorted(row, key=lambda segment: segment.left)) for row in level]
+
+    def begins(above: Row, row: Row) -> bool:
+        at_edge = above[0].y < _EDGE * height or row[0].y > (1 - _EDGE) * height
+        return at_edge and row[0].y - above[0].y > _APART * row[0].size
+
+    return split(rows, begins)
+
+
+def are_apart(before: str, after: str, gap: float) -> bool:
+    """Return whether a gap, in sizes of the letters, between two texts may part columns."""
+    are_figures = FIGURE.fullmatch(before.rpartition(" ")[2]) and FIGURE.fullmatch(
+        after.partition(" ")[0]
+    )
+    return gap > (_FIGURES if are_figures else _WIDE)
+
+
+def _joined(row: Row) -> Row:
+    """Return the segments of a row of a file's text, those that are close in one; also the mark of
+    an item and its text."""
+    joined = row[:1]
+    for segment in row[1:]:
+        before = joined[-1]
+        gap = (segment.left - before.right) / max(before.size, segment.size)
+        is_item = (
+            len(joined) == 1 and _ITEM.fullmatch(before.text)
+            and not (FIGURE.fullmatch(before.text) and FIGURE.fullmatch(segment.text))
+        )  # fmt: skip
+        is_apart = are_apart(before.text, segment.text, gap) and not is_item
+        if is_apart or min(before.place, segment.place) < 0:
+            joined.append(segment)
+            continue
+        before.text += " " * (gap > _SPACE) + segment.text
+        before.right = max(before.right, segment.right)
+    return joined
+
+
+def _join_justified(rows: list[Row]) -> None:
+    """Join rows that are evenly apart and as wide as the prose at the row before."""
+    for (first, *others), row in itertools.pairwise(rows):
+        gaps = [after.left - before.right for before, after in itertools.pairwise(row)]
+        if (
+            gaps and not others and first.place >= 0 and " " in first.text
+            and max(gaps) - min(gaps) < _EVEN * first.size
+            and abs(row[0].left - first.left) < _FLUSH * first.size
+            and abs(row[-1].right - first.right) < _FLUSH * first.size
+            and not FIGURE.fullmatch(row[-1].text)
+        ):  # fmt: skip
+            text = " ".join(part.text for part in row)
+            row[:] = [replace(row[0], text=text, right=row[-1].right)]
 
 
 def _ordered(rows: list[Row]) -> list[Line]:
@@ -135,7 +151,8 @@ def _ordered(rows: list[Row]) -> list[Line]:
     lines: list[Line] = []
     waiting: list[Row] = []
     for band, gaps in _bands(rows):
-        column = next((gap for gap in gaps if _parts_columns(band, gap, gaps)), None)
+        shares = [_share_of_prose(band, gap, gaps) for gap in gaps]
+        column = next((gap for gap, share in zip(gaps, shares, strict=True) if share >= 1), None)
         parts = _blocks(band) if column is None else [
             _part(band, -math.inf, column[1]), _part(band, column[1])
         ]  # fmt: skip
@@ -145,41 +162,24 @@ def _ordered(rows: list[Row]) -> list[Line]:
             continue
         lines += _plain(waiting)
         waiting = []
-        if ends:
-            lines += [_table_row(row, ends) for row in band]
-        else:
-            lines += [line for part in parts for line in _ordered(part)]
+        found = [_table_row(row, ends) for row in band] if ends else [
+            line for part in parts for line in _ordered(part)
+        ]  # fmt: skip
+        for line in found:
+            line.is_doubtful |= any(1 / _SURE < share < _SURE for share in shares)
+        lines += found
     return lines + _plain(waiting)
-
-
-def _join_justified(rows: list[Row]) -> None:
-    """Join the words of rows that are evenly apart and as wide as the prose at the row before."""
-    for other, row in itertools.pairwise(rows):
-        flush = _FLUSH * row[0].size
-        if (
-            len(row) > 1 and _are_even(row) and not _FIGURE.fullmatch(row[-1].text)
-            and (other[-1].is_joined or len(other) > 2) and len(_pieces(other)) == 1
-            and abs(row[0].left - other[0].left) < flush
-            and abs(row[-1].right - other[-1].right) < flush
-        ):  # fmt: skip
-            for word in row[1:]:
-                word.is_joined = True
-
-
-def _are_even(row: Row) -> bool:
-    """Return whether the words of a row are equally far apart."""
-    widths = [word.left - before.right for before, word in itertools.pairwise(row)]
-    return max(widths) - min(widths) < _EVEN * row[0].size
 
 
 def _plain(rows: list[Row]) -> list[Line]:
     """Return the lines of rows that are not of a table, parted at very wide gaps."""
-    pieces = (
-        piece for row in rows for piece in split(row, lambda before, word: (
-            word.left - before.right > _APART * word.size and not word.is_joined
+    return [
+        Line(piece, " ".join(segment.text for segment in piece))
+        for row in rows
+        for piece in split(row, lambda before, after: (
+            after.left - before.right > _APART * after.size
         ))
-    )  # fmt: skip
-    return [Line(piece, _text_of(piece)) for piece in pieces]
+    ]  # fmt: skip
 
 
 def _blocks(rows: list[Row]) -> list[list[Row]]:
@@ -202,7 +202,7 @@ def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Span]]]:
         if band and len(common) < 3:
             yield band, shared[1:-1]
             band = []
-        shared = common if band else _free(_pieces(row))
+        shared = common if band else _free(row)
         band.append(row)
     if band:
         yield band, shared[1:-1]
@@ -210,95 +210,63 @@ def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Span]]]:
 
 def _common(gaps: list[_Span], row: Row) -> list[_Span]:
     """Return what a row leaves of the gaps above it, and of the space at their sides."""
-    parted, words = _free(_pieces(row)), _free(split(row, _are_apart))
-    both = (
-        (max(gap[0], other[0]), min(gap[1], other[1]))
-        for gap in gaps for other in (words if math.isfinite(gap[1] - gap[0]) else parted)
-    )  # fmt: skip
+    both = ((max(gap[0], other[0]), min(gap[1], other[1])) for gap in gaps for other in _free(row))
     # Columns of a photograph are aslant.
     least = (_FIGURES if row[0].place >= 0 else _ASLANT) * row[0].size
     return sorted(gap for gap in both if gap[1] - gap[0] > least)
 
 
-def _free(pieces: list[Row]) -> list[_Span]:
-    """Return the gaps between pieces of a row, and the space before and after it."""
-    lefts = [piece[0].left for piece in pieces]
-    rights = [max(word.right for word in piece) for piece in pieces]
+def _free(row: Row) -> list[_Span]:
+    """Return the gaps between segments of a row, and the space before and after it."""
+    lefts, rights = [part.left for part in row], [part.right for part in row]
     return [*zip([-math.inf, *rights], [*lefts, math.inf], strict=True)]
 
 
-def _are_apart(before: Word, word: Word) -> bool:
-    """Return whether the file has no space between two words, or leaves far more than one."""
-    is_space = word.before == SPACE and word.place == before.place + 1
-    return not is_space or word.left - before.right > _APART * word.size
-
-
-def _pieces(row: Row) -> list[Row]:
-    """Return the words of a row parted at gaps that may be between columns: not in justified prose,
-    nor after the mark of an item."""
-    letters = sum(word.text.isalpha() for word in row)
-    if letters > 2 and _are_even(row) and row[1].left - row[0].right < _CERTAIN * row[0].size:
-        return [row]
-
-    def begins(before: Word, word: Word) -> bool:
-        are_figures = _FIGURE.fullmatch(before.text) and _FIGURE.fullmatch(word.text)
-        is_item = before is row[0] and _ITEM.fullmatch(before.text) and not are_figures
-        width = (word.left - before.right) / max(before.size, word.size)
-        is_wide = width > (_FIGURES if are_figures else _WIDE) and _are_apart(before, word)
-        return is_wide and not (is_item or word.is_joined)
-
-    return split(row, begins)
-
-
 def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
-    """Return the rows of the words between two places."""
-    inside = (
-        [word for word in row if left <= (word.left + word.right) / 2 < right] for row in band
-    )
+    """Return the rows of the segments between two places."""
+    inside = ([part for part in row if left <= (part.left + part.right) / 2 < right]
+              for row in band)  # fmt: skip
     return [row for row in inside if row]
 
 
-def _parts_columns(band: list[Row], gap: _Span, gaps: list[_Span]) -> bool:
-    """Return whether a gap parts columns of text, to be read one after the other: the file does so,
-    or lines of both are as wide and as close as those of prose."""
+def _share_of_prose(band: list[Row], gap: _Span, gaps: list[_Span]) -> float:
+    """Return at least 1 if a gap parts columns of text, to be read one after the other: the file
+    does so, or lines of both are as wide and as close as those of prose. Near 1 is doubtful."""
     ends = [-math.inf, *(right for _, right in gaps), math.inf]
     at = ends.index(gap[1])
     left, right = (_part(band, *ends[k : k + 2]) for k in (at - 1, at))
-    if _are(_FIGURE, right) or _are(_LABEL, left):
-        return False
-    beside = [word for row in _part(band, gap[1]) for word in row]
+    if _are(FIGURE, right) or _are(_LABEL, left):
+        return 0.0
+    beside = [part for row in right for part in row]
     level = sum(
-        any(abs(word.y - row[0].y) < _BESIDE * word.size for word in beside)
-        for row in _part(band, -math.inf, gap[1])
+        any(abs(part.y - row[0].y) < _BESIDE * part.size for part in beside) for row in left
     )
-    printed = [word for row in band for word in row if word.place >= 0]
-    sides = [word.left > gap[0] for word in sorted(printed, key=lambda word: word.place)]
+    printed = [part for row in band for part in row if part.place >= 0]
+    sides = [part.left > gap[0] for part in sorted(printed, key=lambda part: part.place)]
     crossings = sum(before != after for before, after in itertools.pairwise(sides))
+    if 0 < 2 * crossings <= level:
+        return math.inf
     # Rows of a table are short, or farther apart than lines of a column.
     step = max(_usual_step(left), _usual_step(right)) / band[0][0].size
-    is_loose = step > _LOOSE[level >= _LONG]
-    least = _WIDEST if is_loose else _WIDER if printed else _WIDE_CELL
-    is_wide = level > 2 and min(map(_mean_width, (left, right))) > least
-    return 0 < 2 * crossings <= level or is_wide
+    least = _WIDEST if step > _LOOSE[level >= _LONG] else _WIDER if printed else _WIDE_CELL
+    return min(map(_mean_width, (left, right))) / least if level > 2 else 0.0
 
 
 def _are(pattern: re.Pattern[str], column: list[Row]) -> bool:
     """Return whether most rows of a column match a pattern."""
-    return sum(pattern.fullmatch(_text_of(row)) is not None for row in column) > 0.6 * len(column)
+    texts = (" ".join(part.text for part in row) for row in column)
+    return sum(pattern.fullmatch(text) is not None for text in texts) > 0.6 * len(column)
 
 
 def _mean_width(column: list[Row]) -> float:
     """Return the mean width of the lines of a column in sizes of their letters."""
-    widths = [(max(word.right for word in row) - row[0].left) / row[0].size for row in column]
-    return statistics.fmean(widths or [0.0])
+    return statistics.fmean((row[-1].right - row[0].left) / row[0].size for row in column)
 
 
 def _cell_ends(band: list[Row]) -> list[float]:
     """Return the places that part cells, if rows are a table: the fewest that lie in all gaps, and
     each in two or more."""
-    gaps = sorted(
-        (gap for row in band for gap in _free(_pieces(row))[1:-1]), key=lambda gap: gap[1]
-    )
+    gaps = sorted((gap for row in band for gap in _free(row)[1:-1]), key=lambda gap: gap[1])
     shared: list[_Span] = []
     for left, right in gaps:
         if shared and left < shared[-1][1]:
@@ -306,19 +274,15 @@ def _cell_ends(band: list[Row]) -> list[float]:
         else:
             shared.append((left, right))
     middles = ((left + right) / 2 for left, right in shared)
-    ends = [end for end in middles if sum(left < end < right for left, right in gaps) > 1]
-    columns = (_part(band, *pair) for pair in itertools.pairwise([-math.inf, *ends, math.inf]))
-    return ends if sum(_mean_width(column) > _WIDEST for column in columns) < 2 else []
+    return [end for end in middles if sum(left < end < right for left, right in gaps) > 1]
 
 
 def _table_row(row: Row, ends: list[float]) -> Line:
     """Return a row of a table; it is a plain line if it has words in its first column alone."""
     texts: dict[int, str] = {}
-    for piece in split(row, lambda before, word: any(
-        before.right < end < word.left > before.right + _FIGURES * word.size for end in ends
-    )):  # fmt: skip
-        column = sum(piece[0].left > end for end in ends)
-        texts[column] = f"{texts.get(column, '')} {_text_of(piece)}".strip()
+    for segment in row:
+        column = sum(segment.left > end for end in ends)
+        texts[column] = f"{texts.get(column, '')} {segment.text}".strip()
     if [*texts] == [0]:
         return Line(row, texts[0])
     return Line(row, "; ".join(texts.get(k) or "-" for k in range(len(ends) + 1)), True)

@@ -23,15 +23,17 @@ from smarttouch.pages.components import (
 )
 from smarttouch.pages.ink import Paper, halved, separate_ink
 from smarttouch.pages.page_image import Page, TextLine
-from smarttouch.pages.reading_order import Word, reading_order
+from smarttouch.pages.reading_order import Segment, reading_order
 
 
 @dataclass(frozen=True)
 class PageLines:
-    """Lines of a page in reading order, and what was left out, in words."""
+    """Lines of a page in reading order, what was left out, in words, and whether the order is
+    doubtful."""
 
     lines: list[TextLine]
     left_out: str = ""
+    is_doubtful: bool = False
 
 
 _SMALL_PX, _ENOUGH_PX = 9.0, 10.0
@@ -161,18 +163,19 @@ def _lines_in_ink(ink: Ink, height: float, mm_per_pixel: float, leftward: bool) 
     x_height, ascent, descent = _sizes(baselines)
     y, size = _levels(baselines), (ascent + descent) * x_height / _HEIGHT
     words = [
-        Word("", each.left, each.right, float(y[k]), float(size[k]), -1 - k)
+        Segment("", each.left, each.right, float(y[k]), float(size[k]), -1 - k)
         for k, each in enumerate(baselines)
     ]
+    order = reading_order(words, len(ink), leftward)
     lines = [
         _line(
             baselines[-1 - word.place], float(x_height[-1 - word.place]), ascent, descent,
             mm_per_pixel, cell if row.is_cells else 0,
         )
-        for row in reading_order(words, len(ink), leftward)
-        for cell, word in enumerate(row.words, 1)
+        for row in order
+        for cell, word in enumerate(row.segments, 1)
     ]  # fmt: skip
-    return PageLines(lines, left_out)
+    return PageLines(lines, left_out, any(row.is_doubtful for row in order))
 
 
 def _left_out(small: int, pictures: int) -> str:

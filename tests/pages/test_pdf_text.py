@@ -23,6 +23,9 @@ PROSE = [
     *("At last there is a third", "column that some of them", "and it is the end of all."),
 ]
 LEFT, RIGHT = PROSE[:3], PROSE[3:6]
+WIDTHS = {"i": 2.22, "t": 2.78, "f": 2.78, "r": 3.33, "m": 8.33, "w": 7.22,
+          **dict.fromkeys("cksxy", 5.0)}  # fmt: skip
+"""Widths of letters of Helvetica, 10 points; others are 5.56 wide."""
 
 
 def put(x, y, text, size=10, font="F", turn=(1, 0, 0, 1), more=""):
@@ -132,6 +135,25 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; Gas; 
         "labels", "turned", "outside", "marks of items"])  # fmt: skip
 def test_text_is_read_as_it_is_seen(tmp_path, content, words):
     assert load(pdf(tmp_path / "a.pdf", *content)).words == tuple(words)
+
+
+@pytest.mark.parametrize(("width", "texts"), [
+    (190, ["stood bread window considerations", "window night the a house house",
+           "considerations stood notwithstanding", "extraordinarily night garden morning a",
+           "under extraordinarily extraordinarily"]),
+    (110, ["window night the a", "considerations of", "extraordinarily a", "considerations it",
+           "some neighbourhood"]),
+])  # fmt: skip
+def test_justified_prose_is_no_table(tmp_path, width, texts):
+    content = []
+    for k, text in enumerate(texts):
+        words = text.split()
+        lengths = [sum(WIDTHS.get(sign, 5.56) for sign in word) for word in words]
+        x, gap = 40.0, (width - sum(lengths)) / (len(words) - 1)
+        for word, length in zip(words, lengths, strict=True):
+            content.append(put(x, 250 - 14 * k, word))
+            x += length + gap
+    assert load(pdf(tmp_path / "a.pdf", *content)).words == tuple(texts)
 
 
 @pytest.mark.parametrize("page", [
