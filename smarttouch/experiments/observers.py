@@ -180,8 +180,8 @@ class Observer(Protocol):
     ) -> str | None:
         """Return one of the alternatives, or None for no answer.
 
-        Tasks are ``faster`` and ``softer`` (which interval: 1 or 2), ``felt`` (y or n, or which
-        interval) and ``side`` (of the second point: l or r).
+        Tasks are ``faster`` and ``softer`` (which interval: 1 or 2), ``felt`` (y or n) and
+        ``side`` (of the second point: l or r).
         """
         ...
 
@@ -227,18 +227,9 @@ class SimulatedObserver:
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
     ) -> str | None:
-        """Return the answer to a trial.
-
-        If it was felt in both of two intervals or in none, a coin is tossed: so does a threshold
-        that is either passed or not (high-threshold theory, Green and Swets, Signal Detection
-        Theory and Psychophysics, 1966, chapter 5).
-        """
+        """Return the answer to a trial."""
         if task == "felt":
-            yes = [self._is_felt(each) for each in intervals]
-            if len(yes) == 1:
-                return "y" if yes[0] else "n"
-            tossed = int(self._random.integers(len(yes)))
-            return alternatives[yes.index(True) if sum(yes) == 1 else tossed]
+            return "y" if self._is_felt(intervals[0]) else "n"
         judges = {"faster": self._faster, "side": self._side, "softer": self._softer}
         if task not in judges:
             raise ExperimentError(

@@ -21,8 +21,6 @@ from smarttouch.base.files import (
     data_folder,
     make_folder,
     open_file,
-    require_replaceable,
-    unwritable,
 )
 from smarttouch.profile import Profile, list_profiles, load_profile
 
@@ -186,18 +184,6 @@ def _known(profile: Profile) -> tuple[Profile, KernelBank] | None:
         if _array_problem(other) == wanted and (bank := find_bank(other)) is not None:
             return other, bank
     return None
-
-
-def make_bank(path: Path, profile: Profile, progress: Progress | None = None) -> KernelBank:
-    """Design a bank and write it; if interrupted, it is resumed the next time."""
-    require_replaceable(path, DesignError)
-    bank = design_bank(profile, progress, _parts(path, profile))
-    try:
-        write_bank(path, profile, bank)
-    except OSError as error:
-        raise unwritable(DesignError, path, error) from None
-    shutil.rmtree(_parts(path, profile), ignore_errors=True)
-    return bank
 
 
 def _parts(path: Path, profile: Profile) -> Path:

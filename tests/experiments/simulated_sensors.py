@@ -1,7 +1,7 @@
 """Simulated sensors of known properties: a load cell, a patch of pixels, a camera over the page."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -17,15 +17,12 @@ class SimulatedCell:
     # counts_per_n, zero: scale and offset of an ideal cell
     counts_per_n: float = 4.1e5
     zero: float = 83_000.0
-    # lag of the reading on the way down, at half of the heaviest weight it has carried
-    hysteresis_n: float = 0.0
     noise_n: float = 0.002  # of a single reading
     garbage: float = 0.0  # part of the readings that are far off
     missing: float = 0.0  # part of the readings that are NaN
     seed: int = 0
     rate_hz: float = 80.0
     grams: float = 0.0  # weight on it; set by `put`
-    _most_n: float = field(default=0.0, init=False)
 
     def __post_init__(self):
         self._random = np.random.default_rng(self.seed)
@@ -33,7 +30,6 @@ class SimulatedCell:
     def put(self, grams):
         """Put a weight on it."""
         self.grams = grams
-        self._most_n = max(self._most_n, self._force_n)
 
     @property
     def _force_n(self):
@@ -43,9 +39,6 @@ class SimulatedCell:
         """Return the readings of a duration, at once."""
         force_n, random = self._force_n, self._random
         count = round(seconds * self.rate_hz)
-        if force_n < self._most_n:
-            part = force_n / self._most_n
-            force_n += 4 * part * (1 - part) * self.hysteresis_n
         readings = force_n + self.noise_n * random.standard_normal(count)
         readings = self.zero + self.counts_per_n * readings
         wild = random.random(count) < self.garbage

@@ -117,11 +117,6 @@ def test_contradictions(arguments, value):
         replace(Model(), **arguments)
 
 
-def test_negative_stimuli_need_a_linear_axis():
-    with raises(ExperimentError, value=-1.0):
-        Model().axis([-1.0])
-
-
 def session(answers, standard=30.0, repetitions=10, seed=0):
     """Return the answers that a function of the condition gives."""
     procedure = constant_stimuli(ratio_pairs([standard]), repetitions, seed=seed)

@@ -217,15 +217,6 @@ def test_a_blind_subject_answers_anything():
     assert max(counts) < 250
 
 
-def test_two_looks_make_a_choice(observer, train):
-    subject = observer(lapse=0.0, guess=0.0)
-    weak, strong = train(50, level=0.05), train(50)
-    assert subject.respond("felt", [strong, weak], ("1", "2")) == "1"
-    assert subject.respond("felt", [weak, strong], ("1", "2")) == "2"
-    tossed = [subject.respond("felt", [NOTHING, NOTHING], ("1", "2")) for _ in range(40)]
-    assert 8 < tossed.count("1") < 32
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["detection", "localization"])
 def test_the_model_sits_every_experiment(profile, bank, tmp_path, name):

@@ -17,7 +17,6 @@ from smarttouch.kernels.bank import (
     design_bank,
     find_bank,
     load_bank,
-    make_bank,
     problem_hash,
     shipped_bank,
 )
@@ -115,8 +114,8 @@ def test_a_profile_of_one_s_own_is_designed_once(cache, mine, monkeypatch):
         assert np.array_equal(first.weights[afferent], again.weights[afferent])
 
 
-def test_an_interrupted_bank_goes_on_where_it_was(tmp_path, mine):
-    path, told = tmp_path / "mine.npz", []
+def test_an_interrupted_bank_goes_on_where_it_was(cache, mine):
+    told = []
 
     def interrupt(done, total):
         told.append((done, total))
@@ -124,14 +123,14 @@ def test_an_interrupted_bank_goes_on_where_it_was(tmp_path, mine):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        make_bank(path, mine, interrupt)
-    (parts,) = tmp_path.iterdir()
+        load_bank(mine, interrupt)
+    (parts,) = cache.iterdir()
     assert len(list(parts.glob("RA-*.json"))) >= 2
     told.clear()
-    bank = make_bank(path, mine, lambda *done: told.append(done))
+    bank = load_bank(mine, lambda *done: told.append(done))
     assert told[0][0] > 2
-    assert list(tmp_path.iterdir()) == [path]
-    whole = load_bank(mine)
+    assert [each.suffix for each in cache.iterdir()] == [".npz"]
+    whole = design_bank(mine)
     for afferent in whole.weights:
         assert bank.weights[afferent] == pytest.approx(whole.weights[afferent])
 
@@ -243,13 +242,11 @@ def test_a_damaged_bank_is_no_bank(cache, mine, damage):
     assert find_bank(mine) is None
 
 
-def test_a_pipe_is_no_bank_and_none_takes_its_place(cache, mine, no_design):
+def test_a_pipe_is_no_bank(cache, mine, no_design):
     cache.mkdir()
     path = cache / f"{problem_hash(mine)}.npz"
     os.mkfifo(path)
     assert find_bank(mine) is None
-    with raises(DesignError, value=path):
-        make_bank(path, mine)
 
 
 def test_a_bank_that_cannot_be_kept_is_used_all_the_same(cache, mine, monkeypatch):
@@ -258,10 +255,6 @@ def test_a_bank_that_cannot_be_kept_is_used_all_the_same(cache, mine, monkeypatc
 
     monkeypatch.setattr(banks, "write_bank", full)
     assert Afferent.RA in load_bank(mine).weights
-    path = cache / "mine.npz"
-    with raises(DesignError, value=path) as caught:
-        make_bank(path, mine)
-    assert os.strerror(28) in str(caught.value)
 
 
 @pytest.mark.long

@@ -1,7 +1,6 @@
 """A finger: as dense as its anatomy, the same from the same seed; its spikes."""
 
 from dataclasses import replace
-from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -211,15 +210,6 @@ def test_without_refractoriness_every_slot_counts(finger):
     )
     spikes = SpikeModel(Finger(finger.profile, 2, anatomy)).fire(slots(finger))
     assert set(spikes.counts) == {0, 3}
-
-
-def test_more_current_fires_all_that_less_does(finger):
-    fired = [
-        SpikeModel(finger).fire(slots(finger, 1, each)).fired[:, 0] for each in (1.0, 2.0, 4.0)
-    ]
-    assert fired[2].sum() > fired[0].sum()
-    for less, more in pairwise(fired):
-        assert np.all(more[less])
 
 
 def test_a_shorter_pulse_does_less_by_weiss_s_law(finger):

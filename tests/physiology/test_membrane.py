@@ -15,7 +15,6 @@ from smarttouch.physiology.membrane import (
     Axon,
     Fiber,
     load_driving,
-    passes,
     threshold_ma,
     weiss_fit,
 )
@@ -247,14 +246,6 @@ def test_a_fit_finds_the_weights_again():
     found = fiber_fit.fit(like, 200.0, potentials, thresholds)
     drive = found.drive(potentials[..., None])[..., 0].max(axis=1)
     assert fiber_fit.threshold_error(drive, thresholds).tenth < 0.01
-
-
-def test_spikes_that_anodes_stop_do_not_count():
-    drive = np.array([[1.0, 0.2, -1.5, 0.3], [0.5, -0.6, 0.4, -0.9]])
-    fires = drive > 0
-    assert passes(drive, np.inf).all()
-    assert passes(drive, 2.0)[fires].tolist() == [True, False, True, True, False]
-    assert passes(drive, 1.4)[fires].tolist() == [False, False, True, False, False]
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 4), st.floats(0.1, 10))

@@ -1,15 +1,248 @@
-"""A real BRLTTY: its texts are shown cell by cell, keys arrive, restarts are survived."""
+"""BRLTTY: its messages, cells under the finger, and a real one, which runs and restarts."""
 
 import re
+import socket
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ReadingError, SourceError
+from smarttouch.braille.cells import dots_to_cells
 from smarttouch.profile import load_profile
-from smarttouch.reading.brltty import BrailleDisplaySource, DisplayContent
-from tests.reading.real_brltty import Brltty, cells_of, free_port, require_brltty, wait_until
+from smarttouch.reading.braille_lines import cell_layout
+from smarttouch.reading.brltty import (
+    MOST_CELLS,
+    REST_S,
+    BrailleDisplaySource,
+    DisplayContent,
+    parse_message,
+)
 
+from ..support.checks import raises
 from ..support.full import WHOLE
+from .real_brltty import Brltty, cells_of, free_port, require_brltty, wait_until
+
+PROFILE = load_profile("electric-mouse")
+CELLS = st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF), min_size=1, max_size=40)
+
+
+def said(cells, text=""):
+    """Return what BRLTTY sends of cells and their text."""
+    dots = [
+        "".join(str(dot + 1) for dot in range(8) if ord(cell) >> dot & 1) or " " for cell in cells
+    ]
+    quoted = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'Visual "{quoted}"\r\nBraille "{"|".join(dots)}"\r\n'.encode()
+
+
+@given(CELLS, st.text('ab "\\ä€', max_size=9))
+def test_messages_are_texts_and_cells(cells, text):
+    visual, braille = said(cells, text).splitlines(keepends=True)
+    assert parse_message(visual) == ("Visual", text.rstrip())
+    assert parse_message(braille) == ("Braille", cells)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b'Braille "19"', b'Braille "21"', b'Braille "a"', b"Braille", b"cells 20", b"\xff",
+     b'Braille "' + b"|" * MOST_CELLS + b'"'],
+)  # fmt: skip
+def test_what_is_no_message_is_dropped(line):
+    assert parse_message(line + b"\r\n") == ("", "")
+
+
+def test_a_display_is_found_and_lost_and_found_again():
+    source = BrailleDisplaySource(str(free_port()), PROFILE, cells=7)
+    with pytest.raises(SourceError, match="give another port"):
+        BrailleDisplaySource(str(source.address[1]), PROFILE)
+    for number in (1, 2):
+        with socket.create_connection(source.address) as line:
+            assert line.recv(99) == b"cells 7\r\n"
+            for byte in b"x" * 20_000 + b"\n" + said("⠓⠊", "hi"):
+                line.send(bytes([byte]))
+            assert wait_until(lambda: source.shown is not None, 10)
+            shown = source.shown
+            assert (shown.cells, shown.text, shown.number) == ("⠓⠊", "hi", number)
+            source.read(number)
+            assert source.title.endswith(": hi")
+            source.send("home")
+            assert line.recv(99) == b"home\r\n"
+        assert wait_until(lambda: source.shown is None, 10)
+        assert source.read(number).stale
+        source.send("home")
+    source.close()
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection(source.address)
+
+
+@pytest.mark.parametrize(("before", "now", "first"), [
+    ("⠓⠊⠀⠀", "⠓⠊⠀⠀", None),
+    ("⠓⠊⠀⠀", "⠓⠊⠞⣀", 2),  # typed: the cursor stands behind it
+    ("⠓⠊⠞⣀", "⠓⠊⣀⠀", 2),  # deleted: the cursor stands there
+    ("⠓⠊⣀⠀", "⠓⣊⠀⠀", None),  # only the cursor moved
+    ("⠓⠊⠞⠀", "⠓⠊⠙⠀", 0),  # another line, as nobody types
+    ("", "⠓⠊", 0),
+    ("⠓⠊⠞", "⠓⠊", 0),
+])  # fmt: skip
+def test_the_first_new_cell(before, now, first):
+    assert DisplayContent(now).first_new(DisplayContent(before)) == first
+
+
+class Scripted(BrailleDisplaySource):
+    """Shows what a test says, and keeps the commands to BRLTTY."""
+
+    def __init__(self, speed_mm_s):
+        super().__init__(str(free_port()), PROFILE, speed_mm_s=speed_mm_s)
+        self.sent = []
+
+    def send(self, command):
+        self.sent.append(command)
+
+    def show(self, cells):
+        number = self.shown.number if self.shown else 0
+        self.shown = DisplayContent(cells, number=number + 1)
+
+
+class Finger:
+    """A source with its clock, which moves on by a cell a second."""
+
+    def __init__(self):
+        layout = cell_layout(PROFILE, eight=True)
+        self.source = Scripted(layout.cell * layout.pitch_mm[0])
+        self.show, self.layout = self.source.show, self.source.layout
+        self._time_ns = 0
+
+    def after(self, seconds=0.0):
+        """Return the stimulus so many seconds later."""
+        self._time_ns += round(seconds * 1e9)
+        return self.source.read(self._time_ns)
+
+    def window(self, seconds=0.0):
+        """Return which electrodes are active so many seconds later, alike for every class."""
+        activation = self.after(seconds).activation
+        np.testing.assert_array_equal(activation, np.tile(activation[:1], (len(Afferent), 1)))
+        return activation[0].reshape(8, 8) > 0
+
+    def cell(self, seconds=0.0):
+        """Return the cell in the middle of the array so many seconds later."""
+        window, layout = self.window(seconds), self.layout
+        top = (layout.rows - layout.height) // 2
+        rows = top + layout.dot_y * np.array([0, 1, 2, 0, 1, 2, 3, 3])
+        columns = layout.margin + layout.dot_x * np.array([0, 0, 0, 1, 1, 1, 0, 1])
+        return dots_to_cells(window[rows, columns][None])
+
+
+@pytest.fixture
+def finger():
+    made = Finger()
+    yield made
+    made.source.close()
+
+
+def test_a_line_moves_through_electrode_by_electrode(finger):
+    finger.show("⠓⠊⠞⠀⠀")
+    first, cell = finger.window(), finger.layout.cell
+    windows = [finger.window(REST_S)]
+    windows += [finger.window(1 / cell) for _ in range(4 * cell)]
+    np.testing.assert_array_equal(first, windows[0])
+    for before, now in pairwise(windows):
+        np.testing.assert_array_equal(now[:, :-1], before[:, 1:])
+    assert not windows[-1].any()
+
+
+def test_the_line_lies_where_the_finger_feels_it(finger):
+    assert finger.source.sheet is None
+    numbers = set()
+    for cells in ("⠓⠊⠞", "⠇⠊⠞"):
+        finger.show(cells)
+        pose, window = finger.after(REST_S).pose, finger.window()
+        sheet = finger.source.sheet
+        across, down = finger.layout.pitch_mm
+        corner = np.array([pose.x_mm - 4 * across, pose.y_mm - 4 * down]) - sheet.corner_mm
+        left, top = np.rint(corner / sheet.page.mm_per_pixel).astype(int)
+        assert top == 0
+        seen = sheet.page.grey[:, max(left, 0) :: 4][::4] == 0
+        np.testing.assert_array_equal(
+            seen[:, : 8 - max(-left // 4, 0)], window[:, max(-left // 4, 0) :]
+        )
+        numbers.add(sheet.number)
+    assert len(numbers) == 2
+
+
+def test_without_brltty_nothing_is_felt_and_a_lost_line_stays_where_it_was(finger):
+    assert finger.after().stale
+    finger.show("⠓⠊⠞")
+    assert not finger.after(0.02).stale
+    assert finger.cell(REST_S) == "⠓"
+    shown, finger.source.shown = finger.source.shown, None
+    assert finger.after(60.0).stale
+    finger.source.shown = shown
+    assert finger.cell(1.0) == "⠊"
+
+
+def test_what_was_typed_is_felt_and_not_the_line_again(finger):
+    finger.show("⠓⠊⣀⠀")
+    finger.cell(9.0)
+    finger.show("⠓⠊⠞⣀")
+    assert finger.cell() == "⠞"
+    assert finger.cell(REST_S + 1.0) == "⣀"
+
+
+def test_the_cursor_is_followed_but_not_its_blinking(finger):
+    finger.show("⠓⠊⠞⣀")
+    finger.cell()
+    finger.show("⣓⠊⠞⠀")
+    assert finger.cell() == "⣓"
+    assert finger.cell(REST_S + 1.0) == "⠊"
+    for cells in ("⠓⠊⠞⠀", "⣓⠊⠞⠀"):
+        finger.show(cells)
+        finger.cell()
+    assert finger.cell(1.0) == "⠞"
+
+
+def test_keys_move_the_finger_and_command_brltty(finger):
+    finger.show("⠓⠊⠞⠎")
+    finger.cell()
+    keys = finger.source.keys
+    for key, place in (("]", "⠊"), ("]", "⠞"), ("[", "⠊"), ("r", "⠓"), ("[", "⠓")):
+        keys[key]()
+        assert finger.cell() == place
+    finger.cell(REST_S + 2.0)
+    for key in ("right", "left", "n", "p", "h", "\n", "\r"):
+        keys[key]()
+    assert finger.source.sent == ["fwinrt", "fwinlt", "lndn", "lnup", "home", "route 2", "route 2"]
+    keys[" "]()
+    assert [finger.cell(5.0) for _ in range(2)] == ["⠞", "⠞"]
+    keys[" "]()
+    assert finger.cell(1.0) == "⠎"
+
+
+def test_updates_that_were_never_read_are_counted(finger):
+    for cells in ("⠓", "⠊", "⠞"):
+        finger.show(cells)
+    numbers = {finger.after(0.02).number for _ in range(50)}
+    assert finger.source.dropped_frames == 2
+    assert finger.source.frames == len(numbers) + 2
+
+
+@pytest.mark.parametrize(("address", "options"), [
+    ("0", {}), ("65536", {}), ("x", {}), ("listen:1?", {}), ("::1:x", {}), ("1", {"cells": 0}),
+    ("1", {"cells": 256}), ("1", {"speed_mm_s": 0.0}), ("1", {"speed_mm_s": float("nan")}),
+])  # fmt: skip
+def test_what_cannot_be_opened(address, options):
+    with pytest.raises(SourceError, match=re.escape(address) if not options else None):
+        BrailleDisplaySource(address, PROFILE, **options)
+
+
+def test_an_array_too_small_for_cells():
+    with raises(ReadingError, names="profile"):
+        BrailleDisplaySource("1", load_profile("line-7"))
+
 
 HANGS_S = 60
 ROUTE = 1 << 16

@@ -86,13 +86,6 @@ def test_same_seed_same_frames_in_any_order(profile):
         assert forward[time].force_n == backward[time].force_n
 
 
-def test_the_finger_follows_light_print_by_itself(profile):
-    found = opened(profile, 0, "light_on_dark.png").path.lines
-    assert len(found) == 4
-    url = f"page:{data_folder('sample_images') / 'light_on_dark.png'}"
-    assert found == open_source(url, profile, light_on_dark=True).path.lines
-
-
 def test_light_print_is_shown_dark_unless_imaging_knows_of_it(profile, tmp_path):
     page = print_text("touch")
 
