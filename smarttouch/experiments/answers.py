@@ -73,7 +73,7 @@ class Dialect:
         """Return a line of the file, in UTF-8, from columns and their values."""
         line = io.StringIO(newline="")
         writer = csv.writer(line, delimiter=self.delimiter, lineterminator=self.line_end)
-        writer.writerow([self._cell(*each) for each in values])
+        writer.writerow([self._cell(*value) for value in values])
         return line.getvalue().encode()
 
     def _cell(self, column: str, value: Value) -> str:
@@ -222,7 +222,7 @@ class AnswerFile(Closing):
 
     def _begin(self, data: bytes) -> None:
         """Read existing lines, and go to where the next belongs."""
-        head = _BOM + self._dialect.line((each, each) for each in self._columns)
+        head = _BOM + self._dialect.line((column, column) for column in self._columns)
         if head.startswith(data) and data != head:
             self._write(head, 0)
             return
@@ -245,7 +245,9 @@ class AnswerFile(Closing):
     def append(self, row: Row) -> None:
         """Add one trial; what identifies the file and the version need not be given."""
         row = {**dict.fromkeys(self._columns), "version": __version__, **self._about, **row}
-        self._write(self._dialect.line((each, row[each]) for each in self._columns), self._end)
+        self._write(
+            self._dialect.line((column, row[column]) for column in self._columns), self._end
+        )
         self.rows.append(row)
 
     def close(self) -> None:
@@ -303,11 +305,11 @@ class Answers:
 
     def counts(self) -> Counts:
         """Return trials and successes at each comparison; trials without an answer are left out."""
-        given = np.isfinite(self.success)
-        stimulus, which = np.unique(self.comparison[given], return_inverse=True)
+        is_answered = np.isfinite(self.success)
+        stimulus, which = np.unique(self.comparison[is_answered], return_inverse=True)
         n, k = np.zeros(len(stimulus)), np.zeros(len(stimulus))
         np.add.at(n, which, 1.0)
-        np.add.at(k, which, self.success[given])
+        np.add.at(k, which, self.success[is_answered])
         return Counts(stimulus, n, k)
 
 
@@ -319,11 +321,11 @@ def usual_model(
     at: float | None = None,  # as for `Model`
 ) -> Model:
     """Return the model that belongs to the answers of one experiment."""
-    stimulus = np.concatenate([each.comparison for each in all_answers])
+    stimulus = np.concatenate([answers.comparison for answers in all_answers])
     signed = bool((stimulus < 0).any())
     if guess is None:
-        alternatives = max(each.alternatives for each in all_answers)
-        if signed or any(each.standard for each in all_answers):
+        alternatives = max(answers.alternatives for answers in all_answers)
+        if signed or any(answers.standard for answers in all_answers):
             guess = "equal"
         elif alternatives:
             guess = 1 / alternatives
@@ -372,22 +374,22 @@ def read_table(
          number(line, "comparison_interval"))
         for line in range(len(table.lines))
     ])  # fmt: skip
-    cells = [each for _, each in table.lines]
+    cells = [cell_row for _, cell_row in table.lines]
     alternatives = _alternatives(cells)
-    found = []
-    for each in np.unique(rows[:, 0]):
-        _, comparison, success, interval = rows[rows[:, 0] == each].T
-        found.append(
-            Answers(float(each), comparison, success, interval.astype(np.int64), alternatives)
+    tables = []
+    for standard in np.unique(rows[:, 0]):
+        _, comparison, success, interval = rows[rows[:, 0] == standard].T
+        tables.append(
+            Answers(float(standard), comparison, success, interval.astype(np.int64), alternatives)
         )
-    units = {each.get("unit", "").strip() for each in cells}
-    return AnswerTable(path.stem, units.pop() if len(units) == 1 else "", tuple(found), table.cut)
+    units = {cell_row.get("unit", "").strip() for cell_row in cells}
+    return AnswerTable(path.stem, units.pop() if len(units) == 1 else "", tuple(tables), table.cut)
 
 
 def _alternatives(lines: list[dict[str, str]]) -> int:
     """Return the number of alternatives; 0 if *yes* and *no*, or not known."""
     if any(cells.get("comparison_interval") for cells in lines):
         return 2
-    said = {cells.get("response", "") for cells in lines}
-    shown = {cells.get("target", "") for cells in lines} if said - {""} else set()
-    return 0 if said - {""} <= {"y", "n"} else max(2, len(said | shown - {""}))
+    responses = {cells.get("response", "") for cells in lines}
+    shown = {cells.get("target", "") for cells in lines} if responses - {""} else set()
+    return 0 if responses - {""} <= {"y", "n"} else max(2, len(responses | shown - {""}))

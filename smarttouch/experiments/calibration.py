@@ -61,8 +61,8 @@ class ProfileFile:
             raise CalibrationError(f"cannot write {output}: its folder does not exist: make it")
         self._require_free(output)
         if (named := self._table("optics").get("flat_field")) is not None:
-            found = (source.parent / str(named)).resolve()
-            self.set("optics.flat_field", os.path.relpath(found, output.absolute().parent))
+            named_path = (source.parent / str(named)).resolve()
+            self.set("optics.flat_field", os.path.relpath(named_path, output.absolute().parent))
 
     def beside(self, ending: str) -> Path:
         """Return the path of a file that belongs to the output."""
@@ -93,9 +93,9 @@ class ProfileFile:
         try:
             profile_of(tomllib.loads(text), self.output)
         except ProfileError as error:
-            said = str(error).removeprefix(f"{self.output}: ")
+            message = str(error).removeprefix(f"{self.output}: ")
             raise CalibrationError(
-                f"what was measured is no valid profile, so nothing was written: {said}",
+                f"what was measured is no valid profile, so nothing was written: {message}",
                 electrode=error.electrode,
             ) from None
         # The profile comes last: the files it names are there before it is.
@@ -193,7 +193,7 @@ class ContactFound:
     @property
     def broken(self) -> list[int]:
         """Electrodes that are open or shorted."""
-        return [i for i, each in enumerate(self.condition) if each in ("open", "short")]
+        return [i for i, condition in enumerate(self.condition) if condition in ("open", "short")]
 
     def masked(self, profile: Profile) -> list[int]:
         """Return the electrodes to mask: broken ones, and those that were masked before."""
@@ -202,17 +202,17 @@ class ContactFound:
     def impedances(self, profile: Profile) -> list[float]:
         """Return an impedance for each electrode, kΩ: the median where none was measured."""
         touching = np.isfinite(self.kohm) & ~np.isin(np.arange(len(self.kohm)), self.broken)
-        usual = float(np.median(self.kohm[touching]))
-        return [float(f"{each:.4g}") for each in np.where(touching, self.kohm, usual)]
+        typical_kohm = float(np.median(self.kohm[touching]))
+        return [float(f"{kohm:.4g}") for kohm in np.where(touching, self.kohm, typical_kohm)]
 
     def sentence(self) -> str:
         """Return the sentence for the profile."""
-        good = np.array([each == "good" for each in self.condition])
+        good = np.array([condition == "good" for condition in self.condition])
         low, middle, high = np.percentile(self.kohm[good], [0, 50, 100])
         counts = [f"{good.sum()} good"]
-        for each in ("open", "short", "unsure"):
-            if at := [str(i) for i, has in enumerate(self.condition) if has == each]:
-                counts.append(f"{len(at)} {each} (electrodes {', '.join(at)})")
+        for condition in ("open", "short", "unsure"):
+            if at := [str(i) for i, has in enumerate(self.condition) if has == condition]:
+                counts.append(f"{len(at)} {condition} (electrodes {', '.join(at)})")
         spread = np.nanmedian(self.spread_kohm[good]) / middle if self.repeats > 1 else np.nan
         return (
             f"{', '.join(counts)} of {len(self.kohm)} electrodes, the good ones {middle:.3g} kohm "
@@ -226,14 +226,14 @@ def measure_contact(
 ) -> list[Impedance]:
     """Measure repeatedly; a board that is lost meanwhile is opened again, up to `MOST_LOSSES`
     times."""
-    found: list[Impedance] = []
+    impedances: list[Impedance] = []
     losses = 0
     while True:
         try:
             with opened() as board:
-                while len(found) < repeats:
-                    found.append(board.measure())
-                return found
+                while len(impedances) < repeats:
+                    impedances.append(board.measure())
+                return impedances
         except LineLostError:
             losses += 1
             if losses > MOST_LOSSES:
@@ -242,12 +242,14 @@ def measure_contact(
 
 def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
     """Return the joint result of repeated measurements."""
-    if any(each.lifted for each in measured):
+    if any(impedance.lifted for impedance in measured):
         raise CalibrationError(
             "no electrode touches anything: put the finger on the array, and measure again"
         )
-    kohm = np.array([each.kohm for each in measured])
-    condition = tuple(_most(each) for each in zip(*(m.condition for m in measured), strict=True))
+    kohm = np.array([impedance.kohm for impedance in measured])
+    condition = tuple(
+        _most(impedance) for impedance in zip(*(m.condition for m in measured), strict=True)
+    )
     count = len(condition)
     # A reading without end is as far from the others as one can be: the median still holds.
     middle = np.sort(kohm, axis=0)[(len(kohm) - 1) // 2 : len(kohm) // 2 + 1].mean(axis=0)
@@ -256,8 +258,8 @@ def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
     if len(kohm) > 1:
         away = np.abs(kohm[:, touching] - middle[touching])
         spread[touching] = 1.4826 * np.median(away, axis=0)
-    found = ContactFound(middle, spread, condition, len(measured), measured[0].current_ma)
-    broken, good = len(found.broken), condition.count("good")
+    contact = ContactFound(middle, spread, condition, len(measured), measured[0].current_ma)
+    broken, good = len(contact.broken), condition.count("good")
     lost = broken > MOST_BROKEN * count
     if lost or not good:
         raise CalibrationError(
@@ -270,14 +272,14 @@ def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
             f"measurements of one electrode differ by {restless:.0%}: hold the finger still, and "
             "measure again"
         )
-    return found
+    return contact
 
 
 def _most(conditions: Sequence[Condition]) -> Condition:
     """Return the result of more than half of the measurements."""
-    for each in conditions:
-        if 2 * conditions.count(each) > len(conditions):
-            return each
+    for condition in conditions:
+        if 2 * conditions.count(condition) > len(conditions):
+            return condition
     return "unsure"
 
 
@@ -335,7 +337,9 @@ class ForceFound:
     @property
     def off_n(self) -> NDArray[np.float64]:
         """Error of the line at each weighing."""
-        return np.array([self.force_n(each.reading) - each.force_n for each in self.weighings])
+        return np.array(
+            [self.force_n(weighing.reading) - weighing.force_n for weighing in self.weighings]
+        )
 
     @property
     def residual_n(self) -> float:
@@ -344,7 +348,7 @@ class ForceFound:
 
     def sentence(self) -> str:
         """Return the sentence for the profile."""
-        grams = [each.grams for each in self.weighings]
+        grams = [weighing.grams for weighing in self.weighings]
         return (
             f"line through {len(grams)} weighings from {min(grams):g} to {max(grams):g} g, zero "
             f"at {self.zero:.6g}, {self.slope_n:.4g} N a count, residual rms "
@@ -388,29 +392,29 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
 def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
     """Fit a line to weighings of three weights or more; residuals are judged by the law's full
     force."""
-    grams = np.array([each.grams for each in weighings])
-    reading = np.array([each.reading for each in weighings])
+    grams = np.array([weighing.grams for weighing in weighings])
+    reading = np.array([weighing.reading for weighing in weighings])
     _require_weights(grams, law)
     _require_answer(weighings, reading)
     # Fitted about the mean, as raw counts are large.
-    forces = [each.force_n for each in weighings]
+    forces = [weighing.force_n for weighing in weighings]
     zero_n, slope_n = np.polynomial.Polynomial.fit(reading, forces, 1).convert().coef
     curve = float(f"{zero_n:.9g}"), float(f"{slope_n:.9g}")
-    found = ForceFound(curve, law.full_n, tuple(weighings))
-    if found.residual_n > MOST_RESIDUAL * law.full_n:
-        worst = weighings[int(np.abs(found.off_n).argmax())]
+    force_fit = ForceFound(curve, law.full_n, tuple(weighings))
+    if force_fit.residual_n > MOST_RESIDUAL * law.full_n:
+        worst = weighings[int(np.abs(force_fit.off_n).argmax())]
         raise CalibrationError(
-            f"the line misses the weights by {found.residual_n:.3f} N rms, above "
+            f"the line misses the weights by {force_fit.residual_n:.3f} N rms, above "
             f"{MOST_RESIDUAL:.0%} of full force, {law.full_n:g} N: weigh {worst.grams:g} g again"
         )
-    restless = max(weighings, key=lambda each: abs(each.drift))
-    drift_n = abs(restless.drift * found.slope_n)
+    restless = max(weighings, key=lambda weighing: abs(weighing.drift))
+    drift_n = abs(restless.drift * force_fit.slope_n)
     if drift_n > MOST_DRIFT * law.full_n:
         raise CalibrationError(
             f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "
             "wait until it settles, and weigh again"
         )
-    return found
+    return force_fit
 
 
 def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
@@ -428,7 +432,7 @@ def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
 
 
 def _require_answer(weighings: Sequence[Weighing], reading: NDArray[np.float64]) -> None:
-    noise = float(np.median([each.spread for each in weighings]))
+    noise = float(np.median([weighing.spread for weighing in weighings]))
     moved = float(np.ptp(reading))
     if moved <= 5 * noise or moved == 0:
         raise CalibrationError(

@@ -81,10 +81,12 @@ def frequency(setup: Setup) -> Trials:
     def trial(condition: Condition) -> Trial:
         standard, comparison = condition.standard, condition.comparison
         at = condition.comparison_interval
-        own, other = (setup.train([setup.place], each) for each in (comparison, standard))
+        comparison_train, other = (
+            setup.train([setup.place], rate_hz) for rate_hz in (comparison, standard)
+        )
         target = "" if comparison == standard else str(at if comparison > standard else 3 - at)
         return in_two_intervals(
-            condition, own, other, "faster", "which was faster?", "Hz", target=target
+            condition, comparison_train, other, "faster", "which was faster?", "Hz", target=target
         )
 
     if setup.is_constant:
@@ -138,11 +140,11 @@ def detection(setup: Setup) -> Trials:
         )  # fmt: skip
 
     if setup.is_constant:
-        levels = sorted({min(round(threshold_ma * each, 3), full_ma) for each in LEVELS})
-        pairs = [(0.0, each) for each in [0.0, *levels]]
+        levels = sorted({min(round(threshold_ma * share, 3), full_ma) for share in LEVELS})
+        pairs = [(0.0, level_ma) for level_ma in [0.0, *levels]]
         procedure = setup.constant(pairs, two_intervals=False)
     else:
-        low, high = (threshold_ma * each for each in _DETECTION_RANGE)
+        low, high = (threshold_ma * share for share in _DETECTION_RANGE)
         procedure = adaptive(
             setup.procedure, 1.5 * threshold_ma, _DETECTION_STEP, low, min(high, full_ma), 0.0,
             setup.trials, two_intervals=False, seed=setup.seed,
@@ -197,7 +199,7 @@ def localization(setup: Setup) -> Trials:
                                               strict=True)
         if abs(down_mm) < 1e-3 < abs(right_mm)
     }  # fmt: skip
-    far_mm = sorted({abs(each) for each in beside if -each in beside})[:_FARTHEST]
+    far_mm = sorted({abs(x_mm) for x_mm in beside if -x_mm in beside})[:_FARTHEST]
     if not far_mm:
         raise ExperimentError(
             f"site {site} has no neighbors as far left as right: choose one in the middle of a row"
@@ -207,12 +209,12 @@ def localization(setup: Setup) -> Trials:
         right_mm = condition.comparison
         points = (site, beside[right_mm])
         return Trial(
-            condition, tuple(setup.train([each], setup.pulse_hz) for each in points), "side",
+            condition, tuple(setup.train([point], setup.pulse_hz) for point in points), "side",
             "was the second left or right? arrow keys", "mm", answers=LEFT_OR_RIGHT,
             success="r", target="r" if right_mm > 0 else "l",
         )  # fmt: skip
 
-    pairs = [(0.0, sign * each) for each in far_mm for sign in (-1, 1)]
+    pairs = [(0.0, sign * distance_mm) for distance_mm in far_mm for sign in (-1, 1)]
     yield from ask(setup.constant(pairs, two_intervals=False), trial)
 
 
@@ -231,10 +233,15 @@ def softness(setup: Setup) -> Trials:
 
     def trial(condition: Condition) -> Trial:
         hard = setup.train([setup.place], setup.pulse_hz)
-        own, other = replace(hard, softness=condition.comparison), replace(hard, softness=0.0)
-        return in_two_intervals(condition, own, other, "softer", "which was softer?", "softness")
+        comparison_train, other = (
+            replace(hard, softness=condition.comparison),
+            replace(hard, softness=0.0),
+        )
+        return in_two_intervals(
+            condition, comparison_train, other, "softer", "which was softer?", "softness"
+        )
 
-    yield from ask(setup.constant([(0.0, each) for each in SOFTNESSES]), trial)
+    yield from ask(setup.constant([(0.0, softness_level) for softness_level in SOFTNESSES]), trial)
 
 
 CATALOG = {
@@ -268,16 +275,18 @@ def find_experiment(name: str) -> Experiment:
 def _experiment_of_file(name: str) -> Experiment:
     require_file(Path(name), ExperimentError, _MOST_BYTES)
     try:
-        found = runpy.run_path(name)
+        module_names = runpy.run_path(name)
     except Exception as error:
         raise _failure(name, error) from error
-    made = {id(each): each for each in found.values() if isinstance(each, Experiment)}
-    if len(made) != 1:
+    experiments = {
+        id(value): value for value in module_names.values() if isinstance(value, Experiment)
+    }
+    if len(experiments) != 1:
         raise ExperimentError(
-            f"{name} has {len(made) or 'no'} Experiment{'s' * (len(made) > 1)}: make one, as in "
-            "experiment = Experiment('what it asks', trials)"
+            f"{name} has {len(experiments) or 'no'} Experiment{'s' * (len(experiments) > 1)}: "
+            "make one, as in experiment = Experiment('what it asks', trials)"
         )
-    return next(iter(made.values()))
+    return next(iter(experiments.values()))
 
 
 def trials_of(name: str, setup: Setup) -> tuple[Setup, Trials]:
@@ -326,10 +335,10 @@ def _checked(name: str, entry: Experiment, setup: Setup) -> Trials:
 
 def _failure(name: str, error: Exception) -> ExperimentError:
     """Return what failed in code outside of this package, with its line, in a sentence."""
-    own, line = str(Path(__file__).parents[1]), ""
+    package_path, line = str(Path(__file__).parents[1]), ""
     if isinstance(error, SyntaxError):
         line = f" in line {error.lineno}"
-    for each in traceback.extract_tb(error.__traceback__):
-        if not each.filename.startswith((own, "<frozen")):
-            line = f" in line {each.lineno}"
+    for frame in traceback.extract_tb(error.__traceback__):
+        if not frame.filename.startswith((package_path, "<frozen")):
+            line = f" in line {frame.lineno}"
     return ExperimentError(f"{name} fails{line}: {type(error).__name__}: {error}")

@@ -94,7 +94,7 @@ class ExperimentSession:
         )
         if self.setup.procedure == LIMITS:
             if successes:
-                middle, spread = middle_and_spread([_number(each) for each in successes])
+                middle, spread = middle_and_spread([_number(success) for success in successes])
                 yield f"enough at {middle:.3f} mA (spread {spread:.3f}), {len(successes)} times"
             if len(successes) < len(rows):
                 yield f"{len(rows) - len(successes)} times it was never enough"
@@ -162,15 +162,17 @@ def experiment_name(name: str, setup: Setup) -> str:
 def session_name(experiment: str, participant: str, session: str) -> tuple[str, int]:
     """Return what an experiment's file is called without ending, and the seed of its orders."""
     for parameter, name in (("participant", participant), ("session", session)):
-        if any(not (each.isalnum() or each in "-_.") for each in name):
+        if any(not (character.isalnum() or character in "-_.") for character in name):
             raise SmartTouchError(
                 f"{parameter} {name!r} becomes part of a file's name: use letters, digits, - and _"
             )
-    named = "-".join(each for each in (participant, session, experiment) if each)
+    named = "-".join(part for part in (participant, session, experiment) if part)
     return named, zlib.crc32(f"{participant}/{session}".encode()) % 10_000
 
 
 def numbered(path: Path) -> Path:
     """Return a file's name with the next number, if there is one of that name."""
     names = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
-    return next(each for each in names if not each.exists()) if path.exists() else path
+    return (
+        next(candidate for candidate in names if not candidate.exists()) if path.exists() else path
+    )

@@ -80,8 +80,8 @@ class Finding:
         """
         if self.model.guess != "equal":
             return None
-        found = self._at(1 - self.model.level)
-        return None if found is None or found.value < self.answers.comparison.min() else found
+        bounds = self._at(1 - self.model.level)
+        return None if bounds is None or bounds.value < self.answers.comparison.min() else bounds
 
     @property
     def weber(self) -> Bounded | None:
@@ -96,11 +96,11 @@ class Finding:
     def _at(self, part: float) -> Bounded | None:
         return None if self.verdict or self.fit is None else self.fit.bounded(part)
 
-    def _relative(self, found: Bounded | None) -> Bounded | None:
+    def _relative(self, bounds: Bounded | None) -> Bounded | None:
         standard = self.answers.standard
-        if found is None or not standard:
+        if bounds is None or not standard:
             return None
-        return Bounded(*(each / standard - 1 for each in found))
+        return Bounded(*(bound / standard - 1 for bound in bounds))
 
 
 def judge_answers(answers: Answers, model: Model) -> Finding:
@@ -114,27 +114,27 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
     counts = answers.counts()
     low, high = float(counts.stimulus[0]), float(counts.stimulus[-1])
     total, successes = int(counts.n.sum()), int(counts.k.sum())
-    said = Finding(answers, model, None).said
+    sentences = Finding(answers, model, None).said
     if successes == total:
-        return none(f"always {said}, {total} times: a threshold lies below {low:.4g}")
+        return none(f"always {sentences}, {total} times: a threshold lies below {low:.4g}")
     if successes == 0:
-        return none(f"never {said} in {total} answers: a threshold lies above {high:.4g}")
+        return none(f"never {sentences} in {total} answers: a threshold lies above {high:.4g}")
     share = successes / total
     if len(counts.stimulus) == 1:
-        return none(f"{said} {share:.0%} of {total} times, but all were at {low:.4g}")
+        return none(f"{sentences} {share:.0%} of {total} times, but all were at {low:.4g}")
     found = fit(counts, model, answers.standard)
     if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
         if _trend(counts) < _FALLING:
             return none(
-                f"the higher the comparison, the more rarely {said}: the keys, or comparison and "
-                "standard, are mixed up"
+                f"the higher the comparison, the more rarely {sentences}: the keys, or comparison "
+                "and standard, are mixed up"
             )
         return none(
-            f"answers do not depend on the comparison: {said} {share:.0%} of {total} "
+            f"answers do not depend on the comparison: {sentences} {share:.0%} of {total} "
             f"times, without a clear rise from {low:.4g} to {high:.4g}; more trials may show one"
         )
     threshold = found.bounded(model.level).value
-    low, high = (float(each) for each in model.stimulus(found.ends))
+    low, high = (float(bound) for bound in model.stimulus(found.ends))
     if not low <= threshold <= high:
         end = f"above {high:.4g}" if threshold > high else f"below {low:.4g}"
         why = f"{model.share:.0%} is not within the range tested: the threshold lies {end}"
@@ -157,14 +157,14 @@ def _unusable(answers: Answers) -> str | None:
     return None
 
 
-def _chance_of_flat(found: Fit, share: float) -> float:
+def _chance_of_flat(fitted: Fit, share: float) -> float:
     """Return the probability that the fit gains as much on a constant share by chance.
 
     Likelihood ratio; chi squared with the two degrees of freedom of threshold and spread.
     """
-    n, k = found.counts.n, found.counts.k
+    n, k = fitted.counts.n, fitted.counts.k
     constant = float(k.sum() * math.log(share) + (n - k).sum() * math.log1p(-share))
-    return math.exp(min(0.0, constant - float(found.log_likelihoods.max())))
+    return math.exp(min(0.0, constant - float(fitted.log_likelihoods.max())))
 
 
 def _guessing(answers: Answers, model: Model) -> float:
@@ -192,19 +192,19 @@ def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     """Return the JSON figures of each standard; an end that is not known is null."""
     return [
         {
-            "standard": each.answers.standard or None,
-            "presented": each.answers.presented,
-            "answered": each.answers.answered,
-            "logarithmic": each.model.logarithmic,
-            "at": each.model.share,
-            **{name: _ends(getattr(each, name)) for name in _BOUNDED},
+            "standard": finding.answers.standard or None,
+            "presented": finding.answers.presented,
+            "answered": finding.answers.answered,
+            "logarithmic": finding.model.logarithmic,
+            "at": finding.model.share,
+            **{name: _ends(getattr(finding, name)) for name in _BOUNDED},
             **{
-                name: each.fit and float(getattr(each.fit.parameters, name)[0])
+                name: finding.fit and float(getattr(finding.fit.parameters, name)[0])
                 for name in ("spread", "lapse", "guess")
             },
-            "verdict": each.verdict,
+            "verdict": finding.verdict,
         }
-        for each in findings
+        for finding in findings
     ]
 
 
@@ -215,34 +215,36 @@ def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str
     if compares:
         heading = ["standard", *heading[:2], "Weber", "lower", "middle", *heading[2:]]
     rows = [heading]
-    for each in findings:
-        assert each.fit is not None
-        cells = [str(each.answers.answered), in_words(each.threshold)]
+    for finding in findings:
+        assert finding.fit is not None
+        cells = [str(finding.answers.answered), in_words(finding.threshold)]
         if compares:
-            lower = "" if each.lower_weber is None else f"{each.lower_weber.value:.0%}"
+            lower = "" if finding.lower_weber is None else f"{finding.lower_weber.value:.0%}"
             cells += [
-                f"{each.weber.value:.0%}" if each.weber else "",
+                f"{finding.weber.value:.0%}" if finding.weber else "",
                 lower,
-                f"{each.fit.bounded(0.5).value:.3g}",
+                f"{finding.fit.bounded(0.5).value:.3g}",
             ]
-            cells.insert(0, f"{each.answers.standard:g}")
-        spread, lapse = each.fit.parameters.spread[0], each.fit.parameters.lapse[0]
+            cells.insert(0, f"{finding.answers.standard:g}")
+        spread, lapse = finding.fit.parameters.spread[0], finding.fit.parameters.lapse[0]
         rows.append([*cells, f"{spread:.2g}", f"{lapse:.2f}"])
     return rows
 
 
-def in_words(found: Bounded | None) -> str:
+def in_words(bounds: Bounded | None) -> str:
     """Return a figure with its interval as text; an end that is not known is an ellipsis."""
-    if found is None:
+    if bounds is None:
         return ""
-    low, high = (f"{each:.3g}" if math.isfinite(each) else "…" for each in found[1:])
-    return f"{found.value:.3g} ({low}–{high})"
+    low, high = (f"{bound:.3g}" if math.isfinite(bound) else "…" for bound in bounds[1:])
+    return f"{bounds.value:.3g} ({low}–{high})"
 
 
-def _ends(found: Bounded | None) -> dict[str, float | None] | None:
-    if found is None:
+def _ends(bounds: Bounded | None) -> dict[str, float | None] | None:
+    if bounds is None:
         return None
-    return {name: each if math.isfinite(each) else None for name, each in found._asdict().items()}
+    return {
+        name: bound if math.isfinite(bound) else None for name, bound in bounds._asdict().items()
+    }
 
 
 _TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)  # of comparison / standard
@@ -254,21 +256,21 @@ def discrimination_figure(series: Sequence[Series]) -> "Figure":
 
     Where all have a standard, the thresholds of all are drawn below, relative to it.
     """
-    compares = all(found.standard for _, findings in series for found in findings)
+    compares = all(finding.standard for _, findings in series for finding in findings)
     figure = new_figure(max(5.2, 4.6 * len(series)), 5.6 if compares else 3.2)
     grid = figure.add_gridspec(1 + compares, len(series))
     for index, (table, findings) in enumerate(series):
         axes = figure.add_subplot(grid[0, index])
-        for place, found in enumerate(findings):
-            unit, label = found.standard or 1.0, f"{found.standard:g} {table.unit}".rstrip()
-            _draw_shares(axes, found, unit, SERIES_COLORS[place % 6], label)
+        for column, finding in enumerate(findings):
+            unit, label = finding.standard or 1.0, f"{finding.standard:g} {table.unit}".rstrip()
+            _draw_shares(axes, finding, unit, SERIES_COLORS[column % 6], label)
         axes.axhline(findings[0].model.share, color=GREY, lw=0.5, ls=":")
         if compares:
             axes.axvline(1.0, color=GREY, lw=0.5)
             axes.set_xscale("log")
             low, high = axes.get_xlim()
-            ticks = [each for each in _TICKS if low <= each <= high]
-            axes.set_xticks(ticks, [f"{each:g}" for each in ticks])
+            ticks = [tick for tick in _TICKS if low <= tick <= high]
+            axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
             axes.minorticks_off()
             axes.legend(frameon=False, fontsize=7, title="standard", title_fontsize=7)
         stimulus = "comparison / standard" if compares else f"stimulus{_unit(series)}"
@@ -278,19 +280,19 @@ def discrimination_figure(series: Sequence[Series]) -> "Figure":
     return figure
 
 
-def _draw_shares(axes: Any, found: Finding, unit: float, color: str, label: str) -> None:
+def _draw_shares(axes: Any, finding: Finding, unit: float, color: str, label: str) -> None:
     """Draw shares, larger where there are more answers, the curve through them, and the interval
     of the threshold on it, against stimulus / unit."""
-    stimulus, n, k = found.counts
+    stimulus, n, k = finding.counts
     size = 8 + 2 * np.minimum(n, 10)
     axes.scatter(stimulus / unit, k / n, size, color=[color], label=label, lw=0, zorder=3)
     axes.set_ylim(-0.04, 1.04)
-    if found.curve is None:
+    if finding.curve is None:
         return
-    x, share = found.curve
-    axes.plot(x / unit, share, "--" if found.threshold is None else "-", color=color, lw=1.2)
-    if found.threshold is not None:
-        value, low, high = found.threshold
+    x, share = finding.curve
+    axes.plot(x / unit, share, "--" if finding.threshold is None else "-", color=color, lw=1.2)
+    if finding.threshold is not None:
+        value, low, high = finding.threshold
         ends = np.clip([low, high], stimulus[0], stimulus[-1]) / unit
         axes.plot(ends, [np.interp(value, x, share)] * 2, color=color, lw=3, alpha=0.4)
 
@@ -302,7 +304,10 @@ def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
         color = SERIES_COLORS[index % 6]
         aside = 1 + 0.01 * (index - (len(series) - 1) / 2)
         for name, style in (("threshold", "o-"), ("lower", "o:")):
-            rows = [(each.standard, *(getattr(each, name) or [np.nan] * 3)) for each in findings]
+            rows = [
+                (finding.standard, *(getattr(finding, name) or [np.nan] * 3))
+                for finding in findings
+            ]
             standard, *bounded = np.array(rows).T
             value, low, high = np.array(bounded) / standard - 1
             # An end that is not determined lies at the farthest comparison.
@@ -310,8 +315,8 @@ def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
             reach = np.where(np.isinf(reach), np.abs(value), reach).tolist()
             axes.errorbar(standard * aside, value, reach, fmt=style, color=color, ms=4, lw=1,
                           capsize=2.5, label=f"{table.name}, {name}")  # fmt: skip
-    standards = sorted({each.standard for _, findings in series for each in findings})
-    axes.set_xticks(standards, [f"{each:g}" for each in standards])
+    standards = sorted({finding.standard for _, findings in series for finding in findings})
+    axes.set_xticks(standards, [f"{standard:g}" for standard in standards])
     axes.legend(frameon=False, fontsize=7, ncols=len(series))
     share = series[0][1][0].model.share
     plain(axes, "", f"standard{_unit(series)}", f"{share:.0%} threshold, change / standard")

@@ -40,7 +40,7 @@ ADAPTIVE = (CONSTANT, STAIRCASE, QUESTPLUS)
 def interleave(procedures: Sequence[Procedure], seed: int = 0) -> Procedure:
     """Mix trials of several procedures at random, one of each standard for example."""
     random = np.random.default_rng([seed, len(procedures)])
-    waiting = {index: next(each) for index, each in enumerate(procedures)}
+    waiting = {index: next(procedure) for index, procedure in enumerate(procedures)}
     while waiting:
         index = int(random.choice(list(waiting)))
         success = yield replace(waiting[index], index=index)
@@ -131,7 +131,7 @@ def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
     """Yield 1 and 2, four times each in every eight; 0 where there are no two intervals."""
     random = np.random.default_rng([seed, 2])
     while True:
-        block = [int(each) for each in random.permutation([1] * 4 + [2] * 4)][::-1]
+        block = [int(interval) for interval in random.permutation([1] * 4 + [2] * 4)][::-1]
         yield from block if two_intervals else [0]
 
 
@@ -210,7 +210,7 @@ def quest_plus(
     places = np.linspace(low, high, _STIMULI)
     spreads = (high - low) * np.geomspace(_NARROWEST, _WIDEST, _SLOPES)
     axes = np.linspace(low, high, _THRESHOLDS), spreads, _LAPSES
-    middle, spread, lapse = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    middle, spread, lapse = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
     functions = Parameters(middle, spread, lapse, np.full_like(lapse, guess))
     likely = Model(guess=guess).probability(places, functions).T
     intervals = _intervals(two_intervals, seed)
@@ -219,10 +219,10 @@ def quest_plus(
         unsure = _entropy(likely)
         posterior = np.full(len(middle), 1 / len(middle))
         for trial in range(most_trials):
-            place = int((_entropy(likely @ posterior) - unsure @ posterior).argmax())
-            success = yield Condition(standard, math.exp(places[place]), next(intervals), trial)
+            chosen = int((_entropy(likely @ posterior) - unsure @ posterior).argmax())
+            success = yield Condition(standard, math.exp(places[chosen]), next(intervals), trial)
             if success is not None:
-                posterior = posterior * (likely[place] if success else 1 - likely[place])
+                posterior = posterior * (likely[chosen] if success else 1 - likely[chosen])
                 posterior /= posterior.sum()
 
     return trials()

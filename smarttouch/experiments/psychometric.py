@@ -110,17 +110,17 @@ class Model:
 
     def axis(self, stimulus: ArrayLike) -> Array:
         """Return the place of stimuli on the axis; a stimulus of zero may be at minus infinity."""
-        given = np.asarray(stimulus, np.float64)
+        values = np.asarray(stimulus, np.float64)
         if not self.logarithmic:
-            return given
-        if (given < 0).any():
-            raise ExperimentError(f"{given.min():g} has no logarithm: fit it on a linear axis")
+            return values
+        if (values < 0).any():
+            raise ExperimentError(f"{values.min():g} has no logarithm: fit it on a linear axis")
         with np.errstate(divide="ignore"):
-            return np.asarray(np.log(given))
+            return np.asarray(np.log(values))
 
-    def stimulus(self, place: ArrayLike) -> Array:
+    def stimulus(self, position: ArrayLike) -> Array:
         """Return the stimuli at places on the axis."""
-        return np.asarray(np.exp(place) if self.logarithmic else place, np.float64)
+        return np.asarray(np.exp(position) if self.logarithmic else position, np.float64)
 
     def place(self, part: float, parameters: Parameters) -> Array:
         """Return the place on the axis at which F equals the given part of 1."""
@@ -128,7 +128,9 @@ class Model:
 
     def probability(self, x: Array, parameters: Parameters) -> Array:
         """Return the probability of a success, (G, K), at places on the axis, (K,)."""
-        middle, spread, lapse, guess = (np.asarray(each)[..., None] for each in parameters)
+        middle, spread, lapse, guess = (
+            np.asarray(parameter)[..., None] for parameter in parameters
+        )
         return np.asarray(guess + (1 - guess - lapse) * ndtr((x - middle) / spread))
 
 
@@ -162,7 +164,7 @@ class Fit:
         _, spread, lapse, guess = self.functions
         spread = np.exp([self.weights @ np.log(spread)])
         middle = self._quantiles(self.model.level)[0] - ndtri(self.model.level) * spread
-        others = (np.array([self.weights @ each]) for each in (lapse, guess))
+        others = (np.array([self.weights @ grid]) for grid in (lapse, guess))
         return Parameters(middle, spread, *others)
 
     def bounded(self, part: float) -> Bounded:
@@ -180,10 +182,10 @@ class Fit:
 
     def _quantiles(self, part: float) -> Array:
         """Return `QUANTILES` of the place at which F equals the given part of 1."""
-        place = self.model.place(part, self.functions)
-        order = np.argsort(place)
+        position = self.model.place(part, self.functions)
+        order = np.argsort(position)
         below = np.cumsum(self.weights[order]) - self.weights[order] / 2
-        return np.interp(QUANTILES, below, place[order])
+        return np.interp(QUANTILES, below, position[order])
 
 
 def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:

@@ -197,8 +197,8 @@ def picture() -> NDArray[np.uint8]:
     """Return the target's gray levels, with some paper around it."""
     printed = _board().generateImage((MODULES * _MODULE_PX,) * 2)
     around = (_QUIET * _MODULE_PX,) * 4
-    made = cv2.copyMakeBorder(printed, *around, cv2.BORDER_CONSTANT, value=255)
-    return np.asarray(made, np.uint8)
+    bordered = cv2.copyMakeBorder(printed, *around, cv2.BORDER_CONSTANT, value=255)
+    return np.asarray(bordered, np.uint8)
 
 
 def apply(homography: Matrix, points: Matrix) -> NDArray[np.float64]:
@@ -244,17 +244,17 @@ def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> 
     method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
     working = cv2.resize(image, size, interpolation=method)
     mirror = np.eye(3)
-    found = _markers(working)
-    if found is None:
+    markers = _markers(working)
+    if markers is None:
         mirror = np.array([[-1.0, 0, size[0] - 1], [0, 1, 0], [0, 0, 1]])
         working = np.ascontiguousarray(working[:, ::-1])
-        found = _markers(working)
-    if found is None:
+        markers = _markers(working)
+    if markers is None:
         raise CalibrationError(
             "no marker of the target is recognized: lay it under the sensor, light it, and bring "
             "it into focus"
         )
-    to_working, correlation = _aligned(working, *found)
+    to_working, correlation = _aligned(working, *markers)
     if not correlation >= LEAST_CORRELATION:
         raise CalibrationError(
             f"the image agrees with the target to {correlation:.2f}, below "
@@ -268,7 +268,7 @@ def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> 
     homography /= homography[2, 2]
     places_mm = profile.electrodes.position_mm / profile.optics.magnification
     registered = RegistrationFound(
-        homography, (rows, columns), apply(homography, places_mm), len(found[0]) // 4, correlation
+        homography, (rows, columns), apply(homography, places_mm), len(markers[0]) // 4, correlation
     )  # fmt: skip
     _require_in_view(registered)
     return registered
@@ -313,10 +313,10 @@ def _aligned(working: Gray, modules: Matrix, pixels: Matrix) -> tuple[Matrix, fl
     return np.asarray(fitted, np.float64), float(correlation)
 
 
-def _require_in_view(found: RegistrationFound) -> None:
-    count = len(found.electrode_pixel)
-    if len(found.outside) > MOST_OUTSIDE * count:
+def _require_in_view(registration: RegistrationFound) -> None:
+    count = len(registration.electrode_pixel)
+    if len(registration.outside) > MOST_OUTSIDE * count:
         raise CalibrationError(
-            f"{len(found.outside)} of {count} electrodes look beyond the image: move the target's "
-            "middle under the middle of the array, or check optics.magnification"
+            f"{len(registration.outside)} of {count} electrodes look beyond the image: move the "
+            "target's middle under the middle of the array, or check optics.magnification"
         )

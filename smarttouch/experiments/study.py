@@ -71,9 +71,9 @@ class Study(Table):
     @field_validator("intensities")
     @classmethod
     def _possible(cls, intensities: tuple[float, ...]) -> tuple[float, ...]:
-        for each in intensities:
-            if not 0 < each <= 1:
-                raise UnfitError(f"intensity {each:g} must be above 0 and at most 1")
+        for intensity in intensities:
+            if not 0 < intensity <= 1:
+                raise UnfitError(f"intensity {intensity:g} must be above 0 and at most 1")
         return intensities
 
 
@@ -142,7 +142,7 @@ def from_csv(text: str) -> list[StudyRow]:
     heading, *lines = csv.reader(io.StringIO(text, newline=""))
     if tuple(heading) != HEADING:
         raise ValueError("its columns are others")
-    kinds: list[Any] = [_KINDS[getattr(each.type, "__name__", "")] for each in fields(StudyRow)]
+    kinds: list[Any] = [_KINDS[getattr(column.type, "__name__", "")] for column in fields(StudyRow)]
     return [
         StudyRow(*(kind(cell) for kind, cell in zip(kinds, line, strict=True))) for line in lines
     ]
@@ -164,8 +164,8 @@ def study_letters(
                 study.letters, profile, bank, Mode(choice.mode), choice.scan, choice.intensity
             ),
         )
-        for each in product(study.modes, study.scans, study.intensities)
-        for choice in [Choice(name, *each)]
+        for combination in product(study.modes, study.scans, study.intensities)
+        for choice in [Choice(name, *combination)]
     ]  # fmt: skip
 
 
@@ -186,7 +186,7 @@ def rows_of_letters(
                 current_ua = letters[one.letter][0].current_ua
                 total_ua = np.abs(current_ua.astype(np.int64)).sum()
                 quality, slots = one.quality, len(current_ua)
-                ra, sai, pc = (quality.afferents[each] for each in Afferent)
+                ra, sai, pc = (quality.afferents[afferent] for afferent in Afferent)
                 rows.append(
                     StudyRow(
                         choice.profile, name, seed, choice.mode, choice.scan, choice.intensity,
@@ -237,18 +237,18 @@ def run_study(
             path = parts / f"{_key(digest, profile, anatomy, name, seed)[:24]}.csv"
             rows[path] = _kept(path)
             if rows[path] is None:
-                made = partial(rows_of_letters, profile, letters, anatomy, name, seed)
-                missing.append((path, made))
+                make_rows = partial(rows_of_letters, profile, letters, anatomy, name, seed)
+                missing.append((path, make_rows))
     done = len(rows) - len(missing)
-    with closing(_made([each for _, each in missing])) as finished:
-        for index, found in finished:
+    with closing(_made([task for _, task in missing])) as finished:
+        for index, finger_rows in finished:
             path = missing[index][0]
-            write_bytes(path, as_csv(found).encode())
-            rows[path] = found
+            write_bytes(path, as_csv(finger_rows).encode())
+            rows[path] = finger_rows
             done += 1
             if progress is not None:
                 progress(done, len(rows))
-    table = [row for found in rows.values() for row in found or []]
+    table = [row for finger_rows in rows.values() for row in finger_rows or []]
     write_bytes(folder / ROWS_FILE, as_csv(table).encode())
     return table
 
@@ -261,7 +261,7 @@ def _beside(folder: Path, name: str) -> str | Path:
 
 def _key(digest: str | None, profile: Profile, anatomy: Anatomy, name: str, seed: int) -> str:
     """Return a hash of all that the rows of a finger depend on."""
-    models = [each.model_dump_json() for each in (profile, anatomy)]
+    models = [model.model_dump_json() for model in (profile, anatomy)]
     return hashlib.sha256(repr([VERSION, digest, name, seed, models]).encode()).hexdigest()
 
 
@@ -270,15 +270,15 @@ def _made(
 ) -> Generator[tuple[int, list[StudyRow]], None, None]:
     """Yield rows as they are ready, with the index of their work."""
     many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)
-    made = many(delayed(_numbered)(index, each) for index, each in enumerate(work))
+    results = many(delayed(_numbered)(index, task) for index, task in enumerate(work))
     try:
-        for each in made:  # noqa: UP028 (close it below, not here)
-            yield each
+        for result in results:  # noqa: UP028 (close it below, not here)
+            yield result
     finally:
         with warnings.catch_warnings():
             # Work under way is discarded on purpose.
             warnings.simplefilter("ignore", UserWarning)
-            made.close()
+            results.close()
 
 
 def _numbered(index: int, rows: Callable[[], list[StudyRow]]) -> tuple[int, list[StudyRow]]:
@@ -338,16 +338,16 @@ def study_sums(rows: Sequence[StudyRow]) -> list[Summed]:
     ]
 
 
-def study_table(found: Iterable[Summed]) -> tuple[list[str], list[list[str]]]:
+def study_table(sums: Iterable[Summed]) -> tuple[list[str], list[list[str]]]:
     """Return a heading, and medians with the middle 90 % of each choice and anatomy in words."""
     heading = ["anatomy", "choice", "errors", "silent", "wrong", "misplaced", "mA"]
     rows = [
         [
-            each.anatomy, each.label,
-            *("{:.3f} ({:.2f}-{:.2f})".format(*each.interval(name)) for name in MEASURES),
-            f"{each.total_ma:.2f}",
+            summed.anatomy, summed.label,
+            *("{:.3f} ({:.2f}-{:.2f})".format(*summed.interval(name)) for name in MEASURES),
+            f"{summed.total_ma:.2f}",
         ]
-        for each in found
+        for summed in sums
     ]  # fmt: skip
     return heading, rows
 

@@ -59,8 +59,8 @@ def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
         limits.current_ma, min(by_charge_ma, profile.total_ma) - spare_ma,
         full_ma * LONGEST_RAMP_S / limits.ramp_s,
     )  # fmt: skip
-    own = limits.electrode_ma or (most_ma,) * len(profile.electrodes)
-    ceilings_ma = [_whole_ua(min(most_ma, each)) for each in own]
+    electrode_ma = limits.electrode_ma or (most_ma,) * len(profile.electrodes)
+    ceilings_ma = [_whole_ua(min(most_ma, limit_ma)) for limit_ma in electrode_ma]
     perception = profile.perception.model_dump() | {"comfort_ma": ceilings_ma}
     # Never faster, where single electrodes keep the ceilings below what was comfortable.
     ramp_s = min(LONGEST_RAMP_S, limits.ramp_s * max(1.0, max(ceilings_ma) / full_ma))
@@ -144,19 +144,19 @@ class AscendingLimits:
         )
 
     def _is_done(self) -> bool:
-        found = [threshold_ma for threshold_ma, _ in self._runs]
-        if found and math.isnan(found[-1]):
+        thresholds_ma = [threshold_ma for threshold_ma, _ in self._runs]
+        if thresholds_ma and math.isnan(thresholds_ma[-1]):
             return True
-        if len(found) < self.repeats:
+        if len(thresholds_ma) < self.repeats:
             return False
-        apart = len(found) > 1 and max(found) > MOST_APART * min(found)
-        return not apart or len(found) >= self.repeats + EXTRA_RUNS
+        apart = len(thresholds_ma) > 1 and max(thresholds_ma) > MOST_APART * min(thresholds_ma)
+        return not apart or len(thresholds_ma) >= self.repeats + EXTRA_RUNS
 
     def _rise(self) -> Generator[float, bool | None, tuple[float, float] | None]:
         """Yield the steps of one run from zero; return None if it has to begin again."""
         pause, levels, threshold_ma, felt_at = self._draw_pause(), [0.0], math.nan, 0
         share = self._random.uniform(*START_SHARE) if self._runs else 0.0
-        start_ma = share * min((each for each, _ in self._runs), default=0.0)
+        start_ma = share * min((run_ma for run_ma, _ in self._runs), default=0.0)
         while pause > 0:
             pressed = yield 0.0
             if pressed is None:
@@ -214,7 +214,8 @@ class Progress(AnswerFile):
         self.found: dict[int, Thresholds] = {}
         for row in self.rows:
             threshold_ma, comfort_ma, spread, runs, false_presses = (
-                math.nan if row[each] is None else float(row[each] or 0.0) for each in _RESULTS
+                math.nan if row[column] is None else float(row[column] or 0.0)
+                for column in _RESULTS
             )
             if not (math.isnan(threshold_ma) or 0 < threshold_ma <= comfort_ma):
                 super().close()
@@ -274,11 +275,11 @@ def threshold_trials(
                 f"electrode {site}: a key when you feel it, again when it is strong enough", "mA",
                 exact=True, course=rising.course(),
             )  # fmt: skip
-            found: Thresholds = answer.found
-            if found.usable or not found.felt:
+            thresholds: Thresholds = answer.found
+            if thresholds.usable or not thresholds.felt:
                 break
-        progress.keep(site, found)
-        say(f"electrode {site}: {found}")
+        progress.keep(site, thresholds)
+        say(f"electrode {site}: {thresholds}")
 
 
 Found = Mapping[int, Thresholds]
@@ -291,36 +292,36 @@ def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
 
     Electrodes not measured, not felt, or without room between the two keep their values.
     """
-    usable = {site: each for site, each in found.items() if each.usable}
+    usable = {site: site_result for site, site_result in found.items() if site_result.usable}
     if not usable:
         raise CalibrationError(
             "no electrode was felt and then strong enough: check contact with "
             "'smarttouch calibrate contact', and explain the task"
         )
     threshold, comfort = profile.threshold_ma.astype(float), profile.full_ma.astype(float)
-    for site, each in usable.items():
-        threshold[site], comfort[site] = each.threshold_ma, each.comfort_ma
+    for site, site_result in usable.items():
+        threshold[site], comfort[site] = site_result.threshold_ma, site_result.comfort_ma
     # Down, so that no rounding takes comfort above a limit; what was single precision, to it.
     return (
-        [round(float(each), 3) for each in threshold],
-        [math.floor(1000 * float(each) + 1e-3) / 1000 for each in comfort],
+        [round(float(value_ma), 3) for value_ma in threshold],
+        [math.floor(1000 * float(value_ma) + 1e-3) / 1000 for value_ma in comfort],
     )
 
 
 def sentence(found: Found) -> str:
     """Return the sentence for the profile."""
-    usable = [each for each in found.values() if each.usable]
-    threshold = np.array([each.threshold_ma for each in usable])
-    comfort = np.array([each.comfort_ma for each in usable])
-    spread = float(np.median([each.spread for each in usable]))
-    kept = sorted(site for site, each in found.items() if not each.usable)
+    usable = [site_result for site_result in found.values() if site_result.usable]
+    threshold = np.array([site_result.threshold_ma for site_result in usable])
+    comfort = np.array([site_result.comfort_ma for site_result in usable])
+    spread = float(np.median([site_result.spread for site_result in usable]))
+    unusable = sorted(site for site, site_result in found.items() if not site_result.usable)
     return (
         f"{len(usable)} electrodes by rising current, threshold {np.median(threshold):.2f} mA "
         f"({threshold.min():.2f} to {threshold.max():.2f}), comfortable up to "
         f"{np.median(comfort):.2f} mA ({comfort.min():.2f} to {comfort.max():.2f}), spread of a "
-        f"threshold {spread:.1%}, {sum(each.runs for each in found.values())} runs, "
-        f"{sum(each.false_presses for each in found.values())} false presses"
-        + (f"; not usable, kept as they were: {kept}" if kept else "")
+        f"threshold {spread:.1%}, {sum(site_result.runs for site_result in found.values())} runs, "
+        f"{sum(site_result.false_presses for site_result in found.values())} false presses"
+        + (f"; not usable, kept as they were: {unusable}" if unusable else "")
     )
 
 

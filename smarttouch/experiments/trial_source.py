@@ -80,11 +80,11 @@ class TrialSource(Program):
 
     def read(self, time_ns: int) -> Input | None:
         """Return what is shown now, at the rate that the finger's force gives it."""
-        given = super().read(time_ns)
-        if isinstance(given, Stimulus) and given.period_us is not None and self._softness < 1:
+        stimulus = super().read(time_ns)
+        if isinstance(stimulus, Stimulus) and stimulus.period_us is not None and self._softness < 1:
             share = rate_share(self.gate, self._softness)
-            given = replace(given, period_us=round(given.period_us / share))
-        return given
+            stimulus = replace(stimulus, period_us=round(stimulus.period_us / share))
+        return stimulus
 
     def step(self, result: StepResult) -> None:
         """Note how the last stimulus was sent."""
@@ -211,8 +211,8 @@ class TrialSource(Program):
                 return None
             # From zero by the first step that currents take.
             risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
-            most = level + risen_ns / 1e9 / self._profile.limits.ramp_s
-            level, before_ns = min(1.0, self._wanted / full_ma, most), since_ns
+            most_level = level + risen_ns / 1e9 / self._profile.limits.ramp_s
+            level, before_ns = min(1.0, self._wanted / full_ma, most_level), since_ns
             return level
 
         try:

@@ -160,10 +160,12 @@ class Setup:
         if self.site is not None:
             require_driven(self.profile, [self.site], ExperimentError, "site")
         try:
-            standards = [float(each) for each in self.standards.split(",") if self.standards]
+            standards = [
+                float(standard) for standard in self.standards.split(",") if self.standards
+            ]
         except ValueError:
             standards = [math.nan]
-        if not all(0 < each < 1e6 for each in standards):
+        if not all(0 < standard < 1e6 for standard in standards):
             raise ExperimentError(
                 f"standards {self.standards!r} are not understood: give frequencies in Hz, as in "
                 "15,30,45"
@@ -225,7 +227,7 @@ class Setup:
 
 def in_two_intervals(
     condition: Condition,
-    own: Train,
+    comparison_train: Train,
     other: Train,
     task: str,
     question: str,
@@ -239,6 +241,7 @@ def in_two_intervals(
     """
     at = condition.comparison_interval
     return Trial(
-        condition, (own, other) if at == 1 else (other, own), task, f"{question} 1 or 2", unit,
+        condition, (comparison_train, other) if at == 1 else (other, comparison_train),
+        task, f"{question} 1 or 2", unit,
         **{"answers": FIRST_OR_SECOND, "success": str(at), "target": str(at)} | more,
     )  # fmt: skip

@@ -69,15 +69,15 @@ class LinePicture:
         x, y = self._sigma
         edge = cv2.BORDER_CONSTANT
         return self._raster.mean(
-            lambda each: np.asarray(cv2.GaussianBlur(each, (0, 0), x, sigmaY=y, borderType=edge))
+            lambda plane: np.asarray(cv2.GaussianBlur(plane, (0, 0), x, sigmaY=y, borderType=edge))
         )
 
     def at(self, x_mm: NDArray[np.floating], y_mm: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the mean at places from the line's left end and the top, (N,)."""
         # Rounding may be off by a pixel.
         total, count = (
-            cv2.boxFilter(each, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-            for each in (self._raster.value, self._raster.count)
+            cv2.boxFilter(plane, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+            for plane in (self._raster.value, self._raster.count)
         )
         last = np.array(total.shape) - 1
         row = np.minimum(np.floor(y_mm / self._pixel_mm).astype(np.intp), last[0])

@@ -85,14 +85,14 @@ def _averages(shape: tuple[int, int], to: tuple[int, int]) -> list[tuple[tuple[i
     Halves are averaged ten times faster than other parts, so they come first. Between two pixels
     a linear interpolation is their mean.
     """
-    found = []
+    averages = []
     down, across = shape[0] // to[0], shape[1] // to[1]
     while down % 2 == across % 2 == 0:
         down, across, shape = down // 2, across // 2, (shape[0] // 2, shape[1] // 2)
-        found.append((shape, cv2.INTER_LINEAR))
+        averages.append((shape, cv2.INTER_LINEAR))
     if shape != to:
-        found.append((to, cv2.INTER_LINEAR if max(down, across) == 2 else cv2.INTER_AREA))
-    return found
+        averages.append((to, cv2.INTER_LINEAR if max(down, across) == 2 else cv2.INTER_AREA))
+    return averages
 
 
 @lru_cache(maxsize=8)
@@ -115,15 +115,15 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
     seen = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     electrode = np.broadcast_to(np.arange(len(electrodes))[:, None], seen.shape)
     pixel = (row[seen] * columns + column[seen]).astype(np.int64)
-    place, samples = np.unique(electrode[seen] * rows * columns + pixel, return_counts=True)
-    electrode, pixel = np.divmod(place, rows * columns)
+    pixel_index, samples = np.unique(electrode[seen] * rows * columns + pixel, return_counts=True)
+    electrode, pixel = np.divmod(pixel_index, rows * columns)
     counts = np.bincount(electrode, minlength=len(electrodes))
-    nth = np.arange(len(place)) - (counts.cumsum() - counts)[electrode]
+    nth = np.arange(len(pixel_index)) - (counts.cumsum() - counts)[electrode]
     pixels = np.zeros((counts.max(initial=0), len(electrodes)), np.intp)
     shares = np.zeros(pixels.shape, np.float32)
     # One sample's share, added up in single precision.
-    each = np.full(samples.max(initial=1), 1 / (255 * across * down), np.float32)
-    pixels[nth, electrode], shares[nth, electrode] = pixel, each.cumsum()[samples - 1]
+    weights = np.full(samples.max(initial=1), 1 / (255 * across * down), np.float32)
+    pixels[nth, electrode], shares[nth, electrode] = pixel, weights.cumsum()[samples - 1]
     return Apertures(pixels, shares)
 
 

@@ -58,8 +58,8 @@ def source_url(name: str) -> str:
     # "Note: this" and "3:30 p.m." are words.
     if colon and _KIND.fullmatch(kind) and not (rest[:1].isspace() or kind.isdecimal()):
         return name
-    place = name.rpartition("?")[0] or name
-    path = named_file(place, SourceError) if file_at(name) is None else Path(name)
+    address = name.rpartition("?")[0] or name
+    path = named_file(address, SourceError) if file_at(name) is None else Path(name)
     if path is not None:
         return f"{kind_of(path)}:{name}"
     if name in known or (len(name) > 3 and get_close_matches(name.lower(), known, 1, 0.8)):
@@ -107,11 +107,11 @@ def open_source(
     url, profile = source_url(url), load_profile(profile)
     opener, rest = SOURCES.find(url)
     rest, in_url = read_options(opener, rest, SourceError, but=_NOT_IN_URLS)
-    given = given_options(opener, url, options, SourceError)
-    given = joined_options(url, given, in_url, SourceError)
+    accepted = given_options(opener, url, options, SourceError)
+    accepted = joined_options(url, accepted, in_url, SourceError)
     if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:
-        given["light_on_dark"] = True
-    source: Source = opener(rest, profile, **given)
+        accepted["light_on_dark"] = True
+    source: Source = opener(rest, profile, **accepted)
     SOURCES.require_kind(source, url)
     source.url = url
     return source

@@ -351,7 +351,7 @@ def _parse(url: str) -> tuple[str, str, int]:
     """Return the kind, port and speed in a URL."""
     kind, _, rest = url.partition(":")
     if kind not in _KINDS:
-        kinds = " or ".join(f"{each}:PORT" for each in _KINDS)
+        kinds = " or ".join(f"{known_kind}:PORT" for known_kind in _KINDS)
         raise SourceError(f"{url!r} is not a load cell: give {kinds}")
     name, option, speed = rest.partition("?baud=")
     if not name:

@@ -78,10 +78,10 @@ class FlatField:
                 f"{white.shape[1]} × {white.shape[0]}: use one source for both"
             )
         span = white - dark
-        usual = float(np.median(span))
-        if usual < LEAST_SPAN:
+        typical = float(np.median(span))
+        if typical < LEAST_SPAN:
             raise CalibrationError(
-                f"white is only {usual:.0f} grey levels brighter than dark, {LEAST_SPAN:.0f} are "
+                f"white is only {typical:.0f} grey levels brighter than dark, {LEAST_SPAN:.0f} are "
                 "needed: is the light on, the sensor covered for the dark and on white paper "
                 "after?"
             )
@@ -91,7 +91,7 @@ class FlatField:
                 f"{saturated:.0%} of the pixels are saturated on white paper: lower the exposure "
                 "or the light"
             )
-        broken = (span < DEAD_SHARE * usual) | (dark > np.median(dark) + HOT_LEVELS)
+        broken = (span < DEAD_SHARE * typical) | (dark > np.median(dark) + HOT_LEVELS)
         if broken.mean() > MOST_BROKEN:
             raise CalibrationError(
                 f"{int(broken.sum())} of {broken.size} pixels are dead or hot: is the field of "
@@ -235,7 +235,7 @@ class Matcher:
         level = self._before[common]
         # Light fixed to the sensor moves over the print, and must not be taken for motion.
         light = level, level * self._beside[common[1]], level * self._below[common[0]]
-        slopes = np.vstack([steep @ gradient, [each.ravel() for each in light]])
+        slopes = np.vstack([steep @ gradient, [light_map.ravel() for light_map in light]])
         return steep, (slopes - slopes.mean(axis=1, keepdims=True)).astype(np.float32)
 
     def _rest(self, shift: Floats, common: Common) -> tuple[Image, float]:

@@ -250,9 +250,9 @@ class TextReadings:
 
     def feed(self, data: bytes) -> list[float]:
         """Return the readings of all lines completed by these bytes."""
-        *whole, rest = data.replace(b"\r", b"\n").split(b"\n")
+        *lines, rest = data.replace(b"\r", b"\n").split(b"\n")
         readings: list[float] = []
-        for piece in whole:
+        for piece in lines:
             line = bytes(self._waiting) + piece
             self._waiting.clear()
             skipped, self._skipping = self._skipping, False

@@ -352,12 +352,12 @@ class OwnImaging(StimulusSource):
 
     def read(self, time_ns: int) -> Stimulus | None:
         """Return what the function makes of the next frame; None at the end."""
-        given = self._source.read(time_ns)
+        source_frame = self._source.read(time_ns)
         self._count()
-        if given is None:
+        if source_frame is None:
             return None
         electrodes = len(self._electrodes)
-        frame = checked_input(given, self._source, electrodes)
+        frame = checked_input(source_frame, self._source, electrodes)
         if not isinstance(frame, Frame):
             raise SourceError(
                 f"{self.title} gives tactile images, which need no imaging: leave it out"

@@ -63,7 +63,7 @@ class ReadingPath:
             lifting_at = time_s - LIFT_S / 3
             passing = sweep_at + passed_mm / speed_mm_s
             times = np.sort(np.append(passing, lifting_at))
-            places = (np.interp(times, passing, each) for each in (x, y, angle))
+            places = (np.interp(times, passing, coordinate) for coordinate in (x, y, angle))
             press = np.interp(times, (lifting_at, time_s), (1.0, 0.0))
             rows.extend(zip(times, *places, press, strict=True))
         self._table = np.array(rows).T.copy()
@@ -344,8 +344,8 @@ def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, in
     # The paper continues beyond the page's edges, in their usual grey.
     edges = np.concatenate([surface[0], surface[-1], surface[:, 0], surface[:, -1]])
     margin, paper = round(_MARGIN_MM / surface_mm), float(np.median(edges))
-    whole = cv2.copyMakeBorder(surface, *4 * (margin,), cv2.BORDER_CONSTANT, value=paper)
-    return np.asarray(whole, np.uint8), surface_mm, margin
+    bordered = cv2.copyMakeBorder(surface, *4 * (margin,), cv2.BORDER_CONSTANT, value=paper)
+    return np.asarray(bordered, np.uint8), surface_mm, margin
 
 
 def _light(shape: tuple[int, int]) -> NDArray[np.float32]:
