@@ -216,27 +216,15 @@ class _Signals:
         return number in SIGNALS and signal.getsignal(number) == self._handle
 
     def _work(self) -> None:
-        command, end_s = self._command, 0.0
-        ends: list[int] = []  # signals that end the process
-        while len(ends) < 2:
-            self._hears.settimeout(max(0.001, end_s - time.monotonic()) if end_s else None)
-            try:
-                numbers = self._hears.recv(64)
-            except TimeoutError:
-                break
-            if not numbers:
-                return self._hears.close()
+        while numbers := self._hears.recv(64):
             for number in filter(self._is_ours, numbers):
-                again = command is None and number == signal.SIGINT
-                ends += [number] * (not again)
-                if len(ends) < 2:
-                    _process.end(SIGNALS[signal.Signals(number)], for_good=not again)
-                if command is not None and len(ends) == 1:
-                    end_s = time.monotonic() + command.patience_s
-        # Every board is at zero, or that is unknown: what still blocks the end is cut off.
-        if command is not None:
-            command.give_up(ends[0])
-        os._exit(128 + ends[0])
+                again = self._command is None and number == signal.SIGINT
+                _process.end(SIGNALS[signal.Signals(number)], for_good=not again)
+                if self._command is not None:
+                    # Every board is at zero, or that is unknown: what blocks the end is cut off.
+                    time.sleep(self._command.patience_s)
+                    self._command.give_up(number)
+        self._hears.close()
 
 
 _process = _Process()

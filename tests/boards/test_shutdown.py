@@ -203,26 +203,6 @@ def test_boards_are_at_zero_while_the_main_thread_cannot_run_a_handler(number):
         assert exit_code(child) == 42
 
 
-@pytest.mark.parametrize("after_s", [0.1, 0.6])
-def test_a_second_signal_ends_a_program_that_hangs_once_its_boards_are_at_zero(after_s):
-    def work(say):
-        with Display() as board:
-            board.zero = lambda how: (time.sleep(0.3), os.write(told, b"z"))
-            try:
-                say()
-                time.sleep(PATIENCE_S)
-            finally:
-                time.sleep(PATIENCE_S)
-
-    heard, told = os.pipe()
-    with in_child(work) as child:
-        os.kill(child, signal.SIGTERM)
-        time.sleep(after_s)
-        os.kill(child, signal.SIGTERM)
-        assert exit_code(child) == 128 + signal.SIGTERM
-        assert os.read(heard, 9) == b"z"
-
-
 def test_ctrl_c_in_a_program_lets_it_go_on_and_open_another_board():
     def work(say):
         say()
@@ -290,9 +270,8 @@ class TestCommands:
         with in_child(work) as child:
             assert exit_code(child) == 40 + number
 
-    @pytest.mark.parametrize("second", [False, True])
-    def test_what_does_not_end_in_order_is_given_up(self, second):
-        """After its patience, or at a second signal; never before its boards are at zero."""
+    def test_what_does_not_end_in_order_is_given_up(self):
+        """After its patience, never before its boards are at zero."""
 
         def work(say):
             def give_up(number):
@@ -304,16 +283,13 @@ class TestCommands:
                 board.zero = lambda how: (time.sleep(0.3), zeros.append(how))
                 with board:
                     command.orderly = True
-                    command.patience_s = 60.0 if second else 0.1
+                    command.patience_s = 0.1
                     say()
                     while True:
                         time.sleep(0.01)
 
         with in_child(work) as child:
             os.kill(child, signal.SIGTERM)
-            if second:
-                time.sleep(0.05)
-                os.kill(child, signal.SIGINT)
             assert exit_code(child) == 42
 
     def test_one_that_will_open_a_board_is_announced_and_stopped_before_it_does(self, folder):
