@@ -64,7 +64,6 @@ class Experiment:
     trials: Callable[[Setup], Trials]
     procedures: tuple[str, ...] = (CONSTANT,)  # that make sense, the usual one first
     train_s: float = 0.5  # default length of a train
-    in_ma: bool = False  # whether it counts in milliamperes
 
 
 def frequency(setup: Setup) -> Trials:
@@ -247,10 +246,10 @@ def softness(setup: Setup) -> Trials:
 CATALOG = {
     "frequency": Experiment("which of two is faster (paper, III-C)", frequency, ADAPTIVE, 1.0),
     "detection": Experiment(
-        "is it felt: threshold current, mA", detection, ADAPTIVE, in_ma=True
+        "is it felt: threshold current, mA", detection, ADAPTIVE
     ),
     "discomfort": Experiment(
-        "when is a rising current enough, mA", discomfort, (LIMITS,), 10.0, in_ma=True
+        "when is a rising current enough, mA", discomfort, (LIMITS,), 10.0
     ),
     "localization": Experiment("was the second left or right: distance, mm", localization),
     "softness": Experiment(
@@ -298,11 +297,6 @@ def trials_of(name: str, setup: Setup) -> tuple[Setup, Trials]:
         raise ExperimentError(
             f"the procedure {procedure!r} is not for {name}: choose {choices}"
         )  # fmt: skip
-    if entry.in_ma and setup.profile.pulse.carrier == "width":
-        raise ExperimentError(
-            f"{name} counts in mA, and intensity changes the width of this profile's pulses: set "
-            "pulse.carrier = 'height'"
-        )
     setup = replace(setup, procedure=procedure, train_s=setup.train_s or entry.train_s)
     return setup, entry.trials(setup) if name in CATALOG else _checked(name, entry, setup)
 

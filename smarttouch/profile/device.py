@@ -123,8 +123,6 @@ class Pulse(Table):
     back."""
     rate_hz: float = Field(ge=1, le=CEILING_RATE_HZ)
     """Sequences a second."""
-    carrier: Literal["height", "width"] = "height"
-    """Quantity that grows with intensity: the current, or the pulse width."""
     chronaxie_us: Positive = 200.0
     """Chronaxie of the afferents, which determines how much more current a shorter pulse needs."""
     ra_rate_hz: float = Field(default=30.0, ge=1, le=200)

@@ -45,7 +45,7 @@ class FrameSlots:
     other classes, and to its own class elsewhere; a point of which nothing is proved has a slot of
     its own. So has each at intensities below `certain_from`, where nothing is felt and rounding may
     break a bound. A board without a current of its own for every electrode, or a profile where
-    pulse width carries intensity or total current is not limited, raises a ScheduleError.
+    total current is not limited, raises a ScheduleError.
     """
 
     def __init__(self, profile: Profile, bank: KernelBank, afferent: Afferent) -> None:

@@ -21,8 +21,6 @@ from smarttouch.stimulation.scan_sequence import (
     round_charge_balanced,
 )
 
-SHORTEST_PULSE_US = 10  # shortest pulse that is felt, where pulse width carries intensity
-
 
 class Slots(NamedTuple):
     """Slots of one class."""
@@ -90,15 +88,13 @@ class PointSlots:
         self._widths_all_us = constant_us(count, self._pulse.width_us)
         self._single = afferent in bank.discs
         self._perceived_at = None if self._single else perceived_at(profile, afferent)
-        self._by_width = self._pulse.carrier == "width" and not self._single
         self._in_index_order = timing.in_index_order
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
         """Return the slots of a row (E,) of a tactile image, in [0, 1], at an intensity in [0, 1].
 
         An active point gets its threshold current times intensity at the faintest activation and
-        its strongest comfortable current times intensity at full activation; where width is the
-        carrier, the strongest current for as short as has the same effect. Currents are whole µA
+        its strongest comfortable current times intensity at full activation. Currents are whole µA
         that sum to zero in every slot: the remainder of rounding goes to the strongest electrode of
         the kernel, or is carried on from electrode to electrode where that would be above its
         limit. A masked electrode has no slot.
@@ -114,14 +110,9 @@ class PointSlots:
         level += self._faintest.take(site)
         level *= intensity
         width_us = self._widths_all_us[: len(site)]
-        if self._by_width:
-            width_us = self._widths_us(level)
-            is_felt = width_us >= SHORTEST_PULSE_US
-            level = np.ones(len(site), np.float32)
-        else:
-            is_felt = level >= self._weakest_level.take(site)
+        is_felt = level >= self._weakest_level.take(site)
         if not is_felt.all():
-            site, level, width_us = site[is_felt], level[is_felt], width_us[is_felt]
+            site, level, width_us = site[is_felt], level[is_felt], width_us[: is_felt.sum()]
         sums = None
         if self._table is not None:
             amplitude = np.minimum(np.rint(level * self._full[site]), self._largest[site])
@@ -154,15 +145,6 @@ class PointSlots:
         peak_ua = np.abs(exact_ua).max(axis=1)
         exact_ua *= np.minimum(1, (self._most_ua[site] - 1e-3) / peak_ua)[:, None]
         return round_charge_balanced(exact_ua)
-
-    def _widths_us(self, level: NDArray[np.float32]) -> NDArray[np.uint16]:
-        """Return the width at which full current equals a fraction of it over a whole pulse, µs.
-
-        By Weiss's law a pulse of width w needs a current in proportion to 1 + c/w, c the chronaxie.
-        """
-        full, chronaxie = self._pulse.width_us, self._pulse.chronaxie_us
-        width = chronaxie * level / (1 + chronaxie / full - level)
-        return np.asarray(np.floor(width + 1e-3), np.uint16)
 
 
 def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:

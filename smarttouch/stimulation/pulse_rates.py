@@ -63,11 +63,6 @@ class ScanTiming:
                     f"the profile's pulse.{key} is {asked} µs, the board's is always {fixed} µs: "
                     f"set pulse.{key} = {fixed}"
                 )
-        if profile.pulse.carrier == "width" and not self.own_widths:
-            raise ScheduleError(
-                "pulse.carrier 'width' needs a pulse width of its own for each slot, and this "
-                "board has one for all: set pulse.carrier = 'height'"
-            )
 
 
 SLOWEST = 0.2

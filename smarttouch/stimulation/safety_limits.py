@@ -34,8 +34,6 @@ LONGEST_RAMP_S = 10.0
 RECHARGE_UA = 500
 """Largest current of a recharge phase, whatever the threshold: a tenth of the 5 mA ceiling."""
 _DISC_MM2 = math.pi / 4
-_WIDTH_LEEWAY = Fraction(1001, 1000)
-"""Tolerance of pulse widths: whole microseconds, rounded down in single precision."""
 
 Each = float | tuple[float, ...]  # one value for all electrodes, or one for each
 
@@ -59,8 +57,6 @@ class SafetyLimits:
         Of all cathodes together in one slot.
     electrode_ma : tuple of float, optional
         Of each electrode by itself.
-    full_us : float, optional
-        The longest pulse at intensity 1, where width carries intensity: it then bounds charge.
     area_mm2 : float or tuple of float
         Of the electrodes; a disc of 1 mm if not given.
     threshold_ma : float or tuple of float, optional
@@ -96,7 +92,6 @@ class SafetyLimits:
     full_ma: float
     total_ma: float = CEILING_TOTAL_MA
     electrode_ma: tuple[float, ...] | None = None
-    full_us: float | None = None
     area_mm2: Each = _DISC_MM2
     threshold_ma: Each | None = None
     density_uc_cm2: float = CEILING_DENSITY_UC_CM2
@@ -117,7 +112,6 @@ class SafetyLimits:
             ("duty", 0.0, CEILING_DUTY),
             ("full_ma", 0.0, self.current_ma),
             ("total_ma", 0.0, CEILING_TOTAL_MA),
-            ("full_us", 0.0, CEILING_PULSE_US),
             ("width_us", 0.0, CEILING_PULSE_US),
             ("density_uc_cm2", 0.0, CEILING_DENSITY_UC_CM2),
             ("session_s", 0.0, CEILING_SESSION_S),
@@ -148,7 +142,6 @@ class SafetyLimits:
             limits.rate_hz, limits.duty, limits.ramp_s, float(profile.full_ma.max()),
             total_ma=CEILING_TOTAL_MA if limits.total_ma is None else limits.total_ma,
             electrode_ma=limits.electrode_ma,
-            full_us=pulse.width_us if pulse.carrier == "width" else None,
             area_mm2=tuple(profile.electrodes.area_mm2.tolist()),
             threshold_ma=tuple(profile.threshold_ma.tolist()),
             density_uc_cm2=limits.density_uc_cm2,
@@ -229,11 +222,6 @@ class SafetyLimits:
     def full_ratio(self) -> tuple[int, int]:
         """`full_ua` as a fraction of whole numbers."""
         return self.full_ua.as_integer_ratio()
-
-    @cached_property
-    def width_pc(self) -> Fraction:
-        """Largest charge of a pulse at intensity 1, where width carries intensity."""
-        return (self.full_ua + self.rounding_ua) * round(self.full_us or 0) * _WIDTH_LEEWAY
 
     @cached_property
     def source_pc(self) -> float:
@@ -326,7 +314,6 @@ _SENTENCES = {
     "source": "slot {slot}: {value:.3f} µC from one source are above the {allowed:g} µC of a "
     "single electrode: lower the current or the pulse width",
     "claimed_ma": "{value:.3f} mA is more than the intensity allows, {allowed:.3f} mA",
-    "claimed_uc": "{value:.3f} µC is more than the intensity allows, {allowed:.3f} µC",
     "recharge": "a recharge phase needs slots whose charge it brings back, the currents of "
     "{allowed} electrodes and a width: leave it out",
     "recharge_us": "the recharge phase takes {value} µs, must be from 1 to {allowed}",
@@ -357,7 +344,7 @@ _SENTENCES = {
 }
 _LIMITS = {
     "vibrates": "vibration", "source": "charge_uc", "claimed_ma": "intensity",
-    "claimed_uc": "intensity", "recharge": "recharge_ua", "recharge_balance": "balance",
+    "recharge": "recharge_ua", "recharge_balance": "balance",
     "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
     "order": "time_ns",
 }  # fmt: skip

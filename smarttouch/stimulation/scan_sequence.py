@@ -31,8 +31,6 @@ def unsupported_reason(profile: Profile) -> str | None:
     """Return why a profile's board shows only single points, with the key; None if it shares."""
     if (kind := profile.output.kind) != "weighted":
         return f"output.kind is {kind}, with one source for all electrodes"
-    if profile.pulse.carrier == "width":
-        return "pulse.carrier is 'width', one for all points of a slot"
     if not profile.shares:
         return "frames.share is not on, or limits.total_ma is not set, which bounds their current"
     return None

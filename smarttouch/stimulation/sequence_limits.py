@@ -114,13 +114,10 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
         slot = int((total_ua * width_us).argmax())
         source_uc = total_ua[slot] * float(width_us[slot]) / 2e6
         raise refusal("source", source_uc, limits.charge_uc, slot)
-    # Current, or charge where width carries intensity, is proportional to it.
-    (full, parts), claimed_ppb = limits.full_ratio, PPB if limits.full_us is not None else ppb
+    full, parts = limits.full_ratio
     room = (limits.electrodes + 2) * parts * PPB  # of the electrode that keeps the balance
-    if peak_ua > (most_ua := (2 * full * claimed_ppb + room) // (2 * parts * PPB)):
+    if peak_ua > (most_ua := (2 * full * ppb + room) // (2 * parts * PPB)):
         raise refusal("claimed_ma", peak_ua / 1000, most_ua / 1000)
-    if limits.full_us is not None and peak_pc > (most_pc := limits.width_pc * ppb / PPB):
-        raise refusal("claimed_uc", peak_pc / 1e6, float(most_pc) / 1e6)
     recharge_pc = None
     if sequence.recharge_ua is not None:
         recharge_pc = sequence.recharge_ua.astype(np.float64) * sequence.recharge_us

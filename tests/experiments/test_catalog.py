@@ -166,12 +166,6 @@ def test_what_cannot_be_asked_for(name, options, value, allowed):
         begun(name, **options)
 
 
-@pytest.mark.parametrize("name", ["detection", "discomfort"])
-def test_where_width_carries_intensity_nothing_counts_in_milliamperes(changed, name):
-    with raises(ExperimentError, names="pulse.carrier", allowed=("height",)):
-        begun(name, changed(MOUSE, {"pulse.carrier": "width"}))
-
-
 def test_sites_are_whole_numbers_and_activations_are_not(changed):
     setup = Setup(MOUSE)
     on = np.zeros(64, bool)

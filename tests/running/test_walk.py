@@ -2,8 +2,6 @@
 
 from collections import Counter
 
-import pytest
-
 from smarttouch.base.stopping import StopRequest
 from smarttouch.profile import load_profile
 from smarttouch.running.display import Display
@@ -94,13 +92,3 @@ def test_each_electrode_until_it_is_left():
     run_walk(walk, display, [OnStep(leave)], StopRequest())
     assert [int(site) for each in steps[9::10] for site in each.sequence.site] == list(range(32))
     assert len(steps) == 32 * 10
-
-
-@pytest.mark.parametrize("carrier", ["height", "width"])
-def test_current_is_by_height_whatever_carries_intensity(profile, changed, carrier):
-    by = changed(profile, {"pulse.carrier": carrier})
-    sequences, _ = walked(TwitchingClock([0] * 10**4), by, seconds=0.2, sites=[5])
-    assert peaks_ua(sequences)[-1] == 300
-    assert {int(each) for sequence in sequences for each in sequence.width_us} == {
-        profile.pulse.width_us
-    }

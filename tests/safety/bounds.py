@@ -82,7 +82,7 @@ class Bounds:
     Of each electrode: the largest current, what counts as a strong pulse, and the largest current
     of a recharge phase (the latter two None where no threshold is known). ``full_ua`` is the
     strongest current at full intensity, ``usual_us`` the width of a full pulse, of whose charge
-    others are a share, ``full_us`` the longest pulse at full intensity where width carries it,
+    others are a share,
     ``source_pc`` the charge of a pulse of all cathodes where one source drives them: others may be
     off the skin. ``session_us`` and ``session_pc`` are of a whole session and one electrode.
     """
@@ -96,7 +96,6 @@ class Bounds:
     total_ua: int
     charge_pc: int
     full_ua: Fraction
-    full_us: int | None
     ramp_ns: int
     strong_ua: tuple | None
     recharge_ua: tuple | None
@@ -136,7 +135,6 @@ class Bounds:
             profile.limits,
             len(profile.electrodes),
             max(exact(each) for each in profile.full_ma),
-            profile.pulse.width_us if profile.pulse.carrier == "width" else None,
             [exact(each) for each in profile.threshold_ma],
             area_mm2(profile.electrodes),
             profile.output.kind != "weighted",
@@ -153,14 +151,12 @@ class Bounds:
         area = Decimal(repr(float(np.min(limits.area_mm2))))
         return cls._made(
             limits, limits.electrodes, exact(limits.full_ma),
-            None if limits.full_us is None else dec(limits.full_us), thresholds, area,
+            thresholds, area,
             limits.one_source, limits.masked, limits.width_us,
         )  # fmt: skip
 
     @classmethod
-    def _made(
-        cls, limits, electrodes, full_ma, full_us, thresholds, area, one_source, masked, usual_us
-    ):
+    def _made(cls, limits, electrodes, full_ma, thresholds, area, one_source, masked, usual_us):
         own = limits.electrode_ma or [limits.current_ma] * electrodes
         total = TOTAL_MA if limits.total_ma is None else min(dec(limits.total_ma), TOTAL_MA)
         total = min(total, dec(limits.current_ma)) if one_source else total
@@ -180,7 +176,6 @@ class Bounds:
             total_ua=math.floor(1000 * total),
             charge_pc=charge_pc(limits.charge_uc, area, limits.density_uc_cm2),
             full_ua=1000 * full_ma,
-            full_us=full_us,
             ramp_ns=round(dec(limits.ramp_s) * NS),
             strong_ua=tuple(math.ceil(500 * each) for each in thresholds) if known else None,
             recharge_ua=tuple(

@@ -13,7 +13,7 @@ from .bounds import NS, Bounds
 FULL = Bounds(
     electrodes=4, rate_hz=Fraction(100), duty=Fraction(1, 2), pulse_us=200, usual_us=200,
     electrode_ua=(3000, 3000, 3000, 700), total_ua=3500, charge_pc=400_000, full_ua=Fraction(3000),
-    full_us=None, ramp_ns=NS // 2, strong_ua=(600, 600, 600, 300), recharge_ua=(120, 120, 120, 60),
+    ramp_ns=NS // 2, strong_ua=(600, 600, 600, 300), recharge_ua=(120, 120, 120, 60),
     session_us=600 * 10**6, session_pc=10**12,
 )  # fmt: skip
 

@@ -130,7 +130,4 @@ def _keeps_rise(pulses, bounds, period_us):
     share = np.minimum(1, passed_us * 1000 / bounds.ramp_ns)[:, None]
     full_ua = float(bounds.full_ua)
     most_ua = (share * full_ua + float(bounds.rounding_ua)) * _allowance(pulses) + ROUNDING_UA
-    if bounds.full_us is None:
-        return bool((np.abs(pulses.current_ua) <= most_ua).all())
-    most_pc = share * (full_ua + float(bounds.rounding_ua)) * float(bounds.full_us) * 1.001
-    return bool((np.abs(pulses.charge_pc) <= most_pc * _allowance(pulses)).all())
+    return bool((np.abs(pulses.current_ua) <= most_ua).all())

@@ -24,7 +24,6 @@ CHANGED = {
         "limits.electrode_ma": (1.9, 1.1, 0.9, 1.75, 1.2, 2.0, 0.777),
         "limits.total_ma": 3.333,
     }),
-    "by width": ("line-8", {"pulse.carrier": "width", "pulse.width_us": 150}),
     "slow": ("smarttouch-4x4", {
         "limits.ramp_s": 1.7, "limits.rate_hz": 60.3, "limits.duty": 0.37,
         "limits.pulse_us": 150.7, "pulse.width_us": 150, "limits.charge_uc": 0.4,

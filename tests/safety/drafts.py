@@ -86,8 +86,7 @@ def intensity_of(ppb):
 
 def level_at(bounds, intensity):
     """Return the largest current that an intensity allows, without what rounding may add."""
-    share = 1 if bounds.full_us is not None else exact(intensity)
-    return math.floor(share * bounds.full_ua)
+    return math.floor(exact(intensity) * bounds.full_ua)
 
 
 def ordinary(oracle, rng, clock_ns, time_ns, full=False):
@@ -109,8 +108,6 @@ def ordinary(oracle, rng, clock_ns, time_ns, full=False):
     for slot in range(slots):
         site = rng.randrange(count)
         width = rng.randint(1, bounds.pulse_us)
-        if bounds.full_us is not None:
-            width = max(1, min(width, int(exact(intensity) * bounds.full_us)))
         draft.width_us[slot] = width
         draft.discharge_us[slot] = rng.randint(20, 150)
         top = min(level, bounds.electrode_ua[site], bounds.charge_pc // width, bounds.total_ua)

@@ -112,15 +112,7 @@ def intensity(draft, oracle, rng, beyond):
     highest = min(oracle.most(draft.clock_ns), WHOLE)
     ppb = rng.randint(0, max(0, highest // 2))
     draft.intensity = intensity_of(ppb)
-    full_ua = bounds.full_ua + bounds.rounding_ua
-    if bounds.full_us is None:
-        level = math.floor(Fraction(ppb, WHOLE) * bounds.full_ua + bounds.rounding_ua) + beyond
-    elif rng.random() < 0.5:
-        level, draft.width_us[0] = math.floor(full_ua) + beyond, 1
-    else:
-        most_pc = Fraction(ppb, WHOLE) * full_ua * bounds.full_us * Fraction(1001, 1000)
-        draft.width_us[0] = max(1, min(bounds.pulse_us, math.floor(most_pc / full_ua) + 1))
-        level = math.floor(most_pc / int(draft.width_us[0])) + max(beyond, 0)
+    level = math.floor(Fraction(ppb, WHOLE) * bounds.full_ua + bounds.rounding_ua) + beyond
     draft.drive(0, site, min(level, 32_000), rng)
     draft.fit(bounds, 3_000)
 
@@ -158,8 +150,6 @@ def _charged(draft, oracle, site, charge_pc, rng, sign=None):
     bounds = oracle.bounds
     level = max(1, min(level_at(bounds, draft.intensity), bounds.electrode_ua[site]))
     width_us = max(1, min(bounds.pulse_us, bounds.charge_pc // level))
-    if bounds.full_us is not None:
-        width_us = min(width_us, bounds.full_us)
     slots, rest_pc = divmod(charge_pc, level * width_us)
     if slots > MOST_SLOTS:
         return
@@ -199,10 +189,6 @@ def recharge(draft, oracle, rng, beyond):
         )
         draft.current_ua[0, sites] = [-most, most]
         draft.width_us[0] = max(1, min(bounds.pulse_us, bounds.charge_pc // max(1, most)))
-        if bounds.full_us is not None:
-            draft.width_us[0] = max(
-                1, min(draft.width_us[0], int(draft.intensity * bounds.full_us))
-            )
         q_pc = int(most * draft.width_us[0])
         carried = oracle.carried(draft.clock_ns)
         room_pc = min(q_pc - int(carried[sites[0]]), q_pc + int(carried[sites[1]]))

@@ -94,7 +94,7 @@ def judge_alone(sequence, bounds):
         "charge": peak_pc <= bounds.charge_pc
         and (bounds.source_pc is None or int(through.max(initial=0)) <= 2 * bounds.source_pc),
         "discharge": bool((sequence.discharge_us >= LEAST_DISCHARGE_US).all()),
-        "intensity": _keeps_intensity(peak_ua, peak_pc, Fraction(ppb, WHOLE), bounds),
+        "intensity": peak_ua <= Fraction(ppb, WHOLE) * bounds.full_ua + bounds.rounding_ua,
         "strong pulses": int(strong.max()) * 10**6 <= STRONG_A_SECOND * share_us,
         "mean current": int(through_pc.max()) <= MEAN_UA * share_us,
         "vibration": _keeps_vibration(sequence.vibration, intensity),
@@ -141,13 +141,6 @@ def _limits(bounds):
         np.full(bounds.electrodes, never) if limit is None else np.array(limit, np.int64)
         for limit in each
     ]
-
-
-def _keeps_intensity(peak_ua, peak_pc, share, bounds):
-    if bounds.full_us is None:
-        return peak_ua <= share * bounds.full_ua + bounds.rounding_ua
-    most_ua = bounds.full_ua + bounds.rounding_ua
-    return peak_ua <= most_ua and peak_pc <= share * most_ua * bounds.full_us * Fraction(1001, 1000)
 
 
 def _keeps_vibration(vibration, intensity):

@@ -11,7 +11,7 @@ from .gates import Answer
 from .oracle import Oracle
 
 SEQUENCES = 9000 if WHOLE else 5000
-FIRST = 200
+FIRST = 300
 """From this seed on each rule is soon the only one broken."""
 
 

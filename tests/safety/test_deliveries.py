@@ -65,9 +65,6 @@ def test_strength_rises_no_faster_than_from_zero_when_the_board_began():
     assert judge_pulses(ramp(0, 370 * MS), FULL, 20 * MS) == ["rise"]
     assert judge_pulses(ramp(0, 370 * MS), FULL) == []
     assert judge_pulses(ramp(0, 370 * MS, stood_still_us=30 * MS), FULL, 20 * MS) == []
-    by_width = replace(FULL, full_us=100)
-    assert judge_pulses(ramp(0, 390 * MS), by_width, 20 * MS) == []
-    assert judge_pulses(ramp(0, 350 * MS), by_width, 20 * MS) == ["rise"]
 
 
 def test_books_of_a_kit(tmp_path):

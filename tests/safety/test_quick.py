@@ -1,15 +1,12 @@
 """Every rule of a single sequence by hand."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from .by_hand import FULL, pair, sequence
 from .quick import judge_alone
-
-BY_WIDTH = replace(FULL, full_us=100)
 
 
 def shaken(*strengths):
@@ -20,7 +17,6 @@ def recharged(*phase, us=1000):
     return {"recharge_ua": np.array(phase, np.int16), "recharge_us": us}
 
 
-R_UA = 3000 + 4 // 2 + 1
 WIDE = [[-9, 9, 0, 0], [1750, 1750, -2800, -700]]
 EDGES = [
     ("rate", sequence([], period=10_000), sequence([], period=9_999)),
@@ -85,16 +81,6 @@ def broken(made, bounds=FULL):
 def test_a_single_sequence(rule, inside, outside):
     assert broken(inside) == []
     assert broken(outside) == [rule]
-
-
-def test_width_carries_intensity():
-    weak = {"intensity": 0.5, "width": 50}
-    assert broken(sequence(pair(3000), **weak), BY_WIDTH) == []
-    # A thousandth more charge than in proportion is what rounding of widths may make.
-    assert broken(sequence(pair(3000), **weak | {"width": 51}), BY_WIDTH) == ["intensity"]
-    roomy = replace(BY_WIDTH, electrode_ua=(4000,) * 4)
-    assert broken(sequence(pair(R_UA), width=1), roomy) == []
-    assert broken(sequence(pair(R_UA + 1), width=1), roomy) == ["intensity"]
 
 
 @pytest.mark.parametrize(("name", "wrong", "rule"), [

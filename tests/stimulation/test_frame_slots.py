@@ -181,7 +181,6 @@ def test_boards_that_cannot_are_refused(profile, bank, changed):
     with raises(ScheduleError, value="output.kind"):
         FrameSlots(board, load_bank(board), Afferent.RA)
     for key, keys in (
-        ("pulse.carrier", {"pulse.carrier": "width"}),
         ("frames.share", {"frames.share": False}),
         # As profiles were before they had that key.
         ("frames.share", {"limits.total_ma": None, "frames.share": None}),

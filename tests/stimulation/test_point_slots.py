@@ -1,4 +1,4 @@
-"""The slots of one class: as strong as asked, by height or by width."""
+"""The slots of one class: as strong as asked, and within every limit."""
 
 from dataclasses import replace
 
@@ -8,11 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import SafetyError, ScheduleError
+from smarttouch.base.errors import ScheduleError
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.point_slots import SHORTEST_PULSE_US, PointSlots
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scheduler import ScanScheduler
@@ -27,32 +26,6 @@ def image(activation, time_ns=10**9):
     return TactileImage(rows, time_ns, 1.0)
 
 
-@pytest.fixture(scope="module")
-def by_width(profile, changed):
-    return changed(profile, {"pulse.carrier": "width"})
-
-
-def test_width_carries_intensity_at_full_height(by_width, bank):
-    slots = PointSlots(by_width, bank, Afferent.RA, ScanTiming())
-    activation = np.zeros(64, np.float32)
-    activation[[9, 27]] = 1.0, 1e-6
-    site, current_ua, width_us, *_ = slots.slots(activation, 1.0)
-    weak, full = (site.tolist().index(each) for each in (27, 9))
-    assert width_us[full] == 200
-    # Threshold is half of the strongest: by Weiss, with c = w, in a third of the time.
-    assert width_us[weak] == pytest.approx(200 / 3, abs=1)
-    assert np.abs(current_ua).max(axis=1).tolist() == pytest.approx([2400] * 2, abs=5)
-    assert not current_ua.sum(axis=1).any()
-
-
-def test_what_would_be_too_short_is_not_felt(by_width, bank):
-    slots = PointSlots(by_width, bank, Afferent.RA, ScanTiming())
-    _, _, width_us, *_ = slots.slots(np.ones(64, np.float32), 0.09)
-    assert len(width_us) == 0
-    _, _, width_us, *_ = slots.slots(np.ones(64, np.float32), 0.11)
-    assert width_us.min() >= SHORTEST_PULSE_US
-
-
 @given(
     intensity=st.floats(0, 1, width=32),
     seed=st.integers(0, 2**32 - 1),
@@ -60,32 +33,15 @@ def test_what_would_be_too_short_is_not_felt(by_width, bank):
     softness=st.floats(0, 1),
     pressure=st.floats(0, 1),
 )
-def test_every_sequence_is_safe_with_either_carrier(
-    profile, by_width, bank, intensity, seed, mode, softness, pressure
+def test_every_sequence_of_every_mode_is_safe(
+    profile, bank, intensity, seed, mode, softness, pressure
 ):
     activation = np.random.default_rng(seed).random(64, np.float32)
     activation[activation < 0.3] = 0
-    for each in (profile, by_width):
-        scan = ScanScheduler(each, bank, mode.afferents, softness=softness)
-        gate = SafetyGate(SafetyLimits.of(each))
-        open_level(gate.check, scan.schedule(image(activation, 0), 0.0), gate.limits)
-        gate.check(scan.schedule(image(activation), intensity, pressure))
-
-
-def test_the_gate_bounds_charge_where_width_carries_intensity(by_width, bank):
-    scan = ScanScheduler(by_width, bank, (Afferent.RA,))
-    sequence = scan.schedule(image(np.ones(64)), 0.5)
-    prove_alone(by_width, sequence)
-    # Twice as long, and within all other limits.
-    object.__setattr__(sequence, "width_us", np.full(64, 180, np.uint16))
-    charge_uc = 180e-6 * np.abs(sequence.current_ua.astype(int)).max()
-    with raises(SafetyError, limit="intensity", value=pytest.approx(charge_uc)):
-        prove_alone(by_width, sequence)
-
-
-def test_a_board_with_one_width_needs_height(by_width, bank):
-    with raises(ScheduleError, names="pulse.carrier", value="width", allowed="height"):
-        ScanScheduler(by_width, bank, (Afferent.RA,), timing=ScanTiming(own_widths=False))
+    scan = ScanScheduler(profile, bank, mode.afferents, softness=softness)
+    gate = SafetyGate(SafetyLimits.of(profile))
+    open_level(gate.check, scan.schedule(image(activation, 0), 0.0), gate.limits)
+    gate.check(scan.schedule(image(activation), intensity, pressure))
 
 
 @pytest.mark.parametrize(("options", "attributes"), [

@@ -173,7 +173,7 @@ def test_an_array_that_answers_for_another_is_read_as_what_it_is():
         {"full_ma": 4}, {"total_ma": float("nan")}, {"total_ma": 0}, {"electrode_ma": (1.0,)},
         {"total_ma": 10.1}, {"electrode_ma": (1.0, float("nan"), 1.0, 1.0)},
         {"rate_hz": float("nan")}, {"rate_hz": 201}, {"duty": float("nan")}, {"duty": 0.81},
-        {"full_us": 201}, {"full_us": float("inf")}, {"ramp_s": float("inf")},
+        {"ramp_s": float("inf")},
         {"ramp_s": float("nan")}, {"area_mm2": float("inf")}, {"area_mm2": 400.1},
         {"electrode_ma": (1.0, 1.0, 1.0, 5.1)}, {"threshold_ma": 5.1}, {"threshold_ma": 1e6},
         {"electrodes": 0}, {"electrodes": 65_536}, {"electrodes": 4.0}, {"masked": (4,)},

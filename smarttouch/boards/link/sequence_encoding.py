@@ -58,7 +58,7 @@ def encode_limits(limits: SafetyLimits) -> bytes:
     part, whole = limits.duty_ratio
     head = LIMITS.pack(
         limits.period_us, limits.total_ua, limits.pulse_whole_us, math.ceil(limits.full_ua),
-        math.ceil(limits.rounding_ua), math.ceil(limits.full_us or 0),
+        math.ceil(limits.rounding_ua), 0,
         math.ceil(limits.ramp_ns / 1e6), min(_U16_MAX, math.ceil(limits.session_s)),
         math.ceil(1000 * limits.session_mc), math.ceil(100 * part / whole),
         0, limits.width_whole_us,
