@@ -60,8 +60,11 @@ class Regulator:
         return balanced
 
     def take_back(self, sequence: ScanSequence) -> None:
-        """Take back a sequence that did not reach the board."""
-        if self.ledger is not None:
+        """Take back a sequence that did not reach the board.
+
+        Recharge phases stay within what the gate has counted, which counts this one, too.
+        """
+        if self.ledger is not None and self.recharge is None:
             self.ledger.add(sequence, -1)
 
     def notes(self) -> list[str]:

@@ -336,6 +336,21 @@ def rules_of(profile):
     return RechargeRules.of(profile, ScanTiming())
 
 
+def test_after_a_lost_sequence_recharge_phases_are_what_the_gate_lets_through(
+    profile, pipeline_of, make_frame, patch
+):
+    """The gate counts what it has proved, whether the board got it or not."""
+    pipeline, gate, recharges = pipeline_of(), SafetyGate(SafetyLimits.of(profile)), 0
+    pipeline.regulator = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
+    for index in range(40):
+        frame = make_frame(patch(index, index + 9), index * 60_000_000)
+        sequence = gate.check(pipeline.process(frame).sequence)
+        recharges += sequence.recharge_us > 0
+        if index % 3 == 2:
+            pipeline.regulator.take_back(sequence)
+    assert recharges > 20
+
+
 @pytest.mark.parametrize(
     ("mode", "left_uc"),
     # Some scans of PC would need more than the largest phase: the next ones take the rest back.
