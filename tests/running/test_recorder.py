@@ -168,14 +168,6 @@ def test_what_the_disk_had_is_readable_after_a_power_cut(tmp_path, about, steps,
         assert not recording.whole
 
 
-def test_a_disk_that_does_not_take_it_ends_the_run(recorder, steps, monkeypatch):
-    monkeypatch.setattr(module.os, "fsync", full)
-    recorder.step(steps[0])
-    until(lambda: recorder._failure is not None)
-    with raises(RecordingError):
-        recorder.step(steps[1])
-
-
 def moved(path):
     path.rename(path.with_name("moved.mcap"))
 
@@ -242,13 +234,13 @@ def killed(path, draw):
 
 def test_a_disk_that_fills_up_is_one_sentence_and_what_it_took_stays(tmp_path):
     path = tmp_path / "run.mcap"
-    with child(path, 600_000) as process:
+    with child(path, 200_000) as process:
         *_, sentence, closed = process.communicate(timeout=110)[0].splitlines()
         assert process.returncode == 0
     assert sentence.startswith(f"{path} ")
     assert os.strerror(errno.EFBIG) in sentence
     assert closed == "closed"
-    assert path.stat().st_size <= 600_000
+    assert path.stat().st_size <= 200_000
     kept = list(RecordedRun(path).steps())
     assert [each.index for each in kept] == list(range(len(kept)))
     assert len(kept) > 3

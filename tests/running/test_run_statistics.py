@@ -42,15 +42,6 @@ def sent(number=0, proof=None):
     return StepResult(Step(frame, tactile, sequence, Mode.RA), 1, 300.0)
 
 
-@given(st.lists(st.integers(0, 2), max_size=60))
-def test_frames_are_felt_once(steps):
-    tally, numbers = RunStatistics(), np.cumsum(steps, dtype=int).tolist()
-    for number in numbers:
-        tally.enter(sent(number), None)
-    assert (tally.frames, tally.delivered) == (len(numbers), len(set(numbers)))
-    assert (tally.slots, tally.scan_us) == (len(numbers), 20_000 * len(numbers))
-
-
 def test_the_worst_of_shared_slots_is_kept():
     tally, points = RunStatistics(), np.array([3, 1], np.uint16)
     for other, spill in ((0.1, 0.2), (0.2, 0.1)):
