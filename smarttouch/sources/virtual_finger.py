@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -33,62 +34,54 @@ _STEP_MM = 2.0  # distance of the points of a path along a line: its bend betwee
 _COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
 
 
-class ReadingPath:
-    """Path along the lines of a page, one after another; in strips if it has no lines."""
+class FingerPath(NamedTuple):
+    """Path of a finger over a page."""
 
-    def __init__(
-        self,
-        page: Page,
-        profile: Profile,
-        speed_mm_s: float,
-        light_on_dark: bool = False,
-    ) -> None:
-        require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
-        field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
-        # Without a word of it, print may still be light: else the dark between letters is read.
-        lines = find_lines(page, light_on_dark or None) or [_printed(page, light_on_dark)]
-        self.lines: list[TextLine] = [sweep for line in lines for sweep in _sweeps(line, field[1])]
-        self._force_n = _PRESS * profile.force.full_n
-        rows: list[tuple[float, float, float, float, float]] = []
-        time_s = 0.0
-        for line in self.lines:
-            x, y, angle, passed_mm = _middle_path(line, field[0])
-            if rows:
-                x_before, y_before = rows[-1][1:3]
-                time_s += math.hypot(x[0] - x_before, y[0] - y_before) / RETURN_MM_S
-            rows.append((time_s, x[0], y[0], angle[0], 0.0))
-            rows.append((time_s + LIFT_S, x[0], y[0], angle[0], 1.0))
-            sweep_at = time_s + SETTLE_S
-            time_s = sweep_at + float(passed_mm[-1]) / speed_mm_s
-            lifting_at = time_s - LIFT_S / 3
-            passing = sweep_at + passed_mm / speed_mm_s
-            times = np.sort(np.append(passing, lifting_at))
-            places = (np.interp(times, passing, coordinate) for coordinate in (x, y, angle))
-            press = np.interp(times, (lifting_at, time_s), (1.0, 0.0))
-            rows.extend(zip(times, *places, press, strict=True))
-        self._table = np.array(rows).T.copy()
-        self.duration_s = time_s
+    table: Floats  # (5, N) time s, x and y mm, angle rad, force N
+    lines: tuple[TextLine, ...] = ()  # that it follows, if it reads
 
-    def at(self, time_s: float) -> tuple[Pose, float]:
-        """Return the pose and the force in newtons."""
-        value = partial(np.interp, time_s, self._table[0])
-        x, y, angle, press = map(float, map(value, self._table[1:]))
-        return Pose(x, y, angle), press * self._force_n
+    @property
+    def duration_s(self) -> float:
+        return float(self.table[0, -1])
 
 
-class RecordedPath:
-    """A path from a CSV file with the columns time_s, x_mm, y_mm, angle_deg, force_n."""
+def reading_path(
+    page: Page, profile: Profile, speed_mm_s: float, light_on_dark: bool = False
+) -> FingerPath:
+    """Return the path along the lines of a page, one after another; in strips without lines."""
+    require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
+    field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
+    # Without a word of it, print may still be light: else the dark between letters is read.
+    lines = find_lines(page, light_on_dark or None) or [_printed(page, light_on_dark)]
+    sweeps = tuple(sweep for line in lines for sweep in _sweeps(line, field[1]))
+    rows: list[tuple[float, float, float, float, float]] = []
+    time_s = 0.0
+    for line in sweeps:
+        x, y, angle, passed_mm = _middle_path(line, field[0])
+        if rows:
+            x_before, y_before = rows[-1][1:3]
+            time_s += math.hypot(x[0] - x_before, y[0] - y_before) / RETURN_MM_S
+        rows.append((time_s, x[0], y[0], angle[0], 0.0))
+        rows.append((time_s + LIFT_S, x[0], y[0], angle[0], 1.0))
+        sweep_at = time_s + SETTLE_S
+        time_s = sweep_at + float(passed_mm[-1]) / speed_mm_s
+        lifting_at = time_s - LIFT_S / 3
+        passing = sweep_at + passed_mm / speed_mm_s
+        times = np.sort(np.append(passing, lifting_at))
+        places = (np.interp(times, passing, values) for values in (x, y, angle))
+        press = np.interp(times, (lifting_at, time_s), (1.0, 0.0))
+        rows.extend(zip(times, *places, press, strict=True))
+    table = np.array(rows).T.copy()
+    table[4] *= _PRESS * profile.force.full_n
+    return FingerPath(table, sweeps)
 
-    def __init__(self, path: Path) -> None:
-        self._table = np.array([*read_csv(path, SourceError, _COLUMNS).values()])
-        self._table[0] -= self._table[0, 0]
-        self.duration_s: float = float(self._table[0, -1])
 
-    def at(self, time_s: float) -> tuple[Pose, float]:
-        """Return the pose and the force in newtons."""
-        value = partial(np.interp, time_s, self._table[0])
-        x, y, angle, force = map(float, map(value, self._table[1:]))
-        return Pose(x, y, math.radians(angle)), force
+def recorded_path(path: Path) -> FingerPath:
+    """Return the path in a CSV file with the columns time_s, x_mm, y_mm, angle_deg, force_n."""
+    table = np.array([*read_csv(path, SourceError, _COLUMNS).values()])
+    table[0] -= table[0, 0]
+    table[3] = np.radians(table[3])
+    return FingerPath(table)
 
 
 def _printed(page: Page, light_on_dark: bool) -> TextLine:
@@ -263,12 +256,13 @@ class PageSource(OpticalSource):
         self.page = page
         self.text: str = ""  # text of the page, if it is known
         self.notes: list[str] = [notice] if notice else []
-        self.path: ReadingPath | RecordedPath = (
-            ReadingPath(page, profile, speed_mm_s, light_on_dark)
+        self.path: FingerPath = (
+            reading_path(page, profile, speed_mm_s, light_on_dark)
             if path is None
-            else RecordedPath(path)
+            else recorded_path(path)
         )
-        self.duration_s: float | None = self.path.duration_s
+        self._lasts_s = self.path.duration_s
+        self.duration_s: float | None = self._lasts_s
         self._seed = seed
         optics = profile.optics
         self._shape = (optics.sensor_rows, optics.sensor_columns)
@@ -293,16 +287,18 @@ class PageSource(OpticalSource):
     def repeat(self, passes: int) -> None:
         """Let the finger read the page so often; without end if 0."""
         require_within(SourceError, "passes", passes, 0, MOST_PASSES)
-        lasts_s = self.path.duration_s
+        lasts_s = self._lasts_s
         self.duration_s = (passes - 1) * (lasts_s + AGAIN_S) + lasts_s if passes else None
 
     def read(self, time_ns: int) -> Frame | None:
         """Return the frame at a time since the start; None when the path is over."""
         if self.duration_s is not None and time_ns / 1e9 > self.duration_s:
             return None
-        time_s, lasts_s = time_ns / 1e9, self.path.duration_s
+        time_s, lasts_s = time_ns / 1e9, self._lasts_s
         again_s = time_s % (lasts_s + AGAIN_S) if time_s > lasts_s else time_s
-        pose, force_n = self.path.at(min(again_s, lasts_s))
+        at_s, table = min(again_s, lasts_s), self.path.table
+        *place, force_n = map(float, map(partial(np.interp, at_s, table[0]), table[1:]))
+        pose = Pose(*place)
         if again_s > lasts_s:
             # Between two passes the finger is lifted.
             force_n = 0.0
@@ -344,8 +340,8 @@ def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, in
     # The paper continues beyond the page's edges, in their usual grey.
     edges = np.concatenate([surface[0], surface[-1], surface[:, 0], surface[:, -1]])
     margin, paper = round(_MARGIN_MM / surface_mm), float(np.median(edges))
-    bordered = cv2.copyMakeBorder(surface, *4 * (margin,), cv2.BORDER_CONSTANT, value=paper)
-    return np.asarray(bordered, np.uint8), surface_mm, margin
+    whole = cv2.copyMakeBorder(surface, *4 * (margin,), cv2.BORDER_CONSTANT, value=paper)
+    return np.asarray(whole, np.uint8), surface_mm, margin
 
 
 def _light(shape: tuple[int, int]) -> NDArray[np.float32]:

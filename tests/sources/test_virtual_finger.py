@@ -14,12 +14,13 @@ from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.text_lines import find_lines
 from smarttouch.sources import open_source
+from smarttouch.sources.source_contract import Pose
 from smarttouch.sources.virtual_finger import (
     AGAIN_S,
     PageSource,
-    ReadingPath,
-    RecordedPath,
     open_page,
+    reading_path,
+    recorded_path,
 )
 
 from ..pages.printed import degrade, print_page, some_lines
@@ -27,6 +28,12 @@ from ..support.checks import numbers_in, raises
 
 TEN_MS = 10_000_000
 HEADER = "time_s,x_mm,y_mm,angle_deg,force_n\n"
+
+
+def at(path, time_s):
+    """Return the pose and the force of a path at a time."""
+    *pose, force_n = (np.interp(time_s, path.table[0], row) for row in path.table[1:])
+    return Pose(*pose), force_n
 
 
 @pytest.fixture
@@ -164,7 +171,7 @@ def test_passes_are_counted(profile, passes):
 
 
 def test_a_blank_page_is_read_in_strips(profile):
-    path = ReadingPath(Page(np.full((300, 400), 255, np.uint8), 0.1), profile, 40)
+    path = reading_path(Page(np.full((300, 400), 255, np.uint8), 0.1), profile, 40)
     assert len(path.lines) == 6
     assert path.lines[-1].bottom_mm == pytest.approx(30)
 
@@ -173,7 +180,7 @@ def test_a_blank_page_is_read_in_strips(profile):
 def test_a_word_too_short_for_a_line_is_read_where_it_is(profile, word):
     page = print_text(word)
     rows, columns = np.nonzero(page.grey < 128)
-    path = ReadingPath(page, profile, 40)
+    path = reading_path(page, profile, 40)
     (line,) = path.lines
     assert line.left_mm <= columns.min() * page.mm_per_pixel
     assert line.right_mm >= columns.max() * page.mm_per_pixel
@@ -183,20 +190,20 @@ def test_a_word_too_short_for_a_line_is_read_where_it_is(profile, word):
 
 
 def test_the_finger_lands_settles_sweeps_and_lifts(profile):
-    path = ReadingPath(print_text("one line\nand another"), profile, 40)
+    path = reading_path(print_text("one line\nand another"), profile, 40)
     times = np.arange(0, path.duration_s, 0.01)
-    poses, forces = zip(*(path.at(time) for time in times), strict=True)
+    poses, forces = zip(*(at(path, time) for time in times), strict=True)
     x = np.array([pose.x_mm for pose in poses])
     pressing = np.array(forces) > profile.force.full_n * 0.9
     starts = np.flatnonzero(np.diff(pressing.astype(int)) == 1)
     assert len(starts) == 2
     assert forces[0] == 0
-    assert path.at(path.duration_s)[1] == pytest.approx(0)
+    assert at(path, path.duration_s)[1] == pytest.approx(0)
     assert np.diff(x[pressing]).min() >= -60
     sweeping = np.diff(x) / 0.01
     assert np.median(sweeping[sweeping > 1]) == pytest.approx(40, rel=0.01)
     # It rests with the first letters under it, whose pulses let intensity rise.
-    assert path.at(0)[0].x_mm == path.at(0.7)[0].x_mm == path.lines[0].left_mm
+    assert at(path, 0)[0].x_mm == at(path, 0.7)[0].x_mm == path.lines[0].left_mm
 
 
 @pytest.mark.parametrize("skew_deg", [-3, 3])
@@ -205,23 +212,23 @@ def test_a_tilted_line_is_followed_by_hand_and_patch(profile, skew_deg):
     middle = tuple(side / 2 for side in page.grey.shape[::-1])
     turn = cv2.getRotationMatrix2D(middle, -skew_deg, 1)
     grey = cv2.warpAffine(page.grey, turn, page.grey.shape[::-1], borderValue=255)
-    path = ReadingPath(Page(grey, page.mm_per_pixel), profile, 40)
+    path = reading_path(Page(grey, page.mm_per_pixel), profile, 40)
     line = path.lines[0]
     for time in np.arange(0.8, 2.0, 0.1):
-        pose, _ = path.at(time)
+        pose, _ = at(path, time)
         base_mm = float(line.baseline_mm(np.array(pose.x_mm)))
         assert pose.y_mm == pytest.approx(
             base_mm + (line.descent_mm - line.ascent_mm) / 2, abs=0.01
         )
         assert pose.angle_rad == pytest.approx(math.radians(skew_deg), abs=math.radians(0.3))
-    begin, end = path.at(0.8)[0], path.at(1.8)[0]
+    begin, end = at(path, 0.8)[0], at(path, 1.8)[0]
     way_mm = math.hypot(end.x_mm - begin.x_mm, end.y_mm - begin.y_mm)
     assert way_mm == pytest.approx(40, rel=0.01)
 
 
 def test_a_tall_line_takes_several_sweeps(profile):
     small = print_text("on they read")
-    path = ReadingPath(Page(small.grey, 3 * small.mm_per_pixel), profile, 40)
+    path = reading_path(Page(small.grey, 3 * small.mm_per_pixel), profile, 40)
     line = find_lines(Page(small.grey, 3 * small.mm_per_pixel))[0]
     assert len(path.lines) == 3
     assert path.lines[0].top_mm == pytest.approx(line.top_mm)
@@ -232,14 +239,14 @@ def test_a_tall_line_takes_several_sweeps(profile):
 @pytest.mark.parametrize("speed", [0, -1, 501, math.nan, math.inf])
 def test_impossible_speeds(profile, speed):
     with raises(SourceError, names="speed_mm_s", value=speed):
-        ReadingPath(print_text("x"), profile, speed)
+        reading_path(print_text("x"), profile, speed)
 
 
 def test_recorded_path(tmp_path):
     file = tmp_path / "path.csv"
     file.write_text(HEADER + "10,0,0,0,0\n11,10,4,90,1\n")
-    path = RecordedPath(file)
-    pose, force = path.at(0.5)
+    path = recorded_path(file)
+    pose, force = at(path, 0.5)
     assert (pose.x_mm, pose.y_mm, force) == (5, 2, 0.5)
     assert pose.angle_rad == pytest.approx(math.pi / 4)
     assert path.duration_s == 1
@@ -256,5 +263,5 @@ def test_bad_recorded_paths(tmp_path, text, about, value):
     if text is not None:
         file.write_text(text)
     with raises(SourceError, value=value) as caught:
-        RecordedPath(file)
+        recorded_path(file)
     assert str(file) in str(caught.value)
