@@ -23,7 +23,7 @@ from scipy.stats import kendalltau
 
 from benchmarks.page_layouts import LAYOUTS, MEDIA, page_of
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.pages.document import open_document
+from smarttouch.pages.document import Document
 from smarttouch.reading.legibility import character_error_rate, normalize
 from smarttouch.reading.recognition import RecognitionOptions, recognized_lines, upright_page
 
@@ -104,7 +104,7 @@ def typeset(task):
 def real(path):
     """Return the figures of a file; None if it is not a page."""
     try:
-        with open_document(path) as document:
+        with Document(path) as document:
             page = document.page(0)
     except SmartTouchError:
         return None

@@ -44,15 +44,23 @@ class LockedError(PageError):
 
 
 class Document(Closing):
-    """Pages loaded on request, by one thread at a time; ``notes`` lists what was assumed.
+    """Pages of a PDF, a TIFF or any other image, recognized by its content, loaded on request.
 
     A PDF is rendered, with filled-in forms, and brings its text; an image is open only while a page
-    is loaded.
+    is loaded. One thread at a time may load pages; ``notes`` lists what was assumed. ``dpi``
+    replaces an image's own resolution, or the 300 at which a PDF is rendered; ``page_width_mm``
+    replaces the file's own scale.
     """
 
     def __init__(
-        self, path: Path, dpi: float | None, page_width_mm: float | None, password: str | None
+        self,
+        path: Path,
+        *,
+        dpi: float | None = None,
+        page_width_mm: float | None = None,
+        password: str | None = None,
     ) -> None:
+        check_scale_options(dpi, page_width_mm)
         self.path: Path = path
         self.notes: list[str] = []
         self._dpi, self._page_width_mm = dpi, page_width_mm
@@ -141,22 +149,6 @@ class Document(Closing):
             self.notes.append(sentence)
 
 
-def open_document(
-    path: Path,
-    *,
-    dpi: float | None = None,
-    page_width_mm: float | None = None,
-    password: str | None = None,
-) -> Document:
-    """Open a PDF, a TIFF of one or many pages, or any other image, recognized by its content.
-
-    ``dpi`` replaces an image's own resolution, or the 300 at which a PDF is rendered;
-    ``page_width_mm`` replaces the file's own scale.
-    """
-    check_scale_options(dpi, page_width_mm)
-    return Document(path, dpi, page_width_mm, password)
-
-
 def password_of(path: Path, password_file: str | None = None) -> str | None:
     """Return the password of a document; None if it needs none.
 
@@ -177,7 +169,7 @@ def password_of(path: Path, password_file: str | None = None) -> str | None:
     password = None
     for attempt in range(_TRIES + 1):
         try:
-            open_document(path, password=password).close()
+            Document(path, password=password).close()
             break
         except LockedError:
             if attempt == _TRIES or not sys.stdin.isatty():

@@ -21,14 +21,13 @@ Pixels = NDArray[Any]
 MOST_PIXELS = 100_000_000  # of a page
 LUMA = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue, ITU-R BT.601."""
-_STEPS = (0.0, 0.25, 0.5, 0.75, 1.0)
-_MIXES = np.array([mix for mix in itertools.product(_STEPS, repeat=3) if sum(mix) == 1])
+_MIXES = np.array([mix for mix in itertools.product((0, 0.25, 0.5, 0.75, 1), repeat=3)
+                   if sum(mix) == 1])  # fmt: skip
 _MIXES = np.vstack([LUMA, _MIXES[np.abs(_MIXES - LUMA).sum(axis=1).argsort(kind="stable")]])
 """Weights that may show colored print, the nearest to luma first: paper stays white."""
-_KEPT, _AS_GOOD = 0.95, 0.01
-"""Share of the best contrast from which the present weights stay; difference that is none."""
-_EDGE_LEVELS, _EDGE_PIXELS, _FEWEST_EDGES, _MOST_EDGES = 40, 3, 50, 4000
-"""Difference of a channel, and distance, of two pixels at an edge, and the edges looked at."""
+_KEPT = 1.05  # advantage of the present weights
+_EDGE_LEVELS, _EDGE_PIXELS, _FEWEST_EDGES = 40, 3, 50
+"""Difference of a channel, and distance, of two pixels at an edge, and the edges that count."""
 _SAMPLED_ROWS = 400
 _BRIGHTEST = 0.999  # quantile of floating-point levels that is white: highlights may be above
 _CONTRAST = 64  # levels between the darkest and the brightest of a picture that carries print
@@ -36,7 +35,6 @@ _THICK = 8  # strokes are thinner than the image's shorter side divided by this
 _WHITE_IS_ZERO = 262, 0  # photometric interpretation of a TIFF
 ORIENTATION = 0x0112  # EXIF tag; 5 and above lay the rows of the file upright
 _SUBFILE, _NO_PAGE = 254, 1 | 4  # tag of a TIFF; bits of reduced images and masks
-_OLD_SUBFILE, _REDUCED = 255, 2
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions that Pillow raises on damaged files."""
 
@@ -88,14 +86,9 @@ class GreyConverter:
     def _choose_ground(self, colors: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> None:
         """Choose a ground on which the print of a transparent image is seen."""
         visible = alpha >= max(1, int(alpha.max()) // 2)
-        side = max(3, min(alpha.shape) // _THICK)
-        # Without a border, so that print that touches the edge is thin as well.
-        thick = cv2.erode(
-            visible.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=0,
-            borderType=cv2.BORDER_CONSTANT,
-        )  # fmt: skip
+        deepest = cv2.distanceTransform(np.pad(visible, 1).astype(np.uint8), cv2.DIST_C, 3).max()
         # Thin print may be of any color, also black and white at once: its alpha is its ink.
-        self._alpha_is_ink = bool(visible.any() and not thick.any())
+        self._alpha_is_ink = bool(0 < 2 * deepest <= max(3, min(alpha.shape) // _THICK))
         low, middle, high = np.percentile(colors[visible], (0.5, 50, 99.5)) if visible.any() else (
             0, 255, 255
         )  # fmt: skip
@@ -132,12 +125,10 @@ def _best_mix(colors: NDArray[np.uint8], present: int) -> int:
     edges = edges[np.abs(edges).max(axis=2) >= _EDGE_LEVELS]
     if len(edges) < _FEWEST_EDGES:
         return present
-    edges = edges[:: 1 + len(edges) // _MOST_EDGES]
     contrast = np.abs(edges @ _MIXES.T) / np.abs(edges).max(axis=1, keepdims=True)
     shown = np.minimum(1, 2 * contrast).mean(axis=0)
-    if shown[present] >= _KEPT * shown.max():
-        return present
-    return int(np.argmax(shown >= shown.max() - _AS_GOOD))
+    shown[present] *= _KEPT
+    return int(np.argmax(shown.round(2)))
 
 
 def _white_level(values: Pixels, black: float = 0.0) -> float:
@@ -182,18 +173,13 @@ def open_image(
 
 
 def page_frames(image: Image.Image) -> list[int]:
-    """Return the frames of an open image that are pages.
-
-    Thumbnails, coarser copies and masks of a TIFF are not, nor are the frames of an animation.
-    """
-    if image.format != "TIFF":
-        return [0]
-    frames = range(getattr(image, "n_frames", 1))
+    """Return the frames of an open image that are pages: of a TIFF, no thumbnails nor masks; of an
+    animation, the first."""
+    frames = range(getattr(image, "n_frames", 1) if image.format == "TIFF" else 1)
     pages = []
     for frame in frames:
         image.seek(frame)
-        tags: Any = getattr(image, "tag_v2", {})
-        if not (tags.get(_SUBFILE, 0) & _NO_PAGE or tags.get(_OLD_SUBFILE) == _REDUCED):
+        if not getattr(image, "tag_v2", {}).get(_SUBFILE, 0) & _NO_PAGE:
             pages.append(frame)
     return pages or list(frames)
 

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from smarttouch.pages.grey_image import LUMA
 from smarttouch.pages.page_image import Page, TextLine
 from smarttouch.pages.reading_order import (
     DOUBTFUL,
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     import pypdfium2
 
 _ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # of most fonts; all in sizes of the letters
+_ABOVE, _BELOW = 0.95, 0.3  # what of the picture belongs to text, in sizes of the letters
 _LEVEL = 10.0  # angle in degrees from which text is aslant
 _TOUCHING, _FARTHEST = 0.3, 2.5  # gaps that are no space after a moved pen, nor by a file's space
 _SPACED, _WIDER = 0.8, 1.5  # gap of spaced letters, and ratio to it of the gap between their words
@@ -46,8 +46,6 @@ _BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # codes of symbol fonts
 _PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
 _FINE = 1000.0  # parts of a point in which PDFium gives places
 _MOST_UNKNOWN = 0.05  # part of a text's characters that mean nothing
-_VOWELS, _VOWEL_SHARE, _FEWEST = frozenset("aeiouyæœø"), (0.22, 0.62), 40
-"""Part of Latin letters that are vowels in any language; fewest letters that show wrong codes."""
 _COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 4
 """Pixels, heights, contrast and number of the spots that may be print beside the text."""
 _FAINT = 12  # levels of contrast below which print is not seen
@@ -66,7 +64,6 @@ class _Sign:
     space: str  # one of _SPACES
     is_filled: bool  # into a form
     turn_deg: int | None  # by which the page must be turned for it; None if it is aslant
-    grey: float  # level of its color
 
     def gap(self, other: "_Sign") -> float:
         """Return the distance of the nearer ends of two characters, in sizes of the larger."""
@@ -88,33 +85,33 @@ def with_text(sheet: "pypdfium2.PdfPage", page: Page, point_mm: float, printed: 
     segments = _segments([sign for sign in signs if sign.turn_deg == 0])
     if not signs:
         return page
-    seen = [segment for segment in segments if _is_seen(page, segment, point_mm)]
-    hidden = sum(len(part.text.split()) for part in segments if part not in seen)
     letters = [unicodedata.bidirectional(sign.text[0]) for sign in signs]
     is_leftward = sum(letter in ("R", "AL") for letter in letters) > letters.count("L")
-    parts: list[Segment | _Sign] = [*segments, *turned]
-    boxes = [_box(page, part, point_mm, 0.95, 0.4, 0.2) for part in parts]
+    boxes = [_box(page, part, point_mm) for part in segments]
+    prints = [page.grey[box] for box in boxes]
+    seen = [
+        segment for segment, print_ in zip(segments, prints, strict=True)
+        if not print_.size or np.ptp(print_) >= _FAINT
+    ]  # fmt: skip
+    hidden = len(segments) - len(seen)
+    boxes += [_box(page, sign, point_mm) for sign in turned]
     found = reading_order(seen, sheet.get_height(), is_leftward)
     lines = [_text_line(line, point_mm) for line in found]
     texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in found]
-    if 2 * len(turned) > len(signs) or not _makes_sense("".join(texts)):
-        return _pictured(page, "most of its text is turned or makes no sense")
     others = _print_beside(page, boxes)
-    if sum(map(_length, others)) > _MOSTLY * sum(map(_length, lines)):
-        return _pictured(page, "much of its print is not in its text")
+    is_poor = 2 * len(turned) > len(signs) or not _makes_sense("".join(texts))
+    if is_poor or _length(others) > _MOSTLY * _length(lines):
+        reason = "most of its text is turned or unknown, or much of its print is not text"
+        return replace(page, notes=(f"{reason}, so its picture is recognized instead",))
     notes = [DOUBTFUL] if any(line.is_doubtful for line in found) else []
     if turned:
         text = "".join((" " if sign.space else "") + sign.text for sign in turned).strip()
         notes.append(f"turned text is left out: {text}")
     if hidden:
-        notes.append(f"words that are not visible are left out: {hidden}")
+        notes.append(f"text that is not visible is left out (parts of lines: {hidden})")
     if others:
         notes.append(f"print that is not in its text is left out (lines: {len(others)})")
     return replace(page, lines=tuple(lines), words=tuple(texts), notes=tuple(notes))
-
-
-def _pictured(page: Page, reason: str) -> Page:
-    return replace(page, notes=(f"{reason}, so its picture is recognized instead",))
 
 
 def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[_Sign]:
@@ -130,7 +127,7 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[_Sign]:
         return across.value / _FINE, down.value / _FINE
 
     x, y, *sides = (ctypes.c_double() for _ in range(6))
-    matrix, color = pdfium.FS_MATRIX(), [ctypes.c_uint() for _ in range(4)]
+    matrix = pdfium.FS_MATRIX()
     space = _TYPED
     with contextlib.closing(sheet.get_textpage()) as layer:
         for k in range(layer.count_chars()):
@@ -148,14 +145,10 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[_Sign]:
             (left, right), (top, bottom) = map(sorted, zip(*corners, strict=True))
             size = abs(pdfium.FPDFText_GetFontSize(layer, k)) * math.hypot(matrix.c, matrix.d)
             if size > 0 and 0 < (left + right) / 2 < width and 0 < (top + bottom) / 2 < height:
-                start = view(x.value, y.value)
-                end = view(x.value + size * matrix.a, y.value + size * matrix.b)
-                angle = math.degrees(math.atan2(start[1] - end[1], end[0] - start[0]))
+                angle = math.degrees(math.atan2(matrix.b, matrix.a)) - sheet.get_rotation()
                 turn = round(angle / 90) % 4 * 90 if abs((angle + 45) % 90 - 45) < _LEVEL else None
-                pdfium.FPDFText_GetFillColor(layer, k, *color)
-                grey = float(np.dot(LUMA, [part.value for part in color[:3]]))
-                is_filled = k >= printed
-                yield _Sign(text, left, right, start[1], size, space, is_filled, turn, grey)
+                baseline = view(x.value, y.value)[1]
+                yield _Sign(text, left, right, baseline, size, space, k >= printed, turn)
                 space = _NONE
 
 
@@ -169,9 +162,7 @@ def _segments(signs: list[_Sign]) -> list[Segment]:
         for last, sign in itertools.pairwise([None, *line]):
             if sign and not (last and _is_joined(segments[-1], last, sign, tracking, widest)):
                 place = -1 if sign.is_filled else len(segments)
-                segments.append(
-                    Segment(sign.text, sign.left, sign.right, sign.y, sign.size, place, sign.grey)
-                )
+                segments.append(Segment(sign.text, sign.left, sign.right, sign.y, sign.size, place))
     return segments
 
 
@@ -208,7 +199,7 @@ def _is_joined(segment: Segment, last: _Sign, sign: _Sign, tracking: float, wide
     elif is_script and (sign.size < _SMALLER * segment.size or abs(raised) > _FAR):
         mark = "^" if raised > 0 else "_"
         segment.text += text if last.y == sign.y else text.replace(sign.text, mark + sign.text)
-    elif (is_space and abs(sign.grey - segment.grey) >= _FAINT) or (
+    elif (
         gap > _FARTHEST if sign.space == _TYPED
         else gap > widest and are_apart(segment.text, sign.text, gap)
     ):  # fmt: skip
@@ -234,39 +225,26 @@ def _text_line(line: Line, point_mm: float) -> TextLine:
 
 
 def _makes_sense(text: str) -> bool:
-    """Return whether a text has neither unknown nor wrong codes."""
+    """Return whether a text has few unknown codes."""
     unknown = sum(unicodedata.category(sign)[0] == "C" or sign == "\ufffd" for sign in text)
-    # Accents become marks of their own.
-    plain = unicodedata.normalize("NFD", text.lower())
-    latin = [sign for sign in plain if sign.isalpha() and "LATIN" in unicodedata.name(sign, "")]
-    share = sum(sign in _VOWELS for sign in latin) / max(1, len(latin))
-    wrong = len(latin) >= _FEWEST and not _VOWEL_SHARE[0] < share < _VOWEL_SHARE[1]
-    return unknown <= _MOST_UNKNOWN * len(text) and not wrong
+    return unknown <= _MOST_UNKNOWN * len(text)
 
 
-def _length(line: TextLine) -> float:
-    return line.right_mm - line.left_mm
+def _length(lines: list[TextLine]) -> float:
+    return sum(line.right_mm - line.left_mm for line in lines)
 
 
 _Box = tuple[slice, slice]  # rows and columns of a page
 
 
-def _is_seen(page: Page, segment: Segment, point_mm: float) -> bool:
-    """Return whether text has another color than its ground, or any contrast: scans have it."""
-    box = page.grey[_box(page, segment, point_mm, _X_HEIGHT, 0.0, 0.0)].astype(float)
-    return not box.size or np.ptp(box) >= _FAINT or abs(box.mean() - segment.grey) >= _FAINT
-
-
-def _box(
-    page: Page, part: Segment | _Sign, point_mm: float, above: float, below: float, beside: float
-) -> _Box:
-    """Return the pixels of text, and around its baseline and ends, in sizes of its letters."""
+def _box(page: Page, part: Segment | _Sign, point_mm: float) -> _Box:
+    """Return the pixels of text and a little around it."""
     scale, size = point_mm / page.mm_per_pixel, part.size
-    spans = (part.y - above * size, part.y + below * size), (
-        part.left - beside * size, part.right + beside * size
-    )  # fmt: skip
+    top, bottom = part.y - _ABOVE * size, part.y + _BELOW * size
+    left, right = part.left - _BELOW * size, part.right + _BELOW * size
     rows, columns = (
-        slice(max(0, int(low * scale)), max(0, math.ceil(high * scale))) for low, high in spans
+        slice(max(0, int(low * scale)), max(0, math.ceil(high * scale)))
+        for low, high in ((top, bottom), (left, right))
     )
     return rows, columns
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from smarttouch.base.errors import PageError
-from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page, TextLine
+from smarttouch.pages.page_image import INCH_MM, Page, TextLine, require_size_mm
 from smarttouch.pages.reading_order import DOUBTFUL
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened, skew_of, turned
 from smarttouch.pages.text_lines import page_lines
@@ -56,23 +56,16 @@ def cut_strip(
 
 
 def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArray[np.uint8]:
-    """Return the middle rows of a wider cut, without spots that lie mostly beyond them."""
+    """Return the middle rows of a wider cut, without spots whose center is beyond them."""
     ink = (wide < _INK).view(np.uint8)
-    own = slice(above, above + rows)
-    count, labels = cv2.connectedComponents(ink, connectivity=8)
-    whole = np.bincount(labels.ravel(), minlength=count)
-    inside = np.bincount(labels[own].ravel(), minlength=count)
-    foreign = (2 * inside < whole) & (inside > 0)
-    foreign[0] = False
-    strip = wide[own]
-    if not foreign.any():
-        return strip
-    side = 2 * _FADED + 1
-    spots = foreign.astype(np.uint8)[labels[own]]
-    faded = cv2.dilate(spots, np.ones((side, side), np.uint8)) > 0
+    _, labels, _, centers = cv2.connectedComponentsWithStats(ink, connectivity=8)
+    is_foreign = np.abs(centers[:, 1] - above - rows / 2) > rows / 2
+    is_foreign[0] = False
+    spots = is_foreign.astype(np.uint8)[labels]
+    faded = cv2.dilate(spots, np.ones((2 * _FADED + 1,) * 2, np.uint8)) > 0
     # Ink of this line nearby is kept.
-    faded &= (labels[own] == 0) | (spots > 0)
-    return np.where(faded, np.uint8(255), strip)
+    cut = np.where(faded & ((labels == 0) | (spots > 0)), np.uint8(255), wide)
+    return cut[above : above + rows]
 
 
 LEFT_OUT = "left out: "  # beginning of the note on what is not among the lines
@@ -129,10 +122,8 @@ def prepare_page(
 
 
 PRINT_DPI = 300
-_PRINT_WIDTH_MM = 92.0
-_MARGIN_MM = 7.0
-_LINE_MM = 4.2  # height of a line, ascender to descender
-_LINE_STEP_MM = 8.0
+_WIDTH_MM, _MARGIN_MM, _LINE_MM, _STEP_MM = 92.0, 7.0, 4.2, 8.0
+"""Printed page, its margins, its lines from ascender to descender, and their distance."""
 _COLUMNS = 30
 _INK_LEVEL = 15
 _PER_MM = PRINT_DPI / INCH_MM
@@ -141,38 +132,29 @@ _PER_MM = PRINT_DPI / INCH_MM
 def print_text(text: str) -> Page:
     """Print a text as black on white at 300 dots per inch; the page has its lines and words."""
     wrapped = [row for part in text.splitlines() for row in textwrap.wrap(part, _COLUMNS) or [""]]
-    if not any(row.strip() for row in wrapped):
+    if not any(wrapped):
         raise PageError("text: has no words: give some after the colon")
-    height_mm = 2 * _MARGIN_MM + (len(wrapped) - 1) * _LINE_STEP_MM + _LINE_MM
-    if height_mm > LARGEST_MM:
-        raise PageError(
-            f"the text has {len(wrapped)} lines, a page of {height_mm:.0f} mm, above the "
-            f"{LARGEST_MM:g} that are possible: shorten it"
-        )
-    size = (round(_PRINT_WIDTH_MM * _PER_MM), round(height_mm * _PER_MM))
-    sheet = Image.new("L", size, 255)
+    height_mm = 2 * _MARGIN_MM + (len(wrapped) - 1) * _STEP_MM + _LINE_MM
+    require_size_mm(
+        f"the text of {len(wrapped)} lines", _WIDTH_MM, height_mm, "shorter text, or a page"
+    )
+    sheet = Image.new("L", (round(_WIDTH_MM * _PER_MM), round(height_mm * _PER_MM)), 255)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_LINE_MM * _PER_MM * 1.26)
-    # Boxes from the baseline.
-    high, low, x_high = (font.getbbox(letters, anchor="ls") for letters in ("dlA", "gpy", "x"))
-    below_top_px = font.getbbox("x", anchor="la")[1] - x_high[1]
-    lines, words = [], []
+    # Heights above the baseline.
+    high, low, x_high = (-font.getbbox(signs, anchor="ls")[k] / _PER_MM
+                         for signs, k in (("dlA", 1), ("gpy", 3), ("x", 1)))  # fmt: skip
+    lines = []
     for number, row in enumerate(wrapped):
-        top_px = (_MARGIN_MM + number * _LINE_STEP_MM) * _PER_MM
-        draw.text((_MARGIN_MM * _PER_MM, top_px), row, fill=_INK_LEVEL, font=font)
-        if row.strip():
-            left, _, right, _ = font.getbbox(row)
-            words.append(row.strip())
-            lines.append(
-                TextLine(
-                    left_mm=_MARGIN_MM + left / _PER_MM,
-                    right_mm=_MARGIN_MM + right / _PER_MM,
-                    baseline=((top_px + below_top_px) / _PER_MM,),
-                    x_height_mm=-x_high[1] / _PER_MM,
-                    ascent_mm=-high[1] / _PER_MM,
-                    descent_mm=low[3] / _PER_MM,
-                )
-            )
-    return Page(np.asarray(sheet), 1 / _PER_MM, tuple(lines), tuple(words))
+        baseline_mm = _MARGIN_MM + number * _STEP_MM + font.getbbox("x")[3] / _PER_MM
+        place = _MARGIN_MM * _PER_MM, baseline_mm * _PER_MM
+        draw.text(place, row, fill=_INK_LEVEL, font=font, anchor="ls")
+        if row:
+            left, _, right, _ = (side / _PER_MM for side in font.getbbox(row))
+            lines.append(TextLine(
+                _MARGIN_MM + left, _MARGIN_MM + right, (baseline_mm,), x_high, high, -low
+            ))  # fmt: skip
+    words = tuple(row.strip() for row in wrapped if row)
+    return Page(np.asarray(sheet), 1 / _PER_MM, tuple(lines), words)
 
 
 def prepare_text(text: str) -> PreparedPage:

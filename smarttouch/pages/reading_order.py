@@ -37,7 +37,6 @@ class Segment:
     y: float  # of its baseline
     size: float  # of its letters
     place: int  # in the file's order; below 0 in fields of a form and in pictures
-    grey: float = 0.0  # level of its color
 
 
 Row = list[Segment]

@@ -8,7 +8,7 @@ from pathlib import Path
 from joblib import Parallel, delayed
 
 from smarttouch.base.errors import ReadingError
-from smarttouch.pages.document import open_document, parse_pages
+from smarttouch.pages.document import Document, parse_pages
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import PreparedPage, prepare_text
 from smarttouch.pages.text_file import FileKind, file_kind, read_document_text, read_plain_text
@@ -64,7 +64,7 @@ class ReadingMaterial:
         A scale that the document assumes is not reported: every line is made as high as the array.
         """
         options = self.options
-        with open_document(
+        with Document(
             Path(self.name),
             dpi=options.dpi,
             page_width_mm=options.page_width_mm,

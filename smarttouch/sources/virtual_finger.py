@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError, SourceError, require_within
 from smarttouch.base.files import read_csv, read_text
-from smarttouch.pages.document import open_document, password_of
+from smarttouch.pages.document import Document, password_of
 from smarttouch.pages.ink import is_light_on_dark, separate_ink
 from smarttouch.pages.page_image import INCH_MM, Page, TextLine
 from smarttouch.pages.prepared_page import print_text
@@ -203,7 +203,7 @@ def load_or_guess(
     if text and dpi is None and width_mm is None:
         return print_text(read_text(path, PageError).strip()), ""
     password = password_of(path, password_file)
-    with open_document(path, dpi=dpi, page_width_mm=width_mm, password=password) as document:
+    with Document(path, dpi=dpi, page_width_mm=width_mm, password=password) as document:
         page = document.page(0)
     if dpi or width_mm or document.has_scale:
         return page, ""

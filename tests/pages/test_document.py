@@ -17,7 +17,7 @@ from smarttouch.base.errors import PageError
 from smarttouch.pages import document as document_module
 from smarttouch.pages.document import (
     GUESSED_WIDTH_MM,
-    open_document,
+    Document,
     parse_pages,
     password_of,
 )
@@ -95,7 +95,7 @@ def put(tmp_path):
 
 
 def first_page(path, **options):
-    with open_document(path, **options) as document:
+    with Document(path, **options) as document:
         return document.page(0)
 
 
@@ -135,7 +135,7 @@ def encrypted(content, password):
 def test_a_pdf_of_three_pages(tmp_path):
     # Its content counts, not its name.
     path = save(tmp_path / "three.pdf", sheets(3), resolution=100).rename(tmp_path / "three.jpg")
-    with open_document(path) as document:
+    with Document(path) as document:
         assert len(document) == 3
         # In any order, and again.
         assert [squares(document.page(index)) for index in (2, 0, 1, 2)] == [3, 1, 2, 3]
@@ -161,7 +161,7 @@ def test_the_scale_of_a_pdf(put, options, shape, width_mm):
 
 def test_a_poster_is_rendered_coarser_with_a_note(put):
     path = put(one_page(size=(3600, 3600)), "poster.pdf")
-    with open_document(path) as document:
+    with Document(path) as document:
         page = document.page(0)
         (note,) = document.notes
         assert numbers_in(note.replace(str(path), "")) == [1, 1270, 1270, 120]
@@ -185,7 +185,7 @@ def test_bad_files(tmp_path, content):
     elif content is not None:
         path.write_bytes(content)
     with raises(PageError, names="file", value=path):
-        open_document(path)
+        Document(path)
 
 
 SIZES = {"allowed": (2, 2000)}
@@ -200,7 +200,7 @@ SIZES = {"allowed": (2, 2000)}
 ], ids=["large", "flat", "damaged", "empty", "coarse"])  # fmt: skip
 def test_pages_that_cannot_be(put, content, dpi, attributes):
     path = put(content)
-    with open_document(path, dpi=dpi) as document, raises(PageError, **attributes) as caught:
+    with Document(path, dpi=dpi) as document, raises(PageError, **attributes) as caught:
         document.page(0)
     assert str(path) in str(caught.value)
 
@@ -208,7 +208,7 @@ def test_pages_that_cannot_be(put, content, dpi, attributes):
 def outcome(path, **options):
     """Return how many pages a file gives, or the error that says why none."""
     try:
-        with open_document(path, **options) as document:
+        with Document(path, **options) as document:
             return len([document.page(index) for index in range(len(document))])
     except PageError as error:
         return error
@@ -235,7 +235,7 @@ def test_no_bytes_crash_the_opener(tmp_path_factory, suffix, data, at):
 @pytest.mark.parametrize("kind", ["L", "RGB", "1"])
 def test_a_tiff_of_many_pages(tmp_path, kind):
     path = save(tmp_path / "many.tif", sheets(4, kind=kind), dpi=(200, 200))
-    with open_document(path) as document:
+    with Document(path) as document:
         assert len(document) == 4
         assert [squares(document.page(index)) for index in (3, 0, 1)] == [4, 1, 2]
         assert document.page(0).mm_per_pixel == pytest.approx(0.127)
@@ -247,7 +247,7 @@ def test_a_tiff_of_many_pages(tmp_path, kind):
 )
 def test_an_image_without_a_scale_opens_all_the_same(tmp_path, size, width_mm):
     path = save(tmp_path / "screen.png", sheets(1, size))
-    with open_document(path) as document:
+    with Document(path) as document:
         page = document.page(0)
         document.page(0)
         assert page.size_mm[0] == pytest.approx(width_mm)
@@ -260,7 +260,7 @@ def test_an_image_without_a_scale_opens_all_the_same(tmp_path, size, width_mm):
 def test_pages_that_are_not_there(tmp_path, suffix, index):
     path = save(tmp_path / f"two.{suffix}", sheets(2))
     with (
-        open_document(path) as document,
+        Document(path) as document,
         raises(PageError, names="page", value=index + 1, allowed=2),
     ):
         document.page(index)
@@ -301,7 +301,7 @@ def locked(put):
 def test_an_encrypted_pdf_opens_with_its_password_alone(locked, put):
     for password in (None, "rose"):
         with raises(PageError, names="password", value=locked) as caught:
-            open_document(locked, password=password)
+            Document(locked, password=password)
         assert "rose" not in str(caught.value)
     assert first_page(locked, password="tulip").grey.mean() == pytest.approx(127, abs=2)
     # Only its owner has a password.
@@ -364,7 +364,7 @@ def test_pixels_become_square_and_upright(picture, tmp_path, compression, stated
 def test_resolutions_that_are_not_believed(picture, tmp_path, stated):
     path = tmp_path / "page.tif"
     picture.save(path, dpi=stated)
-    with open_document(path) as document:
+    with Document(path) as document:
         document.page(0)
     assert len(document.notes) == 1
 
@@ -413,4 +413,4 @@ def test_without_the_extra(put, monkeypatch):
     path = put(one_page())
     monkeypatch.setitem(sys.modules, "pypdfium2", None)
     with raises(PageError, names="pip install 'smarttouch[pdf]'", value=path):
-        open_document(path)
+        Document(path)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image, TiffImagePlugin
 
-from smarttouch.pages.document import open_document
+from smarttouch.pages.document import Document
 from smarttouch.pages.grey_image import GreyConverter, to_grey
 from smarttouch.sources import open_source
 
@@ -109,7 +109,7 @@ KINDS = {
 @pytest.mark.parametrize("name", KINDS)
 def test_a_page_and_a_frame_of_any_kind(profile, tmp_path, name):
     KINDS[name](tmp_path / name)
-    with open_document(tmp_path / name, dpi=150) as document:
+    with Document(tmp_path / name, dpi=150) as document:
         page = document.page(0).grey
         assert len(document) == 1
     with open_source(f"frames:{tmp_path}", profile, unpaced=True) as source:
@@ -197,7 +197,7 @@ def test_copies_and_masks_of_a_tiff_are_no_pages(tmp_path, kinds, pages):
                 tags[254] = kind
             Image.new("L", (40, 30), 10 * number).save(file, "tiff", tiffinfo=tags)
             file.newFrame()
-    with open_document(path, dpi=100) as document:
+    with Document(path, dpi=100) as document:
         assert [int(document.page(index).grey[0, 0]) for index in range(len(document))] == [
             10 * number for number in pages
         ]

@@ -1,10 +1,8 @@
 """The text that a PDF brings is read as it is seen: whole words, columns, tables, visible print."""
 
-import string
-
 import pytest
 
-from smarttouch.pages.document import open_document
+from smarttouch.pages.document import Document
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions, upright_page
 
@@ -62,7 +60,7 @@ def pdf(path, *content, size=(440, 300), page=b"", objects=b"", **more):
 
 
 def load(path, **options):
-    with open_document(path, **options) as document:
+    with Document(path, **options) as document:
         return document.page(0)
 
 
@@ -244,12 +242,12 @@ def test_a_hidden_text_of_a_scan_is_read(tmp_path):
     assert load(path).words == (PROSE[0],)
 
 
-def test_words_that_nobody_sees_are_not_read(tmp_path):
-    hidden = b"1 g " + put(40, 222, "white words here") + b"0 g "
-    grey = b"0.9 g " + put(130, 222, "but pale ones are, -") + b"0 g "
-    page = load(pdf(tmp_path / "a.pdf", (40, 233, "These words are seen,"), hidden, grey))
+def test_text_that_nobody_sees_is_not_read(tmp_path):
+    hidden = b"1 g " + put(40, 200, "white words here") + b"0 g "
+    grey = b"0.9 g " + put(130, 200, "but pale ones are, -") + b"0 g "
+    page = load(pdf(tmp_path / "a.pdf", (40, 250, "These words are seen,"), hidden, grey))
     assert page.words == ("These words are seen,", "but pale ones are, -")
-    assert page.notes == ("words that are not visible are left out: 3",)
+    assert page.notes == ("text that is not visible is left out (parts of lines: 1)",)
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -269,11 +267,10 @@ def test_print_that_is_not_read_is_named(tmp_path, turned):
     assert sum(note.startswith("page 7: ") and page.notes[0] in note for note in notes) == 1
 
 
-def test_wrong_codes_are_not_believed(tmp_path):
-    letters = string.ascii_lowercase
-    shifted = str.maketrans(letters, letters[3:] + letters[:3])
-    content = [(x, y, text.translate(shifted)) for x, y, text in columns(PROSE)]
-    page = load(pdf(tmp_path / "a.pdf", *content))
+def test_unknown_codes_are_not_believed(tmp_path):
+    fonts = FONT % (b"Helvetica", b"[97/g1/g2/g3/g4/g5/g6/g7]")
+    page = load(pdf(tmp_path / "a.pdf", *[put(x, y, "abc defg abc") for x, y, _ in columns(PROSE)],
+                    objects=b"/Font<</F %b>>" % fonts))  # fmt: skip
     assert page.lines == ()
     assert len(page.notes) == 1
     assert load(pdf(tmp_path / "b.pdf")).notes == ()

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from smarttouch.base.errors import CalibrationError, SourceError
 from smarttouch.base.files import data_folder
-from smarttouch.pages.document import open_document
+from smarttouch.pages.document import Document
 from smarttouch.sources.preprocess import FlatField, FramePreprocessor, page_per_pixel
 from smarttouch.sources.virtual_finger import PageSource
 
@@ -156,7 +156,7 @@ def test_a_line_of_print(profile, changed, tmp_path, side, speed_mm_s, most_px, 
     path.write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + "\n".join(rows))
     optics = {"optics.sensor_columns": side, "optics.sensor_rows": side}
     profile = changed(profile, optics)
-    page = open_document(data_folder("sample_images") / "page.png").page(0)
+    page = Document(data_folder("sample_images") / "page.png").page(0)
     sensor, tracker = PageSource(page, profile, "line", path=path), FramePreprocessor(profile)
     frames = [sensor.read(10_000_000 * k) for k in range(int(100 * times[-1]))]
     motions = np.array([follow(tracker, frame.image) for frame in frames])[1:]
