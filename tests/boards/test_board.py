@@ -1,6 +1,5 @@
 """Several threads open, halt, stop and close a board, and a Ctrl-C comes at any instant."""
 
-import contextlib
 import os
 import signal
 import threading
@@ -91,27 +90,6 @@ def test_a_board_that_two_threads_open_at_once_is_announced_and_opened_once(monk
     goes_on.set()
     opening.join(PATIENCE_S)
     assert (board.driver.opened, announced()) == (1, 1)
-    board.close()
-
-
-def test_a_board_that_one_thread_closes_while_another_opens_it_is_announced(monkeypatch):
-    within, goes_on = threading.Event(), threading.Event()
-
-    def slow(_):
-        within.set()
-        assert goes_on.wait(PATIENCE_S)
-
-    monkeypatch.setattr(Unlined, "close", slow)
-    board = plain()
-    board.open()
-    closing = threading.Thread(target=board.close, daemon=True)
-    closing.start()
-    assert within.wait(PATIENCE_S)
-    with contextlib.suppress(BoardError):
-        board.open()
-    goes_on.set()
-    closing.join(PATIENCE_S)
-    assert announced() == board._opened
     board.close()
 
 

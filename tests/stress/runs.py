@@ -1,4 +1,4 @@
-"""Runs that are ended at random instants: ``signals COUNT SEED`` and ``stops COUNT SEED``.
+"""Runs that are ended by signals at random instants: ``runs.py COUNT SEED``.
 
 Hosts and emulated boards are forks of one process that has imported everything. A program that is
 started takes a second of processor time; a fork of one that has begun takes a hundredth.
@@ -30,12 +30,6 @@ from smarttouch.emulator.link_firmware import LinkFirmware
 LONGEST_START_S = 4.0
 """A run drives its board well before that."""
 NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-AT_ONCE = 2
-"""Runs that start against one stop: as many as the budget of a user lets open."""
-WITHIN_S = 1.5
-RUNS_FOR_S = 6.0
-"""Longest time from the last start to the stop: a run drives its board well before that."""
-IMPORTING_S = 0.8
 KINDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 FLOWS_UA = 20
 ALONE_S = 0.3
@@ -104,15 +98,15 @@ class Emulated:
         }  # fmt: skip
 
 
-def start_host(arguments, state, out, delay_s=0.0):
+def start_host(arguments, state, out):
     """Fork the program with arguments; return its process."""
     process = os.fork()
     if process == 0:
-        run_and_exit(lambda: _host(arguments, state, out, delay_s))
+        run_and_exit(lambda: _host(arguments, state, out))
     return process
 
 
-def _host(arguments, state, out, delay_s):
+def _host(arguments, state, out):
     os.setsid()
     # Whoever started this in the background has them ignored, until the program heeds them.
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -120,8 +114,6 @@ def _host(arguments, state, out, delay_s):
     os.environ["XDG_STATE_HOME"] = str(state)
     os.environ["TERM"] = "xterm"
     quiet(out)
-    # As long as a program takes that imports, and has told nobody of itself.
-    time.sleep(delay_s)
     sys.argv = ["smarttouch", *map(str, arguments)]
     main()
 
@@ -188,35 +180,6 @@ def signalled(draw, number, kind, folder):
     }  # fmt: skip
 
 
-def stopped(draw, folder):
-    """Start some runs at random instants before a stop; return what came of each, and of it."""
-    state = Path(tempfile.mkdtemp(dir=folder))
-    boards = [Emulated(draw.choice(list(KINDS))) for _ in range(AT_ONCE)]
-    starts = sorted(draw.uniform(0.0, WITHIN_S) for _ in boards)
-    begin, hosts = time.monotonic(), []
-    for board, start_s in zip(boards, starts, strict=True):
-        time.sleep(max(0.0, begin + start_s - time.monotonic()))
-        run = ["live", "--board", board.url, "--force", "fixed:1", "--intensity", "1"]
-        run += ["--seconds", "60"]
-        delay_s = draw.uniform(0.0, IMPORTING_S)
-        hosts.append(start_host(run, state, state / "out", delay_s))
-    # Later than the last, by more than the system's steps of the time when it was started.
-    time.sleep(draw.uniform(0.02, RUNS_FOR_S))
-    for board in boards:
-        board.flag()
-    code, took_s = wait_for_end(start_host(["stop"], state, state / "stop"), 15.0)
-    found, said = [], (state / "stop").read_text()
-    for board, host in zip(boards, hosts, strict=True):
-        own, _ = wait_for_end(host, 2.0)
-        if own is None:
-            os.kill(host, signal.SIGKILL)
-            os.waitpid(host, 0)
-        found.append(
-            {"board": board.kind, "code": own, "stop": code, "stop_s": took_s, "said": said}
-        )
-    return [each | board.ended() for each, board in zip(found, boards, strict=True)]
-
-
 def signals(count, seed, folder):
     """Send so many signals."""
     kinds = list(KINDS)
@@ -229,13 +192,6 @@ def signals(count, seed, folder):
     ]  # fmt: skip
 
 
-def stops(count, seed, folder):
-    """Let so many runs start against stops."""
-    rounds = range(-(-count // AT_ONCE))
-    return [run for each in rounds for run in stopped(random.Random(1000 * seed + each), folder)]
-
-
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as own:
-        each_found = {"signals": signals, "stops": stops}[sys.argv[1]](*map(int, sys.argv[2:]), own)
-    json.dump(each_found, sys.stdout)
+        json.dump(signals(*map(int, sys.argv[1:]), own), sys.stdout)
