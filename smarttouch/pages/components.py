@@ -12,6 +12,7 @@ Indices = NDArray[np.int_]
 
 _FEWEST_PIXELS, _LEAST_SIDE = 3, 3  # least area of a component, and least height of a letter
 _LARGEST_PART = 0.25  # part of the page's shorter side above which a component is no letter
+_DOT = 0.7  # filled part of its box above which a component is a dot
 _RULE = 12.0  # ratio of length to thickness above which a component is a rule
 _LETTER = (0.55, 9.0)  # range of letter heights on a page, relative to the usual one
 _COMMA = (0.8, 0.5)  # largest height and width of a comma or a quote, in usual heights
@@ -79,6 +80,8 @@ def usual_height(components: Components, shape: tuple[int, int]) -> float | None
     height, width = components.height, components.width
     kept = (height >= _LEAST_SIDE) & (height < _LARGEST_PART * min(shape))
     kept &= (width < _RULE * height) & (height < _RULE * width)
+    # The dots of leaders may be more than the letters.
+    kept &= (components.area < _DOT * width * height) | (height > 2 * width)
     return components.of(kept).usual_height if kept.any() else None
 
 

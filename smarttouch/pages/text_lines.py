@@ -21,7 +21,7 @@ from smarttouch.pages.components import (
     usual_height,
     without_specks,
 )
-from smarttouch.pages.ink import Paper, halved, separate_ink
+from smarttouch.pages.ink import Paper, separate_ink
 from smarttouch.pages.page_image import Page, TextLine
 from smarttouch.pages.reading_order import Segment, reading_order
 
@@ -36,10 +36,8 @@ class PageLines:
     is_doubtful: bool = False
 
 
-_SMALL_PX, _ENOUGH_PX = 9.0, 10.0
-"""Height of letters below which a page is enlarged, and at which lines are found well."""
-_LARGEST_PIXELS, _WORTH_HALVING, _MOST_HALVINGS = 40_000_000, 1_000_000, 2
-"""Largest enlarged page, and least pixels of a page that is halved, at most so often."""
+_SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
+"""Height of letters below which a page is enlarged, and the largest enlarged page."""
 
 
 def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
@@ -52,11 +50,11 @@ def page_lines(
 ) -> tuple[Page, Paper, PageLines]:
     """Return a page, its ink, dark panels turned light, and its lines.
 
-    Small print is enlarged until its lines can be followed; those of large print are found in an
-    image of half or a quarter of its size.
+    Small print is enlarged until its lines can be followed.
     """
     paper = separate_ink(page.grey, light_on_dark)
-    ink, scale, components, height = _coarser(paper.ink)
+    components = without_specks(find_components(paper.ink)[0])
+    height = usual_height(components, paper.ink.shape)
     if height is None:
         return page, paper, PageLines([])
     factor = math.ceil(_SMALL_PX / height)
@@ -64,69 +62,36 @@ def page_lines(
         grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
         larger = Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
         return page_lines(larger, paper.light_on_dark, leftward)
-    panels = _panels(paper.ink, components, height, scale)
-    if panels is not None:
+    panels = _panels(paper.ink, components, height)
+    if panels.any():
         cleaned = np.where(panels, ~paper.cleaned, paper.cleaned)
         paper = replace(paper, ink=paper.ink ^ panels, clean=lambda: cleaned)
-        for _ in range(scale.bit_length() - 1):
-            panels = _halved(panels)
-        ink = ink ^ panels
-    found = _lines_in_ink(ink, height, scale * page.mm_per_pixel, leftward)
-    return page, paper, found
-
-
-def _coarser(ink: Ink) -> tuple[Ink, int, Components, float | None]:
-    """Return ink at the coarsest size at which lines are found well, how much coarser it is, its
-    components and the usual height of its letters."""
-    sizes = [ink]
-    while len(sizes) <= _MOST_HALVINGS and sizes[-1].size > _WORTH_HALVING:
-        sizes.append(_halved(sizes[-1]))
-    while True:
-        components = without_specks(find_components(sizes[-1])[0])
-        height = usual_height(components, sizes[-1].shape)
-        if len(sizes) == 1 or (height or 0) >= _ENOUGH_PX:
-            return sizes[-1], 1 << len(sizes) - 1, components, height
-        sizes.pop()
-
-
-def _halved(ink: Ink) -> Ink:
-    """Return ink at half the size; a line as thin as a pixel stays."""
-    return halved(ink.view(np.uint8) * np.uint8(255)) > 126
+    return page, paper, _lines_in_ink(paper.ink, height, page.mm_per_pixel, leftward)
 
 
 _LEAST_SIDES, _LEAST_BOX, _LEAST_INK = (2.5, 5.0), 0.8, 0.35
 """Least height and width of a panel, in letter heights, part of its box that it fills, and ink."""
 _LIGHT_LETTER, _FEWEST_LETTERS = (0.5, 9.0), 4
-"""Range of its letter height, in letter heights of the page: halftones have less, windows more."""
+"""Range of its letter height, in letter heights of the page: halftones have less."""
 
 
-def _panels(ink: Ink, components: Components, height: float, scale: int) -> Ink | None:
-    """Return where dark panels with light print are, (H, W); None if there are none.
-
-    ``components`` of the ink and their usual height are ``scale`` times coarser.
-    """
+def _panels(ink: Ink, components: Components, height: float) -> Ink:
+    """Return where dark panels with light print are, (H, W)."""
     wide, tall = components.width, components.height
     large = (tall > _LEAST_SIDES[0] * height) & (wide > _LEAST_SIDES[1] * height)
-    found = None
+    found = np.zeros_like(ink)
     for k in np.flatnonzero(large & (components.area > _LEAST_INK * wide * tall)):
-        rows = slice(scale * components.top[k], scale * components.bottom[k])
-        columns = slice(scale * components.left[k], scale * components.right[k])
+        rows = slice(components.top[k], components.bottom[k])
+        columns = slice(components.left[k], components.right[k])
         dark = ink[rows, columns].view(np.uint8)
         outlines, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-        outline = max(outlines, key=cv2.contourArea)
-        filled = cv2.drawContours(np.zeros_like(dark), [outline], 0, 1, cv2.FILLED)
-        holes, labels = find_components((filled > dark).view(np.bool_))
-        usual = usual_height(holes, dark.shape) or 0.0
-        alike = np.count_nonzero((holes.height > usual / 2) & (holes.height < 2 * usual))
-        least, most = np.multiply(_LIGHT_LETTER, scale * height)
-        if (
-            cv2.contourArea(outline) > _LEAST_BOX * dark.size
-            and least < usual < most
-            and alike >= _FEWEST_LETTERS
-        ):
-            found = np.zeros_like(ink) if found is None else found
-            window = np.append(False, holes.height > most)[labels]
-            found[rows, columns] |= (filled > 0) & ~window
+        filled = cv2.drawContours(np.zeros_like(dark), outlines, -1, 1, cv2.FILLED)
+        letters, _ = find_components((filled > dark).view(np.bool_))
+        usual = usual_height(letters, dark.shape) or 0.0
+        alike = np.count_nonzero((letters.height > usual / 2) & (letters.height < 2 * usual))
+        right_size = _LIGHT_LETTER[0] * height < usual < _LIGHT_LETTER[1] * height
+        if filled.mean() > _LEAST_BOX and right_size and alike >= _FEWEST_LETTERS:
+            found[rows, columns] |= filled > 0
     return found
 
 

@@ -37,16 +37,6 @@ def test_a_panel_becomes_dark_on_light(panel):
     assert all(np.mean(strip < 128) < 0.4 for strip in strips)
 
 
-def test_a_window_in_a_panel_stays_as_it_is(panel):
-    page, box = panel
-    grey = np.pad(page.grey, ((0, 420), (0, 0)), constant_values=235)
-    grey[-400:-20, 50:-50] = 25
-    grey[-380:-340, 60:400] = 260 - page.grey[box][5:45, :340].astype(int)
-    grey[-300:-60, 100:-100] = 235
-    cleaned = prepare_page(Page(grey, page.mm_per_pixel)).cleaned
-    assert (cleaned[-295:-65, 105:-105] > 200).all()
-
-
 @pytest.mark.parametrize("size", [3, 8])
 def test_large_letters_are_no_panels(size):
     grey = np.full((500, 1600), 235, np.uint8)
