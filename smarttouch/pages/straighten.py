@@ -23,7 +23,6 @@ _LEAST_STEP = 25.0
 _EDGE_PX = 6.0  # distance from an edge at which both sides of it are compared, in that image
 _LEAST_SIDES = 3  # fewest visible edges; the fourth may be the edge of the photograph
 _ROUGH = 0.02  # tolerance of an outline with four corners, as a part of its length
-_LOOSE_PX = 5.0  # largest distance of a side's points from it, in that image
 _INSET = 0.006  # part of the sheet left out at its blurred edges
 
 
@@ -79,26 +78,12 @@ def flattened(grey: Grey, corners: Corners) -> Grey:
 
 
 def _quadrilateral(outline: NDArray[np.int32]) -> Corners | None:
-    """Return the corners of an outline that has four, clockwise from the top left, each where two
-    straight sides meet."""
+    """Return the corners of an outline that has four, clockwise from the top left."""
     hull = cv2.convexHull(outline)
-    rough = cv2.approxPolyDP(hull, _ROUGH * cv2.arcLength(hull, True), True).reshape(-1, 2)
-    if len(rough) != 4:
+    corners = cv2.approxPolyDP(hull, _ROUGH * cv2.arcLength(hull, True), True).reshape(-1, 2)
+    if len(corners) != 4:
         return None
-    rough = np.roll(rough, -int(rough.sum(axis=1).argmin()), axis=0).astype(np.float64)
-    points, lines = outline.reshape(-1, 2), []
-    for start, side in zip(rough, np.roll(rough, -1, axis=0) - rough, strict=True):
-        length = np.hypot(*side)
-        passed = (points - start) @ side / length**2
-        away = np.abs((points - start) @ (-side[1], side[0])) / length
-        near = points[(away < _LOOSE_PX) & (passed > 0.05) & (passed < 0.95)]
-        if len(near) < 2:
-            return None
-        # A line as a x + b y + c = 0; two of them meet at their cross product.
-        x, y, x0, y0 = cv2.fitLine(near.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01)[:, 0]
-        lines.append((-y, x, y * x0 - x * y0))
-    meeting = np.cross(np.roll(lines, 1, axis=0), lines)
-    return np.asarray(meeting[:, :2] / meeting[:, 2:], np.float64)
+    return np.roll(corners, -int(corners.sum(axis=1).argmin()), axis=0).astype(np.float64)
 
 
 def _is_sheet(corners: Corners, outline: NDArray[np.int32], paper: Grey) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.polynomial import polynomial
+from numpy.typing import NDArray
 
 from smarttouch.pages.baselines import Baseline, Floats, measure_row
 from smarttouch.pages.components import (
@@ -131,15 +132,22 @@ def _lines_in_ink(ink: Ink, height: float, mm_per_pixel: float, leftward: bool) 
         Segment("", each.left, each.right, float(y[k]), float(size[k]), -1 - k)
         for k, each in enumerate(baselines)
     ]
-    order = reading_order(words, len(ink), leftward)
-    lines = [
-        _line(
-            baselines[-1 - word.place], float(x_height[-1 - word.place]), ascent, descent,
-            mm_per_pixel, cell if row.is_cells else 0,
-        )
-        for row in order
-        for cell, word in enumerate(row.segments, 1)
-    ]  # fmt: skip
+    order, lines = reading_order(words, len(ink), leftward), []
+    for row in order:
+        for cell, word in enumerate(row.segments, 1):
+            k = -1 - word.place
+            curve = baselines[k].curve * mm_per_pixel ** (1.0 - np.arange(len(baselines[k].curve)))
+            x_height_mm = float(x_height[k]) * mm_per_pixel
+            line = TextLine(
+                left_mm=word.left * mm_per_pixel,
+                right_mm=word.right * mm_per_pixel,
+                baseline=tuple(map(float, curve)),
+                x_height_mm=x_height_mm,
+                ascent_mm=ascent * x_height_mm,
+                descent_mm=descent * x_height_mm,
+                cell=cell if row.is_cells else 0,
+            )
+            lines.append(line)
     return PageLines(lines, left_out, any(row.is_doubtful for row in order))
 
 
@@ -257,22 +265,24 @@ def _with_marks(lines: list[Baseline], components: Components) -> list[Baseline]
         above = (line.at(x) - y) / size
         mark = free & (above < _ABOVE) & (above > -_BELOW) & (thin > _THINNEST * size)
         mark &= (long > _SHORTEST * size) & (long < _LONGEST * size)
-        marks = components.of(mark)
-        left, right, reach = line.left, line.right, _REACH * size
-        for k in np.argsort(marks.left):
-            if right - size < marks.left[k] < right + reach:
-                right = max(right, float(marks.right[k]))
-        for k in np.argsort(-marks.right):
-            if left + size > marks.right[k] > left - reach:
-                left = min(left, float(marks.left[k]))
-        # Longer rows of marks are leaders.
-        left = left if line.left - left < _FARTHEST * size else line.left
-        right = right if right - line.right < _FARTHEST * size else line.right
+        starts, ends = components.left[mark], components.right[mark]
+        left = -_reached(-line.left, -ends, -starts, size)
+        right = _reached(line.right, starts, ends, size)
         moved = np.linspace(left, right, 4 * len(line.curve))
         degree = max(1, len(line.curve) - 1)
         curve = np.asarray(polynomial.polyfit(moved - left, line.at(moved), degree), np.float64)
         found.append(replace(line, left=left, right=right, curve=curve))
     return found
+
+
+def _reached(end: float, starts: NDArray[np.int_], ends: NDArray[np.int_], size: float) -> float:
+    """Return the end of a line with marks from ``starts`` to ``ends`` beside it."""
+    reached = end
+    for k in np.argsort(starts):
+        if reached - size < starts[k] < reached + _REACH * size:
+            reached = max(reached, float(ends[k]))
+    # Longer rows of marks are leaders.
+    return reached if reached - end < _FARTHEST * size else end
 
 
 def _joined(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
@@ -322,23 +332,3 @@ def _weighted_median(values: Floats, weight: Floats) -> float:
     order = np.argsort(values)
     total = np.cumsum(weight[order])
     return float(values[order][np.searchsorted(total, total[-1] / 2)])
-
-
-def _line(
-    baseline: Baseline,
-    x_height: float,
-    ascent: float,
-    descent: float,
-    mm_per_pixel: float,
-    cell: int,
-) -> TextLine:
-    scales = mm_per_pixel ** (1.0 - np.arange(len(baseline.curve)))
-    return TextLine(
-        left_mm=baseline.left * mm_per_pixel,
-        right_mm=baseline.right * mm_per_pixel,
-        baseline=tuple(map(float, baseline.curve * scales)),
-        x_height_mm=x_height * mm_per_pixel,
-        ascent_mm=ascent * x_height * mm_per_pixel,
-        descent_mm=descent * x_height * mm_per_pixel,
-        cell=cell,
-    )
