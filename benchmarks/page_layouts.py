@@ -27,9 +27,8 @@ LATIN = [
 
 @cache
 def english():
-    """Return the words of the documentation."""
-    folder = Path(__file__).parents[1] / "docs"
-    text = " ".join(path.read_text() for path in sorted(folder.rglob("*.md")))
+    """Return the words of a text that seldom changes."""
+    text = (Path(__file__).parents[1] / "firmware/PROTOCOL.md").read_text("utf-8")
     return sorted(set(re.findall(r"(?<![\w./`-])[a-z]{2,12}(?![\w./`(-])", text)))
 
 
