@@ -9,10 +9,8 @@ import sys
 import time
 
 import pytest
-from typer.testing import CliRunner
 
 from smarttouch.boards.open import may_touch_a_finger
-from smarttouch.cli.devices import devices
 from smarttouch.emulator.firmware import STATE_FILE, read_slots, read_state
 
 from ..boards.fresh import fresh_state, until
@@ -216,29 +214,20 @@ def test_an_emulator_that_is_killed_leaves_no_board_behind(start_program, tmp_pa
     assert written() == before
 
 
-@pytest.fixture
-def run(monkeypatch, tmp_path):
-    """Return a runner of the command in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-    return lambda *arguments: CliRunner().invoke(devices, [str(each) for each in arguments])
-
-
 def table(output):
     return {line[:13].strip(): line[13:].strip() for line in output.splitlines()}
 
 
-def test_a_page_is_shown(run):
-    shown = run("show", "text:touch", "--seconds", 0.2)
-    assert shown.exit_code == 0, shown.exception
-    rows = table(shown.output)
+def test_a_page_is_shown(program_here):
+    shown = program_here("devices show text:touch --seconds 0.2").fine()
+    rows = table(shown.stdout)
     assert rows["source"]
     assert re.findall(r"\d+", rows["read"]) == ["21", "100"]
     assert rows["size"].startswith("64 x 64, ")
     assert re.search(r"\b0\.\d+ N", rows["force"])
 
 
-def test_an_array_is_played_and_shown(run):
+def test_an_array_is_played_and_shown(program_here):
     program = "from smarttouch.cli.devices import devices; devices()"
     arguments = ["emulate", "serial-array"]
     with subprocess.Popen(
@@ -248,9 +237,8 @@ def test_an_array_is_played_and_shown(run):
             assert select.select([process.stdout], [], [], 30)[0], "it prints nothing"
             *command, url = [process.stdout.readline() for _ in range(3)][-1].split()
             assert command == ["smarttouch", "devices", "show"]
-            shown = run("show", url, "--seconds", 0.3)
-            assert shown.exit_code == 0, shown.exception
-            rows = table(shown.output)
+            shown = program_here("devices show", url, "--seconds", 0.3).fine()
+            rows = table(shown.stdout)
             assert re.findall(r"\d+", rows["size"])[:4] == ["64", "64", "40", "220"]
             assert not re.search(r"\d", rows["force"])
             assert int(rows["frames"].partition(",")[0]) > 0

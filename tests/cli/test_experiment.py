@@ -11,12 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
 
 import smarttouch as st
 from smarttouch.base.errors import ExperimentError, ProfileError, SmartTouchError
-from smarttouch.cli.experiment import fit
 from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.procedures import constant_stimuli, ratio_pairs
 from smarttouch.running.recording import RecordedRun
@@ -153,22 +150,6 @@ def test_what_cannot_be_asked_for(program_here, arguments, check):
     check(refused(program_here(arguments)))
 
 
-@pytest.fixture
-def program(tmp_path, monkeypatch):
-    """Return a runner of the command in an empty folder: its output, or the error's sentence."""
-    monkeypatch.chdir(tmp_path)
-    app = typer.Typer()
-    app.command()(fit)
-
-    def run(*arguments):
-        found = CliRunner().invoke(app, [*map(str, arguments)])
-        if found.exception is not None and not isinstance(found.exception, SystemExit):
-            raise found.exception
-        return found.output
-
-    return run
-
-
 def session(path, thresholds, seed=0):
     """Write the answers of a subject with these thresholds of standards; none: the first."""
     with path.open("w", newline="", encoding="utf-8-sig") as file:
@@ -183,11 +164,11 @@ def session(path, thresholds, seed=0):
                 writer.writerow([standard, row[0], row[1], "Hz", int(row[2])])
 
 
-def test_two_modes(program, tmp_path):
+def test_two_modes(program_here, tmp_path):
     session(tmp_path / "RA.csv", {30.0: 36.0, 75.0: None})
     session(tmp_path / "PC.csv", {30.0: 36.0, 75.0: 90.0})
-    said = program("RA.csv", "PC.csv", "--plot", "a.png", "--json", "a.json")
-    lines = said.splitlines()
+    done = program_here("experiment fit RA.csv PC.csv --plot a.png --json a.json").fine()
+    lines = done.stdout.splitlines()
     assert lines[0] == "RA, Hz"
     assert lines[1].split() == [
         "standard", "n", "75%", "at", "Weber", "lower", "middle", "spread", "lapse",
@@ -196,7 +177,7 @@ def test_two_modes(program, tmp_path):
     assert "200 of 200" in without
     assert max(map(len, lines[:3])) <= 80
     assert (tmp_path / "a.png").stat().st_size > 10_000
-    figures = json.loads((tmp_path / "a.json").read_text())
+    figures = done.figures
     assert list(figures) == ["RA", "PC"]
     good, bad = figures["RA"]
     assert good["threshold"]["low"] < good["threshold"]["value"] < good["threshold"]["high"]
@@ -210,7 +191,7 @@ def test_two_modes(program, tmp_path):
     assert float(row[2]) == pytest.approx(good["threshold"]["value"], rel=0.01)
 
 
-def test_others_answers(program, tmp_path):
+def test_others_answers(figures_of, tmp_path):
     """Detection of somebody else's: no standard, columns with names of their own."""
     random = np.random.default_rng(2)
     subject = Subject(0.8, 0.3, 0.5, 0.01, guess=0.1)
@@ -221,9 +202,8 @@ def test_others_answers(program, tmp_path):
     ]
     (tmp_path / "a.csv").write_text("\n".join(["mA;ok", *felt]))
 
-    def fitted(*options):
-        program("a.csv", "--x=mA", "--y=ok", "--json=a.json", *options)
-        (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+    def fitted(options):
+        (found,) = figures_of(f"experiment fit a.csv --x=mA --y=ok {options}")["a"]
         return found
 
     assert fitted("--at=0.6")["at"] == 0.6
@@ -241,11 +221,9 @@ def test_others_answers(program, tmp_path):
     ("a.csv --plot a.doc", says(SmartTouchError, "a.doc", "*.png")),
     ("a.csv --plot none/a.png", says(value=Path("none/a.png"))),
 ])  # fmt: skip
-def test_what_a_user_can_do_wrong(program, tmp_path, options, wrong):
+def test_what_a_user_can_do_wrong(program_here, tmp_path, options, wrong):
     (tmp_path / "a.csv").write_text("comparison,success\n1,0\n2,1\n")
-    with pytest.raises(SmartTouchError) as caught:
-        program(*options.split())
-    wrong(caught.value)
+    wrong(refused(program_here(f"experiment fit {options}")))
 
 
 PLAN = (

@@ -7,11 +7,8 @@ import tty
 from pathlib import Path
 
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from smarttouch.base.errors import BoardError, RecordingError, SourceError
-from smarttouch.cli.live import replay
 
 from ..boards.fresh import fresh_state
 from ..running.forged_recordings import put_together, take_apart
@@ -23,28 +20,15 @@ pytestmark = pytest.mark.usefixtures("patient_boards")
 @pytest.fixture
 def recording(tmp_path):
     """A copy of a golden that may be broken."""
-    from pathlib import Path
-
     golden = Path(__file__).parents[1] / "running" / "goldens" / "sai-levels.mcap"
     path = tmp_path / "run.mcap"
     path.write_bytes(golden.read_bytes())
     return path
 
 
-@pytest.fixture
-def call():
-    app = typer.Typer()
-    app.command()(replay)
-
-    def run(*arguments):
-        return CliRunner().invoke(app, [str(each) for each in arguments], env={"COLUMNS": "200"})
-
-    return run
-
-
-def test_info_has_what_an_ethics_board_asks(call, recording):
-    done = call(recording, "--info")
-    assert done.exit_code == 0
+def test_info_has_what_an_ethics_board_asks(program_here, recording):
+    done = program_here("replay", recording, "--info")
+    assert done.returncode == 0
     for told in (
         "2023-11-14 22:13:20 UTC", "1.5 s", "nobody", "electric-mouse", "SAI 38", "mA",
         "smarttouch 1.0.0rc1", "0.06 MB", "0.600 s  intensity 0.40", "paused",
@@ -52,21 +36,21 @@ def test_info_has_what_an_ethics_board_asks(call, recording):
         assert told in done.stdout
 
 
-def test_damage_is_reported(call, recording):
+def test_damage_is_reported(program_here, recording):
     content = recording.read_bytes()
     flipped = bytearray(content)
     flipped[len(content) // 2] ^= 1
     for broken, state in ((content, "whole"), (content[:-200], "cut:"), (flipped, "damaged:")):
         recording.write_bytes(broken)
-        done = call(recording, "--info")
-        assert done.exit_code == 0
+        done = program_here("replay", recording, "--info")
+        assert done.returncode == 0
         assert done.stdout.split()[:2] == ["state", state]
         assert "electric-mouse" in done.stdout
 
 
-def test_a_check_that_holds_and_one_that_does_not(call, recording, tmp_path):
-    done = call(recording, "--check")
-    assert done.exit_code == 0
+def test_a_check_that_holds_and_one_that_does_not(program_here, recording, tmp_path):
+    done = program_here("replay", recording, "--check")
+    assert done.returncode == 0
     assert re.fullmatch(r"38 .*\d+ .*\n", done.stdout)
     from smarttouch.base.files import data_folder
 
@@ -74,8 +58,8 @@ def test_a_check_that_holds_and_one_that_does_not(call, recording, tmp_path):
     assert "ramp_s = 0.5" in text
     other = tmp_path / "other.toml"
     other.write_text(text.replace("ramp_s = 0.5", "ramp_s = 0.6"))
-    done = call(recording, "--check", "--profile", other)
-    assert done.exit_code == 1
+    done = program_here("replay", recording, "--check", "--profile", other)
+    assert done.returncode == 1
     head, *differences = done.stdout.splitlines()
     assert head.startswith("38 ")
     assert len(differences) > 1
@@ -113,17 +97,10 @@ def port():
 
 
 @pytest.fixture
-def into():
+def into(program_here):
     """Return what replays a recording into a board; its error."""
-    app = typer.Typer()
-    app.command()(replay)
-
-    def run(recording, url):
-        done = CliRunner().invoke(app, [str(recording), "--board", url, "--intensity", "1"])
-        assert "\n" not in str(done.exception)
-        return done.exception
-
-    return run
+    board = "--intensity", 1, "--board"
+    return lambda recording, url: refused(program_here("replay", recording, *board, url))
 
 
 @pytest.mark.parametrize("scale", [0.00244, 2440.0])
