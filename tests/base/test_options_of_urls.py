@@ -5,13 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from smarttouch.base.errors import BoardError, SourceError
 from smarttouch.base.urls import read_options
 from smarttouch.boards.open import make_board
 from smarttouch.profile import load_profile
-from smarttouch.sources import open_source
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises
@@ -72,22 +70,6 @@ def test_options_that_are_none(url, about, value):
         offered = "events, fps, light_on_dark, path, seed, size, unpaced"
         with raises(SourceError, names=about, allowed=offered):
             read_options(opener, url, SourceError)
-
-
-def test_pages_by_url(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Image.fromarray(np.full((200, 300), 255, np.uint8)).save("a?dpi=300.png")
-    Path("a?dpi=300.png").rename("a?dpi=50")
-    Image.fromarray(np.full((200, 300), 255, np.uint8)).save("page.png")
-    profile = load_profile("electric-mouse")
-    assert open_source("page:page.png?dpi=300&seed=4", profile)
-    # A file of that name has no options; nothing says how large its page is, which is told.
-    for url in ("page:a?dpi=50", "page:page.png"):
-        guessed = open_source(url, profile)
-        assert guessed.page.size_mm[0] == pytest.approx(210)
-        assert len(guessed.notes) == 1
-    with raises(SourceError, names="dpi", value="?dpi=300"):
-        open_source("page:page.png?dpi=300", profile, dpi=200)
 
 
 def test_boards_by_url(tmp_path):

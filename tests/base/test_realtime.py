@@ -7,7 +7,6 @@ import threading
 
 import pytest
 
-from smarttouch.base import posix
 from smarttouch.base.posix import PRIORITY, prioritized
 
 
@@ -55,23 +54,3 @@ def test_what_begins_meanwhile_is_as_usual():
             return in_a_thread(is_prioritized), int(child.stdout)
 
     assert in_a_thread(begun) == (False, os.SCHED_OTHER)
-
-
-def refuse(*_):
-    raise PermissionError
-
-
-def test_where_it_is_not_allowed_work_goes_on(monkeypatch):
-    monkeypatch.setattr(os, "sched_setscheduler", refuse)
-
-    def work():
-        with prioritized() as allowed:
-            return allowed, is_prioritized()
-
-    assert in_a_thread(work) == (False, False)
-
-
-def test_on_systems_without_it_work_goes_on(monkeypatch):
-    monkeypatch.setattr(posix, "_FIFO", None)
-    with prioritized() as given:
-        assert not given

@@ -15,8 +15,8 @@ from smarttouch.boards.open import (
 )
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.running.display import open_display
-from smarttouch.sources import SOURCES, open_source
-from smarttouch.sources.force import FORCES, open_force
+from smarttouch.sources import open_source
+from smarttouch.sources.force import open_force
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises
@@ -132,14 +132,6 @@ def test_a_driver_without_capabilities(installed, limits):
         board.open()
     with raises(BoardClosedError, names="board"):
         board.send(None)
-
-
-@pytest.mark.parametrize("registry", [SOURCES, FORCES, BOARDS])
-def test_ours_are_where_they_are_registered(registry):
-    for name in registry.names:
-        opener, rest = registry.find(f"{name}:rest")
-        assert callable(opener)
-        assert rest == "rest"
 
 
 def test_a_display_may_be_of_a_drivers_class(profile):

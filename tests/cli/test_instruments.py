@@ -73,15 +73,6 @@ def test_a_vibrator_plays_what_was_recorded(program_here, tmp_path, changed):
     assert any(": vibration" in line for line in differences)
 
 
-def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_path):
-    # Twenty frames a second: ten pulses open the level, and the others are in full.
-    felt = "--felt felt.png --set finger=paper"
-    program_here(f"{FAST.replace('grating:4mm', 'text:I')} --set rate_hz=20 {felt}").fine()
-    picture = np.asarray(Image.open(tmp_path / "felt.png").convert("L"))
-    touched = picture[picture.shape[0] // 2 + 40 :]
-    assert np.percentile(touched, 0.5) < 60
-
-
 @pytest.mark.parametrize(("arguments", "wrong"), [
     ("vibration:tone:250Hz,2um --profile kajimoto-61",
      says(ScheduleError, "PC", "kajimoto-61", " RA ")),
