@@ -70,11 +70,6 @@ class RunArrays:
 
 
 _SLOTS = ("current_ua", "width_us", "discharge_us", "site")
-_COMPUTED = {
-    "step", "sent", "first_pulse_us", "activation", "first_slot", "recharge_ua", *_SLOTS,
-}  # fmt: skip
-_NUMBERS = [each.name for each in fields(RunArrays) if each.name not in _COMPUTED]
-"""Arrays of the numbers that a step's message has by the same name."""
 
 
 def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
@@ -82,36 +77,34 @@ def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
     row_of: dict[int | None, int] = {}  # by the board's number
     columns["first_slot"].append(0)
     for row, recorded in enumerate(steps):
-        step, sent, sequence = recorded.step, recorded.sent, recorded.step.sequence
-        for name in _NUMBERS:
-            columns[name].append(recorded.message[name])
-        columns["step"].append(recorded.index)
-        columns["sent"].append(-1 if sent.number is None else sent.number)
-        columns["first_pulse_us"].append(np.nan)
-        columns["activation"].append(step.tactile.activation)
+        sent, sequence = recorded.sent, recorded.step.sequence
         recharge_ua = sequence.recharge_ua
-        columns["recharge_ua"].append(np.zeros(electrodes) if recharge_ua is None else recharge_ua)
-        for name in _SLOTS:
-            columns[name].append(getattr(sequence, name).ravel())
-        columns["first_slot"].append(columns["first_slot"][-1] + sequence.slots)
+        # Most arrays have the name that their numbers have in the message.
+        values = recorded.message | {
+            "step": recorded.index,
+            "sent": -1 if sent.number is None else sent.number,
+            "first_pulse_us": np.nan,
+            "activation": recorded.step.tactile.activation,
+            "first_slot": columns["first_slot"][-1] + sequence.slots,
+            "recharge_ua": np.zeros(electrodes) if recharge_ua is None else recharge_ua,
+            **{name: getattr(sequence, name).ravel() for name in _SLOTS},
+        }
+        for name, column in columns.items():
+            column.append(values[name])
         row_of[sent.number] = row
         if sent.first_pulse is not None and sent.first_pulse.number in row_of:
             pulsed = row_of[sent.first_pulse.number]
             columns["first_pulse_us"][pulsed] = sent.first_pulse.latency_us
-    sides = {
-        "current_ua": (electrodes,),
-        "activation": (3, electrodes),
-        "recharge_ua": (electrodes,),
-    }
+    sides = {"current_ua": [electrodes], "activation": [3, electrodes], "recharge_ua": [electrodes]}
     arrays = {}
     for each in fields(RunArrays):
         # A dtype before NumPy 2.5, and its scalar from then on.
         kind: Any = get_args(each.type)[-1]
         kind = (get_args(kind) or (kind,))[0]
-        values: Any = columns[each.name]
+        made: Any = columns[each.name]
         if each.name in _SLOTS:
-            values = np.concatenate([np.empty(0, kind), *values])
-        arrays[each.name] = np.array(values, kind).reshape(-1, *sides.get(each.name, ()))
+            made = np.concatenate([np.empty(0, kind), *made])
+        arrays[each.name] = np.array(made, kind).reshape(-1, *sides.get(each.name, []))
     return RunArrays(**arrays)
 
 
