@@ -188,10 +188,11 @@ class RunEntry:
         looks = 0
         while not self._over.wait(_LOOK_S):
             looks, reason = looks + 1, "smarttouch stop" * self.is_asked
-            # A stop would not find this run any more.
+            # A stop would not find this run any more; a disk that fails says nothing.
             for kind in ("json", "lock") if looks % _LOOKS_PER_CHECK == 0 else ():
-                if not (reason or self._run.has(kind) or self._over.is_set()):
-                    reason = f"the loss of {self._run.path(kind)}"
+                with suppress(OSError):
+                    if not (reason or self._run.path(kind).exists() or self._over.is_set()):
+                        reason = f"the loss of {self._run.path(kind)}"
             if reason:
                 self._answer(self._on_stop(reason))
 
