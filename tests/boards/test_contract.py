@@ -170,7 +170,8 @@ class Contract(DriverContract):
         polarities = ("anodic", "cathodic") if self.cathodic else ("anodic",)
         self.output = Output(kind=self.output_kind, polarities=polarities)
         options = {"books": self.folder} if url == "emulator:" else {}
-        self.driver = make_board(url, limits, self.output, **options).driver
+        here = url(self.output.kind) if callable(url) else url
+        self.driver = make_board(here, limits, self.output, **options).driver
         self.keep_sent()
         return self.driver
 
