@@ -2,8 +2,9 @@
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,117 +92,118 @@ def encode_scan(
     lists of these; others are written as currents, or as states for a board with one source
     (``switched``). ``measure`` requests voltages.
     """
-    slots, recharge = sequence.slots, sequence.recharge_ua
+    recharge = sequence.recharge_ua
     if switched and recharge is not None:
         raise BoardError(
             "a recharge phase needs a source for each electrode, and this board has one for all: "
             "leave it out"
         )
-    groups = _Groups(sequence, switched, image)
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
-    whole: list[ScanPart] = []
-    ends = [slots]  # of the parts to come, the next one last
-    start = 0
-    while not whole or start < slots:
-        end = ends[-1]
-        flags = GOES_ON * (start > 0) | MORE * (end < slots) | MEASURE * measure
-        parts = [b"", groups.table]
-        if recharge is not None and end == slots:
+    shapes, shape = _shapes(sequence)
+    kind, first, pairs = _kinds(sequence, switched, image)
+    rows = _rows(sequence, switched)
+    # Each sum stands alone.
+    cuts = (np.diff(kind) != 0) | (np.diff(shape) != 0) | (kind[1:] == SUM)
+
+    def payload(start: int, end: int) -> bytes:
+        flags = GOES_ON * (start > 0) | MORE * (end < sequence.slots) | MEASURE * measure
+        tail = b""
+        if recharge is not None and end == sequence.slots:
             flags |= RECHARGE
-            parts += [sequence.recharge_us.to_bytes(2, "little"), recharge.astype("<i2").tobytes()]
-        head = (sequence.period_us, times, intensity, flags, groups.shapes)
-        parts[0] = SEQUENCE.pack(*head)
-        payload = b"".join(parts + groups.between(start, end))
-        if len(payload) <= most_bytes and end - start <= most_slots:
-            whole.append(ScanPart(payload, start, end - start))
-            start = ends.pop()
-        elif times > 1 and end - start > 1:
-            raise BoardError(
-                f"{slots} slots are more than this board takes at once ({most_slots} slots, "
-                f"{most_bytes} bytes), and what is sent in parts is not repeated by the board: "
-                "send it once each period"
-            )
-        elif end - start > 1:
-            ends.append((start + end) // 2)
-        elif image is not None:
-            # One slot has too many kernels.
-            return encode_scan(sequence, times, measure, switched, None, most_bytes, most_slots)
-        else:
-            raise BoardError(
-                f"a sequence of {len(payload)} bytes is above the board's limit of {most_bytes}: "
-                "scan fewer points at once"
-            )
-    return whole
-
-
-class _Groups:
-    """Slots of a sequence as groups that have a kind and a shape in common."""
-
-    def __init__(self, sequence: ScanSequence, switched: bool, image: KernelImage | None) -> None:
-        times_us = sequence.width_us.astype(np.uint32) << 16 | sequence.discharge_us
-        shapes = times_us[:1]
-        self._shape: NDArray[np.integer[Any]] = np.zeros(len(times_us), np.intp)
-        if (times_us != shapes).any():
-            shapes, self._shape = np.unique(times_us, return_inverse=True)
-        self.shapes: int = len(shapes)
-        if self.shapes > _MOST_SHAPES:
-            raise BoardError(
-                f"{self.shapes} pulse shapes in one sequence are above the limit of "
-                f"{_MOST_SHAPES}: choose fewer pulse widths"
-            )
-        self.table: bytes = (shapes >> 16 | shapes << 16).astype("<u4").tobytes()
-        self._usual = STATES if switched else CURRENTS
-        self._kind = np.full(sequence.slots, self._usual)
-        lists = None if switched or image is None else sequence.sums
-        if isinstance(lists, KernelLists) and image is not None and lists.table is image.table:
-            self._list(sequence, lists, image)
-        if (self._kind == self._usual).any():
-            self._rows = _rows(sequence, switched)
-        # Each sum stands alone.
-        kind = self._kind
-        self._cuts = (np.diff(kind) != 0) | (np.diff(self._shape) != 0) | (kind[1:] == SUM)
-
-    def _list(self, sequence: ScanSequence, lists: KernelLists, image: KernelImage) -> None:
-        """Make lists of the slots of which a board makes just the proved currents."""
-        first, kernel, amplitude, slots = lists.first, lists.kernel, lists.amplitude, sequence.slots
-        # Other types and sizes would wrap around on the wire.
-        if (
-            not slots
-            or first.dtype != np.intp
-            or kernel.dtype != np.uint16
-            or amplitude.dtype != np.uint16
-            or (len(first), first[0], first[-1]) != (slots + 1, 0, len(kernel))
-            or len(kernel) != len(amplitude)
-            or (counts := np.diff(first)).min() < 1
-            or kernel.max() >= len(lists.table.weights)
-        ):
-            return
-        same = (lists.site == sequence.site) & (lists.current_ua == sequence.current_ua).all(axis=1)
-        same &= np.maximum.reduceat(kernel, first[:-1]) < image.count
-        # At most what the board adds up in 32 bits.
-        same &= np.add.reduceat(amplitude, first[:-1], dtype=np.int64) <= FULL
-        self._first, self._pairs = first, np.array([kernel, amplitude], "<u2").T
-        self._kind[same] = np.where(counts == 1, POINTS, SUM)[same]
-
-    def between(self, start: int, end: int) -> list[Any]:
-        """Return the groups of some slots, as bytes and arrays."""
-        if start == end:
-            return []
-        starts = [start, *(np.flatnonzero(self._cuts[start : end - 1]) + start + 1).tolist(), end]
-        parts: list[Any] = []
-        for at, until in itertools.pairwise(starts):
-            kind = self._kind[at]
-            if kind == self._usual:
-                body = self._rows[at:until]
-            else:
-                body = self._pairs[self._first[at] : self._first[until]]
+            tail = sequence.recharge_us.to_bytes(2, "little") + recharge.astype("<i2").tobytes()
+        head = (sequence.period_us, times, intensity, flags, len(shapes) // 4)
+        data = [SEQUENCE.pack(*head), shapes, tail]
+        starts = [start, *(np.flatnonzero(cuts[start : end - 1]) + start + 1).tolist(), end]
+        for at, until in itertools.pairwise(starts if end > start else []):
+            body = pairs[first[at] : first[until]] if kind[at] < CURRENTS else rows[at:until]
             if len(body) > _U16_MAX:
                 raise BoardError(
                     f"{len(body)} slots or points of one kind are above the limit of {_U16_MAX}: "
                     "scan fewer points"
                 )
-            parts += [GROUP.pack(kind, self._shape[at], len(body)), np.ascontiguousarray(body)]
-        return parts
+            data += [GROUP.pack(kind[at], shape[at], len(body)), body.tobytes()]
+        return b"".join(data)
+
+    try:
+        return _in_parts(payload, 0, sequence.slots, times, most_bytes, most_slots)
+    except BoardError:
+        if image is None:
+            raise
+        # One slot may have too many kernels.
+        return encode_scan(sequence, times, measure, switched, None, most_bytes, most_slots)
+
+
+def _in_parts(
+    encode: Callable[[int, int], bytes],
+    start: int,
+    end: int,
+    times: int,
+    most_bytes: int,
+    most_slots: int,
+) -> list[ScanPart]:
+    """Return slots as one part if there is room for it, else each half of them so."""
+    payload, middle = encode(start, end), (start + end) // 2
+    if len(payload) <= most_bytes and end - start <= most_slots:
+        return [ScanPart(payload, start, end - start)]
+    if end - start <= 1:
+        raise BoardError(
+            f"a sequence of {len(payload)} bytes is above the board's limit of {most_bytes}: "
+            "scan fewer points at once"
+        )
+    if times > 1:
+        raise BoardError(
+            f"{end} slots are more than this board takes at once ({most_slots} slots, "
+            f"{most_bytes} bytes), and what is sent in parts is not repeated by the board: send it "
+            "once each period"
+        )
+    halves = (start, middle), (middle, end)
+    return [
+        part for half in halves for part in _in_parts(encode, *half, times, most_bytes, most_slots)
+    ]
+
+
+def _shapes(sequence: ScanSequence) -> tuple[bytes, NDArray[np.intp]]:
+    """Return the table of a sequence's pulse shapes, and each slot's place in it, (S,)."""
+    times_us = sequence.width_us.astype(np.uint32) << 16 | sequence.discharge_us
+    shapes, index = times_us[:1], np.zeros(len(times_us), np.intp)
+    if (times_us != shapes).any():
+        shapes, index = np.unique(times_us, return_inverse=True)
+    if len(shapes) > _MOST_SHAPES:
+        raise BoardError(
+            f"{len(shapes)} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
+            "choose fewer pulse widths"
+        )
+    return (shapes >> 16 | shapes << 16).astype("<u4").tobytes(), index
+
+
+def _kinds(
+    sequence: ScanSequence, switched: bool, image: KernelImage | None
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.uint16]]:
+    """Return the kind of each slot, (S,), and the lists of kernels: where each slot's begins, and
+    all their kernels and amplitudes. Slots are lists if a board makes just the proved currents of
+    them."""
+    kind, slots = np.full(sequence.slots, STATES if switched else CURRENTS), sequence.slots
+    nothing, lists = (kind, kind, np.zeros((0, 2), np.uint16)), sequence.sums
+    if switched or image is None or not slots or not isinstance(lists, KernelLists):
+        return nothing
+    first, kernel, amplitude = lists.first, lists.kernel, lists.amplitude
+    # Other types and sizes would wrap around on the wire.
+    if (
+        lists.table is not image.table
+        or first.dtype != np.intp
+        or [kernel.dtype, amplitude.dtype] != [np.dtype(np.uint16)] * 2
+        or (len(first), first[0], first[-1]) != (slots + 1, 0, len(kernel))
+        or len(kernel) != len(amplitude)
+        or (counts := np.diff(first)).min() < 1
+        or kernel.max() >= len(lists.table.weights)
+    ):
+        return nothing
+    same = (lists.site == sequence.site) & (lists.current_ua == sequence.current_ua).all(axis=1)
+    same &= np.maximum.reduceat(kernel, first[:-1]) < image.count
+    # At most what the board adds up in 32 bits.
+    same &= np.add.reduceat(amplitude, first[:-1], dtype=np.int64) <= FULL
+    kind[same] = np.where(counts == 1, POINTS, SUM)[same]
+    return kind, first, np.array([kernel, amplitude], "<u2").T
 
 
 def _rows(sequence: ScanSequence, switched: bool) -> NDArray[np.int16] | NDArray[np.uint8]:
