@@ -294,8 +294,7 @@ class Hosted:
         self.line, self.folder, self.kind = faulty_line(port), folder, kind
         self.limits = SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.8)
         output = Output(kind="weighted" if kind == "link" else "one-against-all")
-        option = f"?firmware={firmware or '71adee2'}" if kind == "etactilekit" else ""
-        self.board = make_board(f"{kind}:{self.line.path}{option}", self.limits, output)
+        self.board = make_board(f"{kind}:{self.line.path}", self.limits, output)
         self.step = 0
 
     def send(self, times=1, level_ua=1000):

@@ -144,7 +144,7 @@ class ManualKit:
         self.books = ScanBooks(limits.electrodes)
         self.board = ETactileKitFirmware(self.books, finger, firmware=firmware, dummy_ohm=dummy_ohm)
         self.port = ManualPort(self.board, self.clock, **line)
-        self.driver = ETactileKitDriver("told", limits, firmware=firmware)
+        self.driver = ETactileKitDriver("told", limits)
         self.line = manual_line(patch, self.driver, self.port, self.clock, limits)
         self.host, self.dropped_late = self.line._board, 0
         self.driver.open(self.line, limits)

@@ -259,7 +259,7 @@ class TestETactileKit(OneAgainstAll):
     def url(self, start_emulator, tmp_path):
         arguments = (f"books={tmp_path}", f"firmware={self.firmware}", *self.more)
         port = start_emulator(*arguments, protocol="etactilekit")[1]
-        return f"etactilekit:{port}?firmware={self.firmware}"
+        return f"etactilekit:{port}"
 
     firmware, more = "71adee2", ()
 

@@ -86,7 +86,7 @@ def make(monkeypatch):
     monkeypatch.setattr(ETactileKitDriver, "idle_s", 600.0)
 
     def make(output=None, limits=LIMITS):
-        driver = ETactileKitDriver("x", limits, output, firmware="71adee2")
+        driver = ETactileKitDriver("x", limits, output)
         clock = ManualClock(late_us=0)
         board = Board(driver, limits, output, clock=clock, claimed_time=True)
         board._line.pause = lambda _: None

@@ -25,7 +25,6 @@ from smarttouch.boards.kits.etactilekit_line import (
     READINGS,
     zero_anywhere,
 )
-from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
@@ -95,12 +94,12 @@ class OldKit:
 class Meeting:
     """A driver that meets a board for the first time."""
 
-    def __init__(self, patch, firmware, selected=None, board=None):
+    def __init__(self, patch, firmware, board=None):
         self.clock = ManualClock(late_us=0)
         self.books = DeliveryLog(8)
         self.board = board or ETactileKitFirmware(self.books, firmware=firmware)
         self.port = ManualPort(self.board, self.clock)
-        self.driver = ETactileKitDriver("told", LIMITS, firmware=selected)
+        self.driver = ETactileKitDriver("told", LIMITS)
         self.line = manual_line(patch, self.driver, self.port, self.clock, LIMITS)
 
     def open(self):
@@ -129,14 +128,12 @@ def meet(monkeypatch):
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("half", HALVES)
 def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, half):
-    """What its firmware does by itself is believed only if it is named."""
-    meeting = meet(firmware, firmware if half else None)
+    meeting = meet(firmware)
     meeting.leave(PULSING + SENSE + half)
     pulsed = meeting.books.slots
     assert pulsed > 0
-    can = meeting.open()
-    assert (firmware in can.firmware) == bool(half)
-    assert (can.time_to_zero_ms is None) == (firmware != "newest" or not half)
+    # No query tells what its firmware does by itself.
+    assert meeting.open().time_to_zero_ms is None
     slots = meeting.slots_at_rest()
     assert meeting.books.state == "shorted"
     # At most the scan that was under way, and one with what zeros made of half a command.
@@ -209,14 +206,6 @@ def test_another_board_gets_nothing_that_it_could_obey(meet, other):
 class Deaf(ETactileKitFirmware):
     def feed(self, data, now_ns):
         return b""
-
-
-@pytest.mark.parametrize(
-    ("option", "about", "value"), [("fast=1", "option", "fast"), ("firmware=2", "?firmware", "2")]
-)
-def test_an_unknown_option_is_named(option, about, value):
-    with raises(BoardError, names=about, value=value):
-        make_board(f"etactilekit:x?{option}", LIMITS)
 
 
 def test_a_smaller_kit_than_the_profile_is_refused(meet):

@@ -151,10 +151,10 @@ def reap(deadline):
     return 1
 
 
-def one_run(kind, how, option, opening, at_s):
+def one_run(kind, how, opening, at_s):
     board = PlayedBoard(kind)
     line, books, gone_ns, drove = board.line, board.books, None, False
-    host = fork_host(line, partial(drive, board.url + option, ELECTRODES[kind]))
+    host = fork_host(line, partial(drive, board.url, ELECTRODES[kind]))
     begun = time.monotonic()
     go_s = begun + at_s if opening else None
     while gone_ns is None or board.clock.now_ns() < gone_ns + WATCHED_NS:
@@ -184,16 +184,16 @@ def repeat(one, count):
         return [one(number) for number in range(count)]
 
 
-def run(kind, count, how="kill", option="", seed=0):
+def run(kind, count, how="kill", seed=0):
     """Return what so many runs found."""
     draw = random.Random(seed)
     outcomes = repeat(
-        lambda number: one_run(kind, how, option, number % OPENING == 0, draw.uniform(0, LATEST_S)),
+        lambda number: one_run(kind, how, number % OPENING == 0, draw.uniform(0, LATEST_S)),
         count,
     )
     zero_ms = [each.zero_ms for each in outcomes if each.drove]
     return {
-        "board": kind + option,
+        "board": kind,
         "how": how,
         "runs": count,
         "driving": len(zero_ms),
@@ -210,8 +210,7 @@ if __name__ == "__main__":
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("count", type=int)
     parser.add_argument("--how", choices=("kill", "stop"), default="kill")
-    parser.add_argument("--option", default="", help="after the port, for example ?firmware=newest")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    found = run(options.kind, options.count, options.how, options.option, options.seed)
+    found = run(options.kind, options.count, options.how, options.seed)
     print(json.dumps(found))

@@ -20,7 +20,6 @@ from smarttouch.base.errors import (
     BoardStoppedError,
     LineLostError,
     SequenceLateError,
-    choice_of,
 )
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.kits import Scale, one_against_all, require_kit
@@ -45,8 +44,6 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-FIRMWARES = ("71adee2", "newest")  # by their first commits in the repository
-NEWEST_ZERO_MS = 520.0  # newest firmware: ends its scan 500 ms after the host's last byte
 IDLE_S = 0.1  # time without a sequence after which the pattern on the board becomes zeros
 OPEN_SHARE = 0.95  # of the voltage without a finger: if all slots reach it, it is lifted
 LARGEST = 1000
@@ -135,8 +132,7 @@ def payload(
 class ETactileKitDriver(Driver):
     """The eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
-    ``?firmware=71adee2`` or ``newest`` after the port names the firmware, which no query tells.
-    Without it nothing is taken for granted that only one of them does.
+    No query tells which firmware it has: nothing is taken for granted that only one of them does.
     """
 
     default_profile: ClassVar[str] = "etactilekit-32"
@@ -150,17 +146,7 @@ class ETactileKitDriver(Driver):
     )
     _kit: ETactileKitLine
 
-    def __init__(
-        self,
-        port: str,
-        limits: SafetyLimits,
-        output: Output | None = None,
-        *,
-        firmware: str | None = None,
-    ) -> None:
-        if firmware is not None:
-            firmware = choice_of("?firmware", firmware, FIRMWARES, BoardError)
-        self._firmware = firmware
+    def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         self._scale = require_kit("etactilekit", port, output, self.default_profile)
         self.port = port
         self.ua_per_count = self._scale.measured_ua
@@ -209,15 +195,14 @@ class ETactileKitDriver(Driver):
             raise
         finally:
             self._opening = False
-        named = f"eTactileKit {self._firmware}" if self._firmware else "eTactileKit"
         return Capabilities(
             electrodes=self._limits.electrodes,
             output="one-against-all",
             max_current_ma=LARGEST * self._scale.measured_ua / 1000,
             max_slots=self._limits.electrodes,
-            time_to_zero_ms=NEWEST_ZERO_MS if self._firmware == "newest" else None,
+            time_to_zero_ms=None,
             kept_ms=KEPT_MS,
-            firmware=f"{named}, {capacity} outputs",
+            firmware=f"eTactileKit, {capacity} outputs",
             measures=True,
             compliance_v=COMPLIANCE_V,
             load_kohm=DUMMY_KOHM,

@@ -166,8 +166,8 @@ class ETactileKitLine:
             )
         self._require_echo(chips)
         # No sense pulses: the guard of every change relies on that.
-        self.line.write(QUIET + NO_SENSE + bytes([0xFC, self.outputs]) + PING)
-        if self.line.read(1, ECHO_S) != self._echo:
+        settings = QUIET + NO_SENSE + bytes([0xFC, self.outputs])
+        if self.line.ask(settings + PING, 1, ECHO_S) != self._echo:
             raise self.line.lost("does not echo its number of electrodes")
         return capacity
 
@@ -181,9 +181,7 @@ class ETactileKitLine:
             self.line.pause(pause_s)
             for command in AT_REST:
                 self.line.write(command)
-            self.line.discard_input()
-            self.line.write(CHIPS)
-            if answer := self.line.read(1, CHIPS_S):
+            if answer := self.line.ask(CHIPS, 1, CHIPS_S):
                 return answer[0]
         raise SilentBoardError(
             f"the board at {self.line.name} does not answer as an eTactileKit does: check that "
@@ -193,10 +191,8 @@ class ETactileKitLine:
     def _require_echo(self, chips: int) -> None:
         """Raise unless the firmware echoes; its number of electrodes is zero meanwhile."""
         for _ in range(LOOKS):
-            self.line.discard_input()
             # The answer to the second byte shows whether the first was a query.
-            self.line.write(PING + CHIPS)
-            if self.line.read(1, CHIPS_S) == b"\0" and self.line.read(1, CHIPS_S) == bytes([chips]):
+            if self.line.ask(PING + CHIPS, 2, 2 * CHIPS_S) == bytes([0, chips]):
                 return
         for command in AT_REST:
             self.line.write(command)
@@ -211,9 +207,7 @@ class ETactileKitLine:
         # No zeros before the query: another device might act on them.
         for pause_s in (0.0, FORGETS_S):
             self.line.pause(pause_s)
-            self.line.discard_input()
-            self.line.write(CHIPS)
-            if received := self.line.read(1, CHIPS_S):
+            if received := self.line.ask(CHIPS, 1, CHIPS_S):
                 # A longer answer is another device's; zero waits only briefly for that.
                 received += self.line.read(1, MORE_S)
                 break
@@ -257,10 +251,8 @@ class ETactileKitLine:
         for zeros, pause_s in ((ZEROS, 0.01), (b"", FORGETS_S)):
             self.line.write(zeros)
             self.line.pause(pause_s)
-            self.line.discard_input()
-            self.line.write(QUIET + bytes(4) + PING)
             # The answer may only be late, and a silence would cost far more.
-            if self.line.read(1, CHIPS_S) == self._echo:
+            if self.line.ask(QUIET + bytes(4) + PING, 1, CHIPS_S) == self._echo:
                 return
         raise self.line.lost("does not answer any more")
 
