@@ -12,7 +12,7 @@ import pytest
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.wire.framing import LARGEST_PACKET
-from smarttouch.boards.link.protocol import MessageKind
+from smarttouch.boards.link import MessageKind
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.boards.link.session import LinkSession
 from smarttouch.physiology.activating_function import af_matrix, targets

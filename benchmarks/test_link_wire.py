@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from firmware.tests.build import built
-from smarttouch.boards.link.protocol import MessageKind, encode
+from smarttouch.boards.link import MessageKind, encode
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile

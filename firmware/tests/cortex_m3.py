@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from firmware.tests.build import cortex_m3
-from smarttouch.boards.link.protocol import OUTPUTS
+from smarttouch.boards.link import OUTPUTS
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.skin import Delivered
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smarttouch.boards.link.protocol import NOTHING, Rule
+from smarttouch.boards.link import NOTHING, Rule
 
 FULL = 65_535
 _SECOND_US = 1_000_000

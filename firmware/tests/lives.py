@@ -8,8 +8,8 @@ import numpy as np
 
 from firmware.tests.judge import FULL, Judge, Limits, Scan
 from firmware.tests.rig import Talk
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import MessageKind, Refusal, Rule
+from smarttouch.boards import link as protocol
+from smarttouch.boards.link import MessageKind, Refusal, Rule
 
 ELECTRODES = 4
 

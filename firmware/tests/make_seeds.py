@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from firmware.tests.scenes import Scene, random_table
-from smarttouch.boards.link.protocol import OUTPUTS
+from smarttouch.boards.link import OUTPUTS
 from smarttouch.boards.link.sequence_encoding import KernelImage
 
 TIME, BEGIN, LIMITS, KERNELS, SEQUENCE = 0, 3, 4, 5, 6

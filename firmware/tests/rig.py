@@ -5,8 +5,8 @@ import itertools
 
 import numpy as np
 
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import OUTPUTS, MessageKind, encode_volts
+from smarttouch.boards import link as protocol
+from smarttouch.boards.link import OUTPUTS, MessageKind, encode_volts
 from smarttouch.boards.link.sequence_encoding import KernelImage, encode_limits
 from smarttouch.boards.link.session import LinkSession
 from smarttouch.emulator.firmware import DeliveryLog

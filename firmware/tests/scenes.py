@@ -3,7 +3,7 @@
 import numpy as np
 
 from firmware.tests.rig import Talk
-from smarttouch.boards.link.protocol import MessageKind
+from smarttouch.boards.link import MessageKind
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, quantized

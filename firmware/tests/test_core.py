@@ -9,8 +9,8 @@ from firmware.tests.build import library
 from firmware.tests.rig import Both, Core, Emulated, Talk, Worn
 from firmware.tests.scenes import Scene, random_lists, random_table, sequence_of
 from smarttouch.base.wire.framing import Deframer
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import MessageKind, Refusal
+from smarttouch.boards import link as protocol
+from smarttouch.boards.link import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import KernelImage
 
 

@@ -13,7 +13,7 @@ from firmware.tests.build import built
 from firmware.tests.f405 import F405, LE, POL, states
 from firmware.tests.rig import Talk
 from firmware.tests.test_qemu import OverSocket
-from smarttouch.boards.link.protocol import MessageKind, Refusal
+from smarttouch.boards.link import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import encode_limits
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence

@@ -26,8 +26,8 @@ from firmware.tests.lives import (
     session,
 )
 from firmware.tests.rig import Both, Core, Emulated
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import MessageKind, Refusal
+from smarttouch.boards import link as protocol
+from smarttouch.boards.link import MessageKind, Refusal
 from tests.support.full import WHOLE as IS_WHOLE
 
 SCANS = 2500 if IS_WHOLE else 150

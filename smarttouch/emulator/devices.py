@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SmartTouchError, choice_of, require_within
 from smarttouch.base.urls import options_of, read_options
-from smarttouch.boards.link.protocol import OUTPUTS
+from smarttouch.boards.link import OUTPUTS
 from smarttouch.emulator.device_lines import PtyLine, TcpLine
 from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, DeviceClock, Firmware

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import BoardError
 from smarttouch.base.posix import HAS_POSIX
 from smarttouch.base.urls import refuse_rest
+from smarttouch.boards import link as protocol
 from smarttouch.boards.line import Line
-from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link import MessageKind
 from smarttouch.boards.link.link_driver import LinkDriver
-from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.link.sequence_encoding import ScanPart
 from smarttouch.boards.link.session import LinkSession
 from smarttouch.boards.reports import Capabilities

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.wire.framing import Deframer
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import (
+from smarttouch.boards import link as protocol
+from smarttouch.boards.link import (
     SILENCE_MS,
     SWITCH_OPEN,
     WHOLE_HEAD_BYTES,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.link.protocol import (
+from smarttouch.boards.link import (
     ALIVE_MS,
     GOES_ON,
     GROUP,

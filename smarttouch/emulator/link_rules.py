@@ -12,16 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.link.protocol import (
-    FULL,
-    LIMITS,
-    NAK,
-    NOTHING,
-    STATES,
-    Output,
-    Refusal,
-    Rule,
-)
+from smarttouch.boards.link import FULL, LIMITS, NAK, NOTHING, STATES, Output, Refusal, Rule
 from smarttouch.emulator.link_packets import KernelStore, ReceivedSequence, rounded
 
 MAX_CURRENT_UA = 5000

@@ -8,7 +8,7 @@ import pytest
 from smarttouch.base.errors import BoardError
 from smarttouch.base.posix import prioritized
 from smarttouch.boards.board import Board
-from smarttouch.boards.link.protocol import Rule
+from smarttouch.boards.link import Rule
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import probe_sequences
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware

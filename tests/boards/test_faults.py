@@ -22,7 +22,7 @@ from smarttouch.base.errors import (
 )
 from smarttouch.base.wire.port import open_port
 from smarttouch.boards import line
-from smarttouch.boards.link.protocol import MessageKind
+from smarttouch.boards.link import MessageKind
 from smarttouch.boards.open import make_board
 from smarttouch.boards.reports import HostStatistics, clear_latch, find_latch, latch
 from smarttouch.profile.device import Output

@@ -8,7 +8,7 @@ from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import BoardRestartedError, SafetyError, SequenceLateError
 from smarttouch.boards.board import Board
 from smarttouch.boards.kits.kajimoto61 import Kajimoto61Driver
-from smarttouch.boards.link.protocol import MessageKind
+from smarttouch.boards.link import MessageKind
 from smarttouch.boards.open import MemoryDriver, make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.stimulation.safety_gate import SafetyLimits

@@ -17,15 +17,9 @@ from hypothesis.extra import numpy as hnp
 from firmware.tests.scenes import random_table, sequence_of
 from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer, WirePacket
+from smarttouch.boards import link as protocol
 from smarttouch.boards.board import Board
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import (
-    WHOLE_HEAD_BYTES,
-    MessageKind,
-    decode,
-    decode_head,
-    encode,
-)
+from smarttouch.boards.link import WHOLE_HEAD_BYTES, MessageKind, decode, decode_head, encode
 from smarttouch.boards.link.sequence_encoding import encode_scan
 from smarttouch.boards.link.session import SILENCE_S, LinkSession
 from smarttouch.emulator.emulated_boards import SimulatedDriver

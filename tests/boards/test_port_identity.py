@@ -8,8 +8,8 @@ import pytest
 
 from smarttouch.base.errors import BoardError, BoardRestartedError
 from smarttouch.base.wire.framing import Deframer
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import MessageKind, decode, encode
+from smarttouch.boards import link as protocol
+from smarttouch.boards.link import MessageKind, decode, encode
 
 from ..support.checks import assert_says
 from ..support.full import sample

@@ -12,9 +12,8 @@ from firmware.tests.scenes import sequence_of
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import BoardFaultError
 from smarttouch.base.wire.framing import Deframer, frame_packet
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.link_driver import LinkDriver
-from smarttouch.boards.link.protocol import (
+from smarttouch.boards import link as protocol
+from smarttouch.boards.link import (
     ALIVE_MS,
     LATE_MS,
     LONGEST_PACKET_MS,
@@ -24,6 +23,7 @@ from smarttouch.boards.link.protocol import (
     decode_volts,
     digest_of,
 )
+from smarttouch.boards.link.link_driver import LinkDriver
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.boards.link.session import LinkSession
 from smarttouch.emulator.firmware import DeliveryLog

@@ -1,1 +1,246 @@
-"""Driver of boards that speak the ``link`` protocol."""
+"""The ``link`` wire format, version 5, for both ends: see ``firmware/PROTOCOL.md``.
+
+A packet is COBS-encoded and ends with one 0x00. Decoded, all little endian::
+
+    u8  version = 5
+    u8  type
+    u32 number      counts the packets of one end in one session, from 1 on
+    u8  state       of the board: 1 its emergency switch is open; else 0
+    u64 session
+    u32 heard       largest number that this end has taken from the other, else 0
+    u32 about       of SEQUENCE, ACK, NAK and VOLTAGES: the sequence; of an answer
+                    to a question: the question's number; else 0
+    ... payload
+    u32 CRC-32      (IEEE 802.3) of all before it
+"""
+
+import hashlib
+import secrets
+import struct
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import BoardError
+from smarttouch.base.wire.framing import HEAD_BYTES, WirePacket, frame_packet, parse_head
+
+VERSION = 5
+SWITCH_OPEN = 1  # state of a board whose emergency switch is open
+SILENCE_MS = 100
+ALIVE_MS = 20
+LATE_MS = 250  # a packet is old if it confirms nothing that the board sent within this time
+LONGEST_PACKET_MS = 1000  # longest time for which an incomplete packet counts as a sign of life
+HALF = 2**32 - 1  # the host's half of a session; the board's is above it
+Output = Literal["weighted", "three-state", "one-against-all"]
+OUTPUTS: tuple[Output, ...] = get_args(Output)
+
+CAPABILITIES = struct.Struct("<HBBHHHH")
+ALIVE = struct.Struct("<h")
+KEEPING = struct.Struct("<IIH")  # after CAPABILITIES: room in bytes, packet bytes, most kernels
+LIMITS = struct.Struct("<IIHHHHHHIBBH")
+"""Least period µs, total µA, width µs, full µA, rounding µA, full µs, ramp ms, session s, session
+µC, duty %, 0, width of a full pulse µs; then of each electrode u16 µA, u16 felt µA, u32 pC."""
+SEQUENCE = struct.Struct("<IHHBB")  # period µs, times, intensity, flags, number of pulse shapes
+GROUP = struct.Struct("<BBH")  # kind and shape of slots, and their number
+POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups
+MEASURE, RECHARGE, MORE, GOES_ON = 1, 2, 4, 8  # flags of a sequence
+FULL = 0xFFFF  # intensity 1; also the largest sum of a slot's amplitudes
+KERNELS = struct.Struct("<16sII")  # identity, size and offset
+KEPT = struct.Struct("<16sIB16s")
+"""Identity, bytes that are there, whether all are and are sound, and the session's proof."""
+ACK = struct.Struct("<Q")  # start of the sequence by the board's clock, µs
+NAK = struct.Struct("<BBHHii")  # reason, rule, slot, electrode, value and what is allowed
+REPORT = struct.Struct("<IIQIIIIBIIIII")
+"""Counts of sequences, slots, pulses and violations; largest current µA, charge pC and charge left
+pC; sequences at hand; old and foreign packets; largest net charge within a second pC; seconds with
+current and largest charge µC of the session."""
+NOTHING = 0xFFFF  # slot or electrode where a rule is of none; as a slot, the recharge phase
+
+
+def digest_of(data: bytes, session: int | None = None) -> bytes:
+    """Return the identity of kernels, or the proof in a session that they are kept."""
+    head = b"" if session is None else session.to_bytes(8, "little")
+    return hashlib.sha256(head + data).digest()[:16]
+
+
+class MessageKind(IntEnum):
+    """Types of packets."""
+
+    HELLO = 0x01
+    SEQUENCE = 0x02
+    HEARTBEAT = 0x03
+    STOP = 0x04
+    STATUS = 0x05
+    BEGIN = 0x06
+    LIMITS = 0x07
+    KERNELS = 0x08
+    CAPABILITIES = 0x81
+    ACK = 0x82
+    NAK = 0x83
+    ALIVE = 0x84
+    REPORT = 0x85
+    STOPPED = 0x86
+    VOLTAGES = 0x87
+    BEGUN = 0x88
+    LIMITED = 0x89
+    KEPT = 0x8A
+
+
+class Feature(IntFlag):
+    """Optional abilities of a board."""
+
+    VOLTAGE = 1
+    FORCE = 2
+    RECHARGE = 4
+    KERNELS = 8
+    EMERGENCY = 16
+
+
+class Refusal(IntEnum):
+    """Reasons why a board refuses a sequence or a packet."""
+
+    BUSY = 1
+    MALFORMED = 2
+    UNSAFE = 3
+    STOPPED = 4
+    SILENCE = 5
+    GARBLED = 6
+    OLD = 7
+    FOREIGN = 8
+    EMERGENCY = 9
+
+
+class Rule(IntEnum):
+    """Rules that a board checks, in the order of the page."""
+
+    NONE = 0
+    LIMITS = 1
+    SLOTS = 2
+    PERIOD = 3
+    WIDTH = 4
+    DISCHARGE = 5
+    FIT = 6
+    DUTY = 7
+    KIND = 8
+    KERNEL = 9
+    SUM = 10
+    BALANCE = 11
+    CURRENT = 12
+    TOTAL = 13
+    CHARGE = 14
+    STATES = 15
+    MEAN = 16
+    INTENSITY = 17
+    RISE = 18
+    RECHARGE = 19
+    FELT = 20
+    FELT_IN_SECOND = 21
+    CHARGE_IN_SECOND = 22
+    NET_IN_SECOND = 23
+    OFTEN = 24
+    SESSION_TIME = 25
+    SESSION_CHARGE = 26
+    READY = 27
+    PART = 28
+
+
+_VOLT = 100
+_U16_MAX = 0xFFFF
+
+
+def encode_volts(volts: NDArray[np.float64]) -> bytes:
+    """Return the payload of VOLTAGES: the source's voltage in each slot, (S,) V."""
+    return np.clip(np.rint(volts * _VOLT), 0, _U16_MAX).astype("<u2", copy=False).tobytes()
+
+
+def decode_volts(payload: bytes) -> NDArray[np.float32]:
+    """Return the voltages in a payload of VOLTAGES, (S,) V; an odd byte is dropped."""
+    whole = payload[: len(payload) // 2 * 2]
+    return np.asarray(np.frombuffer(whole, "<u2") / np.float32(_VOLT), np.float32)
+
+
+def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
+    """Return the current of a switched board's one source in each slot, (S,) µA."""
+    source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
+    strongest = int(source.max(initial=0))
+    if strongest > _U16_MAX:
+        raise BoardError(
+            f"a slot asks {strongest / 1000:.1f} mA of one source, the protocol carries at most "
+            f"{_U16_MAX / 1000:.1f} mA: lower the currents",
+            slot=int(source.argmax()),
+        )
+    found: NDArray[np.uint16] = source.astype("<u2")
+    return found
+
+
+def pack_states(signs: NDArray[np.int16]) -> bytes:
+    bits = np.stack([signs > 0, signs < 0], axis=-1).reshape(len(signs), 2 * signs.shape[1])
+    return np.packbits(bits, axis=1, bitorder="little").tobytes()
+
+
+def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8]:
+    bits = np.unpackbits(packed, axis=1, count=2 * electrodes, bitorder="little")
+    codes = bits.reshape(len(packed), electrodes, 2) @ np.array([1, 2])
+    return np.asarray(np.array([0, 1, -1, 2], np.int8)[codes])
+
+
+_HEAD = struct.Struct("<BQII")
+WHOLE_HEAD_BYTES = HEAD_BYTES + _HEAD.size  # bytes of a decoded packet before its payload
+ANSWERS = {
+    MessageKind.HELLO: MessageKind.CAPABILITIES,
+    MessageKind.BEGIN: MessageKind.BEGUN,
+    MessageKind.STOP: MessageKind.STOPPED,
+    MessageKind.STATUS: MessageKind.REPORT,
+    MessageKind.LIMITS: MessageKind.LIMITED,
+    MessageKind.KERNELS: MessageKind.KEPT,
+}
+
+
+@dataclass(frozen=True)
+class Message:
+    """Packet of this protocol; of an unknown version only ``kind`` and ``version`` are known."""
+
+    kind: int
+    number: int
+    session: int = 0
+    heard: int = 0
+    about: int = 0
+    payload: bytes = b""
+    version: int = VERSION
+    state: int = 0
+
+
+def encode(
+    kind: MessageKind,
+    session: int,
+    number: int,
+    heard: int = 0,
+    about: int = 0,
+    payload: bytes = b"",
+    state: int = 0,
+) -> bytes:
+    """Return a packet in its wire format."""
+    head = _HEAD.pack(state, session, heard, about)
+    return frame_packet(VERSION, kind, number, head, payload)
+
+
+def decode(packet: WirePacket) -> Message:
+    """Return a packet as a message; one that is too short has session 0, which is never valid."""
+    if packet.version != VERSION or len(packet.payload) < _HEAD.size:
+        return Message(packet.kind, packet.number, version=packet.version)
+    state, session, heard, about = _HEAD.unpack_from(packet.payload)
+    payload = packet.payload[_HEAD.size :]
+    return Message(packet.kind, packet.number, session, heard, about, payload, VERSION, state)
+
+
+def decode_head(head: bytes) -> Message:
+    """Return the message that begins with these `WHOLE_HEAD_BYTES`, before its CRC."""
+    return decode(parse_head(head))
+
+
+def draw_half() -> int:
+    """Return 32 random bits that are not all 0."""
+    return secrets.randbelow(HALF) + 1

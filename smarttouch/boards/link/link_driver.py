@@ -15,17 +15,10 @@ from smarttouch.base.errors import (
     SequenceLateError,
 )
 from smarttouch.base.wire.framing import LARGEST_PACKET
+from smarttouch.boards import link as protocol
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import (
-    Message,
-    MessageKind,
-    Refusal,
-    Rule,
-    decode_volts,
-    digest_of,
-)
+from smarttouch.boards.link import Message, MessageKind, Refusal, Rule, decode_volts, digest_of
 from smarttouch.boards.link.sequence_encoding import (
     KernelImage,
     ScanPart,

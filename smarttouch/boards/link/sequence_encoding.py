@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
-from smarttouch.boards.link.protocol import (
+from smarttouch.boards.link import (
     CURRENTS,
     FULL,
     GOES_ON,

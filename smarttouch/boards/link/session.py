@@ -9,9 +9,9 @@ from collections.abc import Callable
 from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
 from smarttouch.base.posix import prioritized
 from smarttouch.base.wire.framing import Deframer, WirePacket
+from smarttouch.boards import link as protocol
 from smarttouch.boards.line import Line
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import (
+from smarttouch.boards.link import (
     ANSWERS,
     HALF,
     NOTHING,

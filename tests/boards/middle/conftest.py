@@ -11,8 +11,8 @@ from cobs import cobs
 
 from smarttouch.base.clock import LATE_NS
 from smarttouch.boards.board import Board
+from smarttouch.boards.link import HALF
 from smarttouch.boards.link.link_driver import LinkDriver
-from smarttouch.boards.link.protocol import HALF
 from smarttouch.boards.link.session import LinkSession
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware

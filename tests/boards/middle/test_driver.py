@@ -6,8 +6,8 @@ from cobs import cobs
 
 from smarttouch.base.errors import BoardError, EmergencyStopError, LineLostError
 from smarttouch.base.wire.framing import frame_packet
-from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import MessageKind, encode_volts
+from smarttouch.boards import link as protocol
+from smarttouch.boards.link import MessageKind, encode_volts
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ...support.checks import raises

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardError, EmergencyStopError, LineLostError
-from smarttouch.boards.link.protocol import ALIVE_MS, LATE_MS, SILENCE_MS
+from smarttouch.boards.link import ALIVE_MS, LATE_MS, SILENCE_MS
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from .conftest import write
