@@ -129,7 +129,7 @@ class HostStatistics:
 
     def __init__(self, electrodes: int) -> None:
         self.report: BoardReport = BoardReport(0, 0, 0, 0, 0.0, 0.0, 0.0, by="host", most_pulses=0)
-        self._ledger, self._unsure_uc = ChargeBalance(electrodes), 0.0
+        self._ledger, self._unsure_uc = ChargeBalance(electrodes), np.zeros(electrodes)
 
     def add(
         self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
@@ -141,7 +141,10 @@ class HostStatistics:
         peaks_ua = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1) * (most > 0)
         charges_pc = peaks_ua * sequence.width_us
         self._ledger.add(sequence, times)
-        self._unsure_uc += (most - times) * float(charges_pc.sum()) / 1e6
+        # Of each electrode, whatever its sign.
+        each_uc = sequence.width_us @ np.abs(sequence.current_ua.astype(np.int64)) / 1e6
+        self._unsure_uc = self._unsure_uc + (most - times) * each_uc
+        net_uc = self._ledger.worst_uc + float(self._unsure_uc.max())
         self.report = replace(
             old,
             sequences=old.sequences + (not again),
@@ -150,7 +153,7 @@ class HostStatistics:
             most_pulses=(old.most_pulses or 0) + most * pulses,
             max_current_ma=max(old.max_current_ma, float(peaks_ua.max(initial=0)) / 1000),
             max_charge_uc=max(old.max_charge_uc, float(charges_pc.max(initial=0)) / 1e6),
-            max_net_charge_uc=max(old.max_net_charge_uc, self._ledger.worst_uc + self._unsure_uc),
+            max_net_charge_uc=max(old.max_net_charge_uc, net_uc),
         )
 
 

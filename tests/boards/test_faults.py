@@ -228,8 +228,8 @@ def test_a_range_of_scans_is_a_range_of_pulses(make_sequence):
     report = books.report
     assert (report.sequences, report.slots, report.pulses, report.most_pulses) == (1, 16, 128, 160)
     assert report.max_current_ma == pytest.approx(0.7)
-    # What may have flowed counts too: four slots of .07 µC on one electrode at worst.
+    # What may have flowed counts too: one slot of .07 µC and three of .01 µC on an electrode.
     exact = HostStatistics(8)
     exact.add(sequence, 4)
     assert exact.report.most_pulses == 128
-    assert report.max_net_charge_uc == pytest.approx(exact.report.max_net_charge_uc + 0.28)
+    assert report.max_net_charge_uc == pytest.approx(exact.report.max_net_charge_uc + 0.1)
