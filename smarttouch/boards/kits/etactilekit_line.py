@@ -192,7 +192,7 @@ class ETactileKitLine:
         """Raise unless the firmware echoes; its number of electrodes is zero meanwhile."""
         for _ in range(LOOKS):
             # The answer to the second byte shows whether the first was a query.
-            if self.line.ask(PING + CHIPS, 2, 2 * CHIPS_S) == bytes([0, chips]):
+            if self.line.ask(PING + CHIPS, 2, CHIPS_S + ECHO_S) == bytes([0, chips]):
                 return
         for command in AT_REST:
             self.line.write(command)
