@@ -127,7 +127,7 @@ typedef struct {
 } st_refusal;
 
 typedef struct {
-    uint32_t period_us, total_ua, width_us, full_ua, rounding_ua, full_us;
+    uint32_t period_us, total_ua, width_us, full_ua, rounding_ua;
     uint32_t ramp_us; /* 0 only in tests */
     uint32_t session_s, session_uc, duty_percent, usual_us;
     bool given;

@@ -22,7 +22,6 @@ bool st_limits_take(st_board *board, const uint8_t *payload, uint32_t size)
     limits->width_us = st_least(st_u16(payload + 8), ST_MAX_WIDTH_US);
     limits->full_ua = st_least(st_u16(payload + 10), ST_MAX_CURRENT_UA);
     limits->rounding_ua = st_least(st_u16(payload + 12), (electrodes + 1u) / 2u + 1u);
-    limits->full_us = st_least(st_u16(payload + 14), ST_MAX_WIDTH_US);
     ramp_ms = ramp_ms < board->config.ramp_ms ? board->config.ramp_ms : ramp_ms;
     ramp_ms = ramp_ms < ST_MIN_RAMP_MS ? ST_MIN_RAMP_MS : ramp_ms;
     limits->ramp_us = 1000u * ramp_ms;

@@ -275,18 +275,8 @@ static bool intensity_obeys(const st_board *board, const st_sequence *sequence,
                             const peaks *most, st_refusal *refusal)
 {
     const st_limits *limits = &board->limits;
-    const uint64_t strongest_ua = (uint64_t)limits->full_ua + limits->rounding_ua;
-    uint64_t allowed_ua = (uint64_t)limits->full_ua * sequence->intensity / ST_FULL
-                          + limits->rounding_ua;
-    if (limits->full_us != 0u) {
-        const uint64_t allowed_pc =
-            strongest_ua * limits->full_us * 1001u * sequence->intensity / (1000u * ST_FULL);
-        if (most->peak_pc > allowed_pc) {
-            return st_refuse(refusal, ST_RULE_INTENSITY, ST_NOTHING, ST_NOTHING, most->peak_pc,
-                             allowed_pc);
-        }
-        allowed_ua = strongest_ua;
-    }
+    const uint64_t allowed_ua = (uint64_t)limits->full_ua * sequence->intensity / ST_FULL
+                                + limits->rounding_ua;
     if (most->peak_ua > allowed_ua) {
         return st_refuse(refusal, ST_RULE_INTENSITY, ST_NOTHING, ST_NOTHING, most->peak_ua,
                          allowed_ua);

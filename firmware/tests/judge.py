@@ -37,7 +37,6 @@ class Limits:
     width_us: int = 200
     full_ua: int = 5000
     rounding_ua: int = 3
-    full_us: int = 0
     ramp_ms: int = 500
     session_s: int = 3600
     session_uc: int = 1_800_000
@@ -50,7 +49,7 @@ class Limits:
     def payload(self):
         head = struct.pack(
             "<IIHHHHHHIBBH", self.period_us, self.total_ua, self.width_us, self.full_ua,
-            self.rounding_ua, self.full_us, self.ramp_ms, self.session_s, self.session_uc,
+            self.rounding_ua, 0, self.ramp_ms, self.session_s, self.session_uc,
             self.duty, 0, self.usual_us,
         )  # fmt: skip
         each = zip("HHI", (self.current_ua, self.felt_ua, self.charge_pc), strict=True)
@@ -61,7 +60,7 @@ class Limits:
         return Limits(
             max(5000, self.period_us), min(5000 if switched else 10_000, self.total_ua),
             min(200, self.width_us), min(5000, self.full_ua),
-            min((len(self.current_ua) + 1) // 2 + 1, self.rounding_ua), min(200, self.full_us),
+            min((len(self.current_ua) + 1) // 2 + 1, self.rounding_ua),
             max(500, self.ramp_ms or 10_000), min(3600, self.session_s),
             min(1_800_000, self.session_uc), min(80, self.duty), min(200, self.usual_us),
             np.minimum(5000, self.current_ua), np.minimum(2500, self.felt_ua),
@@ -325,14 +324,7 @@ class Judge:
     def _intensity(self, scan, risen):
         limits, each = self.limits, np.abs(scan.nominal())
         peak_ua = int(each.max(initial=0))
-        widths = np.array([[width] for width, _, _ in scan.slots], np.int64).reshape(-1, 1)
-        peak_pc = int((each * widths).max(initial=0))
         most_ua = limits.full_ua * scan.intensity // FULL + limits.rounding_ua
-        if limits.full_us:
-            most_ua = limits.full_ua + limits.rounding_ua
-            most_pc = most_ua * limits.full_us * 1001 * scan.intensity // (1000 * FULL)
-            if peak_pc > most_pc:
-                return Rule.INTENSITY, NOTHING, NOTHING, peak_pc, most_pc
         if peak_ua > most_ua:
             return Rule.INTENSITY, NOTHING, NOTHING, peak_ua, most_ua
         if (strength := self._strength(scan)) > risen:

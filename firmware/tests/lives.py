@@ -37,7 +37,6 @@ class Life:
             total_ua=int(pick([1500, 12_000])),
             full_ua=int(pick([2000, 9000])),
             rounding_ua=int(pick([2, 700])),
-            full_us=int(pick([0, 0, 200])),
             ramp_ms=int(pick([0, 100, 700])),
             session_s=int(pick([1, 3, 3600])),
             session_uc=int(pick([60, 4000, 9_000_000])),

@@ -102,7 +102,6 @@ class SessionLimits:
     width_us: int
     full_ua: int
     rounding_ua: int
-    full_us: int
     ramp_ms: int
     session_s: int
     session_uc: int
@@ -118,8 +117,7 @@ class SessionLimits:
         if len(payload) != LIMITS.size + 8 * electrodes:
             return None
         (
-            period, total, width, full, rounding, full_us, ramp, session_s, session_uc, duty,
-            _, usual,
+            period, total, width, full, rounding, _, ramp, session_s, session_uc, duty, _, usual,
         ) = LIMITS.unpack_from(payload)  # fmt: skip
         current, felt = np.frombuffer(payload, "<u2", 2 * electrodes, LIMITS.size).reshape(2, -1)
         charge = np.frombuffer(payload, "<u4", electrodes, LIMITS.size + 4 * electrodes)
@@ -127,7 +125,7 @@ class SessionLimits:
         return cls(
             max(period, MIN_PERIOD_US), min(total, most), min(width, MAX_WIDTH_US),
             min(full, MAX_CURRENT_UA), min(rounding, -(-electrodes // 2) + 1),
-            min(full_us, MAX_WIDTH_US), max(ramp or MAX_RAMP_MS, MIN_RAMP_MS),
+            max(ramp or MAX_RAMP_MS, MIN_RAMP_MS),
             min(session_s, MAX_SESSION_S), min(session_uc, MAX_SESSION_UC),
             min(duty, MAX_DUTY_PERCENT), min(full, MAX_CURRENT_UA) * min(usual, MAX_WIDTH_US),
             np.minimum(current.astype(np.int64), MAX_CURRENT_UA),
@@ -143,11 +141,6 @@ class SessionLimits:
     def intensity(self, intensity: int, load: "Load") -> "BrokenRule | None":
         """Return the rule that pulses break which are too strong for an intensity."""
         allowed_ua = self.full_ua * intensity // FULL + self.rounding_ua
-        if self.full_us:
-            allowed_ua = self.full_ua + self.rounding_ua
-            allowed_pc = allowed_ua * self.full_us * 1001 * intensity // (1000 * FULL)
-            if found := first_above(Rule.INTENSITY, load.peak_pc, allowed_pc):
-                return found
         return first_above(Rule.INTENSITY, load.peak_ua, allowed_ua)
 
 
