@@ -1,9 +1,7 @@
 """The contract of drivers, run over the C core behind a pseudo-terminal and on a Cortex-M3."""
 
-import tempfile
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,13 +30,9 @@ from ..support.checks import raises
 class TestFirmware(Contract):
     @pytest.fixture
     def url(self, start_firmware, tmp_path):
-        def url(kind):
-            self.folder = Path(tempfile.mkdtemp(dir=tmp_path))
-            # Time is what sequences claim.
-            options = (f"--books={self.folder}", "--ramp-ms=0")
-            return "link:" + start_firmware(*options, output=kind)[1]
-
-        return url
+        # Time is what sequences claim.
+        options = (f"--books={tmp_path}", "--ramp-ms=0")
+        return "link:" + start_firmware(*options, output=self.output_kind)[1]
 
 
 @pytest.mark.long
@@ -46,12 +40,8 @@ class TestFirmware(Contract):
 class TestCortexM3(TestFirmware):
     @pytest.fixture
     def url(self, start_cortex_m3, tmp_path):
-        def url(kind):
-            self.folder = Path(tempfile.mkdtemp(dir=tmp_path))
-            given = {"electrodes": self.electrodes, "output": kind, "ramp_ms": 0}
-            return "link:" + start_cortex_m3(self.folder, **given).name
-
-        return url
+        given = {"electrodes": self.electrodes, "output": self.output_kind, "ramp_ms": 0}
+        return "link:" + start_cortex_m3(tmp_path, **given).name
 
     instants = 2
 
