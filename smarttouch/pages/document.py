@@ -87,7 +87,7 @@ class Document(Closing):
     def page(self, index: int) -> Page:
         """Return a page by its index from 0."""
         if not 0 <= index < len(self):
-            raise PageError(f"{self.path} {_absent(index + 1, len(self))}")
+            raise PageError(f"{self.path} has {len(self)} pages, there is no page {index + 1}")
         if self._pdf is None:
             return self._image_page(index)
         import pypdfium2
@@ -184,16 +184,13 @@ def parse_pages(text: str, count: int) -> list[int]:
     for part in text.split(","):
         # Python refuses to convert very long numbers.
         match = re.fullmatch(r"\s*([0-9]{1,9})\s*(-\s*([0-9]{1,9})?\s*)?", part)
-        if match is None:
-            message = f"pages {text}: {part.strip()!r} is not a page: write 1,3-5 or 7-"
-            raise PageError(message)
-        first = int(match[1])
-        last = int(match[3] or count) if match[2] else first
-        for number in (first, last):
-            if not 1 <= number <= count:
-                raise PageError(f"pages {text}: the document {_absent(number, count)}")
-        if last < first:
-            raise PageError(f"pages {text}: {first} is after {last}: write {last}-{first}")
+        first = int(match[1]) if match else 0
+        last = int(match[3] or count) if match and match[2] else first
+        if not 1 <= first <= last <= count:
+            raise PageError(
+                f"pages {text}: {part.strip()!r} is not one or some of pages 1 to {count}: "
+                "write 1,3-5 or 7-"
+            )
         indexes += range(first - 1, last)
     return indexes
 
@@ -235,8 +232,3 @@ def _flatten(sheet: "pypdfium2.PdfPage") -> int:
         printed: int = text.count_chars()
     pdfium.FPDFPage_Flatten(sheet, pdfium.FLAT_NORMALDISPLAY)
     return printed
-
-
-def _absent(number: int, count: int) -> str:
-    pages = "1 page" if count == 1 else f"{count} pages"
-    return f"has {pages}, there is no page {number}"

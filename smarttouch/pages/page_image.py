@@ -3,23 +3,19 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 from PIL import Image
 
 from smarttouch.base.errors import PageError
-from smarttouch.pages.grey_image import MOST_PIXELS, ORIENTATION, read_pixels, to_grey
+from smarttouch.pages.grey_image import MOST_PIXELS, read_pixels, to_grey
 
 FEWEST_PIXELS = 8  # least side of a page
 LARGEST_MM, SMALLEST_MM = 2000.0, 2.0
 INCH_MM = 25.4
 _LEAST_BELIEVED_DPI = 50.0
 """Lowest plausible resolution; files state less (1 or 72 by default) where it is unknown."""
-_EVEN, _MOST_UNEVEN = 1.02, 4.0
-"""Ratio of resolutions across and down below which they are equal, and the largest plausible one:
-the coarsest kind of fax has 2.1; more is an error of the file."""
 
 
 def curve_at(
@@ -112,33 +108,15 @@ def check_scale_options(
 def read_grey(
     path: Path, image: Image.Image, dpi: float | None = None, page_width_mm: float | None = None
 ) -> tuple[NDArray[np.uint8], float | None]:
-    """Return an open image in grey, (H, W) uint8, and its scale in mm per pixel; None if unknown.
-
-    Pixels that are not square, as in a fax, are stretched until they are.
-    """
+    """Return an open image in grey, (H, W) uint8, and its mm per pixel; None if unknown."""
     require_pixels(str(path), *image.size)
-    across, down = _stated_dpi(image)
-    finer = max(across, down)
     grey = to_grey(read_pixels(image))
-    if finer > _EVEN * min(across, down):
-        height, width = grey.shape
-        size = (round(width * finer / across), round(height * finer / down))
-        require_pixels(str(path), *size)
-        grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_LINEAR), np.uint8)
     if page_width_mm is not None:
         return grey, page_width_mm / grey.shape[1]
-    dpi = dpi or finer
+    across, down = map(float, image.info.get("dpi") or (0, 0))
+    is_believed = across >= _LEAST_BELIEVED_DPI and across != 72 and round(across) == round(down)
+    dpi = dpi or (across if is_believed else None)
     return grey, INCH_MM / dpi if dpi else None
-
-
-def _stated_dpi(image: Image.Image) -> tuple[float, float]:
-    """Return pixels per inch across and down the upright page; 0 if implausible."""
-    stated = image.info.get("dpi")
-    across, down = map(float, stated) if isinstance(stated, tuple) else (0.0, 0.0)
-    low, high = sorted((across, down))
-    if not _LEAST_BELIEVED_DPI <= low <= high <= _MOST_UNEVEN * low or 72 in (low, high):
-        return 0.0, 0.0
-    return (down, across) if image.getexif().get(ORIENTATION, 1) >= 5 else (across, down)
 
 
 def require_pixels(name: str, width: int, height: int) -> None:

@@ -28,18 +28,14 @@ _BY_NAME = {".md": "commonmark_x", ".markdown": "commonmark_x"} | dict.fromkeys(
 _HTML = rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b"
 _FOREIGN = {
     "an RTF document": rb"\{\\rtf",
-    "a drawing (SVG)": rb"(?:<\?xml|<!--|<!doctype svg).*<svg\b|\s*<svg\b",
     "a PEF file": rb".*<pef\b",
+    "an XML document, as drawings in SVG are": rb"\s*<(?:\?xml|svg\b|!--|!doctype svg)(?!.*<html)",
     "an e-mail": rb"(?:From [^\n]*\n)?(?:[\w-]+:[^\n]*\n(?:[ \t][^\n]*\n)*)*?"
     rb"(?:received|return-path|mime-version|message-id): ",
     "a PostScript file": rb"%!PS",
-    "a DjVu document": rb"AT&TFORM",
-    "an e-book of Mobipocket or Kindle": rb".{60}BOOKMOBI",
     "a LaTeX source": rb"\s*(?:%[^\n]*\n\s*)*\\(?:documentclass|documentstyle|begin\{)",
     "a contact or calendar": rb"BEGIN:V(?:CARD|CALENDAR)",
     "a notebook (Jupyter)": rb"\s*\{.*\"(?:nbformat|cells)\"\s*:",
-    "an XML document": rb"<\?xml(?!.*<html)",
-    "a photograph in HEIC": rb".{4}ftyp(?:hei|mif1|msf1)",
     "an old or locked Office document, or a mail of Outlook": rb"\xd0\xcf\x11\xe0",
 }
 """Kinds that are not read, and how they begin."""

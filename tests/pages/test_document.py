@@ -274,16 +274,11 @@ def test_pages_asked_for(text, indexes):
     assert parse_pages(text, 12) == indexes
 
 
-@pytest.mark.parametrize(("text", "value", "more"), [
-    *((each, each, {}) for each in ("", "one", "-3", "²", "1" * 5000)),
-    ("1,,2", "", {}),
-    ("0", 0, {"allowed": 12}),
-    ("1,13", 13, {"allowed": 12}),
-    ("3-999999999", 999_999_999, {"allowed": 12}),
-    ("5-3", (5, 3), {}),
-])  # fmt: skip
-def test_what_is_no_page(text, value, more):
-    with raises(PageError, names="pages", value=value, **more):
+@pytest.mark.parametrize(
+    "text", ["", "one", "-3", "²", "1" * 5000, "1,,2", "0", "1,13", "3-999999999", "5-3"]
+)
+def test_what_is_no_page(text):
+    with pytest.raises(PageError, match="is not one or some of pages 1 to 12: write 1,3-5"):
         parse_pages(text, 12)
 
 
@@ -344,23 +339,17 @@ def picture():
 
 
 @pytest.mark.parametrize("compression", [None, "tiff_lzw"])
-@pytest.mark.parametrize(("stated", "shape"), [
-    ((200, 200), (80, 60)), ((200, 100), (80, 120)), ((100, 200), (160, 60)),
-    ((200, 199), (80, 60)),
-])  # fmt: skip
-def test_pixels_become_square_and_upright(picture, tmp_path, compression, stated, shape):
+def test_an_image_is_upright(picture, tmp_path, compression):
     turned = TiffImagePlugin.ImageFileDirectory_v2()
     turned[0x0112] = 6
-    path = tmp_path / "fax.tif"
-    picture.save(path, dpi=stated, tiffinfo=turned, compression=compression)
+    path = tmp_path / "page.tif"
+    picture.save(path, dpi=(200, 200), tiffinfo=turned, compression=compression)
     page = first_page(path)
-    assert page.grey.shape == shape
+    assert page.grey.shape == (80, 60)
     assert page.mm_per_pixel == pytest.approx(0.127)
-    size_mm = np.ptp(np.argwhere(page.grey < 128), axis=0) * 0.127 + 0.127
-    assert size_mm == pytest.approx([20 / each * 25.4 for each in stated], rel=0.02)
 
 
-@pytest.mark.parametrize("stated", [(1000, 100), (300, 20), (72, 300)])
+@pytest.mark.parametrize("stated", [(200, 100), (300, 20), (72, 72)])
 def test_resolutions_that_are_not_believed(picture, tmp_path, stated):
     path = tmp_path / "page.tif"
     picture.save(path, dpi=stated)
