@@ -1,12 +1,14 @@
-"""Strips are lines as they were printed: level, at one scale, and without their neighbors."""
+"""Pages are prepared: printed texts have their lines, and strips are level, without neighbors."""
 
 import cv2
 import numpy as np
 import pytest
 
-from smarttouch.pages.page_image import Page, TextLine
-from smarttouch.pages.prepared_page import SIDES, cut_strip, prepare_page
+from smarttouch.base.errors import PageError
+from smarttouch.pages.page_image import TextLine
+from smarttouch.pages.prepared_page import SIDES, cut_strip, prepare_page, prepare_text, print_text
 
+from ..support.checks import raises
 from .printed import degrade, print_page, some_lines
 
 HEIGHT = 24
@@ -77,13 +79,6 @@ def test_a_sloping_line_becomes_level():
     assert np.ptp(centers) < 1.0
 
 
-def test_beyond_the_page_there_is_paper():
-    cleaned = np.zeros((100, 300), np.uint8)
-    strip = cut_strip(cleaned, 0.1, line_at(1.0, right_mm=50.0), 20)
-    assert (strip[:8] == 255).all()
-    assert (strip[:, -20:] == 255).all()
-
-
 def test_letters_of_the_next_line_are_left_out_and_own_ones_kept():
     cleaned = np.full((300, 500), 255, np.uint8)
     cleaned[105:130, 150:170] = 0
@@ -92,22 +87,6 @@ def test_letters_of_the_next_line_are_left_out_and_own_ones_kept():
     strip = cut_strip(cleaned, 0.1, line_at(13.0), 40)
     columns = np.flatnonzero((strip < 128).any(axis=0))
     assert len(columns) == pytest.approx(30, abs=2)
-
-
-def test_a_page_without_lines_is_prepared():
-    prepared = prepare_page(Page(np.full((100, 100), 255, np.uint8), 0.1))
-    assert prepared.lines == ()
-    assert prepared.notes == ()
-    assert (prepared.cleaned == 255).all()
-
-
-@pytest.mark.parametrize("light_on_dark", [None, True])
-def test_a_dark_page_is_prepared_as_a_light_one(printed, light_on_dark):
-    dark = Page(255 - printed.page.grey, printed.page.mm_per_pixel)
-    prepared = prepare_page(dark, light_on_dark)
-    assert prepared.light_on_dark
-    assert len(prepared.lines) == len(printed.lines)
-    assert np.median(prepared.cleaned) == 255
 
 
 def test_ink_beside_what_is_left_out_stays():
@@ -120,3 +99,36 @@ def test_ink_beside_what_is_left_out_stays():
     before = round(SIDES * line.height_mm)
     assert (strip[6:34, before + 1 : before + 10] < 60).all()
     assert (strip[:, before + 13 : before + 15] > 200).all()
+
+
+@pytest.mark.parametrize("text", ["", "  ", "\n\n"])
+def test_nothing_to_print(text):
+    with raises(PageError, names="text", value=text):
+        print_text(text)
+
+
+def test_a_page_can_be_too_long():
+    long = pytest.approx(2450, abs=50)
+    with raises(PageError, names="text", value=long, allowed=2000) as caught:
+        print_text("x\n" * 300)
+    assert "300" in str(caught.value)
+
+
+def test_its_lines_lie_where_the_ink_is():
+    prepared = prepare_text("dp x\n\nxxx dp")
+    assert len(prepared.lines) == 2
+    for line in prepared.lines:
+        per_mm = 1 / prepared.page.mm_per_pixel
+        top, bottom = round(line.top_mm * per_mm), round(line.bottom_mm * per_mm)
+        band = prepared.page.grey[top - 20 : bottom + 20] < 128
+        rows, columns = np.flatnonzero(band.any(axis=1)), np.flatnonzero(band.any(axis=0))
+        assert rows[[0, -1]] == pytest.approx([20, bottom - top + 19], abs=3)
+        ends = np.array([line.left_mm, line.right_mm]) * per_mm
+        assert columns[[0, -1]] == pytest.approx(ends, abs=3)
+    baseline, x_height = (
+        value * per_mm for value in (prepared.lines[1].baseline[0], prepared.lines[1].x_height_mm)
+    )
+    start = round(prepared.lines[1].left_mm * per_mm)
+    x = prepared.page.grey[:, start : start + 30] < 128
+    rows = np.flatnonzero(x[round(baseline) - 60 :].any(axis=1)) + round(baseline) - 60
+    assert rows[[0, -1]] == pytest.approx([baseline - x_height, baseline - 1], abs=2)
