@@ -33,10 +33,9 @@ MOST_RENDERED_PIXELS = 36_000_000
 """Most pixels of a PDF's page, A2 at 300 dots per inch. Larger ones are rendered coarser: most are
 scans whose size in points is that in pixels, without finer detail."""
 GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
-_DOCUMENT = "a readable document: give a PDF, PNG, JPEG or TIFF"
 _SIGNATURE, _SIGNATURE_WITHIN = b"%PDF-", 1024
 """Beginning of a PDF, and the bytes in which readers look for it (ISO 32000-1, Annex H.3.4.1)."""
-_TRIES, _MOST_PASSWORD_BYTES = 3, 4096
+_MOST_PASSWORD_BYTES = 4096
 
 
 class LockedError(PageError):
@@ -67,7 +66,7 @@ class Document(Closing):
         self._pdf = _open_pdf(path, password)
         self._frames: list[int] = []
         if self._pdf is None:
-            with open_image(path, _DOCUMENT) as image:
+            with open_image(path) as image:
                 self._frames = page_frames(image)
 
     def __len__(self) -> int:
@@ -110,7 +109,7 @@ class Document(Closing):
             raise PageError(f"{name} cannot be read: the file is damaged") from None
 
     def _image_page(self, index: int) -> Page:
-        with open_image(self.path, _DOCUMENT) as image:
+        with open_image(self.path) as image:
             image.seek(self._frames[index])
             grey, mm_per_pixel = read_grey(self.path, image, self._dpi, self._page_width_mm)
         height, width = grey.shape
@@ -153,7 +152,7 @@ def password_of(path: Path, password_file: str | None = None) -> str | None:
     """Return the password of a document; None if it needs none.
 
     It is the first line of a file, or of standard input for ``-``; without one it is asked for
-    where somebody sits at a terminal.
+    where somebody sits at a terminal, until it is right or empty.
     """
     if password_file is not None:
         is_input = password_file == "-"
@@ -167,15 +166,14 @@ def password_of(path: Path, password_file: str | None = None) -> str | None:
         name = "standard input" if is_input else password_file
         raise PageError(f"{name} has no password in its first line: write it there")
     password = None
-    for attempt in range(_TRIES + 1):
+    while True:
         try:
             Document(path, password=password).close()
-            break
+            return password
         except LockedError:
-            if attempt == _TRIES or not sys.stdin.isatty():
+            if password == "" or not sys.stdin.isatty():
                 raise
             password = getpass.getpass(f"Password of {path.name}: ")
-    return password
 
 
 def parse_pages(text: str, count: int) -> list[int]:
@@ -212,12 +210,12 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
         pdf = pypdfium2.PdfDocument(path, password)
     except pypdfium2.PdfiumError as error:
         if "password" not in str(error).lower():
-            message = f"{path} is damaged, or has no pages: save it again"
-            raise PageError(message) from None
-        message = f"{path} is locked: give --password-file FILE, or page:FILE?password_file=FILE"
-        if password is not None:
-            message = f"{path} is locked, and this is not its password: check it"
-        raise LockedError(message) from None
+            raise PageError(f"{path} is damaged, or has no pages: save it again") from None
+        remedy = (
+            ": give --password-file FILE, or page:FILE?password_file=FILE" if password is None
+            else ", and this is not its password: check it"
+        )  # fmt: skip
+        raise LockedError(f"{path} is locked{remedy}") from None
     # Needed to render filled-in fields, before any page is opened.
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
         pdf.init_forms()

@@ -33,7 +33,6 @@ _BRIGHTEST = 0.999  # quantile of floating-point levels that is white: highlight
 _CONTRAST = 64  # levels between the darkest and the brightest of a picture that carries print
 _THICK = 8  # strokes are thinner than the image's shorter side divided by this
 _WHITE_IS_ZERO = 262, 0  # photometric interpretation of a TIFF
-ORIENTATION = 0x0112  # EXIF tag; 5 and above lay the rows of the file upright
 _SUBFILE, _NO_PAGE = 254, 1 | 4  # tag of a TIFF; bits of reduced images and masks
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions that Pillow raises on damaged files."""
@@ -152,9 +151,7 @@ def _scaled(values: Pixels, black: float, white: float) -> NDArray[np.uint8]:
 
 
 @contextmanager
-def open_image(
-    path: Path, kind: str = "a readable image: give a PNG, JPEG or TIFF"
-) -> Iterator[Image.Image]:
+def open_image(path: Path) -> Iterator[Image.Image]:
     """Open an image file; any exception of Pillow, here or inside, becomes a PageError."""
     try:
         with warnings.catch_warnings():
@@ -167,7 +164,8 @@ def open_image(
         message = f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
         raise PageError(message) from None
     except UnidentifiedImageError:
-        raise PageError(f"{path} is not {kind}") from None
+        message = f"{path} is not a readable image or document: give a PDF, PNG, JPEG or TIFF"
+        raise PageError(message) from None
     except _DAMAGES as error:
         raise PageError(f"{path} cannot be read: {error}") from None
 
@@ -197,13 +195,8 @@ def read_pixels(image: Image.Image) -> Pixels:
             values = np.asarray(_white_level(values)).astype(values.dtype) - values
         hidden = image.info.get("transparency")
         return np.dstack([values, values != hidden]) if isinstance(hidden, int) else values
-    if upright.mode == "LAB":
-        return np.asarray(upright.getchannel("L"))
-    if upright.has_transparency_data:
-        # Plain alpha, instead of colors that are multiplied by it.
-        plain = upright.convert({"La": "LA", "RGBa": "RGBA"}.get(upright.mode, upright.mode))
-        return np.asarray(plain.convert("RGBA"))
-    return np.asarray(upright.convert("L" if upright.mode in ("1", "L") else "RGB"))
+    mode = "RGBA" if upright.has_transparency_data else "L" if upright.mode in ("1", "L") else "RGB"
+    return np.asarray(upright.convert(mode))
 
 
 def _deep_color(image: Image.Image) -> Pixels:
@@ -214,8 +207,4 @@ def _deep_color(image: Image.Image) -> Pixels:
     is_read, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, None, (page, page + 1))
     if not is_read:
         raise ValueError("its pixels are damaged")
-    pixels = np.asarray(pages[0])[..., [2, 1, 0, 3][: pages[0].shape[2]]]
-    # OpenCV turns a TIFF itself.
-    turn = 1 if image.format == "TIFF" else image.getexif().get(ORIENTATION, 1)
-    pixels = pixels.swapaxes(0, 1) if turn > 4 else pixels
-    return pixels[:: -1 if turn in (3, 4, 7, 8) else 1, :: -1 if turn in (2, 3, 6, 7) else 1]
+    return np.asarray(pages[0])[..., [2, 1, 0, 3][: pages[0].shape[2]]]

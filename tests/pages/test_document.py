@@ -290,10 +290,10 @@ def test_a_password_is_asked_for_at_a_terminal_alone(locked, put, monkeypatch):
         password_of(locked)
     monkeypatch.setattr(sys, "stdin", Terminal())
     assert password_of(locked) == "tulip"
-    answers += ["rose"] * 9
+    answers += ["rose", "rose", ""]
     with pytest.raises(PageError, match="not its password"):
         password_of(locked)
-    assert len(answers) == 6
+    assert answers == []
 
 
 @pytest.fixture

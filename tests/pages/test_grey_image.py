@@ -73,9 +73,9 @@ HIGHLIGHT = PRINT / 255.0
 HIGHLIGHT[:3, :3] = 1.3
 
 KINDS = {
-    **{f"deep-{bits}.png": deep(bits) for bits in range(8, 17)},
+    **{f"deep-{bits}.png": deep(bits) for bits in (9, 10, 12, 16)},
     **{f"color-{bits}.{kind}": deep(bits, color=True)
-       for bits in (10, 12, 16) for kind in ("png", "tif")},
+       for bits, kind in ((10, "png"), (12, "tif"), (16, "png"))},
     "white-is-zero.tif": white_is_zero,
     "float-1.tif": pillow(lambda: Image.fromarray(np.float32(PRINT / 255))),
     "float-255.tif": pillow(lambda: Image.fromarray(np.float32(PRINT))),
@@ -96,8 +96,6 @@ KINDS = {
     "pale-on-clear.webp": pillow(on_transparent((240, 240, 250)), lossless=True, exact=True),
     "both-on-clear.png": pillow(on_transparent((255, 255, 255), (0, 0, 0))),
     "cut-out.png": pillow(lambda: Image.fromarray(np.dstack([INK | 255] * 3 + [PRINT]))),
-    "lab.tif": pillow(lambda: Image.merge("LAB", [
-        Image.fromarray(PRINT), *[Image.new("L", PRINT.shape[::-1], 0)] * 2])),
     "upside-down.png": turned(PRINT[::-1, ::-1], 3),
     "upside-down.webp": turned(PRINT[::-1, ::-1], 3),
     "on-its-side.png": turned(np.rot90(PRINT), 6),
@@ -184,8 +182,7 @@ def test_no_pixels_are_too_much(pixels):
 
 
 @pytest.mark.parametrize(("kinds", "pages"), [
-    ([2, 2], [0, 1]), ([0, 1, 1], [0]), ([1, 0], [1]), ([2, 4, 2], [0, 2]), ([1, 1], [0, 1]),
-    ([None, None], [0, 1]),
+    ([2, 2], [0, 1]), ([0, 1, 1], [0]), ([2, 4, 2], [0, 2]), ([1, 1], [0, 1]), ([None], [0]),
 ])  # fmt: skip
 def test_copies_and_masks_of_a_tiff_are_no_pages(tmp_path, kinds, pages):
     """Bits of NewSubfileType: 1 for a smaller copy, 2 for a page of many, 4 for a mask."""
