@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.pages.ink import Grey
+from smarttouch.pages.letter_rows import weighted_median
 from smarttouch.pages.page_image import TextLine
 
 Corners = NDArray[np.float64]
@@ -124,13 +125,11 @@ def skew_of(lines: Sequence[TextLine]) -> float:
     slope = np.array(
         [float(line.slope(np.array(line.left_mm + line.right_mm) / 2)) for line in lines]
     )
-    order = np.argsort(slope)
-    total = np.cumsum(length[order])
-    median = int(order[np.searchsorted(total, total[-1] / 2)])
-    x_height_mm = lines[median].x_height_mm
-    sure = total[-1] > _FEWEST_X_HEIGHTS * x_height_mm
-    sure &= abs(slope[median]) * length.max() > _LEAST_RISE * x_height_mm
-    skew_deg = math.degrees(math.atan(slope[median]))
+    usual = weighted_median(slope, length)
+    x_height_mm = weighted_median(np.array([line.x_height_mm for line in lines]), length)
+    sure = length.sum() > _FEWEST_X_HEIGHTS * x_height_mm
+    sure &= abs(usual) * length.max() > _LEAST_RISE * x_height_mm
+    skew_deg = math.degrees(math.atan(usual))
     return skew_deg if sure and _LEAST_SKEW_DEG <= abs(skew_deg) <= _LARGEST_SKEW_DEG else 0.0
 
 

@@ -9,20 +9,22 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from smarttouch.pages.baselines import Baseline, Floats, measure_row
-from smarttouch.pages.components import (
+from smarttouch.pages.ink import Paper, separate_ink
+from smarttouch.pages.letter_rows import (
+    Baseline,
     Components,
+    Floats,
     Ink,
     are_pictures,
     find_components,
     find_rows,
     find_rules,
     like_letters,
+    measure_row,
     part_lines,
     usual_height,
-    without_specks,
+    weighted_median,
 )
-from smarttouch.pages.ink import Paper, separate_ink
 from smarttouch.pages.page_image import Page, TextLine
 from smarttouch.pages.reading_order import Segment, reading_order
 
@@ -54,7 +56,7 @@ def page_lines(
     Small print is enlarged until its lines can be followed.
     """
     paper = separate_ink(page.grey, light_on_dark)
-    components = without_specks(find_components(paper.ink)[0])
+    components, _ = find_components(paper.ink)
     height = usual_height(components, paper.ink.shape)
     if height is None:
         return page, paper, PageLines([])
@@ -96,6 +98,7 @@ def _panels(ink: Ink, components: Components, height: float) -> Ink:
     return found
 
 
+_FEWEST_PIXELS = 3  # least area of a part of print
 _HOPELESS, _MISSES = 60, 3
 """Failed rows, and additional ones per line of text, after which the rest is a picture's."""
 _HEIGHT = 0.96  # from ascender to descender, in sizes of the font
@@ -118,7 +121,7 @@ def _lines_in_ink(ink: Ink, height: float, mm_per_pixel: float, leftward: bool) 
         components, labels = find_components(parted)
     pictures = are_pictures(components, height)
     walls = dividers | np.append(False, pictures)[labels]
-    components = without_specks(components)
+    components = components.of(components.area >= _FEWEST_PIXELS)
     letters = components.of(like_letters(components, height))
     rows = [letters.of(row) for row in find_rows(letters, parted, walls, height)]
     baselines, small = _measured(parted, rows)
@@ -318,17 +321,11 @@ def _sizes(lines: list[Baseline]) -> tuple[Floats, float, float]:
     """
     size, length = np.array([(line.x_height, line.right - line.left) for line in lines]).T
     tall = np.array([np.mean(line.rise > 1.25 * line.x_height) for line in lines])
-    capitals = np.abs(size / _weighted_median(size, length) / _CAPITAL - 1) < _SAME
+    capitals = np.abs(size / weighted_median(size, length) / _CAPITAL - 1) < _SAME
     size = np.where(capitals & (tall < _CAPITALS), size / _CAPITAL, size)
     near = np.abs(size[:, None] / size - 1) < _SAME
-    size = np.array([_weighted_median(size[k], length[k]) for k in near])
+    size = np.array([weighted_median(size[k], length[k]) for k in near])
     above = np.concatenate([line.rise / x for line, x in zip(lines, size, strict=True)])
     below = np.concatenate([line.fall / x for line, x in zip(lines, size, strict=True)])
     ascent = float(np.clip(np.quantile(above, 0.93) + 0.03, *_ASCENT))
     return size, ascent, float(np.clip(np.quantile(below, 0.97) + 0.03, *_DESCENT))
-
-
-def _weighted_median(values: Floats, weight: Floats) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weight[order])
-    return float(values[order][np.searchsorted(total, total[-1] / 2)])
