@@ -148,11 +148,6 @@ def read_cells(path: Path) -> AnswerCells:
     return parse_cells(read_bytes(path, ExperimentError), path)
 
 
-def read_rows(path: Path) -> list[Row]:
-    """Return the trials of a file; a line that was cut off at its end is dropped."""
-    return read_cells(path).rows(COLUMNS)
-
-
 def parse_cells(data: bytes, path: Path) -> AnswerCells:
     """Return the cells in the content of a file.
 

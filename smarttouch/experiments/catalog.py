@@ -88,7 +88,7 @@ def frequency(setup: Setup) -> Trials:
             condition, comparison_train, other, "faster", "which was faster?", "Hz", target=target
         )
 
-    if setup.is_constant:
+    if setup.procedure == CONSTANT:
         pairs = ratio_pairs(standards, highest=highest_hz)
         if left_out := len(ratio_pairs(standards)) - len(pairs):
             setup.notes.append(
@@ -138,7 +138,7 @@ def detection(setup: Setup) -> Trials:
             "mA", target="y" if current_ma else "n", exact=True,
         )  # fmt: skip
 
-    if setup.is_constant:
+    if setup.procedure == CONSTANT:
         levels = sorted({min(round(threshold_ma * share, 3), full_ma) for share in LEVELS})
         pairs = [(0.0, level_ma) for level_ma in [0.0, *levels]]
         procedure = setup.constant(pairs, two_intervals=False)

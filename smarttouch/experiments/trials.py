@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError, require_within
 from smarttouch.experiments.procedures import (
-    CONSTANT,
     REPETITIONS,
     Condition,
     Procedure,
@@ -218,11 +217,6 @@ class Setup:
         repetitions = self.repetitions or REPETITIONS
         self.total = len(pairs) * repetitions
         return constant_stimuli(pairs, repetitions, two_intervals, self.seed)
-
-    @property
-    def is_constant(self) -> bool:
-        """Whether stimuli do not depend on the answers."""
-        return self.procedure in ("", CONSTANT)
 
 
 def in_two_intervals(

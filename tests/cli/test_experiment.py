@@ -14,11 +14,10 @@ import pytest
 
 import smarttouch as st
 from smarttouch.base.errors import ExperimentError, ProfileError, SmartTouchError
-from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.procedures import constant_stimuli, ratio_pairs
 from smarttouch.running.recording import RecordedRun
 
-from ..experiments.simulated import Subject, answer_all
+from ..experiments.simulated import Subject, answer_all, read_rows
 from ..support.checks import assert_says
 from .conftest import refused, says
 

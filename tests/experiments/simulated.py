@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from smarttouch.base.stopping import StopRequest
-from smarttouch.experiments.answers import Answers, usual_model
+from smarttouch.experiments.answers import COLUMNS, Answers, read_cells, usual_model
 from smarttouch.experiments.experiment_session import open_experiment
 from smarttouch.experiments.findings import judge_answers
 from smarttouch.experiments.observers import BASE_WEBER, SHARPNESS, Interval, Nerve, believable_hz
@@ -58,6 +58,11 @@ def answer_all(procedure, probability, seed=0):
         ),
     )
     return as_answers(shown, success)
+
+
+def read_rows(path):
+    """Return the trials in a file of answers."""
+    return read_cells(path).rows(COLUMNS)
 
 
 def ask_all(procedure, answer=lambda _condition: True):

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from smarttouch.base import __version__
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.answers import COLUMNS, AnswerFile, read_rows, read_table
+from smarttouch.experiments.answers import COLUMNS, AnswerFile, read_table
 
 from ..support.checks import raises
+from .simulated import read_rows
 
 ABOUT = {"experiment": "frequency", "procedure": "constant", "participant": "p1", "session": "1",
          "seed": 7}  # fmt: skip

@@ -118,21 +118,6 @@ def calibrated(part, key, value, output, start=None, overwrite=False):
     return file.write()
 
 
-def test_calibrations_of_one_profile_accumulate(tmp_path):
-    mine = tmp_path / "mine.toml"
-    calibrated("thresholds", "perception.threshold_ma", [1.1] * 64, mine)
-    calibrated("force", "force.curve", [0.0, 1e-6], mine)
-    calibrated("contact", "output.masked", [3], mine, start="electric-mouse")
-    profile = calibrated("registration", "optics.sensor_columns", 640, mine, start=str(mine))
-    assert set(profile.calibrated) == {"thresholds", "force", "contact", "registration"}
-    assert profile.perception.threshold_ma == (1.1,) * 64
-    assert profile.force.curve == (0.0, 1e-6)
-    assert profile.output.masked == (3,)
-    assert comments(mine.read_text()) == comments(
-        (data_folder("calibration") / "electric-mouse.toml").read_text()
-    )
-
-
 def test_a_part_again_needs_overwrite_and_keeps_the_rest(tmp_path):
     mine = tmp_path / "mine.toml"
     calibrated("force", "force.curve", [0.0, 1e-6], mine)
@@ -289,7 +274,6 @@ def test_a_lost_board_is_opened_again_until_it_is_given_up():
     assert board.opened == MOST_LOSSES + 1
 
 
-UP_AND_DOWN = (0, 20, 50, 75, 100, 75, 50, 20, 0)
 UP = (0, 20, 50, 75, 100)
 
 

@@ -135,13 +135,6 @@ def verdict(answers):
     return found
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_at_random(seed):
-    random = np.random.default_rng(seed)
-    found = verdict(session(lambda each, n: random.random() < 0.5))
-    assert "do not depend" in found.verdict
-
-
 NO_THRESHOLD = {
     "first": (lambda each, n: each.comparison_interval == 1, ["first", 100, 100]),
     "second, but once": (

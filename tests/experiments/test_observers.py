@@ -1,7 +1,6 @@
 """An observer that judges spikes, one of known thresholds, and some of no use."""
 
 import math
-from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from scipy.special import ndtr
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.observers import (
     BlindObserver,
     Interval,
@@ -22,7 +20,7 @@ from smarttouch.physiology.finger import Finger
 
 from ..support.checks import raises
 from ..support.full import sample
-from .simulated import ratio_of, sit, weber_fraction
+from .simulated import ratio_of, read_rows, sit, weber_fraction
 
 RA, SAI, PC = Afferent
 MIDDLE = 27
@@ -88,10 +86,6 @@ def observer(finger):
 NOTHING = Interval(np.zeros(0), np.zeros(0, np.float32), np.zeros((0, 64), np.int16))
 
 
-def joined(*intervals):
-    return Interval(*map(np.concatenate, zip(*map(astuple, intervals), strict=True)))
-
-
 def share(count, ask, wanted):
     return sum(ask() == wanted for _ in range(count)) / count
 
@@ -102,25 +96,6 @@ class TestNerve:
         assert response.hz == pytest.approx(30)
         assert response.ratio == 0
         assert response.per_slot == pytest.approx(1, abs=0.1)
-
-    def test_pc_mode_reaches_both_and_more_pc_with_more_current(self, finger, train):
-        """Paper, Section III-C: RA are activated, too, as they lie above."""
-        found = [Nerve(finger).of(train(50, PC, level=level)) for level in (0.5, 0.6, 0.8, 1.0)]
-        spikes = [
-            {each: response.counts[finger.classes == each].sum() for each in Afferent}
-            for response in found
-        ]
-        for each in Afferent:
-            assert [one[each] for one in spikes] == sorted(one[each] for one in spikes)
-        assert spikes[-1][RA] > spikes[-1][PC] > 0
-        assert found[-1].ratio > 0.5
-
-    def test_the_frequency_is_that_of_ra_where_sai_pulses_between(self, finger, train):
-        slow, fast = train(20), train(80, SAI, level=0.5)
-        both = joined(slow, replace(fast, time_s=fast.time_s + 0.003))
-        order = np.argsort(both.time_s)
-        sorted_ = Interval(both.time_s[order], both.width_us[order], both.current_ua[order])
-        assert Nerve(finger).of(sorted_).hz == pytest.approx(20)
 
     def test_silence_has_no_frequency_and_no_place(self, finger, train):
         for interval in (NOTHING, train(50, level=0.01)):

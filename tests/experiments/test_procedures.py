@@ -41,16 +41,6 @@ def test_balanced(count, repetitions, seed, two_intervals):
         assert abs(2 * firsts - len(shown)) <= 1
 
 
-def test_order_is_the_seeds():
-    def order(seed):
-        return ask_all(constant_stimuli(ratio_pairs([30.0]), seed=seed))
-
-    assert order(1) == order(1)
-    assert order(1) != order(2)
-    orders = [[each.index for each in order(1)[start : start + 10]] for start in (0, 10, 20)]
-    assert orders[0] != orders[1] != orders[2]
-
-
 @settings(deadline=None)
 @given(st.sets(st.integers(1, 24)), st.sets(st.integers(25, 40)))
 def test_unanswered_trials_come_again_once(missed, missed_again):

@@ -65,14 +65,6 @@ def test_a_study_goes_on_where_it_was_interrupted(rows, tmp_path, monkeypatch):
     assert from_csv((tmp_path / ROWS_FILE).read_text()) == rows
 
 
-def test_more_fingers_are_added_to_those_that_are_there(rows, tmp_path):
-    fewer = SMALL.model_copy(update={"fingers": 2})
-    assert run_study(fewer, Path(), tmp_path) == [row for row in rows if row.finger <= 2]
-    made = []
-    assert run_study(SMALL, Path(), tmp_path, progress=lambda *done: made.append(done)) == rows
-    assert made == [(3, 3)]
-
-
 @pytest.mark.parametrize("broken", ["finger,letter\n1,L\n", 'finger\n"' + 200_000 * "x"])
 def test_a_broken_part_is_made_again(tmp_path, broken):
     one = SMALL.model_copy(update={"fingers": 1, "intensities": (1.0,), "modes": ("RA",)})

@@ -384,15 +384,6 @@ def test_bias_and_spread_over_many_subjects(kind):
     assert np.std(comfort) < 0.1
 
 
-def test_a_subject_without_noise_is_found_to_a_step():
-    subject = SimulatedSubject(1.3, 2.0, slope=1e-6, guess=0, lapse=0, look_s=STEP_S)
-    found = rise(subject)
-    assert found.threshold_ma == pytest.approx(1.3, abs=0.06)
-    assert found.comfort_ma == pytest.approx(2.0, abs=0.06)
-    assert (found.runs, found.false_presses) == (3, 0)
-    assert found.spread < 0.03
-
-
 @pytest.mark.parametrize(("threshold", "runs", "comfort_ma"), [(50.0, 1, np.nan), (1.0, 3, 2.0)])
 def test_what_is_never_felt_or_never_enough_ends_at_the_ceiling(threshold, runs, comfort_ma):
     found = rise(SimulatedSubject(threshold, 90.0, guess=0), ceiling_ma=2.0)

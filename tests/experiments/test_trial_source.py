@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.answers import read_rows
 from smarttouch.experiments.catalog import trials_of
 from smarttouch.experiments.experiment_session import open_experiment
 from smarttouch.experiments.observers import SimulatedObserver
@@ -30,7 +29,7 @@ from smarttouch.running.runner import Runner
 from smarttouch.sources.force import ForceSource
 
 from ..support.checks import raises
-from .simulated import Perfect, Silent, sit
+from .simulated import Perfect, Silent, read_rows, sit
 
 FEW = {"repetitions": 1, "standards": "30", "train_s": 0.15}
 DETECTION = {"repetitions": 1, "train_s": 0.1}

@@ -65,16 +65,6 @@ def test_each_electrode_pulses_spatial_frequency_times_speed(mouse, mouse_bank, 
     assert pulses_hz == pytest.approx([want_hz] * 64)
 
 
-@pytest.mark.parametrize("angle", sample([-60, 90]))
-def test_an_oblique_grating_pulses_by_the_cosine(mouse, mouse_bank, angle):
-    texture = open_texture(f"grating:4mm,{angle}deg")
-    pulses_hz, _ = stroke(texture, 80, mouse, mouse_bank)
-    want_hz = 20 * math.cos(math.radians(angle))
-    assert pulses_hz.mean() == pytest.approx(want_hz, rel=0.01, abs=1e-9)
-    # One pulse in 60 mm.
-    assert np.abs(pulses_hz - want_hz).max() <= 80 / 60
-
-
 def test_up_to_the_bound_and_not_beyond(brief, mouse_bank):
     texture = open_texture("grating:4mm,10deg")
     share = math.cos(math.radians(10))

@@ -113,18 +113,6 @@ def test_a_stroke_is_felt_across_and_along(tmp_path):
     assert across[:, 1] == pytest.approx([19.6], abs=0.2)
 
 
-@pytest.mark.parametrize("step", [0.3, 0.8])
-def test_wide_ground_up_to_an_edge_pulses_each_grain_of_way(tmp_path, step):
-    image = np.full((100, 500), 255, np.uint8)
-    image[:, :400] = 0
-    Image.fromarray(image).save(tmp_path / "o.png", dpi=(127, 127))
-    found = crests(open_texture(str(tmp_path / "o.png")), (-5, 10), (step, 0), int(110 / step))
-    # 80 mm: from one millimeter inside to one millimeter before the end.
-    assert len(found) == 40
-    assert np.diff(found[:, 0]).mean() == pytest.approx(2.0, abs=0.03)
-    assert found[0, 0] == pytest.approx(1.0 + step / 2, abs=step / 2 + 0.15)
-
-
 @pytest.mark.parametrize("angle", [45, 75])
 def test_a_ridge_passed_obliquely_is_one_ridge(tmp_path, angle):
     path = grating_file(tmp_path / "g.png", 4, angle, "faint", noise=5)

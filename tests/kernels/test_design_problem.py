@@ -33,12 +33,6 @@ def coarse(profile, changed):
     return changed(profile, {SPACING: 0.5})
 
 
-def test_distinct_sites(coarse):
-    ra, sai = Problem(coarse, Afferent.RA), Problem(coarse, Afferent.SAI)
-    assert len({ra.representative(site)[0] for site in range(64)}) == 10
-    assert len({sai.representative(site)[0] for site in range(64)}) == 16
-
-
 @pytest.mark.parametrize("name", ["electric-mouse", "kajimoto-61", "line-7"])
 @pytest.mark.parametrize("afferent", sample(Afferent))
 def test_symmetries_leave_the_targets_and_the_rows_alone(changed, name, afferent):

@@ -297,12 +297,6 @@ def test_along_a_slant_is_the_second_difference_along_it():
     assert slanted == pytest.approx((ahead - 2 * here + behind) / 4e-6, rel=1e-4)
 
 
-def test_equation_5():
-    assert line_in_plane(np.array([0.0, 0.9, 2.0]), 0.9).xx == pytest.approx(
-        [1 / 0.81, 0.0, (0.81 - 4) / (0.81 + 4) ** 2]
-    )
-
-
 def test_a_long_thin_rectangle_is_the_line_of_the_paper():
     length = 400.0
     field = at(lambda x, y, z: rectangle(x, y, z, 1e-3, length), 0.4, 0.0, 0.7)

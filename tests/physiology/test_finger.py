@@ -199,19 +199,6 @@ def test_an_axon_is_refractory_after_a_spike(finger):
     assert np.array_equal(second.time_us, 20_000 + first.time_us)
 
 
-def test_without_refractoriness_every_slot_counts(finger):
-    anatomy = finger.anatomy.model_copy(
-        update={
-            name: finger.anatomy.of(Afferent[name.upper()]).model_copy(
-                update={"refractory_us": 0.0, "noise": 0.0}
-            )
-            for name in ("ra", "sai", "pc")
-        }
-    )
-    spikes = SpikeModel(Finger(finger.profile, 2, anatomy)).fire(slots(finger))
-    assert set(spikes.counts) == {0, 3}
-
-
 def test_a_shorter_pulse_does_less_by_weiss_s_law(finger):
     model, pattern = SpikeModel(finger), slots(finger, 2).current_ua
     long, short = model.drive(pattern, np.array([200, 100])).T

@@ -226,13 +226,6 @@ def test_a_letter_is_given_at_full_comfort(shown):
         assert abs(sequence.current_ua).max() == pytest.approx(full_ua, rel=0.01)
 
 
-def test_the_same_fingers_respond_the_same(shown):
-    one, again = respond(shown, 1), respond(shown, 1)
-    assert one == again
-    assert one != respond(shown, 2)
-    assert [(each.letter, each.seed) for each in one] == [("L", 1), ("T", 1)]
-
-
 def test_ra_mode_fires_mostly_ra_in_the_paper_s_anatomy(shown):
     found = [each.quality for seed in (1, 2, 3) for each in respond(shown, seed)]
     assert sum(each.afferents[Afferent.RA] for each in found) > 0

@@ -23,7 +23,7 @@ from smarttouch.sources.virtual_finger import (
     recorded_path,
 )
 
-from ..pages.printed import degrade, print_page, some_lines
+from ..pages.printed import print_page
 from ..support.checks import numbers_in, raises
 
 TEN_MS = 10_000_000
@@ -129,19 +129,6 @@ def test_a_page_of_unknown_size_has_print_of_a_usual_one(tmp_path, profile, stat
     wide_mm = line.shape[1] * 25.4 / 150
     assert source.page.size_mm[0] == pytest.approx(wide_mm, rel=0.2)
     assert numbers_in(source.notes[0])[-1] == pytest.approx(wide_mm, rel=0.2)
-
-
-def test_of_a_photograph_the_sheet_is_shown(tmp_path, profile):
-    printed = print_page(some_lines(16, 50), size_pt=11, dpi=150)
-    photo = degrade(printed, perspective=0.15, skew_deg=4, uneven=0.6, noise=4).page.grey
-    Image.fromarray(photo).save(tmp_path / "photo.png")
-    width_mm = printed.page.size_mm[0]
-    source = open_page(str(tmp_path / "photo.png"), profile, page_width_mm=width_mm)
-    assert source.page.size_mm == pytest.approx(printed.page.size_mm, rel=0.12)
-    # Neither the table nor the shadow is left.
-    assert np.median(source.page.grey) == 255
-    assert source.page.grey[:20].min() > 200
-    assert len(source.path.lines) == len(printed.lines)
 
 
 def test_a_page_is_read_again_and_again(profile):
