@@ -143,11 +143,6 @@ class AnswerCells:
         )
 
 
-def read_cells(path: Path) -> AnswerCells:
-    """Read a file of answers; raises an ExperimentError if it is none."""
-    return parse_cells(read_bytes(path, ExperimentError), path)
-
-
 def parse_cells(data: bytes, path: Path) -> AnswerCells:
     """Return the cells in the content of a file.
 
@@ -352,7 +347,7 @@ def read_table(
 
     An answer is 1, true, yes, correct or their contraries; an empty cell is none.
     """
-    table = read_cells(path)
+    table = parse_cells(read_bytes(path, ExperimentError), path)
     for option, name in (("x", x), ("y", y), ("standard", standard)):
         if name not in table.head and name != "standard":
             raise ExperimentError(

@@ -320,19 +320,9 @@ class ForceFound:
     full_n: float  # full force, the reference of percentages
     weighings: tuple[Weighing, ...]
 
-    @property
-    def slope_n(self) -> float:
-        """N for one count."""
-        return self.curve[1]
-
-    @property
-    def zero(self) -> float:
-        """Reading without a weight."""
-        return -self.curve[0] / self.slope_n
-
     def force_n(self, reading: float) -> float:
         """Return the force of a reading."""
-        return self.curve[0] + self.slope_n * reading
+        return self.curve[0] + self.curve[1] * reading
 
     @property
     def off_n(self) -> NDArray[np.float64]:
@@ -349,9 +339,10 @@ class ForceFound:
     def sentence(self) -> str:
         """Return the sentence for the profile."""
         grams = [weighing.grams for weighing in self.weighings]
+        zero_n, slope_n = self.curve
         return (
             f"line through {len(grams)} weighings from {min(grams):g} to {max(grams):g} g, zero "
-            f"at {self.zero:.6g}, {self.slope_n:.4g} N a count, residual rms "
+            f"at {-zero_n / slope_n:.6g}, {slope_n:.4g} N a count, residual rms "
             f"{self.residual_n:.4f} N ({self.residual_n / self.full_n:.2%} of full force), worst "
             f"{np.abs(self.off_n).max():.4f} N"
         )
@@ -408,7 +399,7 @@ def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
             f"{MOST_RESIDUAL:.0%} of full force, {law.full_n:g} N: weigh {worst.grams:g} g again"
         )
     restless = max(weighings, key=lambda weighing: abs(weighing.drift))
-    drift_n = abs(restless.drift * force_fit.slope_n)
+    drift_n = abs(restless.drift * force_fit.curve[1])
     if drift_n > MOST_DRIFT * law.full_n:
         raise CalibrationError(
             f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "

@@ -132,10 +132,12 @@ def detection(setup: Setup) -> Trials:
 
     def trial(condition: Condition) -> Trial:
         current_ma = condition.comparison
-        shown = replace(train, level=min(1.0, current_ma / full_ma)) if current_ma else train
+        shown = replace(train, is_blank=True)
+        if current_ma:
+            shown = replace(train, level=min(1.0, current_ma / full_ma))
         return Trial(
-            condition, (shown if current_ma else train.blank(),), "felt", "did you feel it? y or n",
-            "mA", target="y" if current_ma else "n", exact=True,
+            condition, (shown,), "felt", "did you feel it? y or n", "mA",
+            target="y" if current_ma else "n", exact=True,
         )  # fmt: skip
 
     if setup.procedure == CONSTANT:

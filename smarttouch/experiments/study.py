@@ -125,7 +125,6 @@ class StudyRow:
 
 
 HEADING = tuple(each.name for each in fields(StudyRow))
-_KINDS = {"str": str, "int": int, "float": float}  # kinds of the columns by their names
 
 
 def as_csv(rows: Iterable[StudyRow]) -> str:
@@ -142,7 +141,7 @@ def from_csv(text: str) -> list[StudyRow]:
     heading, *lines = csv.reader(io.StringIO(text, newline=""))
     if tuple(heading) != HEADING:
         raise ValueError("its columns are others")
-    kinds: list[Any] = [_KINDS[getattr(column.type, "__name__", "")] for column in fields(StudyRow)]
+    kinds: list[Any] = [column.type for column in fields(StudyRow)]
     return [
         StudyRow(*(kind(cell) for kind, cell in zip(kinds, line, strict=True))) for line in lines
     ]

@@ -70,11 +70,6 @@ def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
     })  # fmt: skip
 
 
-def slew_ma_s(profile: Profile, site: int) -> float:
-    """Return the largest slope of an electrode's current, mA/s."""
-    return float(profile.full_ma[site]) / profile.limits.ramp_s
-
-
 def _whole_ua(current_ma: float) -> float:
     return math.floor(1000 * current_ma + 1e-6) / 1000
 
@@ -267,7 +262,8 @@ def threshold_trials(
             ceiling_ma = min(float(measuring.full_ma[site]), board.capabilities.max_current_ma)
             rising = AscendingLimits(
                 _whole_ua(ceiling_ma), float(profile.threshold_ma[site]), repeats,
-                _SLOWER * slew_ma_s(measuring, site), (seed, site, attempt),
+                _SLOWER * float(measuring.full_ma[site]) / measuring.limits.ramp_s,
+                (seed, site, attempt),
             )  # fmt: skip
             answer = yield Trial(
                 Condition(0.0, math.nan, index=site), (setup.train([site], setup.pulse_hz),),

@@ -5,7 +5,7 @@ An experiment is a generator: it yields a `Trial`, gets its `Answer`, and choose
 
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -52,10 +52,6 @@ class Train:
     @property
     def seconds(self) -> float:
         return self.pulses * self.period_us / 1e6
-
-    def blank(self) -> "Train":
-        """Return the same train without current."""
-        return replace(self, is_blank=True)
 
 
 Course = Generator[float, bool | None, Any]

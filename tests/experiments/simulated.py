@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from smarttouch.base.stopping import StopRequest
-from smarttouch.experiments.answers import COLUMNS, Answers, read_cells, usual_model
+from smarttouch.experiments.answers import COLUMNS, Answers, parse_cells, usual_model
 from smarttouch.experiments.experiment_session import open_experiment
 from smarttouch.experiments.findings import judge_answers
 from smarttouch.experiments.observers import BASE_WEBER, SHARPNESS, Interval, Nerve, believable_hz
@@ -62,7 +62,7 @@ def answer_all(procedure, probability, seed=0):
 
 def read_rows(path):
     """Return the trials in a file of answers."""
-    return read_cells(path).rows(COLUMNS)
+    return parse_cells(path.read_bytes(), path).rows(COLUMNS)
 
 
 def ask_all(procedure, answer=lambda _condition: True):

@@ -23,7 +23,6 @@ from smarttouch.experiments.thresholds import (
     filled,
     measuring_profile,
     sentence,
-    slew_ma_s,
     threshold_trials,
 )
 from smarttouch.experiments.trial_source import MOST_SPOILED, TrialSource
@@ -120,7 +119,8 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile
     levels = np.array([level_of(each) for each in display.board.driver.sequences])
     starts = levels[1:][(levels[:-1] == 0) & (levels[1:] > 0)]
     assert len(starts) >= 2
-    assert starts.max() <= slew_ma_s(display.profile, 0) * 2 * STEP_S
+    slew_ma_s = float(display.profile.full_ma[0]) / display.profile.limits.ramp_s
+    assert starts.max() <= slew_ma_s * 2 * STEP_S
     slew = float(profile.full_ma.max()) / profile.limits.ramp_s
     for sequence in display.board.driver.sequences:
         level_ma = level_of(sequence)
