@@ -213,8 +213,8 @@ def draw_subject(task, random):
     return Subject(threshold, random.uniform(0.08, 0.3), 0.5, lapse, guess=0.0)
 
 
-def recover(task, name, subjects, covering=0, seed=0):
-    """Let subjects go through a procedure; of so many, look at the interval, too."""
+def recover(task, name, subjects, seed=0):
+    """Let subjects go through a procedure; judge estimates and intervals."""
     random = np.random.default_rng(seed)
     fitted, held, trials = [], [], []
     for index in range(subjects):
@@ -225,11 +225,10 @@ def recover(task, name, subjects, covering=0, seed=0):
         if found.verdict is not None:
             continue
         fitted.append(np.log(found.threshold.value / subject.threshold))
-        if index < covering:
-            held.append(found.threshold.low <= subject.threshold <= found.threshold.high)
+        held.append(found.threshold.low <= subject.threshold <= found.threshold.high)
     return Recovery(
         np.array(fitted), subjects - len(fitted), float(np.mean(trials)),
-        float(np.mean(held)) if held else np.nan,
+        float(np.mean(held)),
     )  # fmt: skip
 
 

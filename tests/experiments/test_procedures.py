@@ -116,7 +116,7 @@ def test_intervals_are_balanced():
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("name", PROCEDURES)
 def test_thresholds_come_back(task, name):
-    found = recover(task, name, subjects=24, covering=24)
+    found = recover(task, name, subjects=24)
     assert found.without <= 8
     # Weber fractions are from 8 to 40 %: what is found has to be told apart from any other.
     assert abs(found.fitted.mean()) < 0.06
