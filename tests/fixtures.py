@@ -17,36 +17,13 @@ import pytest
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
-from firmware.tests import build
 from smarttouch.base.posix import fcntl, prioritized
-from smarttouch.boards.kits import watchdog
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.sources.source_contract import Frame, Pose
 
 from .safety import displays
 from .safety.watch import Watch
 from .support import full, processes
-
-PATIENCE_S, NEVER_LATE_NS = 5, 60_000_000_000
-PATIENT_WATCHDOG = (
-    f"import sys; sys.path.append({str(Path(watchdog.__file__).parent)!r}); "
-    f"import watchdog; watchdog.SILENCE_S = {PATIENCE_S}; watchdog.main()"
-)
-PATIENT = {
-    "smarttouch.boards.kits.etactilekit_line.COMMAND": [
-        sys.executable,
-        "-I",
-        "-S",
-        "-c",
-        PATIENT_WATCHDOG,
-    ],
-    "smarttouch.boards.kits.watchdog.SILENCE_S": PATIENCE_S,
-    "smarttouch.boards.link.session.SILENCE_S": PATIENCE_S,
-    "smarttouch.emulator.link_firmware.SILENCE_MS": 1000 * PATIENCE_S,
-    "smarttouch.running.loop.LATE_NS": NEVER_LATE_NS,
-    "smarttouch.boards.board.LATE_NS": NEVER_LATE_NS,
-}
-"""What `patient_boards` changes, in this process and in the programs that it starts."""
 
 _STATES = itertools.count()
 
@@ -112,21 +89,6 @@ def own_state(tmp_path_factory, monkeypatch):
     """Let no board of one test count, or be stopped, in another; it is made when it is needed."""
     folder = tmp_path_factory.getbasetemp() / f"state{next(_STATES)}"
     monkeypatch.setenv("XDG_STATE_HOME", str(folder))
-
-
-@pytest.fixture
-def patient_boards(monkeypatch):
-    """Let boards, watchdogs and the loop bear a host that waits for a processor.
-
-    Of tests beside others on few cores, of neither silence nor lateness. All others have what
-    users have.
-    """
-    changes = dict(PATIENT)
-    monkeypatch.setattr(processes.Forked, "changes", changes)
-    for name, value in changes.items():
-        monkeypatch.setattr(name, value)
-    # As long as the contract of boards lets one take to zero.
-    monkeypatch.setattr(build, "silence_ms", 500)
 
 
 @pytest.fixture(scope="session")

@@ -103,7 +103,6 @@ def run(words, folder):
     return said
 
 
-@pytest.mark.usefixtures("patient_boards")
 @pytest.mark.parametrize("page", [README, TUTORIAL], ids=lambda page: page.stem)
 def test_the_first_hour_goes_as_written(page, tmp_path):
     """Output blocks are printed, but for their numbers and what an ellipsis stands for."""

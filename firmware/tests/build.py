@@ -14,10 +14,6 @@ from smarttouch.base.posix import fcntl
 SOURCES = Path(__file__).parents[1]
 
 
-silence_ms = 100
-"""Longest silence of a host to what `host` and `cortex_m3` build."""
-
-
 @cache
 def built(target, name, *programs, more=""):
     """Return a file that ``make`` builds; skip where there is none of its programs."""
@@ -74,9 +70,9 @@ def library():
 
 
 def host():
-    return built("host", "st_host", "cc", more=f"-DST_SILENCE_US={silence_ms}000u")
+    return built("host", "st_host", "cc")
 
 
 def cortex_m3(more=""):
     programs = ("arm-none-eabi-gcc", "qemu-system-arm")
-    return built("qemu", "st_m3.elf", *programs, more=f"-DST_SILENCE_US={silence_ms}000u{more}")
+    return built("qemu", "st_m3.elf", *programs, more=more)

@@ -41,7 +41,7 @@ class CortexM3:
         self._trace, self._type = folder / "trace.bin", trace_of(electrodes)
         words = electrodes, OUTPUTS.index(output), ramp_ms, stands_after
         words = ",".join(f"arg={each}" for each in words)
-        elf = cortex_m3(" -DST_WATCHDOG" * bool(stands_after))
+        elf = cortex_m3(" -DST_WATCHDOG -DST_SILENCE_US=500000u" * bool(stands_after))
         command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", elf, "-display",
                    "none", "-monitor", "none", *["-icount", "shift=3"] * counts,
                    "-semihosting-config",

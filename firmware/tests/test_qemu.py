@@ -73,7 +73,6 @@ def test_noise_is_nothing_and_silence_is_zero_within_100_ms(machine):
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("patient_boards")
 def test_a_board_that_stands_still_is_reset(start_cortex_m3):
     """Its watchdog begins another life, shorted, which knows of no session."""
     machine = start_cortex_m3(stands_after=5, counts=True)

@@ -27,8 +27,6 @@ from tests.boards.fresh import deliver, fresh_state, until
 from ..support.checks import raises
 from ..support.full import WHOLE
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 
 class Source:
     """The source of a kit's emulated firmware, without skin: it keeps what it is to drive."""

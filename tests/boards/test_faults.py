@@ -134,8 +134,6 @@ def test_a_program_that_reads_from_the_port_is_named_once(make_limits, make_sequ
     assert board._line.name in note
 
 
-patient = pytest.mark.usefixtures("patient_boards")
-
 FAULTY = str(Path(__file__).with_name("faulty_board.py"))
 
 
@@ -165,7 +163,6 @@ def drive(board, make_sequence, count=4, **fields):
         board.send(make_sequence(count, **fields), times=50)
 
 
-@patient
 @pytest.mark.parametrize("fault", ["twice", "violation", "strong", "after zero", "volts"])
 def test_a_link_board_is_latched(fault, start_faulty, make_limits, make_sequence):
     port = start_faulty(fault, "link", 8)
@@ -180,7 +177,6 @@ def test_a_link_board_is_latched(fault, start_faulty, make_limits, make_sequence
     assert find_latch(again.device) is None
 
 
-@patient
 def test_an_output_beside_the_pattern_latches_a_kit(start_faulty, make_limits, make_sequence):
     port = start_faulty("beside", "etactilekit", 8)
     output = Output(kind="one-against-all", ua_per_count=9.99)
@@ -201,7 +197,6 @@ def test_a_record_outlives_its_process_and_is_private():
     assert find_latch("USB 1234:5678 A2") is None
 
 
-@patient
 def test_the_command_line_refuses_and_clears(start_emulator):
     _, port = start_emulator("linger=30", electrodes=64)
     latch(str(Path(port).resolve()), "a fault")

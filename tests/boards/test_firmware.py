@@ -26,7 +26,6 @@ from ..support.checks import raises
     SENT, AT_ANY_LINE, CLOSES,
     "test_a_newer_sequence_ends_a_repetition",
 )  # fmt: skip
-@pytest.mark.usefixtures("patient_boards")
 class TestFirmware(Contract):
     @pytest.fixture
     def url(self, start_firmware, tmp_path):
@@ -50,7 +49,6 @@ class TestCortexM3(TestFirmware):
         return [replace(pulse, discharge_us=None) for pulse in super().pulses()]
 
 
-@pytest.mark.usefixtures("patient_boards")
 def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_sequence):
     """By a board with a ramp of its own: what the gate was made to overlook the board does not."""
     port = start_firmware(f"--books={tmp_path}")[1]

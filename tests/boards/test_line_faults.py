@@ -94,7 +94,6 @@ MISHAPS = [
 ]  # fmt: skip
 
 
-@pytest.mark.usefixtures("patient_boards")
 @pytest.mark.parametrize(("hosted", "change"), MISHAPS, indirect=["hosted"])
 def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
     with hosted.board as board:
@@ -127,7 +126,6 @@ def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
     hosted.assert_zero()
 
 
-@pytest.mark.usefixtures("patient_boards")
 @ALL
 def test_a_port_that_stays_away_is_reported(hosted, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.line.RECOVER_S", 0.3)

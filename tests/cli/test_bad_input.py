@@ -23,8 +23,6 @@ from smarttouch.profile.toml_files import profile_path
 
 from .conftest import refused, says
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 
 def png_header(width, height):
     body = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)

@@ -21,8 +21,6 @@ from ..boards.fresh import fresh_state, until
 from ..experiments.simulated_sensors import SimulatedPatch, View
 from .conftest import PRESSED, says
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 
 @pytest.fixture
 def run(monkeypatch, tmp_path):
@@ -151,6 +149,7 @@ def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
     assert not (tmp_path / "mine.toml").exists()
 
 
+@pytest.mark.realtime
 def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
     events = ("event=0 open 5", "event=0 short 9")

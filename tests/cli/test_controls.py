@@ -7,8 +7,6 @@ import pytest
 
 from smarttouch.running.recording import RecordedRun
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 RUN = ("live", "--seconds", "60", "--json", "run.json", "--record", "run.mcap")
 
 

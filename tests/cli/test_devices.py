@@ -17,8 +17,6 @@ from ..boards.fresh import fresh_state, until
 from ..support.processes import PROGRAM, Forked
 from .conftest import PRESSED, refused, says
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 FULL = "--force fixed:1 --intensity 1"
 KITS = {
     "kajimoto61": (61, "kajimoto61"),

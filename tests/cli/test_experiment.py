@@ -21,8 +21,6 @@ from ..experiments.simulated import Subject, answer_all, read_rows
 from ..support.checks import assert_says
 from .conftest import refused, says
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 SMALL = "experiment run frequency?standards=30&train_s=0.15"
 SIMULATED = f"{SMALL}&gap_s=0.1 --simulate model"
 ONCE = SIMULATED.replace("&gap", "&repetitions=1&gap")

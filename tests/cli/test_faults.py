@@ -12,7 +12,6 @@ from smarttouch.emulator.firmware import read_state
 from smarttouch.running.pipeline import Pipeline
 
 from ..boards.fresh import fresh_state, until
-from ..support.processes import Forked
 from .conftest import PRESSED
 
 PATIENCE_S = 60
@@ -35,7 +34,6 @@ def ending(host):
     return host.returncode, output, errors
 
 
-@pytest.mark.usefixtures("patient_boards")
 @pytest.mark.parametrize(("number", "name"), [
     (signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP"),
 ])  # fmt: skip
@@ -61,9 +59,7 @@ def test_the_host_hangs(running):
 
 
 @pytest.mark.realtime
-def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_path, monkeypatch):
-    # How long it waits for the port to come back is another test's.
-    monkeypatch.setattr(Forked, "changes", {"smarttouch.boards.line.RECOVER_S": 0.3})
+def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_path):
     emulator, port, books = start_emulator(64, "link", "linger=0.2")
     # A name of its own: that of the system goes to whoever opens the next port.
     name = tmp_path / "port"
@@ -114,7 +110,6 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
     assert read_state(books)["state"] == "shorted"
 
 
-@pytest.mark.usefixtures("patient_boards")
 def test_a_recording_that_is_removed_is_no_recording(start_program, tmp_path):
     host = start_program(
         "live", "text:touch?speed_mm_s=1", "--board", "simulated:",

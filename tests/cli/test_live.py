@@ -20,8 +20,6 @@ from ..support.full import sample
 from ..support.processes import PROGRAM, Forked
 from .conftest import panels
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 SAMPLE = f"page:{data_folder('sample_images') / 'page.png'}"
 KEYS = {
     "frames", "sequences", "slots", "pulses", "acknowledged", "dropped_frames", "rate_asked_hz",

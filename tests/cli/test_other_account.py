@@ -20,8 +20,6 @@ from smarttouch.running.recording import RecordedRun
 
 from .test_window import page_of
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 INTRUDER = r"""
 import glob, http.client, json, os, re, socket, sys
 

@@ -25,8 +25,6 @@ from smarttouch.running.recording import RecordedRun
 from ..braille.drawn_dots import draw_dots
 from .conftest import panels, refused, says
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 needs_tesseract = pytest.mark.skipif(
     shutil.which("tesseract") is None, reason="needs Tesseract: apt install tesseract-ocr"
 )

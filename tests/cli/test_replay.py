@@ -14,8 +14,6 @@ from ..boards.fresh import fresh_state
 from ..running.forged_recordings import put_together, take_apart
 from .conftest import refused, says
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 
 @pytest.fixture
 def recording(tmp_path):

@@ -24,8 +24,6 @@ from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 from smarttouch.views.character_pictures import ArrayPicture, image_rows
 from smarttouch.views.screen import Screen
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 SIZES = [(120, 40), (80, 24), (60, 15)]
 MARKS = "·○◔◑◕●"
 

@@ -15,8 +15,6 @@ from smarttouch.running.recording import RecordedRun
 from ..boards.fresh import starter, until
 from ..support.full import WHOLE
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 PATIENCE_S = 60
 SOURCE = Path(__file__).with_name("programs.py")
 REFUSED = dict.fromkeys(("again", "another", "another run"), "BoardStoppedError")

@@ -16,8 +16,6 @@ from ..boards.fresh import until
 from ..support.processes import PROGRAM, Forked
 from .conftest import PRESSED
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 PATIENCE_S = 30
 
 

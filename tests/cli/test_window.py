@@ -15,8 +15,6 @@ from smarttouch.running.recording import RecordedRun
 
 from .conftest import refused, says
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 
 @pytest.mark.parametrize("library", ["uvicorn", "starlette"])
 def test_without_the_extra_it_says_which(program_here, monkeypatch, library):

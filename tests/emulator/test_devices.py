@@ -24,8 +24,6 @@ from smarttouch.sources.serial_array import CellReading, MessageStream, TextRead
 from ..boards.fresh import starter, until
 from ..support.processes import Forked, emulator
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 MS = 10**6
 ZERO = b"\xff" + bytes(61)
 

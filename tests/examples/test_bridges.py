@@ -16,8 +16,6 @@ import smarttouch as st
 
 from ..support.runs import until
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 BRIDGES = Path(__file__).parents[2] / "examples" / "bridges"
 DOT = np.eye(64, dtype=np.float32)[27]
 LINE = np.where(np.arange(64) // 4 == 8, 0, 255).astype(np.uint8) * np.ones((64, 1), np.uint8)

@@ -16,8 +16,6 @@ from smarttouch.base.errors import SourceError
 from ..support.checks import raises
 from ..support.runs import until
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 DOT = np.eye(64)[27].tolist()
 RING = [float(each in (18, 19, 20, 26, 28, 34, 35, 36)) for each in range(64)]
 

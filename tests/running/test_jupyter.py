@@ -6,7 +6,6 @@ import pytest
 
 from smarttouch.emulator.firmware import read_slots, read_state
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
 ANSWERS_WITHIN_S = 60
 
 jupyter_client = pytest.importorskip("jupyter_client", reason="jupyter_client is not installed")

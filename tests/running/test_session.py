@@ -20,12 +20,11 @@ from smarttouch.running.step import OnEvent, OnStep
 from ..support.checks import raises
 from ..support.full import WHOLE, sample
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 RING = np.zeros(64, np.float32)
 RING[[18, 19, 20, 26, 28, 34, 35, 36]] = 1
 LETTER = st.open_source("text:AAAAA", st.load_profile("electric-mouse")).read(9 * 10**8).image
-URLS = sample(["emulator:", "memory:", "simulated:"])
+EMULATOR = pytest.param("emulator:", marks=pytest.mark.realtime)
+URLS = sample([EMULATOR, "memory:", "simulated:"])
 
 
 def session(url="memory:", profile="electric-mouse", mode="RA", intensity=0.6, **given):
@@ -140,7 +139,7 @@ def test_a_pause_within_a_pattern_is_an_error_and_not_a_weak_pattern():
         assert touch.show(RING, 0.1).intensity == 0.3
 
 
-@pytest.mark.parametrize("url", sample(["emulator:", "memory:"]))
+@pytest.mark.parametrize("url", sample([EMULATOR, "memory:"]))
 def test_the_newest_pattern_wins_and_a_stale_one_is_zero(url):
     touch, results = session(url)
     other = np.roll(RING, 1)
@@ -353,7 +352,7 @@ def putting(touch, ended):
         time.sleep(0.001)
 
 
-@pytest.mark.parametrize("url", sample(["emulator:", "memory:"]))
+@pytest.mark.parametrize("url", sample([EMULATOR, "memory:"]))
 def test_many_threads_put_until_another_stops(url, tmp_path, runs):
     """No deadlock, zero at the end, and the recording whole."""
     rounds = runs or (10 if WHOLE else 3)

@@ -21,7 +21,6 @@ import warnings
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
-from typing import ClassVar
 
 PROGRAM = Path(sys.executable).with_name("smarttouch")
 EMULATOR = [sys.executable, "-m", "smarttouch.emulator"]
@@ -110,8 +109,6 @@ class Forked(subprocess.Popen):
     Other commands are started as ever.
     """
 
-    changes: ClassVar = {}
-    """What each fork has changed, by name, as ``smarttouch.boards.kits.watchdog.SILENCE_S``."""
     _server = None
 
     def _execute_child(self, *given):
@@ -132,7 +129,6 @@ class Forked(subprocess.Popen):
             "environment": dict(os.environ if asked["env"] is None else asked["env"]),
             "folder": os.fspath(asked["cwd"] or Path.cwd()),
             "session": asked["start_new_session"],
-            "changes": Forked.changes,
         }
         ends = (asked["p2cread"], asked["c2pwrite"], asked["errwrite"])
         streams = [own if end == -1 else end for own, end in enumerate(ends)]
@@ -155,8 +151,6 @@ def _serve(channel):
     for module in _IMPORTED:
         import_module(module)
     import_module("smarttouch.cli")._built()
-    # Whoever looks into the books of a board waits until they are written once more.
-    import_module("smarttouch.emulator.devices")._WRITE_EVERY_NS = 10_000_000
     driver = import_module("smarttouch.emulator.emulated_boards")
     driver.subprocess, Forked._server = forked_boards(), _Itself()
     gc.collect()
@@ -197,10 +191,6 @@ def _become(request, streams):
     registry._begun_ns = registry._start_ns(os.getpid())
     if request["session"]:
         os.setsid()
-    Forked.changes = request["changes"]
-    for name, value in Forked.changes.items():
-        module, _, attribute = name.rpartition(".")
-        setattr(import_module(module), attribute, value)
     os.chdir(request["folder"])
     os.environ.clear()
     os.environ.update(request["environment"])

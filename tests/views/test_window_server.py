@@ -18,8 +18,6 @@ from ..support.runs import until
 from .browser import AXE, opened
 from .conftest import colors, drawn, strongest
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 
 @pytest.fixture
 def on_page(browser, running):
