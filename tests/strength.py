@@ -3,6 +3,7 @@
     python -m tests.strength map                 # which test runs which line; needs pytest-cov
     python -m tests.strength run [FOLDER ...]    # insert faults, write build/strength.jsonl
     python -m tests.strength table               # print the table of tests/strength.md
+    python -m tests.strength check               # see whether faults can be inserted
 
 ``run`` works on copies of the tree. Of the tests that run the faulty line it takes those of most
 files first, the fastest of each file, for at most ``BUDGET_S`` of their time. A fault is found if
@@ -121,6 +122,40 @@ def choose(folders, faults, critical, seed, without):
     return chosen
 
 
+def listed():
+    """Return the faults that tests/strength.md lists, by file, kind and line of code."""
+    chosen, missing = {}, []
+    page = Path(__file__).with_suffix(".md").read_text("utf-8")
+    for file, kind, source in re.findall(r"^- `(\S+\.py)` ([\w/ ]+): `(.*)`$", page, re.M):
+        lines = Path(file).read_text("utf-8").splitlines() if Path(file).is_file() else []
+        for line, own_kind, text in faults_of(Path(file)) if lines else ():
+            if (own_kind, lines[line - 1].strip()) == (kind, source):
+                chosen[file, line, kind] = text
+                break
+        else:
+            missing.append(f"{file}: {source}")
+    if missing:
+        sys.exit("\n".join(["tests/strength.md lists lines that are gone:", *missing]))
+    return chosen
+
+
+def check(options):
+    """See whether the listed faults, and those that would be chosen, can be inserted."""
+    options.listed = False
+    for faults in (listed(), chosen_faults(options)):
+        for (file, line, kind), text in faults.items():
+            assert text != Path(file).read_text("utf-8"), (file, line, kind)
+            compile(text, file, "exec")
+        print(f"{len(faults)} faults can be inserted")
+
+
+def chosen_faults(options):
+    """Return the faults that the command line asks for."""
+    if options.listed:
+        return listed()
+    return choose(options.folders, options.faults, options.critical, options.seed, options.without)
+
+
 def tests_of_lines():
     """Return a function from file and line to the tests that run it, the fastest of each file
     first."""
@@ -190,9 +225,7 @@ def judge(folder, fault, text, tests):
 
 def run(options):
     """Insert the faults that have no result yet."""
-    chosen = choose(
-        options.folders, options.faults, options.critical, options.seed, options.without
-    )
+    chosen = chosen_faults(options)
     done = set()
     if RESULTS.exists():
         rows = map(json.loads, RESULTS.read_text("utf-8").splitlines())
@@ -232,7 +265,7 @@ def table(_):
     print("\nSurvivors:\n")
     for row in sorted(rows, key=lambda row: (row["file"], row["line"])):
         if not row["by"]:
-            print(f"- `{row['file']}:{row['line']}` {row['kind']}: `{row['source']}`")
+            print(f"- `{row['file']}` {row['kind']}: `{row['source']}`")
 
 
 def map_tests(_):
@@ -253,14 +286,16 @@ def main():
     commands.add_parser("table").set_defaults(function=table)
     runner = commands.add_parser("run")
     runner.set_defaults(function=run)
-    runner.add_argument("folders", nargs="*", help="folders of the package; all if none is given")
-    runner.add_argument("--faults", type=int, default=300)
-    runner.add_argument(
-        "--critical", type=int, default=60, help="of them in stimulation and boards"
-    )
-    runner.add_argument("--seed", type=int, default=4)
     runner.add_argument("--copies", type=int, default=2, help="run this many at once")
-    runner.add_argument("--without", default="^$", help="leave out paths that match")
+    runner.add_argument("--listed", action="store_true", help="the faults of tests/strength.md")
+    checker = commands.add_parser("check")
+    checker.set_defaults(function=check)
+    for command in (runner, checker):
+        command.add_argument("folders", nargs="*", help="of the package; all if none is given")
+        command.add_argument("--faults", type=int, default=300)
+        command.add_argument("--critical", type=int, default=60, help="in stimulation and boards")
+        command.add_argument("--seed", type=int, default=4)
+        command.add_argument("--without", default="^$", help="leave out paths that match")
     options = parser.parse_args()
     options.function(options)
 
