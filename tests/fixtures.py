@@ -148,22 +148,19 @@ def safety_watch():
 
 
 @pytest.fixture
-def judged_books():
-    """Judgment of the books that a test leaves in its folder: see `Watch.judge_books`.
-
-    Not at all where it is None: where no gate has proved what they are of.
-    """
-    return {}
+def judges_books():
+    """True where the books that a test leaves in its folder are of what a gate has proved."""
+    return True
 
 
 @pytest.fixture(autouse=True)
-def proved_twice(request, safety_watch, judged_books):
+def proved_twice(request, safety_watch, judges_books):
     """Fail a test if a gate accepts, or an emulator delivers, what the oracle would not."""
     safety_watch.on = "row" not in request.fixturenames
     yield
     # Whoever has no folder leaves no books.
-    if judged_books is not None and "tmp_path" in request.node.funcargs:
-        safety_watch.judge_all_books(request.node.funcargs["tmp_path"], **judged_books)
+    if judges_books and "tmp_path" in request.node.funcargs:
+        safety_watch.judge_books(request.node.funcargs["tmp_path"])
     assert safety_watch.take() == []
 
 

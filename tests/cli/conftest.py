@@ -196,9 +196,3 @@ def start_emulator(tmp_path):
             return process, process.stdout.readline().strip(), Path(books)
 
         yield start_one
-
-
-@pytest.fixture
-def judged_books():
-    """Runs of the program begin at zero; the longest period of a scan here is this."""
-    return {"period_us": 100_000}

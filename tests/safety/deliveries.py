@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.emulator.firmware import read_slots, read_state
+from smarttouch.emulator.firmware import read_slots
 from smarttouch.emulator.skin import SPREAD
 
-from .bounds import LATE_NS, MEAN_UA, STRONG_A_SECOND
+from .bounds import MEAN_UA, STRONG_A_SECOND
 
 SHARED = (1 + SPREAD) / (1 - SPREAD)
 """How much more than planned an electrode may carry that shares its pole with others.
@@ -37,8 +37,6 @@ class Pulses:
     charge_pc: np.ndarray
     width_us: np.ndarray | None = None
     time_us: np.ndarray | None = None
-    stood_still_us: float = 0.0
-    """How long the emulator's clock stood still in all."""
 
     @classmethod
     def of_books(cls, folder):
@@ -48,7 +46,6 @@ class Pulses:
             slots["current_ua"].astype(np.float64),
             slots["charge_uc"].astype(np.float64) * 1e6,
             time_us=slots["time_us"],
-            stood_still_us=1000 * float(str(read_state(folder).get("stood_still_ms", 0))),
         )
 
     @classmethod
@@ -58,12 +55,8 @@ class Pulses:
         return cls(current_ua, current_ua * width_us[:, None], width_us)
 
 
-def judge_pulses(pulses, bounds, period_us=None):
-    """Return the names of all limits that pulses break.
-
-    Where the longest period of a scan is given the first pulses are held to the rise as well: none
-    may be stronger than a start from zero when the board was switched on allows.
-    """
+def judge_pulses(pulses, bounds):
+    """Return the names of all limits that pulses break."""
     if not len(pulses.current_ua):
         return []
     current_ua, charge_pc = np.abs(pulses.current_ua), np.abs(pulses.charge_pc)
@@ -86,8 +79,6 @@ def judge_pulses(pulses, bounds, period_us=None):
     if pulses.time_us is not None:
         kept["strong in a second"] = _keeps_strong(pulses, bounds)
         kept["mean in a second"] = _keeps_mean(pulses)
-        if period_us is not None:
-            kept["rise"] = _keeps_rise(pulses, bounds, period_us)
     return [name for name, keeps in kept.items() if not np.all(keeps)]
 
 
@@ -118,16 +109,3 @@ def _most_in_a_second(time_us, amounts):
     sums = np.vstack([np.zeros(amounts.shape[1]), np.cumsum(amounts, axis=0)])
     first = np.searchsorted(time_us, time_us - SECOND_US, side="right")
     return float((sums[1:] - sums[first]).max())
-
-
-def _keeps_rise(pulses, bounds, period_us):
-    """Return whether no pulse is stronger than a rise from zero, begun with the board, allows.
-
-    A sequence may be as late as `LATE_NS`, lasts a period, and the emulator's clock stands
-    still while its process does.
-    """
-    passed_us = pulses.time_us + LATE_NS / 1000 + period_us + pulses.stood_still_us
-    share = np.minimum(1, passed_us * 1000 / bounds.ramp_ns)[:, None]
-    full_ua = float(bounds.full_ua)
-    most_ua = (share * full_ua + float(bounds.rounding_ua)) * _allowance(pulses) + ROUNDING_UA
-    return bool((np.abs(pulses.current_ua) <= most_ua).all())

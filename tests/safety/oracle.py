@@ -21,7 +21,7 @@ from .bounds import (
 from .quick import RULES, judge_alone
 
 AMONG = (
-    "time", "rise", "strength", "takes back", "sequences in a second",
+    "time", "rise", "takes back", "sequences in a second",
     "strong in a second", "mean in a second", "net in a second", "session time", "session charge",
 )  # fmt: skip
 """The limits from one sequence to the next, by name."""
@@ -123,8 +123,6 @@ class Oracle:
         nothing = np.zeros(self.bounds.electrodes, np.int64)
         self._spent = 0, nothing, nothing
         self._level = Level(self.bounds)
-        # What would be open if all current were strong.
-        self._if_strong = Level(self.bounds)
         self.restart()
 
     def restart(self, clock_ns=0):
@@ -136,8 +134,7 @@ class Oracle:
         self.time_ns = self.clock_ns = None
         self.newest = None
         """Of the newest sequence that breaks nothing: intensity, strength, and time of current."""
-        for level in (self._level, self._if_strong):
-            level.close()
+        self._level.close()
 
     def judge(self, sequence, clock_ns, times=1, written=True):
         """Return the names of all rules that a sequence, sent so many times, breaks at the
@@ -156,7 +153,7 @@ class Oracle:
         strong_ppb = self.bounds.strength_ppb(alone.intensity_ppb, alone.peak_pc)
         kept = {
             "time": self.time_ns is None or alone.time_ns > self.time_ns,
-            **self._rises(strong_ppb, clock_ns, alone.peak_pc == 0),
+            "rise": alone.peak_pc == 0 or strong_ppb <= self.most(clock_ns),
             "takes back": self._takes_back(alone, carried_pc, times),
             "sequences in a second": 1 + sum(each.start_ns > clock_ns - NS for each in known)
             <= self.bounds.most_passes,
@@ -171,7 +168,7 @@ class Oracle:
             self._spent, self._passes, self._last = (spent_us, spent_pc, carried_pc), known, new
             self.clock_ns = clock_ns
             self.time_ns = alone.time_ns
-            self._level.begun = self._if_strong.begun = True
+            self._level.begun = True
             current_ns = 1000 * times * alone.period_us * (alone.peak_pc > 0)
             self.newest = alone.intensity_ppb, strong_ppb, current_ns
             if written:
@@ -183,16 +180,6 @@ class Oracle:
         clock_ns = max(clock_ns, self.clock_ns or 0)
         ppb, strong_ppb, current_ns = sent
         self._level.sent(ppb, strong_ppb, clock_ns, current_ns)
-        self._if_strong.sent(ppb, WHOLE, clock_ns, current_ns)
-
-    def _rises(self, strong_ppb, clock_ns, silent):
-        """Return whether the rise is kept by the time that current flowed, and by its strength.
-
-        The latter counts where the former is kept.
-        """
-        by_time = silent or strong_ppb <= self._if_strong.most(clock_ns)
-        strongly = silent or not by_time or strong_ppb <= self.most(clock_ns)
-        return {"rise": by_time, "strength": strongly}
 
     def most(self, clock_ns):
         """Return the greatest strength with which current may begin, in parts per billion."""

@@ -17,8 +17,9 @@ MS = 1000
 
 
 @pytest.fixture
-def judged_books():
+def judges_books():
     """These books are of what no gate has proved."""
+    return False
 
 
 def pulses(rows, *, width=100, every_us=10 * MS, first_us=10**6, **other):
@@ -51,22 +52,6 @@ def test_pulses(rule, inside, outside):
     assert judge_pulses(outside, ALIKE) == [rule]
 
 
-def ramp(start_us, rise_us, count=100, **other):
-    """Pulses every 10 ms that rise from zero to the strongest."""
-    time_us = 10 * MS * np.arange(count)
-    level = np.clip((time_us - start_us) / rise_us, 0, 1) * 3000
-    return pulses(np.outer(level, [1, -1, 0, 0]), first_us=0, **other)
-
-
-def test_strength_rises_no_faster_than_from_zero_when_the_board_began():
-    assert judge_pulses(ramp(0, 500 * MS), FULL, 20 * MS) == []
-    # A tenth of a second and a period are what a sequence may be late by.
-    assert judge_pulses(ramp(0, 390 * MS), FULL, 20 * MS) == []
-    assert judge_pulses(ramp(0, 370 * MS), FULL, 20 * MS) == ["rise"]
-    assert judge_pulses(ramp(0, 370 * MS), FULL) == []
-    assert judge_pulses(ramp(0, 370 * MS, stood_still_us=30 * MS), FULL, 20 * MS) == []
-
-
 def test_books_of_a_kit(tmp_path):
     """The firmware by itself: what is within the profile's limits, and what is not."""
     books = DeliveryLog(61, tmp_path)
@@ -79,5 +64,3 @@ def test_books_of_a_kit(tmp_path):
         books.write()
         found = judge_pulses(Pulses.of_books(tmp_path), bounds)
         assert found == ([] if steps < 129 else ["current", "total"])
-    # Three pulses far apart; the first is as strong as a start from zero allows after a second.
-    assert judge_pulses(Pulses.of_books(tmp_path), bounds, 20 * MS) == ["current", "total", "rise"]

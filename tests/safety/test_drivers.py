@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from smarttouch.base.errors import BoardError, BoardStoppedError, SafetyError, SequenceLateError
+from smarttouch.base.errors import BoardError, BoardStoppedError, SafetyError
 from smarttouch.boards.board import Board
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.reports import Capabilities
@@ -140,17 +140,3 @@ def test_what_was_proved_before_a_board_was_opened_again_is_not_sent():
         with pytest.raises(BoardStoppedError):
             driver.drive(driver.proved[0])
     assert driver.flows == [0]
-
-
-def test_what_waits_too_long_is_late_and_later_has_an_end():
-    board = Board(driver := Theirs(), allowed(), late_ns=5 * 10**8, on_a_finger=False)
-    with board:
-        driver.act = lambda driver, proved: driver.line.pause(0.6)
-        with pytest.raises(SequenceLateError):
-            board.send(sequence(0))
-        (proved,) = driver.proved
-        later = driver.line.later(proved, driver.line.now_ns() + 10**8)
-        assert later.write_before_ns > proved.write_before_ns
-        with pytest.raises(SequenceLateError):
-            driver.line.later(proved, proved.due_ns + 10**10)
-    assert (driver.flows, board.dropped_late) == ([], 1)

@@ -109,7 +109,7 @@ def test_a_level_is_opened_by_the_time_of_current(most_ppb, clock_ns):
 def test_and_no_further_than_current_was_strong(made, opened):
     """Half a second is the whole ramp, but a fifth and its fourfold is all that has flowed."""
     oracle, most = begun(made), opened + 200_001_000
-    assert ask(oracle, strong(most + 1), NS) == ["strength"]
+    assert ask(oracle, strong(most + 1), NS) == ["rise"]
     assert ask(oracle, strong(most), NS) == []
 
 

@@ -107,26 +107,17 @@ class Watch:
             bounds = self.bounds_of(self._limits[driver])
             self._delivered(Pulses.taken(*pulses), bounds, "simulated:")
 
-    def judge_books(self, folder, bounds=None, period_us=None):
-        """Judge what an emulator's books in a folder say, by default by the bounds of the last
-        display of this test with as many electrodes; the period as in `judge_pulses`.
-        """
-        pulses = Pulses.of_books(folder)
-        if bounds is None:
-            bounds = self.bounds_of_size(pulses.current_ua.shape[1])
-        elif not isinstance(bounds, Bounds):
-            bounds = Bounds.of(bounds)
-        if bounds is not None:
-            self._delivered(pulses, bounds, str(folder), period_us)
-
-    def judge_all_books(self, root, **judged):
-        """Judge all books that lie somewhere in a folder, as `judge_books` does."""
+    def judge_books(self, root):
+        """Judge all books of emulators in a folder, by the last display of as many electrodes."""
         for delivered in sorted(Path(root).rglob(DELIVERED_FILE)):
             if (delivered.parent / STATE_FILE).is_file():
-                self.judge_books(delivered.parent, **judged)
+                pulses = Pulses.of_books(delivered.parent)
+                bounds = self.bounds_of_size(pulses.current_ua.shape[1])
+                if bounds is not None:
+                    self._delivered(pulses, bounds, str(delivered.parent))
 
-    def _delivered(self, pulses, bounds, where, period_us=None):
-        if broken := judge_pulses(pulses, bounds, period_us):
+    def _delivered(self, pulses, bounds, where):
+        if broken := judge_pulses(pulses, bounds):
             self.broken.append(f"{where} delivered what breaks {', '.join(broken)}")
 
     # -- in the place of what is watched -------------------------------------
