@@ -8,7 +8,7 @@ from PIL import Image
 
 from smarttouch.base.files import data_folder
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.profile.toml_files import profile_path
+from smarttouch.profile.toml_files import as_toml, profile_path
 
 from ..support.full import sample
 
@@ -105,6 +105,26 @@ def test_a_copy_is_the_file_with_its_comments(program_here, tmp_path):
     assert (tmp_path / "mine.toml").read_bytes() == profile_path("line-8").read_bytes()
 
 
+def test_a_table_becomes_a_profile(program_here, tmp_path):
+    table = tmp_path / "mine.csv"
+    table.write_text("x_mm,y_mm,diameter_mm\n0,0,1\n2,0.1,1.1\n4,0,1.2\n", encoding="utf-8")
+    program_here("profiles new mine.csv mine.toml").flawless()
+    made = load_profile(tmp_path / "mine.toml")
+    expected = load_profile("electric-mouse").with_electrodes(table, made.title)
+    assert as_toml(made) == as_toml(expected)
+    assert "--overwrite" in one_sentence(program_here("profiles new mine.csv mine.toml"))
+
+
+def test_a_grid_has_its_size_everywhere_and_shows_the_same_page(program_here, tmp_path):
+    program_here("profiles new --grid 5x5 --pitch 2 five.toml").fine()
+    made, mouse = load_profile(tmp_path / "five.toml"), load_profile("electric-mouse")
+    assert made.array.rows == made.array.columns == 5
+    assert "5 x 5" in made.title
+    assert "8 x 8" not in (tmp_path / "five.toml").read_text("utf-8")
+    assert made.optics.field_width_mm == mouse.optics.field_width_mm
+    assert made.optics.magnification == pytest.approx(10 / 5)
+
+
 @pytest.mark.parametrize("name", ["electric-mouse", "kajimoto-61"])
 def test_what_is_shown_is_a_profile(program_here, tmp_path, name):
     done = program_here("profiles show", name).fine()
@@ -147,6 +167,8 @@ def test_all_that_is_wrong_stands_in_a_line_of_its_own(program_here, tmp_path):
 @pytest.mark.parametrize("arguments", [
     ("show", "nobody"), ("new", "mine.toml", "--like", "nobody"), ("new", "mine.txt"),
     ("new", "none/mine.toml"), ("new", "table.csv", "mine.toml", "--grid", "2x2"),
+    ("new", "--grid", "5x", "a.toml"), ("new", "--grid", "5x5", "--pitch", "1", "a.toml"),
+    ("new", "--grid", "99x2", "a.toml"),
 ])  # fmt: skip
 def test_what_cannot_be_is_one_sentence(program_here, tmp_path, arguments):
     one_sentence(program_here("profiles", *arguments))

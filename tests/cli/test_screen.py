@@ -200,17 +200,3 @@ def test_where_nothing_is_drawn(monkeypatch, terminal, dumb, asked, plain):
     screen.close()
     told = [each for each in console.file.getvalue().splitlines() if not each.startswith("keys")]
     assert told == ["a b, p, emulator:", "1.5 s: paused", "2.5 s: goes on"] * plain
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_lines_break_at_words_on_a_terminal_and_nowhere_else(monkeypatch, terminal):
-    console = Console(file=io.StringIO(), force_terminal=terminal, width=33)
-    monkeypatch.setattr("smarttouch.views.screen.terminal.console", lambda **_: console)
-    title = " ".join(["letters"] * 20)
-    run = SimpleNamespace(source=SimpleNamespace(title=title), profile=SimpleNamespace(title="p"))
-    screen = Screen("emulator:", plain=True)
-    screen.start(run)
-    screen.close()
-    lines = [each for each in console.file.getvalue().splitlines() if not each.startswith("keys")]
-    assert (max(map(len, lines)) <= 33) == terminal
-    assert " ".join(each.rstrip() for each in lines) == f"{title}, p, emulator:"

@@ -1,17 +1,13 @@
 """Profiles with electrodes from a table: of a file, an array or a command, and what is refused."""
 
-import subprocess
-
 import numpy as np
 import pytest
 
 import smarttouch as st
 from smarttouch.base.errors import ProfileError
 from smarttouch.profile.profile import require_driven
-from smarttouch.profile.toml_files import as_toml
 
 from ..support.checks import raises
-from ..support.processes import PROGRAM, Forked
 
 MOUSE = st.load_profile("electric-mouse")
 PLACES = np.array([[0, 0], [2, 0.1], [4, 0], [0.1, 2], [2, 2.1], [4, 1.9]])
@@ -68,48 +64,6 @@ def test_what_is_no_array_is_one_sentence(places, words):
 def test_electrodes_that_overlap_are_refused(places, first, shown):
     with raises(ProfileError, key="electrodes", electrode=first, value=shown):
         MOUSE.with_electrodes(places)
-
-
-def smarttouch(*words):
-    streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
-    with Forked([PROGRAM, *map(str, words)], text=True, **streams) as run:
-        told = run.communicate()
-    return subprocess.CompletedProcess(run.args, run.returncode, *told)
-
-
-def test_a_command_writes_a_profile_of_it(table, tmp_path):
-    path = tmp_path / "mine.toml"
-    done = smarttouch("profiles", "new", table, path)
-    assert (done.returncode, done.stderr) == (0, "")
-    made = st.load_profile(path)
-    expected = MOUSE.with_electrodes(table, made.title)
-    assert as_toml(made) == as_toml(expected)
-    again = smarttouch("profiles", "new", table, path)
-    assert again.returncode == 2
-    assert "--overwrite" in again.stderr
-
-
-def test_a_grid_has_its_size_everywhere_and_shows_the_same_page(tmp_path):
-    path = tmp_path / "five.toml"
-    done = smarttouch("profiles", "new", "--grid", "5x5", "--pitch", "2", path)
-    assert done.returncode == 0, done.stderr
-    made, mouse = st.load_profile(path), st.load_profile("electric-mouse")
-    assert made.array.rows == made.array.columns == 5
-    assert "5 x 5" in made.title
-    assert "8 x 8" not in path.read_text("utf-8")
-    assert made.optics.field_width_mm == mouse.optics.field_width_mm
-    assert made.optics.magnification == pytest.approx(10 / 5)
-
-
-@pytest.mark.parametrize("options", [
-    ("--grid", "5x"), ("--grid", "5x5", "--pitch", "1"), ("--grid", "99x2"),
-    ("--grid", "5x5", "a.csv"),
-])  # fmt: skip
-def test_what_is_no_grid_is_one_sentence(options, tmp_path):
-    done = smarttouch("profiles", "new", *options, tmp_path / "new.toml")
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert not (tmp_path / "new.toml").exists()
 
 
 @pytest.mark.parametrize(("sites", "expected"), [
