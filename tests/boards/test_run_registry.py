@@ -108,6 +108,8 @@ def test_every_run_is_asked_and_says_whether_it_is_at_zero(folder, smarttouch_st
 
 
 def withhold_request(folder, child, alive):
+    # Otherwise it might take this for a request.
+    os.kill(child, signal.SIGSTOP)
     next(folder.glob("*.json")).with_suffix(".stop").symlink_to(folder / "nowhere" / "file")
 
 
