@@ -12,7 +12,7 @@ _SAME_LINE, _BESIDE = 0.3, 1.05  # distances of baselines of one line, and of li
 _WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
 """Gaps that part words, and numbers, and the least that all rows of a picture share."""
 _SPACE, _APART = 0.1, 2.5  # gaps that are a space, and that part a line in any case
-_EVEN, _FLUSH = 0.25, 0.4  # differences of the gaps of justified prose, and of its ends
+_FLUSH = 0.4  # difference of the ends of justified prose
 _FARTHER = 1.6  # distance of blocks, in usual ones of rows
 _EDGE = 0.125  # part of the page's height at its ends that has running heads
 _WIDE_CELL, _WIDER, _WIDEST = 5.0, 8.0, 13.0
@@ -129,14 +129,11 @@ def _joined(row: Row) -> Row:
 
 
 def _join_justified(rows: list[Row]) -> None:
-    """Join rows that are evenly apart and as wide as the prose at the row before."""
+    """Join rows that are as wide as the prose at the row before."""
     for (first, *others), row in itertools.pairwise(rows):
-        gaps = [after.left - before.right for before, after in itertools.pairwise(row)]
+        ends = abs(row[0].left - first.left), abs(row[-1].right - first.right)
         if (
-            gaps and not others and first.place >= 0 and " " in first.text
-            and max(gaps) - min(gaps) < _EVEN * first.size
-            and abs(row[0].left - first.left) < _FLUSH * first.size
-            and abs(row[-1].right - first.right) < _FLUSH * first.size
+            " " in first.text and not others and max(ends) < _FLUSH * first.size
             and not FIGURE.fullmatch(row[-1].text)
         ):  # fmt: skip
             text = " ".join(part.text for part in row)
