@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 
 from smarttouch.base.errors import PageError
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
@@ -207,4 +207,8 @@ def _deep_color(image: Image.Image) -> Pixels:
     is_read, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED, None, (page, page + 1))
     if not is_read:
         raise ValueError("its pixels are damaged")
-    return np.asarray(pages[0])[..., [2, 1, 0, 3][: pages[0].shape[2]]]
+    pixels = np.asarray(pages[0])[..., [2, 1, 0, 3][: pages[0].shape[2]]]
+    # OpenCV turns a TIFF itself.
+    turn = 1 if image.format == "TIFF" else image.getexif().get(ExifTags.Base.Orientation, 1)
+    pixels = pixels.swapaxes(0, 1) if turn > 4 else pixels
+    return pixels[:: -1 if turn in (3, 4, 7, 8) else 1, :: -1 if turn in (2, 3, 6, 7) else 1]

@@ -1,5 +1,7 @@
 """Any kind of image becomes the same grey picture, as a page and as a frame."""
 
+import zlib
+
 import cv2
 import numpy as np
 import pytest
@@ -57,6 +59,17 @@ def turned(values, orientation):
     return lambda path: Image.fromarray(values).save(path, exif=exif, lossless=True, quality=95)
 
 
+def deep_and_turned(path):
+    """Write 16 bits in color, and the tag that turns them in a chunk of its own."""
+    deep(16, color=True)(path)
+    exif = Image.Exif()
+    exif[0x0112] = 3
+    chunk = b"eXIf" + exif.tobytes()[6:]
+    head, data = path.read_bytes()[:33], path.read_bytes()[33:]
+    size, crc = len(chunk) - 4, zlib.crc32(chunk)
+    path.write_bytes(head + size.to_bytes(4, "big") + chunk + crc.to_bytes(4, "big") + data)
+
+
 def white_is_zero(path):
     """Write 12 bits in 16 of a TIFF in which 0 is white."""
     tags = TiffImagePlugin.ImageFileDirectory_v2()
@@ -76,6 +89,7 @@ KINDS = {
     **{f"deep-{bits}.png": deep(bits) for bits in (9, 10, 12, 16)},
     **{f"color-{bits}.{kind}": deep(bits, color=True)
        for bits, kind in ((10, "png"), (12, "tif"), (16, "png"))},
+    "color-upside-down.png": deep_and_turned,
     "white-is-zero.tif": white_is_zero,
     "float-1.tif": pillow(lambda: Image.fromarray(np.float32(PRINT / 255))),
     "float-255.tif": pillow(lambda: Image.fromarray(np.float32(PRINT))),
@@ -114,6 +128,7 @@ def test_a_page_and_a_frame_of_any_kind(profile, tmp_path, name):
         frame = source.read(0).image
     np.testing.assert_array_equal(page, frame)
     assert page.shape == PRINT.shape
+    page = page[::-1, ::-1] if name == "color-upside-down.png" else page
     # Palettes and lossy kinds have fewer levels.
     coarse = ("palette", "two-levels", "animation", "on-its-side.jpg")
     most = 128 if name.startswith(coarse) else 2
