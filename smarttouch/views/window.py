@@ -22,7 +22,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.step import Listener, RunContext, StepResult
 from smarttouch.sources.source_contract import Pose, Sheet, Source
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.views.window_pages import ConnectedPage, Pages, Steering
+from smarttouch.views.window_pages import LOST_S, ConnectedPage, Pages, Steering
 from smarttouch.views.window_server import PageServer, open_browser
 
 MOST_PIXELS = 160  # longer side of an image of what a sensor sees; larger ones are made smaller
@@ -38,10 +38,11 @@ _GONE_S = 2.0  # time without a page after which the window is closed: a page ma
 class Window(Listener):
     """Shows runs in a browser, from a thread of its own, and lets one page control them.
 
-    The loop's thread only stores the newest step. With
-    ``alone``, a run is paused once no page controls it; with ``blind``, pages do not show what is
-    delivered. ``show`` is called with the address once it is served. A run begins once a page is
-    open, or after ``waits_s``. A window that ``stays`` shows the end of a run until `shut`.
+    The loop's thread only stores the newest step. With ``alone``, a run is paused once no page
+    controls it; with ``blind``, pages do not show what is delivered. ``show`` is called with the
+    address once it is served. A run begins once a page is open, or after ``waits_s``. A page that
+    is silent for ``lost_s`` loses control. A window that ``stays`` shows the end of a run until
+    `shut`.
     """
 
     def __init__(
@@ -55,6 +56,7 @@ class Window(Listener):
         keys: Mapping[str, Callable[[], None]] | None = None,
         keys_help: str = "",
         alone: bool = True,
+        lost_s: float = LOST_S,
     ) -> None:
         super().__init__()
         self._blind, self._show = blind, show or _announce
@@ -68,7 +70,7 @@ class Window(Listener):
         self._switch_s: float | None = None
         self._shut = threading.Event()
         self._run_stop, self._keys, self._keys_help = stop, keys or {}, keys_help
-        self._alone = alone
+        self._alone, self._lost_s = alone, lost_s
         self._latest: StepResult | None = None
         self._encoded: tuple[StepResult | None, str] = (None, "null")
         self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_EVENTS)
@@ -92,7 +94,9 @@ class Window(Listener):
     def prepare(self, run: RunContext) -> None:
         """Serve the page, and wait for it: the board is not open."""
         self._context = run
-        self.steering = Steering(run.controls, self._run_stop, self._keys, alone=self._alone)
+        self.steering = Steering(
+            run.controls, self._run_stop, self._keys, alone=self._alone, lost_s=self._lost_s
+        )
         if run.source.pointer is not None:
             run.source.pointer.is_shown = True
         hello: dict[str, Any] = {

@@ -39,9 +39,10 @@ class Steering:
         keys: Mapping[str, Callable[[], None]],
         *,
         alone: bool,
+        lost_s: float = LOST_S,
     ) -> None:
         self.controls: Controls = controls
-        self._stop, self._keys, self._alone = stop, keys, alone
+        self._stop, self._keys, self._alone, self._lost_s = stop, keys, alone, lost_s
         self._page: int | None = None
         self._alive_s = 0.0
         self._lock = threading.Lock()
@@ -85,7 +86,7 @@ class Steering:
     def look_after(self) -> None:
         """Release the control of a page that has fallen silent; from any thread."""
         page = self._page
-        if page is not None and time.monotonic() - self._alive_s > LOST_S:
+        if page is not None and time.monotonic() - self._alive_s > self._lost_s:
             self.leave(page)
 
     def act(self, page: int, what: str) -> bool:

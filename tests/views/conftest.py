@@ -49,8 +49,9 @@ class Run:
     def __init__(self, profile, source, board, rate_hz=None, **options):
         self.stop, self.results = StopRequest(), {}
         self.display, self.source = st.open_display(board, profile), source
-        options = {"keys": source.keys, "show": lambda _: None} | options
-        self.window = Window(self.stop, **options)
+        # A page that waits for a processor does not hang.
+        usual = {"keys": source.keys, "show": lambda _: None, "lost_s": WAIT_S}
+        self.window = Window(self.stop, **usual | options)
         self.board = self.display.board
         self.runner = Runner(
             source, self.display, st.RunConfig(intensity=1.0, rate_hz=rate_hz), stop=self.stop,
@@ -63,15 +64,11 @@ class Run:
         self.results[result.number] = result
 
     @property
-    def controls(self):
-        return self.window.steering.controls
-
-    @property
     def address(self):
         return self.window.address
 
     def state(self):
-        return self.controls.state(0)
+        return self.window.steering.controls.state(0)
 
     def ended(self):
         """Wait for the end; return how it came."""
@@ -87,12 +84,8 @@ def browser():
 
 
 @pytest.fixture
-def running(profile, monkeypatch):
-    """Return a context of a run with a window, which is stopped at its end.
-
-    A page that waits for a processor does not hang.
-    """
-    monkeypatch.setattr("smarttouch.views.window_pages.LOST_S", WAIT_S)
+def running(profile):
+    """Return a context of a run with a window, which is stopped at its end."""
 
     @contextmanager
     def run(source=None, board="memory:", **options):

@@ -132,9 +132,8 @@ def test_a_page_that_has_lost_its_connection_can_stop(running):
         assert len(run.board.driver.sequences) == count
 
 
-def test_current_is_zero_when_the_page_that_steers_hangs(running, monkeypatch):
-    monkeypatch.setattr("smarttouch.views.window_pages.LOST_S", LOST_S)
-    with running() as run, connect(run) as socket:
+def test_current_is_zero_when_the_page_that_steers_hangs(running):
+    with running(lost_s=LOST_S) as run, connect(run) as socket:
         receive(socket, "hello")
         socket.send("steer")
         # It is open, and answers nothing any more.
