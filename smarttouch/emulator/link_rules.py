@@ -295,10 +295,6 @@ class _Scan:
     rise: Ramp  # as it was before the scan
     load: Load
 
-    def goes_on_in(self, part: ReceivedSequence) -> bool:
-        same = (self.last.period_us, self.last.intensity) == (part.period_us, part.intensity)
-        return self.last.more and same
-
 
 class LinkRules:
     """What a board keeps to judge sequences by, and its judgement."""
@@ -331,24 +327,22 @@ class LinkRules:
             scan = _Scan(sequence, rise_us, copy(self._ramp), self._none)
         if limits is None:
             return BrokenRule(Rule.LIMITS)
-        if scan is None or (sequence.goes_on and not scan.goes_on_in(sequence)):
+        if scan is None or (sequence.goes_on and not scan.last.more):
+            return BrokenRule(Rule.PART)
+        last = scan.last
+        if (last.period_us, last.intensity) != (sequence.period_us, sequence.intensity):
             return BrokenRule(Rule.PART)
         missing, amplitude = self._fill_in(sequence)
         signed_ua = self._currents(sequence)
         load = _load_of(sequence, signed_ua, limits)
         whole = load.after(scan.load)
-        if found := self._times(sequence, limits, whole) or self._slots(
-            sequence, np.abs(signed_ua), limits, missing, amplitude
-        ):
-            return found
-        if sequence.recharge_ua is not None and (
-            found := self._recharged(sequence, sequence.recharge_ua, limits, load)
-        ):
-            return found
         burst_us = min(sequence.period_us, BURST_US)
         strength = limits.strength(sequence.intensity, whole.peak_pc)
         if found := (
-            first_above(Rule.MEAN, whole.each[1], MAX_MEAN_UA * burst_us)
+            self._times(sequence, limits, whole)
+            or self._slots(sequence, np.abs(signed_ua), limits, missing, amplitude)
+            or self._recharged(sequence, limits, load)
+            or first_above(Rule.MEAN, whole.each[1], MAX_MEAN_UA * burst_us)
             or first_above(Rule.FELT, whole.each[0], MAX_PULSES_HZ * burst_us // 10**6)
             or limits.intensity(sequence.intensity, load)
             or first_above(Rule.RISE, strength, scan.rise.allowed(scan.rise_us))
@@ -363,9 +357,9 @@ class LinkRules:
     def _times(
         self, sequence: ReceivedSequence, limits: SessionLimits, whole: Load
     ) -> BrokenRule | None:
-        slots, period_us = sequence.slots, sequence.period_us
-        if slots > self._room.slots:
-            return BrokenRule(Rule.SLOTS, value=slots, allowed=self._room.slots)
+        period_us = sequence.period_us
+        if found := first_above(Rule.SLOTS, sequence.slots, self._room.slots):
+            return found
         if period_us < limits.period_us:
             return BrokenRule(Rule.PERIOD, value=period_us, allowed=limits.period_us)
         width_us, rest_us = sequence.width_us, sequence.discharge_us
@@ -453,14 +447,12 @@ class LinkRules:
         return np.asarray(np.where(rows == 1, share_ua[0], -share_ua[1] * (rows == -1)))
 
     def _recharged(
-        self,
-        sequence: ReceivedSequence,
-        recharge_ua: NDArray[np.int64],
-        limits: SessionLimits,
-        load: Load,
+        self, sequence: ReceivedSequence, limits: SessionLimits, load: Load
     ) -> BrokenRule | None:
         """Return the first broken rule of the recharge phase of a sequence and its load."""
-        width_us = sequence.recharge_us
+        width_us, recharge_ua = sequence.recharge_us, sequence.recharge_ua
+        if recharge_ua is None:
+            return None
         if not sequence.slots or not 0 < width_us <= MAX_RECHARGE_US:
             return BrokenRule(Rule.RECHARGE, value=width_us, allowed=MAX_RECHARGE_US)
         if net := int(recharge_ua.sum()):
