@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from smarttouch.base.clock import LATE_NS
-from smarttouch.base.errors import SequenceLateError
 from smarttouch.boards.board import Board
 from smarttouch.boards.kits import etactilekit_line
 from smarttouch.boards.kits.etactilekit import ETactileKitDriver
@@ -34,9 +33,6 @@ class ManualClock:
 
     def sleep(self, seconds):
         self.time_ns += int(1e9 * seconds)
-
-    def monotonic(self):
-        return self.time_ns / 1e9
 
 
 class ManualPort:
@@ -133,9 +129,6 @@ def manual_line(patch, driver, port, clock, limits):
 class ManualKit:
     """A driver and its board, in one thread."""
 
-    late_ns = 0
-    """How long ago each sequence was due when its turn comes."""
-
     def __init__(
         self, patch, limits, firmware="71adee2", seed=1, late_us=200, finger=None,
         dummy_ohm=np.inf, **line,
@@ -146,19 +139,15 @@ class ManualKit:
         self.port = ManualPort(self.board, self.clock, **line)
         self.driver = ETactileKitDriver("told", limits)
         self.line = manual_line(patch, self.driver, self.port, self.clock, limits)
-        self.host, self.dropped_late = self.line._board, 0
+        self.host = self.line._board
         self.driver.open(self.line, limits)
 
     def run(self, jobs):
         """Let the driver write jobs: when they come by its clock, sequence, times."""
         for number, (time_ns, sequence, times) in enumerate(jobs, 1):
             self.clock.time_ns = max(self.clock.time_ns, time_ns)
-            # It was due when there was room for it.
-            due_ns = self.clock.time_ns - self.late_ns
-            try:
-                self.driver.write(proved(sequence, times, number, due_ns))
-            except SequenceLateError:
-                self.dropped_late += 1
+            # It is due when there is room for it.
+            self.driver.write(proved(sequence, times, number, self.clock.time_ns))
         self.driver.zero()
         return self.host.report()
 
