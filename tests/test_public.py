@@ -1,7 +1,6 @@
 """The public names: few, described, with examples that run, and cheap to import."""
 
 import ast
-import builtins
 import doctest
 import importlib.util
 import inspect
@@ -10,7 +9,6 @@ import re
 import shutil
 import subprocess
 import sys
-import typing
 from pathlib import Path
 
 import numpy as np
@@ -135,53 +133,6 @@ def test_examples_and_pages_import_public_names_alone():
         if module.partition(".")[0] == "smarttouch"
         and name not in PUBLIC.get(module, ())
         and not (name is None and module in PUBLIC)
-    ]
-    assert inside == []
-
-
-ALL = {name: getattr(st, name) for name in PUBLIC["smarttouch"] - {*MODULES}}
-NAMED = [getattr(module, name) for module in MODULES.values() for name in names_of(module)]
-DEFINED = vars(builtins) | {
-    name: value
-    for module in [module for name, module in sys.modules.items() if name.startswith("smarttouch")]
-    for name, value in vars(module).items()
-}
-"""All that a hint may name which its module imports for type checkers alone."""
-
-
-def types_in(hint):
-    if isinstance(hint, type):
-        yield hint
-    for each in typing.get_args(hint):
-        yield from types_in(each)
-
-
-MADE_BY_RUNS = "RunStatistics", "StepResult"  # which no program makes
-
-
-def functions_of(value):
-    """Yield what users of a name call, and what they override."""
-    if inspect.isfunction(value):
-        yield value
-    elif inspect.isclass(value):
-        for name, member in vars(value).items():
-            inner = inspect.unwrap(getattr(member, "__func__", member))
-            called = name == "__init__" and value.__name__ not in MADE_BY_RUNS
-            if (called or not name.startswith("_")) and inspect.isfunction(inner):
-                yield inner
-
-
-@pytest.mark.parametrize("name", sorted(ALL))
-def test_what_its_functions_take_is_public(name):
-    public = {id(each) for each in [*ALL.values(), *NAMED]}
-    inside = [
-        (function.__qualname__, parameter, each)
-        for function in functions_of(ALL[name])
-        for parameter, hint in typing.get_type_hints(function, localns=DEFINED).items()
-        for each in types_in(hint)
-        if parameter != "return"
-        and each.__module__.startswith("smarttouch")
-        and id(each) not in public
     ]
     assert inside == []
 

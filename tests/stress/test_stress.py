@@ -1,27 +1,40 @@
 """Signals at random instants: ``--runs 300 --timeout 0`` for many."""
 
-import json
+import random
+import signal
 import subprocess
-import sys
-from pathlib import Path
+import time
+from itertools import cycle
 
 import pytest
 
-from ..support.processes import Forked
+from smarttouch.emulator.firmware import read_state
 
-LONGEST_MS = 1000
-"""From a signal to the last pulse, on a busy machine; 101 are enough on a quiet one."""
+from ..boards.fresh import fresh_state, starter
+from ..support.processes import PROGRAM, emulator
+
+ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+LONGEST_START_S, LONGEST_END_S = 3.0, 30.0
+"""A run drives its board well before the one, and has ended before the other."""
 
 
 @pytest.mark.realtime
-def test_signals_end_runs_with_the_board_at_zero(runs):
-    count = runs or 3
-    command = [sys.executable, Path(__file__).with_name("runs.py"), str(count), "1"]
-    with Forked(command, stdout=subprocess.PIPE) as process:
-        said, _ = process.communicate()
-    ended = json.loads(said)
-    assert (process.returncode, len(ended)) == (0, count)
-    for run in ended:
-        assert run["code"] is not None, run
-        assert (run["driving"], run["wrong"]) == (False, 0), run
-        assert (run["zero_after_ms"] or 0) <= LONGEST_MS, run
+def test_signals_end_runs_with_the_board_at_zero(runs, tmp_path):
+    draw, kinds = random.Random(1), cycle(ELECTRODES)
+    for number in range(runs or 3):
+        kind, books = next(kinds), tmp_path / f"books{number}"
+        books.mkdir()
+        with starter() as start:
+            board = start(emulator(kind, f"electrodes={ELECTRODES[kind]}", f"books={books}"))
+            url = f"{kind}:{board.stdout.readline().strip()}"
+            run = ["live", "--board", url, "--force", "fixed:1", "--intensity", "1"]
+            host = start([PROGRAM, *run, "--seconds", "60"], stderr=subprocess.STDOUT)
+            time.sleep(draw.uniform(0.0, LONGEST_START_S))
+            host.send_signal(SIGNALS[(number + number // 3) % 3])
+            said, _ = host.communicate(timeout=LONGEST_END_S)
+            assert "Traceback" not in said
+            state = fresh_state(books)
+            assert state["state"] != "driving", (kind, said)
+            assert (state["unsafe"], state["violations"]) == (0, 0)
+            assert fresh_state(books)["slots"] == read_state(books)["slots"] == state["slots"]
