@@ -202,9 +202,9 @@ def choice_of(
 ) -> _Choice:
     """Return the choice that a text is, in capitals or not."""
     known = list(choices)
-    for each in known:
-        if text.lower() == each.lower():
-            return each
+    for known_name in known:
+        if text.lower() == known_name.lower():
+            return known_name
     raise error(f"{name} {text!r} is not offered: choose {' or '.join(known)}")
 
 

@@ -43,16 +43,16 @@ MOST_DOCUMENT_BYTES = 2_000_000_000  # largest image, PDF or video; only the nee
 def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> None:
     """Raise unless a path leads to a regular file of at most so many bytes."""
     try:
-        found = path.stat()
+        status = path.stat()
     except (FileNotFoundError, NotADirectoryError, ValueError):
         raise error(f"no file {path}: check its name") from None
     except OSError as failure:
         raise unreadable(error, path, failure) from None
-    if not stat.S_ISREG(found.st_mode):
-        kind = "folder" if stat.S_ISDIR(found.st_mode) else "pipe or device"
+    if not stat.S_ISREG(status.st_mode):
+        kind = "folder" if stat.S_ISDIR(status.st_mode) else "pipe or device"
         raise error(f"{path} is a {kind}: give a file")
-    if found.st_size > most_bytes:
-        size_mb, most_mb = found.st_size / 1e6, most_bytes / 1e6
+    if status.st_size > most_bytes:
+        size_mb, most_mb = status.st_size / 1e6, most_bytes / 1e6
         message = f"{path} has {size_mb:,.1f} MB, above the limit of {most_mb:,.0f} MB"
         raise error(message)
 

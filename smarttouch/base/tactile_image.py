@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 def one_line(record: Any) -> str:
     """Return a dataclass's repr in one line: arrays by type and shape, what is long by its type."""
-    shown = [f"{each.name}={_brief(getattr(record, each.name))}" for each in fields(record)]
+    shown = [f"{field.name}={_brief(getattr(record, field.name))}" for field in fields(record)]
     return f"{type(record).__name__}({', '.join(shown)})"
 
 

@@ -83,7 +83,7 @@ def unknown(
     elif kind == "board" and url.startswith("/"):
         way = f"a port does not say which board is on it; write its kind first, as in link:{url}"
     else:
-        way = "it must begin with one of " + ", ".join(f"{each}:" for each in known)
+        way = "it must begin with one of " + ", ".join(f"{known_name}:" for known_name in known)
     return error(f"unknown {kind} {url!r}: {way}")
 
 
@@ -102,15 +102,15 @@ def read_options(
     options, nor has what looks like none (``text:Is it so?``), nor what belongs to an opener that
     takes none: that may have its own. Options in ``but`` are not for URLs.
     """
-    place, mark, query = rest.rpartition("?")
+    address, mark, query = rest.rpartition("?")
     known = options_of(opener, but)
-    parts = [each.partition("=")[::2] for each in query.split("&")]
+    parts = [part.partition("=")[::2] for part in query.split("&")]
     if not (mark and known) or not all(_NAME.fullmatch(name) for name, _ in parts):
         return rest, {}
     # Flags without a value must be known, or "text:Why?because" had one.
     if not all(name in known or f"{name}=" in query for name, _ in parts) or file_at(rest):
         return rest, {}
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, text in parts:
         if name not in known:
             raise error(
@@ -119,26 +119,26 @@ def read_options(
         kind = known[name]
         value = _read_option(name, unquote(text), kind, error)
         if kind is Sequence:
-            found.setdefault(name, []).append(value)
-        elif name in found:
+            values.setdefault(name, []).append(value)
+        elif name in values:
             raise error(f"{rest!r} has {name} twice: give it once")
         else:
-            found[name] = value
-    return place, found
+            values[name] = value
+    return address, values
 
 
 def given_options(
     opener: Callable[..., Any], url: str, options: dict[str, Any], error: type[SmartTouchError]
 ) -> dict[str, Any]:
     """Return the options that are not None; raises if the opener does not take one by its name."""
-    given = {name: value for name, value in options.items() if value is not None}
+    accepted = {name: value for name, value in options.items() if value is not None}
     parameters = inspect.signature(opener).parameters.values()
-    taken = [each.name for each in parameters if each.default is not each.empty]
-    for name in given:
+    taken = [parameter.name for parameter in parameters if parameter.default is not parameter.empty]
+    for name in accepted:
         if name not in taken:
             kind, takes = url.partition(":")[0], ", ".join(taken) or "none"
             raise error(f"{kind}: does not take {name}: leave it out (it takes {takes})")
-    return given
+    return accepted
 
 
 def joined_options(
@@ -152,10 +152,10 @@ def joined_options(
 
 def parse_size(text: str, error: type[SmartTouchError], name: str) -> tuple[int, int]:
     """Return width and height, as in 640x480."""
-    found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", text.lower())
-    if found is None:
+    match = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", text.lower())
+    if match is None:
         raise error(f"{name} {text!r} is not a size: give width and height as 640x480")
-    return int(found[1]), int(found[2])
+    return int(match[1]), int(match[2])
 
 
 _NAME = re.compile("[a-z][a-z0-9_]*")
@@ -165,10 +165,10 @@ _TRUTHS = {"": True, "1": True, "yes": True, "true": True, "0": False, "no": Fal
 def options_of(opener: Callable[..., Any], but: Collection[str] = ()) -> dict[str, Any]:
     """Return the type of each option of an opener that text can be turned into."""
     kinds = {}
-    for each in inspect.signature(opener).parameters.values():
-        if each.default is inspect.Parameter.empty or each.name in but:
+    for parameter in inspect.signature(opener).parameters.values():
+        if parameter.default is inspect.Parameter.empty or parameter.name in but:
             continue
-        kind = each.annotation
+        kind = parameter.annotation
         if get_origin(kind) is Annotated:
             kind = get_args(kind)[0]
         if get_origin(kind) in (Union, UnionType):
@@ -176,7 +176,7 @@ def options_of(opener: Callable[..., Any], but: Collection[str] = ()) -> dict[st
         kind = get_origin(kind) or kind
         kind = Sequence if kind is list else kind
         if kind in (bool, int, float, str, tuple, Path, Sequence):
-            kinds[each.name] = kind
+            kinds[parameter.name] = kind
     return kinds
 
 

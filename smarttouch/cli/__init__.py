@@ -95,8 +95,8 @@ def _outcome(error: BaseException) -> int:
         # The reader of the output is gone, so nothing can be printed.
         return 1
     if isinstance(error, SmartTouchError):
-        found = error.complaints if isinstance(error, TableError) else [("", str(error))]
-        for _, sentence in found:
+        complaints = error.complaints if isinstance(error, TableError) else [("", str(error))]
+        for _, sentence in complaints:
             _say(sentence)
     elif isinstance(error, MemoryError):
         _say("this machine has too little memory: give less at once")
@@ -104,10 +104,10 @@ def _outcome(error: BaseException) -> int:
         about = f"{error.filename}: " if error.filename else ""
         _say(f"{about}{error.strerror or error}; all electrodes are off")
     else:
-        place = traceback.extract_tb(error.__traceback__)[-1]
+        frame = traceback.extract_tb(error.__traceback__)[-1]
         _say(
-            f"internal error, {type(error).__name__}: {error} ({place.filename}, line "
-            f"{place.lineno}); all electrodes are off"
+            f"internal error, {type(error).__name__}: {error} ({frame.filename}, line "
+            f"{frame.lineno}); all electrodes are off"
         )
         return 1
     return 2

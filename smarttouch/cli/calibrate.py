@@ -43,9 +43,9 @@ class CalibrationOptions(OptionGroup):
 
         if self.output is None:
             raise CalibrationError("give a file FILE.toml for what is measured")
-        usual = default_profile(board_url)
+        fallback = default_profile(board_url)
         return file_to_calibrate(
-            part, self.profile, usual, self.output, self.overwrite, simulated=simulated
+            part, self.profile, fallback, self.output, self.overwrite, simulated=simulated
         )
 
 
@@ -77,7 +77,7 @@ def finish(
     file.note(what, result)
     file.write(others)
     typer.echo(result)
-    typer.echo("written: " + ", ".join(str(each) for each in (*(others or {}), file.output)))
+    typer.echo("written: " + ", ".join(str(path) for path in (*(others or {}), file.output)))
 
 
 calibrate: Commands = Commands(
@@ -110,10 +110,10 @@ def optics(
     for asked in ("Cover the sensor: no light.", "Put it on blank white paper, in usual light."):
         _answer(f"{asked} Then press Enter")
         seen.append(sensor_optics.images_of(source, file.profile, _FRAMES, corrected=False))
-    found = sensor_optics.measure_optics(*seen)
+    flat_field = sensor_optics.measure_optics(*seen)
     field_file = file.beside("flat-field.npz")
     file.set("optics.flat_field", field_file.name)
-    finish(file, "optics", found.sentence(), others={field_file: found.field.to_bytes()})
+    finish(file, "optics", flat_field.sentence(), others={field_file: flat_field.field.to_bytes()})
 
 
 @calibrate.command()
@@ -130,13 +130,15 @@ def registration(
 
     output = calibration.output
     begun = str(output) if output is not None and output.exists() else DEFAULT_PROFILE
-    made = target_for(load_profile(calibration.profile or begun))
+    printed_target = target_for(load_profile(calibration.profile or begun))
     if target is not None:
         if target.exists() and not calibration.overwrite:
             message = f"{target} exists already: give another file, or add --overwrite"
             raise CalibrationError(message)
-        made.draw(target)
-        typer.echo(f"{target}: {made.side_mm:g} mm across; print it at 100 %, black on white.")
+        printed_target.draw(target)
+        typer.echo(
+            f"{target}: {printed_target.side_mm:g} mm across; print it at 100 %, black on white."
+        )
     if output is None and target is not None and source is None:
         return
     file = calibration.file("registration")
@@ -148,11 +150,13 @@ def registration(
     )
     mean = mean_image(images_of(source, file.profile, _FRAMES, corrected=True))
     image = mean.round().astype("uint8")
-    found = register(image, file.profile, made)
-    file.set("optics.homography", [float(f"{each:.12g}") for each in found.homography.ravel()])
-    file.set("optics.sensor_columns", found.shape[1])
-    file.set("optics.sensor_rows", found.shape[0])
-    finish(file, "registration", found.sentence())
+    registered = register(image, file.profile, printed_target)
+    file.set(
+        "optics.homography", [float(f"{number:.12g}") for number in registered.homography.ravel()]
+    )
+    file.set("optics.sensor_columns", registered.shape[1])
+    file.set("optics.sensor_rows", registered.shape[0])
+    finish(file, "registration", registered.sentence())
 
 
 @calibrate.command()
@@ -171,9 +175,9 @@ def force(
     file = calibration.file("force")
     if cell is None:
         raise CalibrationError("give --cell hx711:PORT or --cell loadcell:PORT")
-    found = fit_curve(weigh_on(cell, _weights_laid(), seconds), file.profile.force)
-    file.set("force.curve", found.curve)
-    finish(file, "force", found.sentence())
+    fitted = fit_curve(weigh_on(cell, _weights_laid(), seconds), file.profile.force)
+    file.set("force.curve", fitted.curve)
+    finish(file, "force", fitted.sentence())
 
 
 @calibrate.command()
@@ -226,16 +230,16 @@ def contact(
     simulated = board.startswith("emulator:")
     file = calibration.file("contact", simulated, board)
     chosen = file.profile
-    found = judge_contact(measure_contact(lambda: open_display(board, chosen).opened(), _REPEATS))
-    masked = found.masked(chosen)
-    still = sorted(set(chosen.output.masked) - set(found.broken))
+    judged = judge_contact(measure_contact(lambda: open_display(board, chosen).opened(), _REPEATS))
+    masked = judged.masked(chosen)
+    still = sorted(set(chosen.output.masked) - set(judged.broken))
     if still:
         typer.echo(f"Masked before, and still: {still}; if they are good, remove them by hand.")
     if masked != list(chosen.output.masked):
         typer.echo(f"Masked now: {masked}; kernels are designed without them at the next start.")
-    file.set("output.impedance_kohm", found.impedances(chosen))
+    file.set("output.impedance_kohm", judged.impedances(chosen))
     file.set("output.masked", masked)
-    finish(file, "contact", found.sentence(), simulated)
+    finish(file, "contact", judged.sentence(), simulated)
 
 
 @calibrate.command()

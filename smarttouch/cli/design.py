@@ -62,8 +62,8 @@ def design(
     if site is None:
         _print(kernel_tables.site_table(chosen, shown))
     else:
-        for each in shown:
-            _print(*kernel_tables.weight_table(chosen, each))
+        for kernel in shown:
+            _print(*kernel_tables.weight_table(chosen, kernel))
     if json_file is not None:
         write_json(json_file, kernel_tables.as_json(chosen, shown))
     if plot_file is not None:
@@ -179,7 +179,7 @@ def new(
         return
     table = grid_of(grid, pitch_mm) if grid else tables[0]
     title = table.stem if isinstance(table, Path) else str(table)
-    made = copied.profile.with_electrodes(table, f"{title}, else as {like}")
-    write_bytes(file, as_toml(made).encode(), ProfileError)
-    kind = made.output.kind
-    typer.echo(f"written: {file}, {len(made.electrodes)} electrodes, output.kind = {kind}")
+    changed = copied.profile.with_electrodes(table, f"{title}, else as {like}")
+    write_bytes(file, as_toml(changed).encode(), ProfileError)
+    kind = changed.output.kind
+    typer.echo(f"written: {file}, {len(changed.electrodes)} electrodes, output.kind = {kind}")

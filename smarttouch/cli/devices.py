@@ -38,14 +38,16 @@ def list_devices(context: typer.Context) -> None:
     from smarttouch.sources.camera import cameras
 
     # Built-in ports without hardware have no description.
-    ports = [each for each in list_ports.comports() if each.description != "n/a"]
+    ports = [
+        serial_port for serial_port in list_ports.comports() if serial_port.description != "n/a"
+    ]
     rows = sorted((port.device, port.description) for port in ports)
     rows += [(f"camera:{number}", name) for number, name in cameras()]
     if rows:
         print_table(rows, ("port", "what the system says of it"), left=2)
     else:
         typer.echo("No serial port and no camera.")
-    names = ", ".join(f"{each}:" for each in BOARDS.names)
+    names = ", ".join(f"{serial_port}:" for serial_port in BOARDS.names)
     typer.echo(
         f"\nDrivers: {names}. You choose which one fits what is plugged in, for example "
         "--board kajimoto61:/dev/ttyUSB0.\nWithout hardware: smarttouch devices emulate kajimoto61"
@@ -131,11 +133,11 @@ def clear(url: _Url, profile: ProfileOption = None) -> None:
     from smarttouch.running.display import open_display
 
     device = open_display(url, profile).board.device
-    found = clear_latch(device)
-    if found is None:
+    latch = clear_latch(device)
+    if latch is None:
         typer.echo(f"{url} is not latched.")
     else:
-        typer.echo(f"Cleared ({device}): {found}.")
+        typer.echo(f"Cleared ({device}): {latch}.")
 
 
 @devices.command()
@@ -145,17 +147,19 @@ def measure(url: _Url, profile: ProfileOption = None) -> None:
     from smarttouch.running.display import open_display
 
     with open_display(url, profile).opened() as board:
-        found = board.measure()
+        impedance = board.measure()
     rows = [
         (str(index), "-" if condition == "open" else f"{kohm:.1f}", condition.removeprefix("good"))
-        for index, (kohm, condition) in enumerate(zip(found.kohm, found.condition, strict=True))
+        for index, (kohm, condition) in enumerate(
+            zip(impedance.kohm, impedance.condition, strict=True)
+        )
     ]
     print_table(rows, ("electrode", "kohm", ""), left=3)
-    if found.lifted:
+    if impedance.lifted:
         typer.echo("No electrode touches anything: put the finger on, and measure again.")
-    elif found.broken:
+    elif impedance.broken:
         typer.echo("Open or shorted electrodes. To plan around them, in the profile:\n")
-        typer.echo(f"[output]\nmasked = {list(found.broken)}")
+        typer.echo(f"[output]\nmasked = {list(impedance.broken)}")
 
 
 @devices.command("test")

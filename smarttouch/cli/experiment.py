@@ -120,8 +120,8 @@ def _run_trials(
         choice_of("simulate", simulate, ("model", "random"))
     require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
     afferent = parse_afferent(mode)
-    usual = run.profile is None and run.load_profile().name == DEFAULT_PROFILE
-    if name == "frequency" and afferent is Afferent.RA and usual:
+    is_default = run.profile is None and run.load_profile().name == DEFAULT_PROFILE
+    if name == "frequency" and afferent is Afferent.RA and is_default:
         # The electrode of the paper's own experiment (III-C).
         run = replace(run, profile="concentric")
     setup = Setup(run.load_profile(), afferent, **options)
@@ -177,8 +177,8 @@ def _run_free(run: RunOptions, who: _Participant, mode: str, options: dict[str, 
     profile = raise_to_device_limits(run.load_profile())
     with bank_progress() as progress:
         offered = sorted(load_bank(profile, progress).weights)
-    first = choice_of("mode", mode, [each.name for each in offered])
-    classes = sorted(offered, key=lambda each: each.name != first)
+    first = choice_of("mode", mode, [offered_mode.name for offered_mode in offered])
+    classes = sorted(offered, key=lambda offered_mode: offered_mode.name != first)
     setup = Setup(profile, classes[0], **{"rate_hz": _FREE_HZ} | options)
     source = FreeSource(profile, classes, setup.place, setup.pulse_hz, reading_force_n(profile))
     source.url = "experiment:free"
@@ -213,33 +213,35 @@ def fit(
 
     if plot is not None:
         figure_style.require_drawable(plot)
-    found: list[tuple[AnswerTable, list[Finding]]] = []
+    fitted: list[tuple[AnswerTable, list[Finding]]] = []
     for path in files:
         table = read_table(path, x, y)
         if sum(each.stem == path.stem for each in files) > 1:
             table = replace(table, name=str(path))
         model = usual_model(table.answers, at=at)
-        found.append((table, [judge_answers(each, model) for each in table.answers]))
-    _print(found)
+        fitted.append((table, [judge_answers(each, model) for each in table.answers]))
+    _print(fitted)
     if json_file is not None:
-        write_json(json_file, {table.name: as_figures(findings) for table, findings in found})
+        write_json(json_file, {table.name: as_figures(findings) for table, findings in fitted})
     if plot is not None:
-        figure_style.save(discrimination_figure(found), plot)
+        figure_style.save(discrimination_figure(fitted), plot)
 
 
-def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
+def _print(fitted: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
     from smarttouch.experiments.findings import threshold_rows
 
     console = terminal.console(highlight=False)
-    for table, findings in found:
+    for table, findings in fitted:
         console.print(f"{table.name}{', ' * bool(table.unit)}{table.unit}", style="bold")
-        compares = any(each.answers.standard for each in findings)
-        heading, *rows = threshold_rows([each for each in findings if not each.verdict], compares)
+        compares = any(finding.answers.standard for finding in findings)
+        heading, *rows = threshold_rows(
+            [finding for finding in findings if not finding.verdict], compares
+        )
         if rows:
             terminal.print_table(rows, heading, left=0)
         if table.cut:
             console.print("the last line of the file is not whole, and is left out", style="dim")
-        for each in findings:
-            about = f"{each.answers.standard:g}: " if compares else ""
-            if each.verdict is not None:
-                console.print(f"{about}no threshold: {each.verdict}", soft_wrap=True)
+        for finding in findings:
+            about = f"{finding.answers.standard:g}: " if compares else ""
+            if finding.verdict is not None:
+                console.print(f"{about}no threshold: {finding.verdict}", soft_wrap=True)

@@ -62,9 +62,9 @@ def _show(run: RunOptions, url: str, mode: str | None) -> None:
     if run.is_watched:
         offered |= {"passes": 0, "speed_mm_s": READER_MM_S}
     taken = options_taken(url)
-    given = {name: value for name, value in offered.items() if name in taken}
+    accepted = {name: value for name, value in offered.items() if name in taken}
     dark, seed = bool(settings.get("light_on_dark")), settings.get("seed")
-    with open_source(url, chosen, light_on_dark=dark, seed=seed, **given) as opened:
+    with open_source(url, chosen, light_on_dark=dark, seed=seed, **accepted) as opened:
         if opened.pointer is not None and not run.window:
             raise SourceError("motion=page follows the pointer over the run's page: add --window")
         suits = {"mode": asked or "RA"} | dict(opened.settings)

@@ -57,13 +57,13 @@ def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
     """Let a command take the options of the groups among its parameters, each as one object."""
     taken: list[inspect.Parameter] = []
     groups: dict[str, tuple[Any, list[str]]] = {}
-    for each in inspect.signature(command).parameters.values():
-        if inspect.isclass(each.annotation) and issubclass(each.annotation, OptionGroup):
-            fields = [*inspect.signature(each.annotation).parameters.values()]
-            groups[each.name] = each.annotation, [field.name for field in fields]
+    for parameter in inspect.signature(command).parameters.values():
+        if inspect.isclass(parameter.annotation) and issubclass(parameter.annotation, OptionGroup):
+            fields = [*inspect.signature(parameter.annotation).parameters.values()]
+            groups[parameter.name] = parameter.annotation, [field.name for field in fields]
             taken += fields
         else:
-            taken.append(each.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+            taken.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
     def expanded(**given: Any) -> _T:
         for name, (group, names) in groups.items():
@@ -71,7 +71,7 @@ def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
         return command(**given)
 
     expanded.__name__, expanded.__doc__ = command.__name__, command.__doc__
-    expanded.__annotations__ = {each.name: each.annotation for each in taken}
+    expanded.__annotations__ = {parameter.name: parameter.annotation for parameter in taken}
     # Typer reads it; the type of a function has no such attribute.
     vars(expanded)["__signature__"] = inspect.Signature(taken)
     return expanded
@@ -83,16 +83,16 @@ def read_form(
     """Return a name, and the options of a function that follow it after ``?``."""
     from smarttouch.base.urls import options_of, read_options
 
-    name, given = read_options(form, text, error, but)
+    name, accepted = read_options(form, text, error, but)
     if "?" in name:
         known = ", ".join(sorted(options_of(form, but)))
         raise error(f"{name!r} has an option that there is not: choose {known}")
-    return name, given
+    return name, accepted
 
 
 def parse_mode(mode: str) -> Mode:
     """Return a mode by its name; only modes that images can drive."""
-    return choice_of("mode", mode, [each for each in Mode if each is not Mode.COLOR])
+    return choice_of("mode", mode, [known for known in Mode if known is not Mode.COLOR])
 
 
 def parse_afferent(mode: str) -> Afferent:
@@ -184,7 +184,7 @@ class RunOptions(OptionGroup):
     @property
     def files(self) -> list[Path]:
         """Files that a run writes."""
-        return [each for each in (self.felt, self.record, self.json_file) if each is not None]
+        return [path for path in (self.felt, self.record, self.json_file) if path is not None]
 
     @property
     def board_url(self) -> str:
@@ -233,13 +233,13 @@ class RunOptions(OptionGroup):
         """Return the settings of `RunConfig` that were given."""
         from smarttouch.running.config import RunConfig
 
-        texts = [each for each in self.set_ or () if each.partition("=")[0] not in _NOT_OF_CONFIG]
-        own = {"seconds": self.seconds, "intensity": self.intensity}
-        given = {name: value for name, value in own.items() if value is not None}
-        return given | RunConfig.read(texts)
+        texts = [text for text in self.set_ or () if text.partition("=")[0] not in _NOT_OF_CONFIG]
+        named = {"seconds": self.seconds, "intensity": self.intensity}
+        settings = {name: value for name, value in named.items() if value is not None}
+        return settings | RunConfig.read(texts)
 
     def _set(self, name: str) -> str | None:
-        parts = (each.partition("=") for each in self.set_ or ())
+        parts = (text.partition("=") for text in self.set_ or ())
         return next((value for key, _, value in parts if key == name), None)
 
     @property
@@ -250,8 +250,8 @@ class RunOptions(OptionGroup):
     def finger(self, usual: str = "branched", seed: int = 1) -> tuple[str, int]:
         """Return anatomy and seed of the simulated finger."""
         text = self._set("finger") or usual
-        anatomy, _, given = text.rpartition(":")
-        return (anatomy or usual, int(given)) if given.isdecimal() else (text, seed)
+        anatomy, _, seed_text = text.rpartition(":")
+        return (anatomy or usual, int(seed_text)) if seed_text.isdecimal() else (text, seed)
 
     def _outputs(self) -> "Iterator[Listener]":
         """Yield a listener for each output that is wanted."""
@@ -296,12 +296,12 @@ class RunOptions(OptionGroup):
 _NOT_OF_CONFIG = ("finger", "vibrators")  # of --set, and no settings of `RunConfig`
 
 
-def or_standard_input(ctx: typer.Context, given: str | None) -> str | None:
+def or_standard_input(ctx: typer.Context, value: str | None) -> str | None:
     """Return the value of an argument; for ``-``, a file with the content of standard input.
 
     It is removed when the command ends.
     """
-    return str(ctx.with_resource(_file_of_standard_input())) if given == "-" else given
+    return str(ctx.with_resource(_file_of_standard_input())) if value == "-" else value
 
 
 @contextmanager
@@ -330,8 +330,8 @@ class PlainGroup(TyperGroup):
         with formatter.section("Commands"):
             formatter.write_dl(
                 [
-                    (name, " ".join((each.help or "").split("\n\n")[0].split()))
-                    for name, each in self.commands.items()
+                    (name, " ".join((command.help or "").split("\n\n")[0].split()))
+                    for name, command in self.commands.items()
                 ]
             )
 

@@ -62,20 +62,23 @@ class DocumentOptions(OptionGroup):
         from smarttouch.reading.recognition import RecognitionOptions
 
         source = source.removeprefix("page:")
-        place, in_name = source, dict[str, Any]()
+        address, in_name = source, dict[str, Any]()
         if Path(source.rpartition("?")[0]).is_file():
-            place, in_name = read_options(RecognitionOptions, source, PageError, but=("password",))
-        if not place.startswith("text:") and named_file(place, BrailleError) is None:
-            place = f"text:{place}"
-        given = dict[str, Any]()
-        if self.languages is not None:
-            given["languages"] = "+".join(
-                _TESSERACT.get(each.partition("-")[0], each) for each in self.languages.split("+")
+            address, in_name = read_options(
+                RecognitionOptions, source, PageError, but=("password",)
             )
-        if not place.startswith("text:") and file_kind(Path(place)) is FileKind.PAGES:
-            given["password"] = password_of(Path(place), self.password_file)
-        given = joined_options(source, given, in_name, PageError)
-        return place, RecognitionOptions(**given)
+        if not address.startswith("text:") and named_file(address, BrailleError) is None:
+            address = f"text:{address}"
+        accepted = dict[str, Any]()
+        if self.languages is not None:
+            accepted["languages"] = "+".join(
+                _TESSERACT.get(language.partition("-")[0], language)
+                for language in self.languages.split("+")
+            )
+        if not address.startswith("text:") and file_kind(Path(address)) is FileKind.PAGES:
+            accepted["password"] = password_of(Path(address), self.password_file)
+        accepted = joined_options(source, accepted, in_name, PageError)
+        return address, RecognitionOptions(**accepted)
 
 
 TableOption = Annotated[
@@ -125,8 +128,8 @@ class FormOptions(OptionGroup):
         from smarttouch.reading.braille_lines import Braille
         from smarttouch.reading.letter_shapes import Shapes
 
-        text, given = read_form(_Form, self.kind or usual, ReadingError)
-        form = _Form(**given)
+        text, accepted = read_form(_Form, self.kind or usual, ReadingError)
+        form = _Form(**accepted)
         if choice_of("kind", text, ("shapes", "braille")) == "shapes":
             return Shapes(), form.speed_mm_s
         return Braille(table_of(form.table, language)), form.speed_mm_s
@@ -161,9 +164,9 @@ def read(
     from smarttouch.reading.material import ReadingMaterial
     from smarttouch.views.progress import first_line_awaited
 
-    own = run.load_profile()
-    chosen = profile_for_reading(own)
-    presentation, speed_mm_s = feel.presentation(own.defaults.read_as, document.languages)
+    run_profile = run.load_profile()
+    chosen = profile_for_reading(run_profile)
+    presentation, speed_mm_s = feel.presentation(run_profile.defaults.read_as, document.languages)
     motion = presentation.motion(chosen, speed_mm_s, run.settings().get("rate_hz"))
     notes: list[str] = []
     text = ReadingMaterial(*document.recognition(source), notes.append)
@@ -183,8 +186,8 @@ def _at_level(config: "RunConfig", shown: object, on_a_finger: bool) -> "RunConf
     from smarttouch.base.afferent import Mode
     from smarttouch.reading.letter_shapes import UNKNOWN_LEVEL, Shapes
 
-    given = config.intensity is not None or on_a_finger or config.mode is not Mode.RA
-    if given or not isinstance(shown, Shapes):
+    is_chosen = config.intensity is not None or on_a_finger or config.mode is not Mode.RA
+    if is_chosen or not isinstance(shown, Shapes):
         return config
     return config.model_copy(update={"intensity": UNKNOWN_LEVEL})
 
@@ -239,9 +242,9 @@ def braille(
         say(code.note)
     cells = document_cells(material, code, say)
     if back:
-        given = "\n".join(cells.paragraphs)
-        text = code.to_text(given)
-        if doubt := code.doubt(given, text):
+        content = "\n".join(cells.paragraphs)
+        text = code.to_text(content)
+        if doubt := code.doubt(content, text):
             say(doubt)
         print(text)
     elif output is None:

@@ -71,16 +71,16 @@ def simulate_page(
     )  # fmt: skip
     true_text = text.words if truth is None else read_plain_text(truth)
     with progress() as advance:
-        found = legibility_of_shapes(text, reading, true_text, advance)
+        legibility = legibility_of_shapes(text, reading, true_text, advance)
     if json_file is not None:
         about = {"source": source, "profile": chosen.name, "rows": rows_of(chosen), "notes": notes}
-        write_json(json_file, about | vars(found))
+        write_json(json_file, about | vars(legibility))
     print_table([
-        ("characters", str(len(found.truth))), ("lines", str(found.lines)),
-        ("error rate, page", "-" if true_text is None else f"{found.page_error_rate:.3f}"),
-        ("error rate, delivered", f"{found.character_error_rate:.3f}"),
+        ("characters", str(len(legibility.truth))), ("lines", str(legibility.lines)),
+        ("error rate, page", "-" if true_text is None else f"{legibility.page_error_rate:.3f}"),
+        ("error rate, delivered", f"{legibility.character_error_rate:.3f}"),
     ], left=2)  # fmt: skip
-    typer.echo(f"\nWhat was read from the delivered pulses:\n{found.text}")
+    typer.echo(f"\nWhat was read from the delivered pulses:\n{legibility.text}")
     for note in notes:
         typer.echo(note, err=True)
 

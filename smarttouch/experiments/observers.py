@@ -117,9 +117,9 @@ class Response:
     def hz(self) -> float:
         """Frequency of the RA afferent that fires most, or else the PC; 0 with a spike or none."""
         for afferent in (Afferent.RA, Afferent.PC):
-            own = np.where(self.finger.classes == afferent, self.counts, 0)
-            if own.max(initial=0) > 1:
-                fired_s = self.time_s[self.fired[own.argmax()]]
+            class_counts = np.where(self.finger.classes == afferent, self.counts, 0)
+            if class_counts.max(initial=0) > 1:
+                fired_s = self.time_s[self.fired[class_counts.argmax()]]
                 apart_s = np.diff(fired_s)
                 return float(1 / np.median(apart_s))
         return 0.0
@@ -133,8 +133,11 @@ class Response:
         """
         anatomy = self.finger.anatomy
         ra, pc = (
-            float(self.counts[self.finger.classes == each].sum() / anatomy.of(each).density_per_cm2)
-            for each in (Afferent.RA, Afferent.PC)
+            float(
+                self.counts[self.finger.classes == afferent].sum()
+                / anatomy.of(afferent).density_per_cm2
+            )
+            for afferent in (Afferent.RA, Afferent.PC)
         )
         if ra == 0:
             return math.inf if pc else 0.0
@@ -263,7 +266,7 @@ class SimulatedObserver:
 
     def _softer(self, intervals: Sequence[Interval]) -> str | None:
         """Return where the rate changes least while the finger moves (paper, Section III-B.2)."""
-        changes = [float(np.ptp(np.diff(each.time_s))) for each in intervals]
+        changes = [float(np.ptp(np.diff(interval.time_s))) for interval in intervals]
         return None if math.isclose(*changes, abs_tol=1e-3) else str(1 + int(np.argmin(changes)))
 
     def _larger(self, values: NDArray[np.float64], spread: float) -> str:
@@ -295,7 +298,9 @@ def interval_of(pulses: Pulses, starts: Starts) -> Interval:
     mine = np.isin(number, list(starts))
     number, width_us, current_ua = number[mine], width_us[mine], current_ua[mine]
     begin_ns = min((time_ns for time_ns, _ in starts.values()), default=0)
-    at = np.array([starts[each] for each in number.tolist()], np.int64).reshape(-1, 2)
+    at = np.array(
+        [starts[sequence_number] for sequence_number in number.tolist()], np.int64
+    ).reshape(-1, 2)
     taken_us = width_us.astype(np.float64) + at[:, 1]
     before_us = np.cumsum(taken_us) - taken_us
     first = np.flatnonzero(np.diff(number.astype(np.int64), prepend=-1))

@@ -51,7 +51,7 @@ class Output(Table):
     def _misfits(self) -> Iterator[UnfitError]:
         for key, values in (("masked", self.masked), ("wiring", self.wiring or ())):
             if len(set(values)) < len(values):
-                twice = next(each for each in values if values.count(each) > 1)
+                twice = next(value for value in values if values.count(value) > 1)
                 yield UnfitError(
                     f"output.{key} lists {twice} more than once: give each once",
                     key=f"output.{key}",

@@ -93,7 +93,9 @@ class ElectrodeArray:
         """Electrodes of each shape and size, in order of the first of each."""
         every = self.own or ((self.shape, self.size_mm),) * len(self)
         return {
-            kind: np.array([index for index, each in enumerate(every) if each == kind], np.intp)
+            kind: np.array(
+                [index for index, other_kind in enumerate(every) if other_kind == kind], np.intp
+            )
             for kind in dict.fromkeys(every)
         }
 
@@ -255,10 +257,10 @@ class FreeLayout(Table):
     def _misfits(self) -> Iterator[UnfitError]:
         yield from _unsized(self.shape, self.size_mm, "size_mm")
         count = len(self.positions_mm)
-        given = {"shapes": self.shapes, "sizes_mm": self.sizes_mm}
+        lists = {"shapes": self.shapes, "sizes_mm": self.sizes_mm}
         if self.shapes is None and self.sizes_mm is None:
             return
-        for key, values in given.items():
+        for key, values in lists.items():
             if len(values or ()) != count:
                 yield UnfitError(
                     f"array.{key} lists {len(values or ())} of {count} electrodes: give one for "
@@ -274,17 +276,19 @@ class FreeLayout(Table):
         if len(position):
             position -= (position.max(axis=0) + position.min(axis=0)) / 2
         apart = np.linalg.norm(position[:, None] - position[None], axis=2)
-        own, shape, size_mm = None, self.shape, self.size_mm
+        own_shapes, shape, size_mm = None, self.shape, self.size_mm
         if self.shapes is not None and self.sizes_mm is not None:
-            own = tuple(zip(self.shapes, self.sizes_mm, strict=True))
+            own_shapes = tuple(zip(self.shapes, self.sizes_mm, strict=True))
             # A ring is as far away as its middle line.
-            line = [sum(size) / 4 if each == "annulus" else 0.0 for each, size in own]
+            line = [
+                sum(size) / 4 if shape_name == "annulus" else 0.0 for shape_name, size in own_shapes
+            ]
             apart = np.maximum(apart, np.abs(np.subtract.outer(line, line)))
-            shape, size_mm = own[0]
+            shape, size_mm = own_shapes[0]
         np.fill_diagonal(apart, np.inf)
         # Most electrodes' distance to their neighbor: one close pair must not set it for all.
         pitch = float(np.median(apart.min(axis=1))) if len(position) > 1 else 1.0
-        array = ElectrodeArray(position, (pitch, pitch), pitch, shape, size_mm, own)
+        array = ElectrodeArray(position, (pitch, pitch), pitch, shape, size_mm, own_shapes)
         array.refuse_overlaps()
         return array
 
@@ -342,15 +346,15 @@ def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
     if numbers.shape[1] == 3:
         sizes = [(size, 0.0) for size in numbers[:, 2].tolist()]
         layout |= {"shapes": ["disc"] * len(numbers), "sizes_mm": sizes}
-    made = _checked(FreeLayout, path, layout)
-    made.build()
-    return made
+    checked = _checked(FreeLayout, path, layout)
+    checked.build()
+    return checked
 
 
 def grid_of(size: str, pitch_mm: float, diameter_mm: float = 1.0) -> GridLayout:
     """Return a grid of discs, of a size like ``5x5``: rows and columns."""
-    found = re.fullmatch(r"(\d+)x(\d+)", size)
-    if found is None:
+    match = re.fullmatch(r"(\d+)x(\d+)", size)
+    if match is None:
         raise ProfileError(
             f"{size!r} is not a grid size: give rows and columns, for example 5x5", key="grid"
         )
@@ -361,7 +365,7 @@ def grid_of(size: str, pitch_mm: float, diameter_mm: float = 1.0) -> GridLayout:
             key="diameter_mm",
         )
     pitches = {"pitch_x_mm": pitch_mm, "pitch_y_mm": pitch_mm, "diameter_mm": diameter_mm}
-    layout = {"layout": "grid", "rows": found[1], "columns": found[2], **pitches}
+    layout = {"layout": "grid", "rows": match[1], "columns": match[2], **pitches}
     return _checked(GridLayout, "the grid", layout)
 
 

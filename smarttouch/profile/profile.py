@@ -206,8 +206,8 @@ class Profile(Table):
     @property
     def shares(self) -> bool:
         """True if the profile allows points to share a slot."""
-        given = self.limits.total_ma is not None
-        return given if self.frames.share is None else self.frames.share
+        has_total = self.limits.total_ma is not None
+        return has_total if self.frames.share is None else self.frames.share
 
     @property
     def total_ma(self) -> float:
@@ -348,18 +348,22 @@ def require_driven(
     """Return the electrodes that a list such as ``0-7,12`` or numbers name, each once, ascending;
     raise the error unless all are there and not masked."""
     if isinstance(sites, str):
-        found = [_RANGE.fullmatch(part.strip()) for part in sites.split(",")]
-        if None in found:
+        matches = [_RANGE.fullmatch(part.strip()) for part in sites.split(",")]
+        if None in matches:
             raise error(f"{about} {sites!r} are no list: give numbers and ranges like 0-7,12")
-        ranges = [(int(each[1]), int(each[2] or each[1])) for each in found if each]
+        ranges = [(int(match[1]), int(match[2] or match[1])) for match in matches if match]
     else:
-        ranges = [(each, each) for each in sites]
+        ranges = [(site, site) for site in sites]
     if not ranges:
         raise error(f"no {about} is named: choose at least one")
     count, masked = len(profile.electrodes), sorted(profile.output.masked)
     for low, high in ranges:
         there = 0 <= low <= high < count
-        bad = [each for each in masked if low <= each <= high] if there else [low]
+        bad = (
+            [masked_site for masked_site in masked if low <= masked_site <= high]
+            if there
+            else [low]
+        )
         if bad:
             named = f"{low}-{high}" if high != low and not there else f"{bad[0]}"
             without = f" without {', '.join(map(str, masked))}" if masked else ""
@@ -391,7 +395,7 @@ def stricter(own: Profile, other: Profile) -> Profile:
     for key in _UPPER:
         limits[key] = min(limits[key], getattr(other.limits, key))
     limits["ramp_s"] = max(limits["ramp_s"], other.limits.ramp_s)
-    total_ma = min(each.limits.total_ma or CEILING_TOTAL_MA for each in (own, other))
+    total_ma = min(candidate.limits.total_ma or CEILING_TOTAL_MA for candidate in (own, other))
     if total_ma < (own.limits.total_ma or CEILING_TOTAL_MA):
         limits["total_ma"] = total_ma
     pulse = own.pulse.model_dump()

@@ -30,9 +30,9 @@ class AllUnfitError(ValueError):
 
 def raise_all(errors: Iterable[UnfitError]) -> None:
     """Raise all errors together, if there are any."""
-    found = tuple(errors)
-    if found:
-        raise AllUnfitError(found)
+    complaints = tuple(errors)
+    if complaints:
+        raise AllUnfitError(complaints)
 
 
 def _require_sensible(value: float) -> float:
@@ -60,8 +60,8 @@ class Table(BaseModel):
         """Return a copy with other values, checked as those of a file are."""
         if not update:
             return super().model_copy(deep=deep)
-        kept = {name: getattr(self, name) for name in self.model_fields_set}
-        return self.model_validate(kept | dict(update))
+        set_fields = {name: getattr(self, name) for name in self.model_fields_set}
+        return self.model_validate(set_fields | dict(update))
 
 
 _LAYOUTS = ("grid", "hexagon-61", "lines", "free")
@@ -88,37 +88,37 @@ def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
 
 def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
     """Return the error that lists all that is wrong in a file."""
-    found = [*_complaints(error)]
-    sentences = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
-    if len(found) > len(sentences):
-        sentences.append(f"and {len(found) - len(sentences)} more")
-    complaints = [(each["key"], f"{name}: {words}") for words, each in found]
-    return kind(f"{name}: {'; '.join(sentences)}", complaints=complaints, **found[0][1])
+    details = [*_complaints(error)]
+    sentences = [words for words, _ in details[:_MOST_IN_A_SENTENCE]]
+    if len(details) > len(sentences):
+        sentences.append(f"and {len(details) - len(sentences)} more")
+    complaints = [(detail["key"], f"{name}: {words}") for words, detail in details]
+    return kind(f"{name}: {'; '.join(sentences)}", complaints=complaints, **details[0][1])
 
 
 def _complaints(error: ValidationError) -> Iterator[Found]:
-    keyed = [(_key(each), each) for each in error.errors()]
-    for index, (key, each) in enumerate(keyed):
+    keyed = [(_key(detail), detail) for detail in error.errors()]
+    for index, (key, detail) in enumerate(keyed):
         before = any(key == other for other, _ in keyed[:index])
         deeper = any(other.startswith(f"{key}.") for other, _ in keyed)
-        if before or (each["type"] in _NOT_OF_KIND and deeper):
+        if before or (detail["type"] in _NOT_OF_KIND and deeper):
             continue
-        unfit = each.get("ctx", {}).get("error")
+        unfit = detail.get("ctx", {}).get("error")
         if isinstance(unfit, AllUnfitError):
             for one in unfit.errors:
                 yield str(one), {"key": key} | one.attributes
         else:
-            yield _in_words(key, each), {"key": key} | getattr(unfit, "attributes", {})
+            yield _in_words(key, detail), {"key": key} | getattr(unfit, "attributes", {})
 
 
 def _key(error: Mapping[str, Any]) -> str:
     parts = [str(part) for part in error["loc"] if part not in (*_LAYOUTS, *_WHOLE_KINDS)]
-    key = ".".join(each for each in parts if not each.startswith(_KINDS))
+    key = ".".join(key_part for key_part in parts if not key_part.startswith(_KINDS))
     return f"{key}.layout" if error["type"].startswith("union_tag") else key
 
 
 def _in_words(key: str, error: Mapping[str, Any]) -> str:
-    kind, given = error["type"], error["input"]
+    kind, entered = error["type"], error["input"]
     words = error["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"unknown key {key!r}: remove it or correct its spelling"
@@ -126,6 +126,6 @@ def _in_words(key: str, error: Mapping[str, Any]) -> str:
         return f"key {key!r} is missing: add it (any shipped profile shows how)"
     if kind == "union_tag_invalid":
         return f"{key} = {repr(error['ctx']['tag'])[:60]}: choose one of {', '.join(_LAYOUTS)}"
-    if isinstance(given, dict) and key:
+    if isinstance(entered, dict) and key:
         return f"{key}: {words}"
-    return f"{key} = {repr(given)[:60]}: {words}" if key else words
+    return f"{key} = {repr(entered)[:60]}: {words}" if key else words

@@ -61,14 +61,14 @@ class Deframer:
         # A block that has not come whole ends here; a zero follows one that has.
         zero = b"\0" if at + data[at] == len(data) and data[at] < 0xFF else b""
         data[at] = len(data) - at
-        found = bytes(cobs.decode(bytes(data))) + zero
-        return found[:count] if len(found) >= count else None
+        decoded = bytes(cobs.decode(bytes(data))) + zero
+        return decoded[:count] if len(decoded) >= count else None
 
     def feed(self, data: bytes) -> list[WirePacket]:
         """Return every packet completed by these bytes."""
-        *whole, rest = data.split(b"\0")
+        *complete, rest = data.split(b"\0")
         packets = []
-        for piece in whole:
+        for piece in complete:
             coded = bytes(self._waiting) + piece
             self._waiting.clear()
             skipped, self._skipping = self._skipping, False
