@@ -251,16 +251,16 @@ class SimulatedObserver:
         return bool(self._random.random() < chance)
 
     def _faster(self, intervals: Sequence[Interval]) -> str | None:
-        felt = [self._nerve.of(each) for each in intervals]
-        if any(each.hz == 0 for each in felt):
+        felt = [self._nerve.of(interval) for interval in intervals]
+        if any(response.hz == 0 for response in felt):
             return None
-        perceived = np.log([perceived_hz(each.hz, each.ratio) for each in felt])
+        perceived = np.log([perceived_hz(response.hz, response.ratio) for response in felt])
         return self._larger(perceived, SPREAD)
 
     def _side(self, intervals: Sequence[Interval]) -> str | None:
         """Return the side of the second point from the first."""
-        at_mm = [self._nerve.of(each).center_mm[0] for each in intervals]
-        if any(math.isnan(each) for each in at_mm):
+        at_mm = [self._nerve.of(interval).center_mm[0] for interval in intervals]
+        if any(math.isnan(x_mm) for x_mm in at_mm):
             return None
         return "l" if self._larger(np.array(at_mm), self.place_mm) == "1" else "r"
 
