@@ -86,7 +86,7 @@ class Document(Closing):
     def page(self, index: int) -> Page:
         """Return a page by its index from 0."""
         if not 0 <= index < len(self):
-            raise PageError(f"{self.path} has {len(self)} pages, there is no page {index + 1}")
+            raise PageError(f"{self.path} has pages 1 to {len(self)}, not page {index + 1}")
         if self._pdf is None:
             return self._image_page(index)
         import pypdfium2
@@ -186,7 +186,7 @@ def parse_pages(text: str, count: int) -> list[int]:
         last = int(match[3] or count) if match and match[2] else first
         if not 1 <= first <= last <= count:
             raise PageError(
-                f"pages {text}: {part.strip()!r} is not one or some of pages 1 to {count}: "
+                f"pages {text}: the document has pages 1 to {count}, not {part.strip()!r}: "
                 "write 1,3-5 or 7-"
             )
         indexes += range(first - 1, last)

@@ -98,7 +98,7 @@ def test_without_tesseract_the_error_says_how_to_install_it(program_here, page_f
     ("text:hi --profile line-7", says(ReadingError, "line-7", " 1 row ", " 4:")),
     ("text:hi --as braille --profile line-8", says(ReadingError, "line-8", " 1 x 8 ", " 3 x 3:")),
     ("text:hi --pause -1", says(ReadingError, value=-1, allowed=(0, 3600))),
-    ("page.png?pages=3", says(PageError, " 1 page", value=3)),
+    ("page.png?pages=3", says(PageError, "pages 1 to 1", value=3)),
 ])  # fmt: skip
 def test_bad_input_is_one_sentence(program_here, page_file, arguments, wrong):
     wrong(refused(program_here(f"read {arguments} --board simulated:")))
