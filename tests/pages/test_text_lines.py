@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from skimage import data
 
 from smarttouch.pages.page_image import Page, TextLine
+from smarttouch.pages.prepared_page import prepare_page
 from smarttouch.pages.text_lines import find_lines
 
 from .printed import Printed, degrade, print_page, some_lines
@@ -55,22 +56,33 @@ def test_all_lines_are_found_in_order_and_in_place(case, columns):
     assert_found(photo, find_lines(photo.page, None))
 
 
-@pytest.mark.parametrize("font", ["DejaVuSans", "DejaVuSerif-Italic", "DejaVuSansMono"])
-@pytest.mark.parametrize(("size_pt", "dpi"), [(10, 85), (14, 200), (40, 100)])
-def test_fonts_and_sizes(font, size_pt, dpi):
-    page = print_page(some_lines(8, 24), size_pt=size_pt, dpi=dpi, font=font)
-    assert_found(page, find_lines(page.page))
+PRINT = {
+    "sans of 12 px": (some_lines(8, 24), {"size_pt": 10, "dpi": 85, "font": "DejaVuSans"}, {}),
+    "italics": (some_lines(8, 24), {"size_pt": 14, "dpi": 200, "font": "DejaVuSerif-Italic"}, {}),
+    "large mono": (some_lines(8, 24), {"size_pt": 40, "dpi": 100, "font": "DejaVuSansMono"}, {}),
+    "six pixels that run together": (some_lines(12, 40), {"dpi": 72}, {"blur_px": 0.9}),
+    "touching, skew": (some_lines(14, 40), {"size_pt": 10, "dpi": 85}, {"skew_deg": 3}),
+    "touching, far": (some_lines(14, 40), {"size_pt": 10, "dpi": 85}, {"perspective": 0.15}),
+    "touching, blur": (some_lines(14, 40), {"size_pt": 10, "dpi": 85}, {"blur_px": 0.7}),
+    "dashes": (['He said — "well" … then', "went on - quietly", "... and so, etc."], {}, {}),
+    "a list": (["• a point in a list", "– and another one", "x", "5", "II."], {}, {}),
+    "capitals": (["A TITLE IN CAPITALS", "and words under it that are", "1984", "MORE"], {}, {}),
+    "code": ([">>> a = markers(b)", "if x == y - 1: return", "a = 5"], {}, {}),
+    "accents": (["Été à Évian, où naïve Ångström", "Straße, größer, übel, ÄÖÜ"], {}, {}),
+    "a word": (["word"], {}, {}),
+    "commas aslant": (
+        ["fat, flour; salt, pan, stock", "neck, wings; liver, heart, and", "so on, then, at last;"],
+        {"size_pt": 14, "dpi": 200}, {"skew_deg": -3},
+    ),
+}  # fmt: skip
+"""Lines, how they are printed if not in 12 points at 150 dpi, and how mistreated."""
 
 
-def test_print_of_six_pixels_that_runs_together():
-    page = degrade(print_page(some_lines(12, 40), size_pt=12, dpi=72), blur_px=0.9)
+@pytest.mark.parametrize("case", PRINT)
+def test_lines_of_any_print_stay_whole(case):
+    lines, kind, harm = PRINT[case]
+    page = degrade(print_page(lines, **{"size_pt": 12, "dpi": 150} | kind), **harm)
     assert_found(page, find_lines(page.page), most=0.25)
-
-
-@pytest.mark.parametrize("case", [{"skew_deg": 3}, {"perspective": 0.15}, {"blur_px": 0.7}])
-def test_lines_whose_letters_touch_are_kept_apart(case):
-    page = degrade(print_page(some_lines(14, 40), size_pt=10, dpi=85), **case)
-    assert_found(page, find_lines(page.page))
 
 
 @pytest.mark.parametrize("mm_per_pixel", [0.01, 0.3, 2.0])
@@ -82,19 +94,6 @@ def test_the_scale_of_the_page_is_not_believed(mm_per_pixel):
     assert [line.left_mm * ratio for line in usual] == pytest.approx(
         [line.left_mm for line in scaled]
     )
-
-
-@pytest.mark.parametrize("lines", [
-    ['He said — "well" … and then', "went on - quietly - to say", "... and so on, etc. ..."],
-    ["• a point in a list", "– and another one", "x", "5", "II."],
-    ["A TITLE IN CAPITALS", "and words under it that are", "1984", "MORE"],
-    [">>> a = markers(b)", "if x == y - 1: return", "a = 5"],
-    ["Été à Évian, où naïve Ångström", "Straße, größer, übel, ÄÖÜ"],
-    ["word"],
-])  # fmt: skip
-def test_marks_and_short_lines_stay_whole(lines):
-    page = print_page(lines, size_pt=12, dpi=150)
-    assert_found(page, find_lines(page.page))
 
 
 def test_lines_of_one_print_have_one_height():
@@ -190,13 +189,11 @@ def test_no_picture_is_too_strange(seed, height, width):
 
 def test_a_baseline_goes_straight_on_beyond_the_ends():
     line = TextLine(10.0, 20.0, (5.0, 0.1, 0.01), 2.0, 3.0, 1.0)
-    assert line.baseline_mm(np.array([8.0, 10.0, 15.0, 20.0, 22.0])) == pytest.approx(
-        [4.8, 5.0, 5.75, 7.0, 7.6]
-    )
+    x = np.array([8.0, 10.0, 15.0, 20.0, 22.0])
+    assert line.baseline_mm(x) == pytest.approx([4.8, 5.0, 5.75, 7.0, 7.6])
     assert line.slope(np.array([0.0, 15.0, 30.0])) == pytest.approx([0.1, 0.2, 0.3])
     middle = np.mean(line.baseline_mm(np.linspace(10, 20, 10_001)))
-    assert line.top_mm == pytest.approx(middle - 3, abs=1e-3)
-    assert line.bottom_mm == pytest.approx(middle + 1, abs=1e-3)
+    assert (line.top_mm, line.bottom_mm) == pytest.approx((middle - 3, middle + 1), abs=1e-3)
 
 
 def test_columns_parted_by_a_rule_are_read_one_after_the_other():
@@ -214,17 +211,6 @@ def test_columns_parted_by_a_rule_are_read_one_after_the_other():
         for k, line in enumerate(page.lines)
     ]
     assert_found(Printed(Page(grey, 1 / per_mm), tuple(lines)), find_lines(Page(grey, 1 / per_mm)))
-
-
-@pytest.mark.parametrize("skew_deg", [-3, -1.5, 1.5])
-def test_commas_and_semicolons_do_not_part_a_tilted_line(skew_deg):
-    lines = [
-        "fat, flour; salt, pan, stock",
-        "neck, wings; liver, heart, and",
-        "so on, then, at last;",
-    ]
-    page = degrade(print_page(lines, size_pt=14, dpi=200), skew_deg=skew_deg)
-    assert_found(page, find_lines(page.page))
 
 
 @pytest.mark.parametrize("x_height_px", [3.0, 4.0])
@@ -281,3 +267,37 @@ def test_underlined_words_stay_in_their_line(below_px):
         y = round(line.baseline_mm[0, 1] * per_mm) + below_px
         grey[y, round(start) : round(start + 0.25 * (last - first))] = 30
     assert_found(page, find_lines(Page(grey, page.page.mm_per_pixel)))
+
+
+@pytest.fixture(scope="module")
+def panel():
+    """Return a page with a dark panel of three lines in the middle, and where it is."""
+    printed = print_page(some_lines(11, 40), size_pt=11, dpi=150)
+    grey = printed.page.grey.copy()
+    y = [round(line.baseline_mm[0, 1] / printed.page.mm_per_pixel) for line in printed.lines]
+    box = np.s_[y[3] + 9 : y[6] + 9, 50:-50]
+    grey[box] = 260 - grey[box].astype(int)
+    return Page(grey, printed.page.mm_per_pixel), box
+
+
+@pytest.mark.parametrize("light_on_dark", [False, True])
+def test_lines_of_either_polarity_are_found(panel, light_on_dark):
+    page, _ = panel
+    grey = 255 - page.grey if light_on_dark else page.grey
+    assert len(find_lines(Page(grey, page.mm_per_pixel), light_on_dark)) == 11
+
+
+def test_a_panel_becomes_dark_on_light(panel):
+    page, box = panel
+    prepared = prepare_page(page)
+    assert np.mean(prepared.cleaned[box] > 200) > 0.7
+    strips = [prepared.strip(index, 32) for index in range(11)]
+    assert all(np.mean(strip < 128) < 0.4 for strip in strips)
+
+
+@pytest.mark.parametrize("size", [3, 8])
+def test_large_letters_are_no_panels(size):
+    grey = np.full((500, 1600), 235, np.uint8)
+    cv2.putText(grey, "BOB8%", (30, 300), cv2.FONT_HERSHEY_SIMPLEX, size, 20, 8 * size)
+    cleaned = prepare_page(Page(grey, 0.1)).cleaned
+    assert (cleaned[grey == 20] < 100).all()
