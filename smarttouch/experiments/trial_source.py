@@ -223,7 +223,8 @@ class TrialSource(Program):
         self._starts = None
         self.wait(SILENT_US / 1e6)
         response = found if isinstance(found, str) else ""
-        return self._answer(trial, response, None, shown.current_ma, found)
+        answer = self._answer(trial, response, None)
+        return replace(answer, reached=shown.current_ma, found=found)
 
     def _wait_for_force(self) -> float:
         """Wait until a current can follow the keys; return 0."""
@@ -268,18 +269,9 @@ class TrialSource(Program):
         key, pressed_ns = self._pressed.popleft()
         return self._answer(trial, trial.answers[key], max(0, pressed_ns - asked_ns) / 1e9)
 
-    def _answer(
-        self,
-        trial: Trial,
-        response: str,
-        rt_s: float | None,
-        reached: float | None = None,
-        found: object = None,
-    ) -> Answer:
+    def _answer(self, trial: Trial, response: str, rt_s: float | None) -> Answer:
         success = response == trial.success if response else None
-        return Answer(
-            response, success, rt_s, self.now_ns / 1e9, self.user_level, reached, found
-        )  # fmt: skip
+        return Answer(response, success, rt_s, self.now_ns / 1e9, self.user_level)
 
     @property
     def _missing(self) -> str:
