@@ -3,9 +3,7 @@
 from fractions import Fraction
 
 import numpy as np
-import pytest
 
-from smarttouch.base.errors import SafetyError
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from .bounds import NS, Bounds
@@ -34,31 +32,3 @@ def sequence(rows, *, width=100, discharge=50, period=20_000, intensity=1.0, tim
 def pair(first, count=1):
     """Slots in which one electrode drives, and another returns."""
     return [[first, -first, 0, 0]] * count
-
-
-def pulses(
-    slots,
-    *,
-    current_ua=2400,
-    width_us=200,
-    discharge_us=20,
-    period_us=20_000,
-    time_ns=NS,
-    twin=False,
-):
-    """One electrode against its neighbor, slot after slot; each other one reversed if twin."""
-    current = np.zeros((slots, 64), np.int16)
-    current[:, 27], current[:, 28] = current_ua, -current_ua
-    if twin:
-        current[1::2] *= -1
-    column = np.ones(slots, np.uint16)
-    return ScanSequence(
-        current, column * width_us, column * discharge_us, column * 27, period_us, 1.0, time_ns
-    )
-
-
-def refused(gate, sequence, times=1):
-    """Return the limit that a sequence breaks."""
-    with pytest.raises(SafetyError) as error:
-        gate.prove(sequence, times)
-    return error.value.limit
