@@ -137,24 +137,24 @@ def _again(recorded: RecordedStep, pipeline: Pipeline) -> ScanSequence:
         pipeline.change_mode(step.mode)
     if step.restarted:
         pipeline.restart_softly()
-    made = pipeline.process(step.input, step.level, step.allowed, step.observed).sequence
+    again = pipeline.process(step.input, step.level, step.allowed, step.observed).sequence
     if recorded.sent.number is None:
-        pipeline.regulator.take_back(made)
-    return made
+        pipeline.regulator.take_back(again)
+    return again
 
 
 def _differences(recorded: RecordedStep, was: ScanSequence, now: ScanSequence) -> Iterator[str]:
     """Yield a sentence for each number that differs."""
-    given = recorded.step.input
+    seen = recorded.step.input
     for name in _COMPARED:
-        old, new = (_values(each, name) for each in (was, now))
+        old, new = (_values(sequence, name) for sequence in (was, now))
         if old.shape != new.shape:
             # Slots that moved would differ in everything.
             return
-        for place in np.argwhere(old != new).tolist():
-            one, other = (values[tuple(place)].item() for values in (old, new))
+        for index in np.argwhere(old != new).tolist():
+            one, other = (values[tuple(index)].item() for values in (old, new))
             yield (
-                f"frame {given.number} at {given.time_ns / 1e9:.3f} s: {name}{place or ''} "
+                f"frame {seen.number} at {seen.time_ns / 1e9:.3f} s: {name}{index or ''} "
                 f"{one!r} recorded, {other!r} now"
             )
 

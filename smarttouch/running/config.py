@@ -101,27 +101,27 @@ class RunConfig(Table):
     def _possible(cls, value: float | None, info: ValidationInfo) -> float | None:
         if value is not None:
             endless = info.field_name == "seconds"
-            most = math.inf if endless else 1
-            require_within(SmartTouchError, str(info.field_name), value, 0, most, above=endless)
+            largest = math.inf if endless else 1
+            require_within(SmartTouchError, str(info.field_name), value, 0, largest, above=endless)
         return value
 
     @model_validator(mode="wrap")
     @classmethod
-    def _in_a_sentence(cls, given: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+    def _in_a_sentence(cls, settings: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         try:
-            return handler(given)
+            return handler(settings)
         except ValidationError as error:
             raise table_error(TableError, "settings of a run", error) from None
 
     @classmethod
     def read(cls, texts: Iterable[str]) -> dict[str, Any]:
         """Return the settings in texts such as ``softness=0.5``; a name alone switches one on."""
-        given = {}
+        settings = {}
         for text in texts:
             name, mark, value = text.partition("=")
-            given[choice_of("set", name, cls.model_fields)] = value if mark else "yes"
-        config = cls(**given)
-        return {name: getattr(config, name) for name in given}
+            settings[choice_of("set", name, cls.model_fields)] = value if mark else "yes"
+        config = cls(**settings)
+        return {name: getattr(config, name) for name in settings}
 
     def sharing(self, profile: Profile) -> SlotPolicy:
         """Return the classes whose points share slots.

@@ -167,10 +167,10 @@ def open_display(
     'electric-mouse'
     """
     if isinstance(url, str):
-        usual = default_profile(url)
+        default_name = default_profile(url)
     else:
-        usual = (url.driver if isinstance(url, Board) else url).default_profile
-    return Display(url, load_profile(profile or usual), **options)
+        default_name = (url.driver if isinstance(url, Board) else url).default_profile
+    return Display(url, load_profile(profile or default_name), **options)
 
 
 class Session(Program):

@@ -145,30 +145,30 @@ class Inputs:
             self.board.close_level()
         if state is not self._before:
             source.afferents = state.mode.afferents
-        given = source.read(time_ns)
-        if given is None:
+        current = source.read(time_ns)
+        if current is None:
             return None
-        given = checked_input(given, source, self.pipeline.electrodes)
-        self.statistics.seen += given.number != self._last_seen
-        self._last_seen = given.number
-        force_n = self.force_n(given, time_ns)
-        blind = given.stale or math.isnan(force_n)
+        current = checked_input(current, source, self.pipeline.electrodes)
+        self.statistics.seen += current.number != self._last_seen
+        self._last_seen = current.number
+        force_n = self.force_n(current, time_ns)
+        blind = current.stale or math.isnan(force_n)
         self.statistics.blind += blind
         if blind is not self._blind:
-            lost = InputLost(time_ns, image=given.stale)
+            lost = InputLost(time_ns, image=current.stale)
             self.emit(lost if blind else InputRestored(time_ns))
             self._blind = blind
         counts_n = 0.0 if blind else force_n
-        if not self.statistics.active and counts_n > 0 and isinstance(given, Frame):
+        if not self.statistics.active and counts_n > 0 and isinstance(current, Frame):
             self._look_for_ink(time_ns)
-        if counts_n != given.force_n:
-            given = replace(given, force_n=counts_n)
+        if counts_n != current.force_n:
+            current = replace(current, force_n=counts_n)
         level = 0.0 if state.paused else state.level
         if state is not self._before:
             self._say_changes(state, time_ns)
         if self.board.lifted or now_ns < self._lifted_until_ns:
             self._handle_lift(time_ns, now_ns)
-        return given, level
+        return current, level
 
     def _look_for_ink(self, time_ns: int) -> None:
         """Say once that a pressing finger sees no ink, so that silence has a reason."""
@@ -185,7 +185,7 @@ class Inputs:
         same = before is not None and (state.mode, state.paused) == (before.mode, before.paused)
         return not same or self.board.lifted or now_ns < self._lifted_until_ns
 
-    def force_n(self, given: Input, time_ns: int) -> float:
+    def force_n(self, current: Input, time_ns: int) -> float:
         """Return the force that counts, NaN if unknown; a force on the board may lower it.
 
         On a board that a finger may be on, only force of that finger counts.
@@ -196,7 +196,7 @@ class Inputs:
         elif self.source.measures_force or (
             virtual and (self.source.knows_force or on_board is None)
         ):
-            force_n = given.force_n
+            force_n = current.force_n
         else:
             force_n = math.nan if on_board is None else on_board
         if on_board is None or math.isnan(force_n):

@@ -169,8 +169,8 @@ class Pipeline:
             bank, config, classes = self._bank, self._config, mode.afferents
             vibrated, softness = self._vibrated and mode is Mode.COLOR, config.softness
             if mode is Mode.COLOR:
-                made = {*bank.weights, *[Afferent.PC] * vibrated}
-                classes = tuple(afferent for afferent in classes if afferent in made)
+                possible = {*bank.weights, *[Afferent.PC] * vibrated}
+                classes = tuple(afferent for afferent in classes if afferent in possible)
             # A rate asked for in one mode is not for the two of natural mode.
             natural = mode is Mode.NATURAL and bool(self._scans)
             self._scans[mode] = ScanScheduler(

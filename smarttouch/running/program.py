@@ -365,9 +365,9 @@ class Program(Source, Listener):
                 with self._turn(last=True) as loop:
                     while not self._waiting:
                         self._news.clear()
-                        begun_ns, given = self.now_ns, self._newest()
-                        self._send(given)
-                        silent = given.stale or not given.activation.any()
+                        begun_ns, newest = self.now_ns, self._newest()
+                        self._send(newest)
+                        silent = newest.stale or not newest.activation.any()
                         # In natural mode classes pulse at their own rates.
                         again_s = (
                             0 if self.mode is Mode.NATURAL else 1 / self._profile.pulse.rate_hz
@@ -426,10 +426,10 @@ class Program(Source, Listener):
                 self._is_taken = False
                 self._changed.notify_all()
 
-    def _send(self, given: Stimulus) -> StepResult:
+    def _send(self, stimulus: Stimulus) -> StepResult:
         """Deliver an input, wait until it is over, and return how it was sent."""
         loop = self._require_life()
-        self._input = given
+        self._input = stimulus
         try:
             # Ctrl-C ends what is shown between two sequences.
             with uninterrupted():
@@ -534,9 +534,9 @@ class Program(Source, Listener):
                 raise SourceError(
                     f"mode {mode} drives several classes: give activation (3, {electrodes})"
                 )
-            made = np.zeros(self._nothing.shape)
-            made[mode.afferents[0]] = array
-            array = made
+            activation = np.zeros(self._nothing.shape)
+            activation[mode.afferents[0]] = array
+            array = activation
         elif array.shape != self._nothing.shape and array.dtype.kind in "fbiu":
             if array.ndim == 2 and array.dtype.kind in "ub":
                 return Frame(gray_image(array, "the program"), 0)

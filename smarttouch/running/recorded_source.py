@@ -51,12 +51,12 @@ class RecordingSource(Source):
         if self._ahead is None and time_ns >= _end_ns(self._now):
             return None
         self._seen = True
-        given = self._now.step.input
-        age_ns = max(0, time_ns - given.time_ns)
+        recorded = self._now.step.input
+        age_ns = max(0, time_ns - recorded.time_ns)
         # Where steps are missing there is no current.
-        stale = given.stale or time_ns > _end_ns(self._now) + LATE_NS
+        stale = recorded.stale or time_ns > _end_ns(self._now) + LATE_NS
         number = self.frames - 1
-        return replace(given, time_ns=time_ns, number=number, age_ns=age_ns, stale=stale)
+        return replace(recorded, time_ns=time_ns, number=number, age_ns=age_ns, stale=stale)
 
     def narrowed(self, profile: Profile) -> Profile:
         """Return a profile whose limits are within those of the recorded one, too.
@@ -93,9 +93,9 @@ class RecordingSource(Source):
         self._seen = True
 
 
-def _is_other(given: Input, before: Input) -> bool:
+def _is_other(recorded: Input, before: Input) -> bool:
     """Return whether an input is not that of the step before, by its number or image."""
-    return given.number != before.number or given.image is not before.image
+    return recorded.number != before.number or recorded.image is not before.image
 
 
 def _end_ns(recorded: RecordedStep) -> int:

@@ -172,10 +172,10 @@ class Recorder(Listener):
             at_ns = self._started_unix_ns + item.time_ns
             self._add("/event", event_message(str(item), at_ns), at_ns)
             return
-        given = item.step.input
-        at_ns = self._started_unix_ns + given.time_ns
-        if given.image is not None and self._is_new(given.image, given.number):
-            self._add("/frame", image_message(given.image, at_ns), at_ns)
+        step_input = item.step.input
+        at_ns = self._started_unix_ns + step_input.time_ns
+        if step_input.image is not None and self._is_new(step_input.image, step_input.number):
+            self._add("/frame", image_message(step_input.image, at_ns), at_ns)
         self._add("/step", step_message(item), at_ns)
         self._steps += 1
 

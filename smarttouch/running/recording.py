@@ -73,7 +73,7 @@ _SLOTS = ("current_ua", "width_us", "discharge_us", "site")
 
 
 def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
-    columns: dict[str, list[Any]] = {each.name: [] for each in fields(RunArrays)}
+    columns: dict[str, list[Any]] = {field.name: [] for field in fields(RunArrays)}
     row_of: dict[int | None, int] = {}  # by the board's number
     columns["first_slot"].append(0)
     for row, recorded in enumerate(steps):
@@ -97,14 +97,14 @@ def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
             columns["first_pulse_us"][pulsed] = sent.first_pulse.latency_us
     sides = {"current_ua": [electrodes], "activation": [3, electrodes], "recharge_ua": [electrodes]}
     arrays = {}
-    for each in fields(RunArrays):
+    for field in fields(RunArrays):
         # A dtype before NumPy 2.5, and its scalar from then on.
-        kind: Any = get_args(each.type)[-1]
+        kind: Any = get_args(field.type)[-1]
         kind = (get_args(kind) or (kind,))[0]
-        made: Any = columns[each.name]
-        if each.name in _SLOTS:
+        made: Any = columns[field.name]
+        if field.name in _SLOTS:
             made = np.concatenate([np.empty(0, kind), *made])
-        arrays[each.name] = np.array(made, kind).reshape(-1, *sides.get(each.name, []))
+        arrays[field.name] = np.array(made, kind).reshape(-1, *sides.get(field.name, []))
     return RunArrays(**arrays)
 
 
@@ -132,13 +132,13 @@ class RecordedRun:
                 self.about = record.metadata
             elif isinstance(record, Chunk):
                 self._last_ns = max(self._last_ns, record.message_end_time)
-        found = self.about.get("format")
-        if found is None:
+        version = self.about.get("format")
+        if version is None:
             raise RecordingError(f"{path} is not a recording of SmartTouch")
-        if found != FORMAT:
+        if version != FORMAT:
             raise RecordingError(
-                f"{path} is a recording of format {found!r}, this version reads {FORMAT}: use the "
-                "version that made it"
+                f"{path} is a recording of format {version!r}, this version reads {FORMAT}: "
+                "use the version that made it"
             )
         if self.about.get("digest") != digest_of(self.about):
             raise RecordingError(

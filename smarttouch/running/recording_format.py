@@ -92,16 +92,16 @@ class RecordedConfig(RunConfig):
 
     @model_validator(mode="before")
     @classmethod
-    def _with_scan(cls, given: dict[str, Any]) -> dict[str, Any]:
-        primaries = given.get("sharing", {}).get("primaries", ())
-        return {"scan": SlotPolicy(tuple(Afferent[name] for name in primaries))} | given
+    def _with_scan(cls, settings: dict[str, Any]) -> dict[str, Any]:
+        primaries = settings.get("sharing", {}).get("primaries", ())
+        return {"scan": SlotPolicy(tuple(Afferent[name] for name in primaries))} | settings
 
 
 def recorded_settings(config: RunConfig, profile: Profile) -> dict[str, Any]:
     """Return what a recording keeps of a configuration, ready for JSON."""
-    kept = config.model_dump(mode="json", exclude={"scan", "seconds", "intensity", "paced"})
-    shared = [each.name for each in config.sharing(profile).afferents]
-    return kept | {"sharing": {"primaries": shared}}
+    settings = config.model_dump(mode="json", exclude={"scan", "seconds", "intensity", "paced"})
+    shared = [afferent.name for afferent in config.sharing(profile).afferents]
+    return settings | {"sharing": {"primaries": shared}}
 
 
 def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) -> dict[str, str]:
@@ -146,15 +146,15 @@ def event_message(words: str, unix_ns: int) -> Message:
 
 def step_message(result: StepResult) -> Message:
     """Return all of a step but its image."""
-    step, given, sequence = result.step, result.step.input, result.step.sequence
+    step, step_input, sequence = result.step, result.step.input, result.step.sequence
     pulse, proof = result.first_pulse, sequence.proof
     return {
-        **{name: getattr(given, name) for name in _INPUT},
-        **{name: _finite(getattr(given.pose, name)) for name in _POSE},
-        "force_n": _finite(given.force_n),
-        "stimulus": isinstance(given, Stimulus),
-        "image": given.image is not None,
-        "given_period_us": given.period_us,
+        **{name: getattr(step_input, name) for name in _INPUT},
+        **{name: _finite(getattr(step_input.pose, name)) for name in _POSE},
+        "force_n": _finite(step_input.force_n),
+        "stimulus": isinstance(step_input, Stimulus),
+        "image": step_input.image is not None,
+        "given_period_us": step_input.period_us,
         "given_level": float(step.tactile.level),
         "activation": _packed(step.tactile.activation, "<f4"),
         "mode": step.mode.value,
@@ -227,10 +227,10 @@ class StepDecoder:
         self._sequences[sequence.time_ns] = sequence
         if len(self._sequences) > _REMEMBERED:
             self._sequences.popitem(last=False)
-        given, tactile = self._input(message)
+        step_input, tactile = self._input(message)
         observed = [(self._sequences[time_ns], volts) for time_ns, volts in message["volts"]]
         step = Step(
-            input=given,
+            input=step_input,
             tactile=tactile,
             sequence=sequence,
             mode=Mode(message["mode"]),

@@ -378,8 +378,8 @@ def steps(
     most_ns = float("inf") if config.seconds is None else config.seconds * 1e9
     elapsed_ns = 0
     with source_of(source, profile, light_on_dark=config.light_on_dark) as opened:
-        while elapsed_ns < most_ns and (given := opened.read(elapsed_ns)) is not None:
-            frame = checked_input(given, opened, pipeline.electrodes)
+        while elapsed_ns < most_ns and (current := opened.read(elapsed_ns)) is not None:
+            frame = checked_input(current, opened, pipeline.electrodes)
             if frame.stale:
                 frame = replace(frame, force_n=0.0)
             step = pipeline.process(frame, level)

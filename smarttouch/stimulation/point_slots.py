@@ -73,8 +73,8 @@ class PointSlots:
         self._table = table
         if table is not None:
             self._base = table.points[afferent]
-            own = table.weights[self._base : self._base + count]
-            self._largest = largest_amplitude(own, np.floor(1000 * most_ma + 1e-6))
+            site_weights = table.weights[self._base : self._base + count]
+            self._largest = largest_amplitude(site_weights, np.floor(1000 * most_ma + 1e-6))
             # The table's rows all have the same peak.
             self._full = np.asarray(PER_UA * magnitude.max(axis=1), np.float32)
         self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
@@ -132,9 +132,9 @@ class PointSlots:
         # Whole numbers far below 2^24: exact in single precision.
         whole_ua = np.rint(self._kernels_ua[site] * level[:, None])
         current_ua: NDArray[np.int16] = whole_ua.astype(np.int16)
-        own = np.arange(len(site)), self._strongest.take(site)
-        current_ua[own] -= whole_ua.sum(axis=1).astype(np.int16)
-        if self._tight and (over := np.abs(current_ua[own]) > self._most_ua[site]).any():
+        rows = np.arange(len(site)), self._strongest.take(site)
+        current_ua[rows] -= whole_ua.sum(axis=1).astype(np.int16)
+        if self._tight and (over := np.abs(current_ua[rows]) > self._most_ua[site]).any():
             current_ua[over] = self._carried(site[over], level[over])
         return current_ua
 

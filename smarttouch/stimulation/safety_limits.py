@@ -102,7 +102,7 @@ class SafetyLimits:
     width_us: float | None = None
 
     def __post_init__(self) -> None:
-        for name, least, most in (
+        for name, least, upper in (
             ("electrodes", 1, CEILING_ELECTRODES),
             ("masked", 0, self.electrodes - 1),
             ("current_ma", 0.0, CEILING_MA),
@@ -124,14 +124,14 @@ class SafetyLimits:
             values = getattr(self, name)
             if values is None:
                 continue
-            each = values if isinstance(values, tuple) else (values,)
-            if each is values and name != "masked" and len(each) != self.electrodes:
+            entries = values if isinstance(values, tuple) else (values,)
+            if entries is values and name != "masked" and len(entries) != self.electrodes:
                 raise SafetyError(
-                    f"limit {name} lists {len(each)} of {self.electrodes} electrodes",
-                    limit=name, value=len(each), allowed=self.electrodes,
+                    f"limit {name} lists {len(entries)} of {self.electrodes} electrodes",
+                    limit=name, value=len(entries), allowed=self.electrodes,
                 )  # fmt: skip
-            for value in each:
-                _check(name, value, least, most)
+            for value in entries:
+                _check(name, value, least, upper)
 
     @classmethod
     def of(cls, profile: Profile) -> "SafetyLimits":
@@ -161,14 +161,14 @@ class SafetyLimits:
     def current_ua(self) -> NDArray[np.float64]:
         """Largest current of each electrode, (E,) µA."""
         listed_ma = self.electrode_ma or (self.current_ma,) * self.electrodes
-        most = decimal(self.current_ma)
-        limit_ua = [math.floor(1000 * min(most, decimal(limit))) for limit in listed_ma]
+        limit_ma = decimal(self.current_ma)
+        limit_ua = [math.floor(1000 * min(limit_ma, decimal(limit))) for limit in listed_ma]
         return self._unmasked(np.array(limit_ua, np.float64))
 
-    def _unmasked(self, each: NDArray[np.generic]) -> NDArray[Any]:
+    def _unmasked(self, values: NDArray[np.generic]) -> NDArray[Any]:
         """Return limits of each electrode with those of masked ones set to zero."""
-        each[list(self.masked)] = 0
-        return each
+        values[list(self.masked)] = 0
+        return values
 
     @cached_property
     def charge_pc(self) -> NDArray[np.float64]:
@@ -182,8 +182,10 @@ class SafetyLimits:
     @cached_property
     def total_ua(self) -> int:
         """Largest current of all cathodes of a slot, µA."""
-        most = decimal(self.total_ma)
-        return math.floor(1000 * (min(most, decimal(self.current_ma)) if self.one_source else most))
+        limit_ma = decimal(self.total_ma)
+        return math.floor(
+            1000 * (min(limit_ma, decimal(self.current_ma)) if self.one_source else limit_ma)
+        )
 
     @cached_property
     def pulse_whole_us(self) -> int:

@@ -64,7 +64,10 @@ class KernelTable:
     def of(cls, weights: Mapping[Afferent, NDArray[np.float64]], shared: Shared) -> "KernelTable":
         """Return a bank's kernels, (E, E), and those that share slots, (A, E), and their sites
         (A,), of any scale, in whole numbers."""
-        every = {each: (own, np.arange(len(own))) for each, own in weights.items()}
+        every = {
+            afferent_class: (class_weights, np.arange(len(class_weights)))
+            for afferent_class, class_weights in weights.items()
+        }
         parts: list[NDArray[np.int16]] = []
         sites: list[NDArray[np.intp]] = []
         points: dict[Afferent, int] = {}
@@ -173,8 +176,8 @@ def kept_kernels(
 
 def _records(weights: NDArray[np.int16], sites: NDArray[np.uint16]) -> Iterator[bytes]:
     """Yield each kernel as runs of weights; long gaps of zeros are left out."""
-    for own, site in zip(weights, sites.tolist(), strict=False):
-        active = np.flatnonzero(own)
+    for kernel, site in zip(weights, sites.tolist(), strict=False):
+        active = np.flatnonzero(kernel)
         if not len(active):
             yield _HEAD.pack(site, 0)
             continue
@@ -183,7 +186,7 @@ def _records(weights: NDArray[np.int16], sites: NDArray[np.uint16]) -> Iterator[
         ends = (active[np.concatenate([breaks, [len(active) - 1]])] + 1).tolist()
         parts = [_HEAD.pack(site, len(starts))]
         for start, end in zip(starts, ends, strict=True):
-            parts += [_HEAD.pack(start, end - start), own[start:end].astype("<i2").tobytes()]
+            parts += [_HEAD.pack(start, end - start), kernel[start:end].astype("<i2").tobytes()]
         yield b"".join(parts)
 
 
@@ -196,8 +199,8 @@ def largest_amplitude(
     weights: NDArray[np.int16], most_ua: NDArray[np.float64]
 ) -> NDArray[np.uint16]:
     """Return the largest amplitude of each kernel (K, E) that keeps whole limits (E,) µA."""
-    most = np.floor(most_ua) * 2.0**SHIFT
-    room = [(most / np.maximum(np.abs(own.astype(np.float64)), 1)).min() for own in weights]
+    limit = np.floor(most_ua) * 2.0**SHIFT
+    room = [(limit / np.maximum(np.abs(kernel.astype(np.float64)), 1)).min() for kernel in weights]
     return np.minimum(np.floor(room), 0xFFFF).astype(np.uint16)
 
 

@@ -213,11 +213,11 @@ class ScanScheduler:
         """
         timing = self._timing
         due, self.asked_us = self._due(image, pressure)
-        made, intensity = self._within_ramp(due, image, intensity, allowed, adaptation)
-        slots, pulses_us = len(made.site), int(made.width_us.sum(dtype=np.int64))
+        parts, intensity = self._within_ramp(due, image, intensity, allowed, adaptation)
+        slots, pulses_us = len(parts.site), int(parts.width_us.sum(dtype=np.int64))
         least_us, mean_us = max(self.asked_us, pulses_us / self._duty), 0.0
         if slots:
-            sums = add_up(made.current_ua, made.width_us, self._limits.felt_ua)[0]
+            sums = add_up(parts.current_ua, parts.width_us, self._limits.felt_ua)[0]
             least_us, mean_us = max(least_us, self._exposed_us(sums)), pulses_us / slots
         rest_us = int(self._discharges_us[0])
         period_us = timing.shortest_period_us(slots, self._electrodes, mean_us, rest_us, least_us)
@@ -226,7 +226,7 @@ class ScanScheduler:
             needed_us = self._net.next_period_us(sums[2], time_us, period_us, busy_us)
             if needed_us is None:
                 self.net_emptied += 1
-                made, slots = Slots(made.site[:0], made.current_ua[:0], made.width_us[:0]), 0
+                parts, slots = Slots(parts.site[:0], parts.current_ua[:0], parts.width_us[:0]), 0
             elif needed_us > period_us:
                 self.net_slowed += 1
                 period_us = timing.possible_period_us(needed_us)
@@ -234,8 +234,8 @@ class ScanScheduler:
         if self._vibrated:
             vibration = image.activation[Afferent.PC] * np.float32(intensity)
         return ScanSequence(
-            made.current_ua, made.width_us, self._discharges_us[:slots], made.site, period_us,
-            float(intensity), image.time_ns, vibration, made.proof, sums=made.sums,
+            parts.current_ua, parts.width_us, self._discharges_us[:slots], parts.site, period_us,
+            float(intensity), image.time_ns, vibration, parts.proof, sums=parts.sums,
         )  # fmt: skip
 
     def _due(self, image: TactileImage, pressure: float) -> tuple[tuple[Afferent, ...], int]:
@@ -280,11 +280,13 @@ class ScanScheduler:
     ) -> Slots:
         """Return the slots of all classes that are due; none of the first if none is."""
         one, *others = due or (self._first,)
-        made = self._makers[one].slots(activation[one], intensity if due else 0.0)
+        slots = self._makers[one].slots(activation[one], intensity if due else 0.0)
         if others:
-            rows = [self._makers[each].slots(activation[each], intensity) for each in others]
-            made = joined([made, *rows])
-        return made if adaptation is None or not len(made.site) else adaptation.apply(made)
+            rows = [
+                self._makers[afferent].slots(activation[afferent], intensity) for afferent in others
+            ]
+            slots = joined([slots, *rows])
+        return slots if adaptation is None or not len(slots.site) else adaptation.apply(slots)
 
     def _within_ramp(
         self,
@@ -295,23 +297,23 @@ class ScanScheduler:
         adaptation: Adaptation | None,
     ) -> tuple[Slots, float]:
         """Return slots of no more strength than allowed, and their intensity."""
-        made = self._slots(due, image.activation, wanted, adaptation)
+        slots = self._slots(due, image.activation, wanted, adaptation)
         if wanted <= allowed:
-            return made, wanted
-        ppb, charge_pc = parts_per_billion(wanted), peak_pc(made.current_ua, made.width_us)
+            return slots, wanted
+        ppb, charge_pc = parts_per_billion(wanted), peak_pc(slots.current_ua, slots.width_us)
         # Whole µA may be a little stronger than asked for.
         planned_ppb = min(ppb, strength_ppb(self._limits, ppb, charge_pc))
         intensity = wanted if planned_ppb else allowed
         # The first step may be too weak for any pulse.
         for least in self._steps if allowed else self._steps[:1]:
-            most = max(allowed, least)
-            if planned_ppb <= most * PPB:
+            strongest = max(allowed, least)
+            if planned_ppb <= strongest * PPB:
                 break
-            intensity = wanted * most * PPB / planned_ppb
-            made = self._slots(due, image.activation, intensity, adaptation)
-            if made.current_ua.any():
+            intensity = wanted * strongest * PPB / planned_ppb
+            slots = self._slots(due, image.activation, intensity, adaptation)
+            if slots.current_ua.any():
                 break
-        return made, intensity
+        return slots, intensity
 
     def _require_exposure_of_all(self) -> None:
         """Raise if all points that have slots of their own expose an electrode too much."""

@@ -137,14 +137,14 @@ def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> int:
     if sequence.vibration is not None:
         _prove_vibration(sequence.vibration, sequence.intensity, electrodes)
     widths_us, rests_us = sequence.width_us.tolist(), sequence.discharge_us.tolist()
-    given, least_rest_us = sequence.current_ua.shape[1], min(rests_us, default=LEAST_DISCHARGE_US)
+    columns, least_rest_us = sequence.current_ua.shape[1], min(rests_us, default=LEAST_DISCHARGE_US)
     pulses_us, site = sum(widths_us), max(sequence.site.tolist(), default=0)
     narrow_us, wide_us = min(widths_us, default=1), max(widths_us, default=1)
     busy_us, flowing_us = pulses_us + sum(rests_us) + recharge_us, pulses_us + recharge_us
     needed_us = busy_us + LEAST_DISCHARGE_US * (recharge_us > 0)
-    least_us, (part, whole) = limits.period_us, limits.duty_ratio
+    least_us, (part, duty_whole) = limits.period_us, limits.duty_ratio
     for fits, sentence, value, allowed in (
-        (given == electrodes, "electrodes", given, electrodes),
+        (columns == electrodes, "electrodes", columns, electrodes),
         (0 <= sequence.intensity <= 1, "intensity", sequence.intensity, 1),
         (0 <= sequence.time_ns < LARGEST_TIME_NS, "time_ns", sequence.time_ns, LARGEST_TIME_NS),
         (site < electrodes, "site", site, electrodes - 1),
@@ -155,7 +155,7 @@ def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> int:
     ):
         if not fits:
             raise refusal(sentence, value, allowed)
-    if flowing_us * whole > part * period_us:
+    if flowing_us * duty_whole > part * period_us:
         raise refusal("duty", flowing_us / period_us, limits.duty)
     if least_rest_us < LEAST_DISCHARGE_US:
         slot = rests_us.index(least_rest_us)
@@ -320,7 +320,7 @@ class Exposure:
         over = np.flatnonzero(newest > NET_PC / 2)
         return recent[over[0]].end_ns + WINDOW_NS - now_ns if len(over) else 0
 
-    def enter(self, now_ns: int, period_us: int, times: int, made: PassLoad, flows: bool) -> None:
+    def enter(self, now_ns: int, period_us: int, times: int, load: PassLoad, flows: bool) -> None:
         """Enter passes of a sequence that may begin now, which is never before the last call; it
         ends the repetitions of the one before. Their time counts to the session if it ``flows``.
 
@@ -329,9 +329,9 @@ class Exposure:
         SafetyError
             Naming the limit and the electrode.
         """
-        sums, period_ns, last, window = made.sums, 1000 * period_us, self._last, self._window
-        burst_us, most = min(period_us, BURST_US), float(np.maximum.reduce(sums[:2], axis=None))
-        if most > MOST_PER_US * burst_us:
+        sums, period_ns, last, window = load.sums, 1000 * period_us, self._last, self._window
+        burst_us, largest = min(period_us, BURST_US), float(np.maximum.reduce(sums[:2], axis=None))
+        if largest > MOST_PER_US * burst_us:
             raise _too_much(sums[:2], burst_us)
         start_ns, entered = now_ns, list[_Pass]()
         session, session_ns = self._session + times * sums, self._session_ns
@@ -345,11 +345,11 @@ class Exposure:
                 # Cut short by this sequence: they were counted, and are not delivered.
                 session_ns -= left * last.period_ns * last.flows
                 session -= left * last.first.sums
-        if made.recharge_pc is not None:
-            slots_pc = sums[2] - made.recharge_pc
+        if load.recharge_pc is not None:
+            slots_pc = sums[2] - load.recharge_pc
             carried_pc = session[2] - times * sums[2] + slots_pc
-            _check_recharge(carried_pc, made.recharge_pc, sums[2], times)
-        first = _Pass(start_ns, start_ns + 1000 * made.busy_us, sums, most)
+            _check_recharge(carried_pc, load.recharge_pc, sums[2], times)
+        first = _Pass(start_ns, start_ns + 1000 * load.busy_us, sums, largest)
         # Until the first of its passes has left the second, each adds to what is in it.
         judged = (
             1 if times == 1 else min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
@@ -381,14 +381,14 @@ class Exposure:
         """Raise if any second would hold too many passes, or too much of what they bring: of
         ``judged`` passes a period apart, and of those of the sequence before that are not in the
         window yet. Returns a bound of the net charge (× `PER_PC`) of the newest passes before."""
-        window, most = self._window, judged * first.most
+        window, largest = self._window, judged * first.most
         for scan in entered:
-            most += scan.most
+            largest += scan.most
         net_at_most = min(self._net_at_most, self._second_at_most)
         if (
             len(window) + len(entered) < self._most_passes
-            and self._second_at_most + most <= MOST_PER_US * 1_000_000
-            and net_at_most + most <= PER_PC * NET_PC
+            and self._second_at_most + largest <= MOST_PER_US * 1_000_000
+            and net_at_most + largest <= PER_PC * NET_PC
         ):
             return net_at_most
         recent = [scan for scan in (*window, *entered) if scan.end_ns > now_ns - WINDOW_NS]
