@@ -166,7 +166,7 @@ def script(monkeypatch):
         monkeypatch.setattr(
             "smarttouch.boards.kits.etactilekit_line.WatchedPort", lambda port, _: port
         )
-        monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
         return port
 
     yield set_script
@@ -277,7 +277,7 @@ class Hosted:
 
     def __init__(self, kind, starters, faulty_line, folder, monkeypatch):
         start_emulator, start_firmware, start_cortex_m3 = starters
-        monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
         # An eTactileKit may have another firmware than the usual one, a link board one in C, on
         # this machine or a Cortex-M3.
@@ -294,7 +294,8 @@ class Hosted:
         self.line, self.folder, self.kind = faulty_line(port), folder, kind
         self.limits = SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.8)
         output = Output(kind="weighted" if kind == "link" else "one-against-all")
-        self.board = make_board(f"{kind}:{self.line.path}", self.limits, output)
+        option = f"?firmware={firmware or '71adee2'}" if kind == "etactilekit" else ""
+        self.board = make_board(f"{kind}:{self.line.path}{option}", self.limits, output)
         self.step = 0
 
     def send(self, times=1, level_ua=1000):

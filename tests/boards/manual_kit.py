@@ -7,7 +7,7 @@ import numpy as np
 
 from smarttouch.base.clock import LATE_NS
 from smarttouch.boards.board import Board
-from smarttouch.boards.kits import etactilekit_line
+from smarttouch.boards.kits import current_scale, etactilekit_line
 from smarttouch.boards.kits.etactilekit import ETactileKitDriver
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
@@ -115,7 +115,7 @@ def proved(sequence, times=1, number=0, due_ns=0, late_ns=LATE_NS):
 
 def manual_line(patch, driver, port, clock, limits):
     """Return a line to a port in this process, by a clock that the test sets."""
-    patch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
+    patch.setattr(current_scale, "BOOT_S", 0.0)
     patch.setattr(etactilekit_line, "WatchedPort", lambda port, _: port)
     line = Board(driver, limits, clock=clock)._line
 
@@ -131,13 +131,13 @@ class ManualKit:
 
     def __init__(
         self, patch, limits, firmware="71adee2", seed=1, late_us=200, finger=None,
-        dummy_ohm=np.inf, **line,
+        dummy_ohm=np.inf, named=True, **line,
     ):  # fmt: skip
         self.clock = ManualClock(seed, late_us)
         self.books = ScanBooks(limits.electrodes)
         self.board = ETactileKitFirmware(self.books, finger, firmware=firmware, dummy_ohm=dummy_ohm)
         self.port = ManualPort(self.board, self.clock, **line)
-        self.driver = ETactileKitDriver("told", limits)
+        self.driver = ETactileKitDriver("told", limits, firmware=firmware if named else None)
         self.line = manual_line(patch, self.driver, self.port, self.clock, limits)
         self.host = self.line._board
         self.driver.open(self.line, limits)

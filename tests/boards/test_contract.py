@@ -226,7 +226,7 @@ class OneAgainstAll(Contract):
 
     @pytest.fixture(autouse=True)
     def _no_boot(self, monkeypatch):
-        monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
 
     def keep_sent(self):
         self.sent = SentBytes(time.monotonic_ns)
@@ -257,7 +257,7 @@ class TestETactileKit(OneAgainstAll):
     def url(self, start_emulator, tmp_path):
         arguments = (f"books={tmp_path}", f"firmware={self.firmware}", *self.more)
         port = start_emulator(*arguments, protocol="etactilekit")[1]
-        return f"etactilekit:{port}"
+        return f"etactilekit:{port}?firmware={self.firmware}"
 
     firmware, more = "71adee2", ()
 

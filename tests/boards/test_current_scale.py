@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError
-from smarttouch.boards.kits import BAND, NOMINAL_UA, measured_scale
+from smarttouch.boards.kits.current_scale import BAND, NOMINAL_UA, measured_scale
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.profile.device import Output

@@ -1,6 +1,8 @@
-"""To the byte: what goes to an eTactileKit, in whatever state it is, and what always means zero."""
+"""To the byte: what goes to an eTactileKit, in whatever state it is, and what always means zero;
+and when it scans."""
 
 import contextlib
+import random
 from dataclasses import replace
 
 import numpy as np
@@ -9,22 +11,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError, SilentBoardError
-from smarttouch.boards.kits import scale_of
-from smarttouch.boards.kits.etactilekit import (
-    ETactileKitDriver,
-    Settings,
-    payload,
-    settings_commands,
-    settings_of,
-)
+from smarttouch.boards.kits.current_scale import scale_of
+from smarttouch.boards.kits.etactilekit import ETactileKitDriver
 from smarttouch.boards.kits.etactilekit_line import (
     GO,
     LOAD,
     PING,
     QUIET,
     READINGS,
+    ScanLock,
+    Settings,
+    Span,
+    payload,
+    settings_commands,
+    settings_of,
     zero_anywhere,
 )
+from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
@@ -94,12 +97,12 @@ class OldKit:
 class Meeting:
     """A driver that meets a board for the first time."""
 
-    def __init__(self, patch, firmware, board=None):
+    def __init__(self, patch, firmware, selected=None, board=None):
         self.clock = ManualClock(late_us=0)
         self.books = DeliveryLog(8)
         self.board = board or ETactileKitFirmware(self.books, firmware=firmware)
         self.port = ManualPort(self.board, self.clock)
-        self.driver = ETactileKitDriver("told", LIMITS)
+        self.driver = ETactileKitDriver("told", LIMITS, firmware=selected)
         self.line = manual_line(patch, self.driver, self.port, self.clock, LIMITS)
 
     def open(self):
@@ -128,12 +131,14 @@ def meet(monkeypatch):
 @pytest.mark.parametrize("firmware", FIRMWARES)
 @pytest.mark.parametrize("half", HALVES)
 def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, half):
-    meeting = meet(firmware)
+    """What its firmware does by itself is believed only if it is named."""
+    meeting = meet(firmware, firmware if half else None)
     meeting.leave(PULSING + SENSE + half)
     pulsed = meeting.books.slots
     assert pulsed > 0
-    # No query tells what its firmware does by itself.
-    assert meeting.open().time_to_zero_ms is None
+    can = meeting.open()
+    assert (firmware in can.firmware) == bool(half)
+    assert (can.time_to_zero_ms is None) == (firmware != "newest" or not half)
     slots = meeting.slots_at_rest()
     assert meeting.books.state == "shorted"
     # At most the scan that was under way, and one with what zeros made of half a command.
@@ -206,6 +211,14 @@ def test_another_board_gets_nothing_that_it_could_obey(meet, other):
 class Deaf(ETactileKitFirmware):
     def feed(self, data, now_ns):
         return b""
+
+
+@pytest.mark.parametrize(
+    ("option", "about", "value"), [("fast=1", "option", "fast"), ("firmware=2", "?firmware", "2")]
+)
+def test_an_unknown_option_is_named(option, about, value):
+    with raises(BoardError, names=about, value=value):
+        make_board(f"etactilekit:x?{option}", LIMITS)
 
 
 def test_a_smaller_kit_than_the_profile_is_refused(meet):
@@ -338,3 +351,51 @@ def test_zero_ends_every_half_command_and_survives_losses(drives_after):
         assert not drives_after(RUNNING, ZERO[:first] + ZERO[first + 1 :])
         for run in (2, 1, 3):
             assert not drives_after(RUNNING, ZERO[:first] + ZERO[first + run :] + ZERO)
+
+
+T = 20_000_000
+
+
+@pytest.fixture
+def lock():
+    return ScanLock(T)
+
+
+def test_what_is_not_renewed_or_contradicted_is_forgotten(lock):
+    lock.learn(Span(0, 1_000_000))
+    lock.learn(Span(8_000_000, 9_000_000))
+    assert lock.last is None
+    lock.learn(Span(0, 1_000_000))
+    lock.check(400 * T)
+    assert lock.last is not None
+    lock.check(700 * T)
+    assert lock.last is None
+
+
+@given(
+    phase=st.integers(0, T - 1),
+    drift=st.floats(-200e-6, 200e-6),
+    seed=st.integers(0, 1000),
+    step=st.integers(1, 30),
+)
+def test_it_is_never_wrong(phase, drift, seed, step):
+    rng = random.Random(seed)
+    true = T * (1 + drift)
+    lock = ScanLock(T)
+    for number in range(0, 40 * step, step):
+        start = phase + number * true
+        bracket = Span(int(start - rng.uniform(0, 1e6)), int(start + rng.uniform(1, 1e6)))
+        lock.learn(bracket)
+        assert lock.last is not None
+        for other in range(-3, 4):
+            at = start + other * true
+            scan = lock.scan(lock.first_after(int(at - T // 2)))
+            assert scan.early <= at + 1
+            assert at - 1 <= scan.late
+        begin, end = sorted(rng.uniform(start, start + 5 * T) for _ in range(2))
+        happened = sum(begin < phase + k * true < end for k in range(number - 1, number + 8))
+        spread = rng.uniform(0, 1e6)
+        least, most = lock.starts(
+            Span(int(begin - spread), int(begin + spread)), Span(int(end), int(end + spread))
+        )
+        assert least <= happened <= most

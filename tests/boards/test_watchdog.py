@@ -20,8 +20,8 @@ from serial import rfc2217
 
 from smarttouch.base.errors import BoardError
 from smarttouch.base.wire.port import open_port
-from smarttouch.boards.kits import etactilekit_line, watchdog
-from smarttouch.boards.kits.etactilekit_line import WatchedPort
+from smarttouch.boards.kits import watchdog, watched_port
+from smarttouch.boards.kits.watched_port import WatchedPort
 
 from ..support.checks import raises
 from .fresh import until
@@ -69,7 +69,7 @@ def port(board):
 
 HOST = """
 import sys, time
-from smarttouch.boards.kits.etactilekit_line import WatchedPort
+from smarttouch.boards.kits.watched_port import WatchedPort
 from smarttouch.base.wire.port import open_port
 port = WatchedPort(open_port(sys.argv[1]), bytes.fromhex(sys.argv[2]))
 port.arm()
@@ -204,7 +204,7 @@ def test_a_port_that_cannot_be_watched_is_refused_and_free(board, monkeypatch, u
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
     if url == "no process":
-        monkeypatch.setattr(etactilekit_line.subprocess, "Popen", refuse)
+        monkeypatch.setattr(watched_port.subprocess, "Popen", refuse)
     port = rfc2217.Serial() if url == "rfc2217" else open_port(url if ":" in url else board.name)
     with raises(BoardError):
         WatchedPort(port, ZERO)

@@ -83,6 +83,7 @@ def no_place(name):
     ("devices emulate link?firmware=newest",
      says(value="link", allowed=("etactilekit",))),
     ("devices emulate etactilekit?firmware=3", says(value="3")),
+    ("devices show etactilekit:/dev/x?firmware=3", says(BoardError, "firmware '3'", "71adee2")),
     ("devices show kajimoto61:/dev/x --profile electric-mouse",
      says(BoardError, "weighted", "one-against-all")),
     ("devices test memory:", says()),

@@ -21,7 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from smarttouch.base.errors import BoardRestartedError, SafetyError, SequenceLateError
-from smarttouch.boards import kits
+from smarttouch.boards.kits import current_scale
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.device_lines import PtyLine
@@ -151,10 +151,10 @@ def reap(deadline):
     return 1
 
 
-def one_run(kind, how, opening, at_s):
+def one_run(kind, how, option, opening, at_s):
     board = PlayedBoard(kind)
     line, books, gone_ns, drove = board.line, board.books, None, False
-    host = fork_host(line, partial(drive, board.url, ELECTRODES[kind]))
+    host = fork_host(line, partial(drive, board.url + option, ELECTRODES[kind]))
     begun = time.monotonic()
     go_s = begun + at_s if opening else None
     while gone_ns is None or board.clock.now_ns() < gone_ns + WATCHED_NS:
@@ -179,21 +179,21 @@ def one_run(kind, how, opening, at_s):
 def repeat(one, count):
     """Return what so many runs found, each given its number."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-    kits.BOOT_S = 0.0
+    current_scale.BOOT_S = 0.0
     with threadpool_limits(1):
         return [one(number) for number in range(count)]
 
 
-def run(kind, count, how="kill", seed=0):
+def run(kind, count, how="kill", option="", seed=0):
     """Return what so many runs found."""
     draw = random.Random(seed)
     outcomes = repeat(
-        lambda number: one_run(kind, how, number % OPENING == 0, draw.uniform(0, LATEST_S)),
+        lambda number: one_run(kind, how, option, number % OPENING == 0, draw.uniform(0, LATEST_S)),
         count,
     )
     zero_ms = [each.zero_ms for each in outcomes if each.drove]
     return {
-        "board": kind,
+        "board": kind + option,
         "how": how,
         "runs": count,
         "driving": len(zero_ms),
@@ -210,7 +210,8 @@ if __name__ == "__main__":
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("count", type=int)
     parser.add_argument("--how", choices=("kill", "stop"), default="kill")
+    parser.add_argument("--option", default="", help="after the port, for example ?firmware=newest")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    found = run(options.kind, options.count, options.how, options.seed)
+    found = run(options.kind, options.count, options.how, options.option, options.seed)
     print(json.dumps(found))

@@ -115,10 +115,9 @@ def drive(url, electrodes, action, from_thread, at_s, said):
 def one_run(kind, action, from_thread, at_s):
     kind, _, option = kind.partition(" ")
     board = PlayedBoard(kind, *option.split())
+    url = board.url + (f"?firmware={option}" if option else "")
     (ours, said), electrodes = os.pipe(), ELECTRODES[kind]
-    host = fork_host(
-        board.line, partial(drive, board.url, electrodes, action, from_thread, at_s, said)
-    )
+    host = fork_host(board.line, partial(drive, url, electrodes, action, from_thread, at_s, said))
     books, told, go_s, stopped_ns = board.books, b"", None, None
     begun = time.monotonic()
     while (

@@ -23,14 +23,15 @@ STEP_MS = 10
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="it collects orphans as only Linux lets it")
-@pytest.mark.parametrize(("kind", "how"), sample([
-    ("link", "kill"), ("etactilekit", "kill"), ("etactilekit", "stop"), ("kajimoto61", "kill"),
+@pytest.mark.parametrize(("kind", "how", "option"), sample([
+    ("link", "kill", ""), ("etactilekit", "kill", ""), ("etactilekit", "stop", ""),
+    ("kajimoto61", "kill", ""),
 ]))  # fmt: skip
-def test_a_board_whose_host_is_gone_is_at_zero(kind, how, runs):
+def test_a_board_whose_host_is_gone_is_at_zero(kind, how, option, runs):
     kills = runs or KILLS
     script = Path(__file__).with_name("kill_host.py")
     with Forked(
-        [sys.executable, script, kind, str(kills), f"--how={how}"],
+        [sys.executable, script, kind, str(kills), f"--how={how}", f"--option={option}"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
         said, wrong = process.communicate()

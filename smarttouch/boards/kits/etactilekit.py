@@ -2,11 +2,12 @@
 
 Its bytes, and what guards them, are in `etactilekit_line`.
 
-A scan is fixed when it starts, so a pattern is scanned only if it is there at that moment. The host
-loads a pattern while nothing flows, enables its pulses for a period for each pass, and stops them
-again. The board does not report its scans: each pattern is scanned once, or twice where a second
-scan starts before the pulses are stopped, and the report has that range. Scans that start while the
-next pattern is loaded have no pulses.
+A scan is fixed when it starts, so a pattern is scanned only if it is there at that moment. Pulses
+are enabled, as many scans as wanted start, and pulses are stopped again; in between the next
+pattern is loaded. The board does not report its scans, but its readings change with each of them,
+so two queries bracket one, and from then on all others are known (`ScanLock`). Until then (before
+the first measured pulse, or on a slow line), a pattern stays for longer than a whole period: it is
+scanned once or twice, and the report has that range.
 """
 
 from dataclasses import dataclass
@@ -20,23 +21,28 @@ from smarttouch.base.errors import (
     BoardStoppedError,
     LineLostError,
     SequenceLateError,
+    choice_of,
 )
 from smarttouch.boards.driver import Driver
-from smarttouch.boards.kits import Scale, one_against_all, require_kit
+from smarttouch.boards.kits.current_scale import one_against_all, require_kit
 from smarttouch.boards.kits.etactilekit_line import (
     COMPLIANCE_V,
     DUMMY_KOHM,
-    END,
-    FIRST_COMMAND,
     GO,
-    KEPT_MS,
+    LARGEST,
     LOAD,
     QUIET,
+    SHORTEST_US,
     VOLTS_PER_COUNT,
     ETactileKitLine,
-    Readings,
+    ScanLock,
+    Settings,
     Span,
+    payload,
+    settings_commands,
+    settings_of,
 )
+from smarttouch.boards.kits.watched_port import KEPT_MS
 from smarttouch.boards.line import Line
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.device import Output
@@ -44,95 +50,38 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
+FIRMWARES = ("71adee2", "newest")  # by their first commits in the repository
+NEWEST_ZERO_MS = 520.0  # newest firmware: ends its scan 500 ms after the host's last byte
 IDLE_S = 0.1  # time without a sequence after which the pattern on the board becomes zeros
 OPEN_SHARE = 0.95  # of the voltage without a finger: if all slots reach it, it is lifted
-LARGEST = 1000
-"""Counts, about 10 mA: nothing above leaves this host, whatever the limits. Its firmware does not
-cap 4095 counts, which are 41 mA."""
-SHORTEST_US = 7  # shortest pulse: switching on and off takes 6.6 µs
-TOLERANCE = 200e-6  # of the ratio of two free-running clocks, each within 100 ppm
+
 LOW, HIGH = 4, 12  # readings below 4 had no pulse, from 12 on they had one: .3 and 1 V
-MARGIN_NS = 100_000
+POLL_NS, MARGIN_NS = 1_000_000, 100_000
+WIDE_NS = 1_000_000  # above this uncertainty of a start, a query is sent in mid-scan
 KEEP_NS = 100_000_000  # longest silence to the newest firmware
 
-
-@dataclass(frozen=True)
-class Settings:
-    """Settings shared by all slots of a scan."""
-
-    width_us: int
-    discharge_us: int
-    rate_hz: int
-    anodic: bool
-
-    @property
-    def period_ns(self) -> int:
-        """Period of its timer, in whole µs."""
-        return 1_000_000 // self.rate_hz * 1000
-
-    def scan_us(self, outputs: int, slot_extra_us: int = 10) -> int:
-        return outputs * (self.width_us + self.discharge_us + slot_extra_us)
+Readings = NDArray[np.uint16]
 
 
-def settings_of(sequence: ScanSequence) -> Settings:
-    """Return the settings of a sequence; raise BoardError if its slots need several polarities or
-    widths, or a time that is out of reach."""
-    _, current_ua = one_against_all(sequence)
-    if len(np.unique(np.sign(current_ua))) > 1:
-        raise BoardError(
-            "some slots are anodic, some cathodic, and this board has one polarity for all: "
-            "send them as two sequences"
-        )
-    if sequence.slots and np.ptp(sequence.width_us):
-        raise BoardError(
-            f"slots of {int(sequence.width_us.min())} to {int(sequence.width_us.max())} µs in "
-            "one sequence, and this board has one pulse width for all"
-        )
-    width = int(sequence.width_us.max(initial=0))
-    if sequence.slots and width < SHORTEST_US:
-        raise BoardError(f"pulses of {width} µs are too short: at least {SHORTEST_US} µs")
-    discharge = int(sequence.discharge_us.max(initial=0))
-    if discharge >= FIRST_COMMAND:
-        raise BoardError(f"a discharge of {discharge} µs is too long: at most {FIRST_COMMAND - 1}")
-    rate_hz = max(1, round(1e6 / sequence.period_us))
-    return Settings(width, discharge, rate_hz, bool((current_ua < 0).any()))
+@dataclass
+class ShownPattern:
+    """Pattern that is being pulsed, and when that began."""
 
+    proved: ProvedSequence
+    since: Span
+    before: Readings  # of the previous scan
+    is_seen: bool = False  # whether readings have shown some of its pulses
 
-def settings_commands(settings: Settings, between_hz: int) -> bytes:
-    """Return the commands of the settings, twice, each followed by zeros: were a word's first
-    byte lost, they would make it zero, not a longer pulse. At ``between_hz`` scans of the old and
-    of the new pulses fit."""
-    once = (
-        QUIET + END + b"\xf9\0" + END + b"\xf8\0" + END
-        + b"\xf6" + between_hz.to_bytes(2, "little") + END
-        + bytes([0xFD, settings.anodic]) + END
-        + b"\xfa" + settings.width_us.to_bytes(2, "little") + END
-        + bytes([0xF7, settings.discharge_us]) + END
-    )  # fmt: skip
-    return once * 2 + (b"\xf6" + settings.rate_hz.to_bytes(2, "little") + END) * 2
-
-
-def payload(
-    sequence: ScanSequence, wiring: NDArray[np.intp], scale: Scale, limits: SafetyLimits
-) -> bytes:
-    """Return the pattern of a sequence: the height of each output in counts, of which neither
-    rounding nor a scale that is wrong passes the limits."""
-    electrode, current_ua = one_against_all(sequence)
-    most = scale.most_counts(limits, sequence.width_us.max(initial=0))
-    nearest = np.rint(np.abs(current_ua) / scale.measured_ua)
-    counts = np.minimum(np.minimum(nearest, most[electrode]), LARGEST).astype(np.uint16)
-    # A byte that looks like a command would be one, if that before it were lost.
-    low = counts & 0xFF
-    counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0).astype(np.uint16)
-    heights = np.zeros(wiring.max() + 1, "<u2")
-    heights[wiring[electrode]] = counts
-    return heights.tobytes()
+    def pulsed(self, readings: Readings) -> NDArray[np.bool_]:
+        """Return which outputs it has certainly pulsed, by the present readings, (N,) bool."""
+        return (self.before < LOW) & (readings >= HIGH)
 
 
 class ETactileKitDriver(Driver):
     """The eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
-    No query tells which firmware it has: nothing is taken for granted that only one of them does.
+    ``?firmware=71adee2`` or ``newest`` after the port names the firmware, which no query tells.
+    Without it nothing is taken for granted that only one of them does.
     """
 
     default_profile: ClassVar[str] = "etactilekit-32"
@@ -146,7 +95,17 @@ class ETactileKitDriver(Driver):
     )
     _kit: ETactileKitLine
 
-    def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
+    def __init__(
+        self,
+        port: str,
+        limits: SafetyLimits,
+        output: Output | None = None,
+        *,
+        firmware: str | None = None,
+    ) -> None:
+        if firmware is not None:
+            firmware = choice_of("?firmware", firmware, FIRMWARES, BoardError)
+        self._firmware = firmware
         self._scale = require_kit("etactilekit", port, output, self.default_profile)
         self.port = port
         self.ua_per_count = self._scale.measured_ua
@@ -163,14 +122,16 @@ class ETactileKitDriver(Driver):
         self._begin()
 
     def _begin(self) -> None:
-        """Start without knowledge of the board."""
+        """Start without knowledge of the board's scans."""
         self._on_board = b""  # pattern of the board; empty if not certain
         self._settings: Settings | None = None  # what it pulses with; None if not certain
-        self._shown: ProvedSequence | None = None  # its pulses are enabled
-        self._since = Span(0, 0)  # when that was
-        self._before = np.zeros(self._outputs, np.uint16)  # readings at that time
-        self._earlier = np.array([], np.intp)  # outputs of the pattern before
-        self._free_ns = 0  # when the last sequence was done
+        self._lock = ScanLock(1)
+        self._shown: ShownPattern | None = None
+        # The time of the last query, and its readings.
+        self._before: tuple[int, Readings] | None = None
+        self._answer_ns = 0  # how long recent answers took
+        self._stopped_ns = self._free_ns = 0
+        self._seen_ua = 10**6  # the weakest pattern that was measured
 
     # -- opening and closing -----------------------------------------------
 
@@ -182,9 +143,7 @@ class ETactileKitDriver(Driver):
             if not line.reopened:
                 self._kit = ETactileKitLine(line, self._outputs)
             capacity = self._kit.connect(str(self.port))
-            if self._shown is not None:
-                # It may have scanned until it came back at zero.
-                self._report_scans(self._shown, Span(self._since.late, line.now_ns()), [])
+            self._give_up()
             self._begin()
             self._put_at_zero()
             self._away = False
@@ -195,14 +154,15 @@ class ETactileKitDriver(Driver):
             raise
         finally:
             self._opening = False
+        named = f"eTactileKit {self._firmware}" if self._firmware else "eTactileKit"
         return Capabilities(
             electrodes=self._limits.electrodes,
             output="one-against-all",
             max_current_ma=LARGEST * self._scale.measured_ua / 1000,
             max_slots=self._limits.electrodes,
-            time_to_zero_ms=None,
+            time_to_zero_ms=NEWEST_ZERO_MS if self._firmware == "newest" else None,
             kept_ms=KEPT_MS,
-            firmware=f"eTactileKit, {capacity} outputs",
+            firmware=f"{named}, {capacity} outputs",
             measures=True,
             compliance_v=COMPLIANCE_V,
             load_kohm=DUMMY_KOHM,
@@ -281,6 +241,9 @@ class ETactileKitDriver(Driver):
                 return
         line.events.delivered(proved, 0)
         self._hold(proved)
+        with self._kit.lock:
+            if self._shown is not None:
+                self._stop_pulses()
 
     def _show(self, proved: ProvedSequence, pattern: bytes) -> bool:
         """Enable a sequence's pulses; return whether the board has done so."""
@@ -289,13 +252,14 @@ class ETactileKitDriver(Driver):
             return False
         if pattern != self._on_board and not self._load(pattern):
             return False
-        # Settings decide when it can begin.
-        answer = self._kit.exchange(GO, ask=True, drives=line.later(proved, line.now_ns()))
-        if answer is None:
+        # Settings and the board's own scans decide when it can begin.
+        begin_ns = self._between_scans(line.now_ns())
+        self._wait(begin_ns)
+        if (span := self._ask(GO, drives=line.later(proved, begin_ns))) is None:
             self._on_board = b""
             return False
-        self._since, self._before = answer
-        self._shown = proved
+        assert self._before is not None
+        self._shown = ShownPattern(proved, span, self._before[1])
         return True
 
     def _set(self, settings: Settings) -> bool:
@@ -305,7 +269,8 @@ class ETactileKitDriver(Driver):
         )
         before_hz = 10 if self._settings is None else self._settings.rate_hz
         between_hz = max(1, min(settings.rate_hz, before_hz, 800_000 // longest))
-        self._on_board, self._settings = b"", None
+        self._on_board, self._settings, self._before = b"", None, None
+        self._lock = ScanLock(settings.period_ns)
         for commands in (LOAD + self._nothing, settings_commands(settings, between_hz)):
             if self._kit.exchange(commands) is None:
                 return False
@@ -324,74 +289,159 @@ class ETactileKitDriver(Driver):
 
     # -- the scans of the board -----------------------------------------------
 
-    def _hold(self, proved: ProvedSequence) -> None:
-        """Wait until the requested number of scans has begun, then stop the pulses."""
-        line = self._kit.line
-        period_ns = settings_of(proved.sequence).period_ns * 1001 // 1000
-        while True:
-            times = 1 if line.has_newer() else proved.times
-            over_ns, now_ns = self._since.late + times * period_ns, line.now_ns()
-            self._wait(min(over_ns, now_ns + min(period_ns, KEEP_NS)))
-            asked_ns = line.now_ns()
-            with self._kit.lock:
-                # From another thread, zero may have ended it.
-                if self._shown is not proved:
-                    return
-                # What is not answered has stopped the pulses.
-                if asked_ns >= over_ns or self._kit.exchange(b"") is None:
-                    self._stop_pulses(asked_ns)
-                    return
+    def _ask(self, body: bytes, *, drives: ProvedSequence | None = None) -> Span | None:
+        """Send commands and update the scan lock by the readings; return the time of execution."""
+        before, self._before = self._before, None
+        found = self._kit.exchange(body, ask=True, drives=drives)
+        if found is None:
+            return None
+        span, readings = found
+        assert readings is not None
+        # An answer during a scan takes as long as the scan.
+        took_ns = span.late - span.early
+        self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
+        if before is not None and self._settings is not None:
+            self._learn(self._settings, *before, span.late, readings)
+        self._before = span.early, readings
+        return span
 
-    def _stop_pulses(self, ended_ns: int | None = None) -> None:
-        """Stop all pulses, and report the scans of the shown sequence; its pulses cannot have ended
-        before a time, which is now if not given."""
-        line, kit = self._kit.line, self._kit
-        proved, self._shown = self._shown, None
-        ended_ns = line.now_ns() if ended_ns is None else ended_ns
-        end, readings = None, list[Readings]()
-        try:
-            if answer := kit.exchange(QUIET, ask=proved is not None):
-                end = Span(ended_ns, answer[0].late)
-                readings.append(answer[1])
-            if proved is not None and answer and not line.has_newer():
-                # A scan that had begun goes on; then all its readings are there.
-                scan_us = settings_of(proved.sequence).scan_us(self._outputs)
-                self._wait(line.now_ns() + 1000 * scan_us + MARGIN_NS)
-                if answer := kit.exchange(b"", ask=True):
-                    readings.append(answer[1])
-        finally:
-            if proved is not None:
-                self._report_scans(proved, end or Span(ended_ns, line.now_ns()), readings)
-
-    def _report_scans(self, proved: ProvedSequence, end: Span, readings: list[Readings]) -> None:
-        """Report the scans of a sequence and its voltages; latch the board if others pulsed."""
-        sequence, events = proved.sequence, self._kit.line.events
-        period_ns = settings_of(sequence).period_ns
-        least = int(max(0, end.early - self._since.late) / period_ns * (1 - TOLERANCE))
-        most = int(max(0, end.late - self._since.early) / period_ns * (1 + TOLERANCE)) + 1
-        events.delivered(proved, least, most=most)
-        if not readings:
+    def _learn(
+        self, settings: Settings, asked_ns: int, before: Readings, answered_ns: int, now: Readings
+    ) -> None:
+        """Update the scan lock if a scan passed between two readings."""
+        rises, falls = (before < LOW) & (now >= HIGH), (before >= HIGH) & (now < LOW)
+        if not (rises | falls).any():
             return
-        now, outputs = np.max(readings, axis=0), self._wiring[sequence.site]
-        if least and (len(readings) > 1 or (now[outputs] >= LOW).all()):
-            self._report_volts(sequence, now[outputs])
-        beside = (self._before < LOW) & (now >= HIGH)
-        # The scan before may have gone on when this one's pulses were enabled.
-        beside[outputs], beside[self._earlier], self._earlier = False, False, outputs
-        if beside.any():
-            raise events.fault(
-                f"output {beside.argmax()} pulsed, and its pattern has no pulse there"
-            )
+        # A pulse whose discharge is short, or one without a width, as in scans without pulses.
+        rest_us = max(0, settings.discharge_us - SHORTEST_US)
+        if self._firmware == "71adee2":
+            # A query during a scan is answered after it: the whole scan has passed.
+            slot_us = rest_us + (settings.width_us if rises.any() else SHORTEST_US)
+            self._lock.learn(Span(asked_ns, answered_ns - 1000 * self._outputs * slot_us))
+            return
+        # That slot passed between the two queries; its scan began so much earlier.
+        slots = int((rises | falls).argmax())
+        early_ns = asked_ns - 1000 * slots * settings.scan_us(1, 25)
+        self._lock.learn(Span(early_ns, answered_ns - 1000 * slots * rest_us))
 
-    def _report_volts(self, sequence: ScanSequence, readings: Readings) -> None:
-        events, volts = self._kit.line.events, (readings * VOLTS_PER_COUNT).astype(np.float32)
-        events.volts(sequence, volts)
-        if volts.any():
-            # Without a finger all current takes the load beside the skin.
-            _, current_ua = one_against_all(sequence)
-            alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
-            events.lift(bool((volts >= OPEN_SHARE * alone_v).all()))
+    def _between_scans(self, now_ns: int) -> int:
+        """Return when an answer will come before the next scan can start, ns."""
+        lock = self._lock
+        lock.check(now_ns)
+        if lock.last is None:
+            # In the newest firmware a scan that began before the stop may still run.
+            return max(now_ns, self._stopped_ns + self._scan_ns())
+        answer_ns = min(3 * self._answer_ns, (lock.period_ns - self._scan_ns()) // 3)
+        number = lock.first_after(now_ns)
+        before, following = lock.scan(number - 1), lock.scan(number)
+        if before.late > now_ns:
+            return before.late + MARGIN_NS
+        return now_ns if now_ns + answer_ns < following.early else following.late + MARGIN_NS
+
+    def _hold(self, proved: ProvedSequence) -> None:
+        """Wait until the requested number of scans of the shown pattern is over."""
+        line, shown = self._kit.line, self._shown
+        asked_ns = now_ns = line.now_ns()
+        # From another thread, zero may end it.
+        while shown is not None and shown is self._shown:
+            over_ns = self._over_ns(shown.since, 1 if line.has_newer() else proved.times)
+            if now_ns >= over_ns:
+                self._wait(self._between_scans(now_ns))
+                return
+            ask_ns = self._worth_asking(now_ns, asked_ns)
+            # A newer sequence may come meanwhile.
+            until_ns = min(over_ns, ask_ns, now_ns + self._lock.period_ns)
+            self._wait(until_ns)
+            now_ns = line.now_ns()
+            if until_ns == ask_ns:
+                asked_ns = now_ns
+                with self._kit.lock:
+                    if shown is self._shown and self._ask(b"") and self._before:
+                        self._look(shown, self._before[1])
+
+    def _look(self, shown: ShownPattern, readings: Readings) -> None:
+        """Note the first scan of the shown pattern, once readings show it."""
+        scan = self._lock.last
+        if not shown.is_seen and shown.pulsed(readings).any():
+            shown.is_seen = True
+            if scan is not None and scan.late >= shown.since.early:
+                shown.since = Span(scan.early - 1, scan.early - 1)
+
+    def _worth_asking(self, now_ns: int, asked_ns: int) -> int:
+        """Return when the next query is useful: to locate scans, or to keep the board awake."""
+        if self._lock.last is None:
+            return now_ns + POLL_NS
+        coming = self._lock.scan(self._lock.first_after(now_ns))
+        if coming.late - coming.early > WIDE_NS:
+            return min(asked_ns + KEEP_NS, (coming.early + coming.late) // 2)
+        return asked_ns + KEEP_NS
+
+    def _over_ns(self, since: Span, times: int) -> int:
+        """Return when so many scans after an event are certainly over."""
+        lock = self._lock
+        if lock.last is None:
+            start_ns = since.late + times * lock.period_ns * 1001 // 1000
+        else:
+            start_ns = lock.scan(lock.first_after(since.late) + times - 1).late
+        return start_ns + self._scan_ns() + MARGIN_NS
+
+    def _scan_ns(self) -> int:
+        """Return the duration of a scan."""
+        assert self._settings is not None
+        return 1000 * self._settings.scan_us(self._outputs)
+
+    def _stop_pulses(self) -> None:
+        """Stop all pulses, and report the scans of the shown pattern."""
+        shown, self._shown = self._shown, None
+        begun_ns, stopped = self._kit.line.now_ns(), None
+        try:
+            stopped = self._ask(QUIET)
+        finally:
+            self._stopped_ns = self._kit.line.now_ns()
+            if shown is not None:
+                self._report_scans(shown, stopped or Span(begun_ns, self._stopped_ns))
+
+    def _give_up(self) -> None:
+        """Report the scans that may have run before a lost board came back at zero."""
+        shown, self._shown = self._shown, None
+        self._before = None
+        if shown is not None:
+            self._report_scans(shown, Span(shown.since.late, self._kit.line.now_ns()))
+
+    def _report_scans(self, shown: ShownPattern, end: Span) -> None:
+        """Report the scans of a pattern and its voltages; latch the board if others pulsed."""
+        sequence, events = shown.proved.sequence, self._kit.line.events
+        least, most = self._lock.starts(shown.since, end)
+        pulsed = np.zeros(self._outputs, bool)
+        if self._before is not None:
+            now = self._before[1]
+            pulsed = shown.pulsed(now)
+            electrode, current_ua = one_against_all(sequence)
+            readings, level_ua = now[self._wiring[electrode]], int(np.abs(current_ua).max())
+            if pulsed.any():
+                least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
+            elif level_ua >= self._seen_ua and (readings < LOW).all():
+                # Weaker pulses were measured before: the board's timing has changed.
+                self._lock.last, least = None, 0
+            if least:
+                self._report_volts(sequence, current_ua, readings)
+        events.delivered(shown.proved, least, most=max(least, most))
+        pulsed[self._wiring[sequence.site]] = False
+        if pulsed.any():
+            raise events.fault(
+                f"output {pulsed.argmax()} pulsed, and its pattern has no pulse there"
+            )
 
     def _wait(self, until_ns: int) -> None:
         if until_ns > self._kit.line.now_ns():
             self._kit.line.wait_until(until_ns)
+
+    def _report_volts(
+        self, sequence: ScanSequence, current_ua: NDArray[np.int64], readings: Readings
+    ) -> None:
+        events, volts = self._kit.line.events, (readings * VOLTS_PER_COUNT).astype(np.float32)
+        events.volts(sequence, volts)
+        if volts.any():
+            # Without a finger all current takes the load beside the skin.
+            alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
+            events.lift(bool((volts >= OPEN_SHARE * alone_v).all()))
