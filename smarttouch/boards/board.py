@@ -582,9 +582,9 @@ class Board:
             self._line.require_running()
             if not probe.slots:
                 return np.empty(0)
-            found = [volts for scan, volts in self.take_volts() if scan.time_ns >= probe.time_ns]
-            if found:
-                return found[-1].astype(np.float64)
+            measured = [volts for scan, volts in self.take_volts() if scan.time_ns >= probe.time_ns]
+            if measured:
+                return measured[-1].astype(np.float64)
         raise BoardError(
             f"the board at {self._line.name} did not report the voltages of its electrodes: "
             "measure again"

@@ -106,7 +106,7 @@ def one_each(
     else:
         # From the driven electrode on: the nearest ones take the remainder.
         others = [[(site + step) % electrodes for step in range(1, electrodes)] for site in driven]
-        returns = [[other for other in each if other not in masked] for each in others]
+        returns = [[other for other in neighbors if other not in masked] for neighbors in others]
     currents = np.zeros((len(driven), electrodes), np.int16)
     for current, site, back in zip(currents, driven, returns, strict=True):
         share, rest = divmod(level_ua, len(back))

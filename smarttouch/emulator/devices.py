@@ -48,8 +48,8 @@ def emulate(url: str, advise: bool = False) -> None:
     """
     name = choice_of("emulator", url.partition("?")[0], (*BOARDS, *SENSORS))
     device = emulate_board if name in BOARDS else emulate_sensor
-    place, options = read_options(device, url, SmartTouchError)
-    if place.lower() != name:
+    address, options = read_options(device, url, SmartTouchError)
+    if address.lower() != name:
         known = ", ".join(sorted(options_of(device)))
         raise SmartTouchError(f"{url!r} has an option that {name} has not: choose {known}")
     device(name, advise, **options)
@@ -73,9 +73,9 @@ def emulate_board(
     is of an eTactileKit. With ``tcp``, the port is one of the network. Each ``event`` is as in
     `skin`, and ``books`` is an existing folder for the delivery log.
     """
-    default, least, most = BOARDS[name]
+    default, least, largest = BOARDS[name]
     electrodes = default if electrodes is None else electrodes
-    require_within(SmartTouchError, "electrodes", electrodes, least, most)
+    require_within(SmartTouchError, "electrodes", electrodes, least, largest)
     require_within(SmartTouchError, "ramp_ms", ramp_ms, 0, 10_000)
     kind = choice_of("output", output, OUTPUTS)
     if firmware is not None and name != "etactilekit":
@@ -126,8 +126,8 @@ def _serve(
     with closing(line()) as opened, threadpool_limits(1):
         url = f"{name}:{opened.name}"
         use = f"live --board {url} --force fixed:0.9" if name in BOARDS else f"devices show {url}"
-        said = f"In another terminal:\n\n  smarttouch {use}\n\nCtrl-C ends it."
-        Server(device, opened).serve(linger_s, said if advise else "")
+        instructions = f"In another terminal:\n\n  smarttouch {use}\n\nCtrl-C ends it."
+        Server(device, opened).serve(linger_s, instructions if advise else "")
 
 
 class Server:

@@ -51,12 +51,12 @@ class _KeptBooks(DeliveryLog):
         self._kept.append((number, width_us, np.rint(current_ua).astype(np.int16)))
 
     def take(self) -> Pulses:
-        kept, self._kept = self._kept, []
-        current_ua = np.array([each for _, _, each in kept], np.int16)
+        records, self._kept = self._kept, []
+        current_ua = np.array([current for _, _, current in records], np.int16)
         return (
-            np.array([number for number, _, _ in kept], np.uint32),
-            np.array([width for _, width, _ in kept], np.float32),
-            current_ua.reshape(len(kept), self.electrodes),
+            np.array([number for number, _, _ in records], np.uint32),
+            np.array([width for _, width, _ in records], np.float32),
+            current_ua.reshape(len(records), self.electrodes),
         )
 
 
@@ -263,9 +263,9 @@ class EmulatorProcess:
                         f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this "
                         "computer is too busy, try again"
                     )
-            if not (said := output.readline()):
+            if not (printed := output.readline()):
                 raise BoardError(f"the emulator did not start (exit {process.wait()})")
-        return said.decode().strip()
+        return printed.decode().strip()
 
     def end(self) -> None:
         """Wait until it ends, which it does without its host, and end it if it does not."""

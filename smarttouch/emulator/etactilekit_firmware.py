@@ -134,7 +134,7 @@ class ETactileKitFirmware(KitFirmware):
         count = self._set[COUNT]
         if code == PATTERN:
             heights = np.frombuffer(command[1:], "<u2").tolist()
-            self._heights[:count] = [min(each, LARGEST_READING) for each in heights]
+            self._heights[:count] = [min(height, LARGEST_READING) for height in heights]
         elif code == READINGS:
             return np.array(self._readings[:count], "<u2").tobytes()
         elif code in (CHIPS, ECHO):
@@ -156,12 +156,12 @@ class ETactileKitFirmware(KitFirmware):
 
     def _pulses(self) -> list[_Pulse]:
         """Return the pulse of each electrode in a scan that starts now."""
-        numbers, own = self._set, -1 if self._set[POLARITY] else 1
+        numbers, sign = self._set, -1 if self._set[POLARITY] else 1
         heights = self._heights[: numbers[COUNT]]
         if numbers[MODE] == SENSE_ONLY:
             sense_us = max(float(numbers[SENSE_WIDTH]), SHORTEST_US)
-            return [(numbers[SENSE_HEIGHT], sense_us, (own,))] * len(heights)
-        phases = (own, -own) if numbers[MODE] == BIPHASIC else (own,)
+            return [(numbers[SENSE_HEIGHT], sense_us, (sign,))] * len(heights)
+        phases = (sign, -sign) if numbers[MODE] == BIPHASIC else (sign,)
         width_us = max(float(numbers[WIDTH]), SHORTEST_US)
         return [(height, width_us, phases) for height in heights]
 

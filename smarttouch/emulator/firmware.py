@@ -138,12 +138,12 @@ def read_slots(folder: Path, recharges: bool = False) -> NDArray[Any]:
 
 @cache
 def _record(electrodes: int) -> np.dtype[np.void]:
-    each = (electrodes,)
+    shape = (electrodes,)
     return np.dtype(
         [
             ("number", "<u4"), ("slot", "<u2"), ("site", "<u2"), ("time_us", "<i8"),
-            ("current_ua", "<i4", each), ("charge_uc", "<f4", each), ("volts", "<f2", each),
-            ("residual_uc", "<f2", each),
+            ("current_ua", "<i4", shape), ("charge_uc", "<f4", shape), ("volts", "<f2", shape),
+            ("residual_uc", "<f2", shape),
         ]
     )  # fmt: skip
 

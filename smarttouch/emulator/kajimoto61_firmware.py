@@ -99,7 +99,7 @@ class Kajimoto61Firmware(KitFirmware):
             currents = [-float(MEASURE_UA)] * ELECTRODES
             if not measures:
                 currents = [-UA_PER_STEP * value * (value <= LARGEST) for value in command[1:]]
-            pulses = [(electrode, each) for electrode, each in enumerate(currents) if each]
+            pulses = [(electrode, current) for electrode, current in enumerate(currents) if current]
             self._commands += 1
             start_ns = max(self._free_ns, self._fed_ns)
             self._scan = _Scan(self._commands, pulses, start_ns, measures)

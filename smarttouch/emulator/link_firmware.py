@@ -326,9 +326,9 @@ class LinkFirmware(Firmware):
         if len(message.payload) >= size and not self.at_hand and self._refusing is None:
             identity, whole_size, offset = protocol.KERNELS.unpack_from(message.payload)
             keep.take(identity, whole_size, offset, message.payload[size:])
-        whole, proof = keep.weights is not None, keep.proof(self._session.number)
-        kept = protocol.KEPT.pack(keep.identity, keep.received, whole, proof)
-        self._say(MessageKind.KEPT, message.number, kept)
+        is_complete, proof = keep.weights is not None, keep.proof(self._session.number)
+        answer = protocol.KEPT.pack(keep.identity, keep.received, is_complete, proof)
+        self._say(MessageKind.KEPT, message.number, answer)
 
     def _accept(self, message: Message, now_ns: int) -> None:
         number, (last, begun) = message.about, self._last
@@ -366,10 +366,10 @@ class LinkFirmware(Firmware):
             start_ns = max(now_ns, running.over_ns if sequence.goes_on else running.end_ns)
         # Time that stood still with this process has passed on the skin.
         rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
-        found = self._rules.judge(sequence, start_ns // 1000, rise_us)
-        if isinstance(found, Load):
-            return _AtHand(number, sequence, found, sequence.times, now_ns)
-        self._say(MessageKind.NAK, number, found.nak())
+        broken = self._rules.judge(sequence, start_ns // 1000, rise_us)
+        if isinstance(broken, Load):
+            return _AtHand(number, sequence, broken, sequence.times, now_ns)
+        self._say(MessageKind.NAK, number, broken.nak())
         return None
 
     def _acknowledge(self) -> None:

@@ -56,7 +56,7 @@ class BrokenRule(NamedTuple):
 
     def nak(self, reason: Refusal = Refusal.UNSAFE) -> bytes:
         """Return the payload of NAK."""
-        value, allowed = (min(each, 0x7FFFFFFF) for each in self[3:])
+        value, allowed = (min(number, 0x7FFFFFFF) for number in self[3:])
         return NAK.pack(reason, *self[:3], value, allowed)
 
 
@@ -65,12 +65,12 @@ def first_above(
 ) -> BrokenRule | None:
     """Return a rule as broken if a value is above the allowed; of electrodes, (E,), at the first
     whose value is."""
-    values, most = np.broadcast_arrays(np.atleast_1d(value), allowed)
-    if not len(over := np.flatnonzero(values > most)):
+    values, allowed_each = np.broadcast_arrays(np.atleast_1d(value), allowed)
+    if not len(over := np.flatnonzero(values > allowed_each)):
         return None
     first = int(over[0])
     electrode = first if isinstance(value, np.ndarray) else NOTHING
-    return BrokenRule(rule, slot, electrode, int(values[first]), int(most[first]))
+    return BrokenRule(rule, slot, electrode, int(values[first]), int(allowed_each[first]))
 
 
 class Load(NamedTuple):
@@ -117,17 +117,17 @@ class SessionLimits:
         if len(payload) != LIMITS.size + 8 * electrodes:
             return None
         (
-            period, total, width, full, rounding, _, ramp, session_s, session_uc, duty, _, usual,
+            period, total, width, full, rounding, _, ramp, session_s, session_uc, duty, _, usual_us,
         ) = LIMITS.unpack_from(payload)  # fmt: skip
         current, felt = np.frombuffer(payload, "<u2", 2 * electrodes, LIMITS.size).reshape(2, -1)
         charge = np.frombuffer(payload, "<u4", electrodes, LIMITS.size + 4 * electrodes)
-        most = MAX_TOTAL_UA if output == "weighted" else MAX_CURRENT_UA
+        total_ua = MAX_TOTAL_UA if output == "weighted" else MAX_CURRENT_UA
         return cls(
-            max(period, MIN_PERIOD_US), min(total, most), min(width, MAX_WIDTH_US),
+            max(period, MIN_PERIOD_US), min(total, total_ua), min(width, MAX_WIDTH_US),
             min(full, MAX_CURRENT_UA), min(rounding, -(-electrodes // 2) + 1),
             max(ramp or MAX_RAMP_MS, MIN_RAMP_MS),
             min(session_s, MAX_SESSION_S), min(session_uc, MAX_SESSION_UC),
-            min(duty, MAX_DUTY_PERCENT), min(full, MAX_CURRENT_UA) * min(usual, MAX_WIDTH_US),
+            min(duty, MAX_DUTY_PERCENT), min(full, MAX_CURRENT_UA) * min(usual_us, MAX_WIDTH_US),
             np.minimum(current.astype(np.int64), MAX_CURRENT_UA),
             np.minimum(felt.astype(np.int64), MAX_FELT_UA),
             np.minimum(charge.astype(np.int64), MAX_CHARGE_PC),
@@ -195,18 +195,20 @@ class LastSecond:
     ) -> BrokenRule | None:
         """Return the first rule that a sequence whose first pass begins at ``start_us`` breaks with
         what was before it, if any."""
-        period_us, times, found = sequence.period_us, sequence.times, None
+        period_us, times, broken = sequence.period_us, sequence.times, None
         starts_us = range(start_us, start_us + min(times * period_us, SECOND_US), period_us)
         if load.busy_us:
-            found = self._second(starts_us, load)
+            broken = self._second(starts_us, load)
         if not sequence.goes_on:
-            most = max(
-                own + sum(each >= at_us - SECOND_US for each in self._starts_us)
-                for own, at_us in enumerate(starts_us, 1)
+            most_starts = max(
+                own_starts + sum(pass_us >= at_us - SECOND_US for pass_us in self._starts_us)
+                for own_starts, at_us in enumerate(starts_us, 1)
             )
-            found = found or first_above(Rule.OFTEN, most, -(-SECOND_US // limits.period_us) + 1)
-        if found is not None or not load.busy_us:
-            return found
+            broken = broken or first_above(
+                Rule.OFTEN, most_starts, -(-SECOND_US // limits.period_us) + 1
+            )
+        if broken is not None or not load.busy_us:
+            return broken
         session_us = self.session_us + times * period_us * (not sequence.goes_on)
         session_uc = -(-(self.session[1] + times * load.each[1]) // 10**6)
         return first_above(
@@ -214,16 +216,16 @@ class LastSecond:
         ) or first_above(Rule.SESSION_CHARGE, session_uc, limits.session_uc)
 
     def _second(self, starts_us: range, load: Load) -> BrokenRule | None:
-        most = self._none
-        for own, at_us in enumerate(starts_us, 1):
+        largest = self._none
+        for passes, at_us in enumerate(starts_us, 1):
             window = self._in_window(at_us)
-            every = window.sum(axis=0) + own * load.each
-            every[2] = _most_net(window, own * load.each[2])
-            most = np.maximum(most, every)
+            every = window.sum(axis=0) + passes * load.each
+            every[2] = _most_net(window, passes * load.each[2])
+            largest = np.maximum(largest, every)
         return (
-            first_above(Rule.FELT_IN_SECOND, most[0], MAX_PULSES_HZ)
-            or first_above(Rule.CHARGE_IN_SECOND, most[1], MOST_CHARGE_PC)
-            or first_above(Rule.NET_IN_SECOND, most[2], MOST_NET_PC)
+            first_above(Rule.FELT_IN_SECOND, largest[0], MAX_PULSES_HZ)
+            or first_above(Rule.CHARGE_IN_SECOND, largest[1], MOST_CHARGE_PC)
+            or first_above(Rule.NET_IN_SECOND, largest[2], MOST_NET_PC)
         )
 
 
@@ -335,31 +337,31 @@ class LinkRules:
         missing, amplitude = self._fill_in(sequence)
         signed_ua = self._currents(sequence)
         load = _load_of(sequence, signed_ua, limits)
-        whole = load.after(scan.load)
+        total_load = load.after(scan.load)
         burst_us = min(sequence.period_us, BURST_US)
-        strength = limits.strength(sequence.intensity, whole.peak_pc)
-        if found := (
-            self._times(sequence, limits, whole)
+        strength = limits.strength(sequence.intensity, total_load.peak_pc)
+        if broken := (
+            self._times(sequence, limits, total_load)
             or self._slots(sequence, np.abs(signed_ua), limits, missing, amplitude)
             or self._recharged(sequence, limits, load)
-            or first_above(Rule.MEAN, whole.each[1], MAX_MEAN_UA * burst_us)
-            or first_above(Rule.FELT, whole.each[0], MAX_PULSES_HZ * burst_us // 10**6)
+            or first_above(Rule.MEAN, total_load.each[1], MAX_MEAN_UA * burst_us)
+            or first_above(Rule.FELT, total_load.each[0], MAX_PULSES_HZ * burst_us // 10**6)
             or limits.intensity(sequence.intensity, load)
             or first_above(Rule.RISE, strength, scan.rise.allowed(scan.rise_us))
             or self.second.complaint(start_us, sequence, load, limits)
         ):
-            return found
-        scan.load, scan.last, self._scan, self._ramp = whole, sequence, scan, copy(scan.rise)
-        span_us = sequence.times * sequence.period_us if whole.peak_pc else 0
+            return broken
+        scan.load, scan.last, self._scan, self._ramp = total_load, sequence, scan, copy(scan.rise)
+        span_us = sequence.times * sequence.period_us if total_load.peak_pc else 0
         self._ramp.note(sequence.intensity, strength, scan.rise_us, span_us)
         return load
 
     def _times(
-        self, sequence: ReceivedSequence, limits: SessionLimits, whole: Load
+        self, sequence: ReceivedSequence, limits: SessionLimits, total_load: Load
     ) -> BrokenRule | None:
         period_us = sequence.period_us
-        if found := first_above(Rule.SLOTS, sequence.slots, self._room.slots):
-            return found
+        if broken := first_above(Rule.SLOTS, sequence.slots, self._room.slots):
+            return broken
         if period_us < limits.period_us:
             return BrokenRule(Rule.PERIOD, value=period_us, allowed=limits.period_us)
         width_us, rest_us = sequence.width_us, sequence.discharge_us
@@ -370,8 +372,8 @@ class LinkRules:
             if wide[slot]:
                 rule, value, allowed = Rule.WIDTH, width_us[slot], limits.width_us
             return BrokenRule(rule, slot, value=int(value), allowed=allowed)
-        return first_above(Rule.FIT, whole.busy_us, period_us) or first_above(
-            Rule.DUTY, whole.pulses_us, limits.duty_percent * period_us // 100
+        return first_above(Rule.FIT, total_load.busy_us, period_us) or first_above(
+            Rule.DUTY, total_load.pulses_us, limits.duty_percent * period_us // 100
         )
 
     def _slots(
@@ -404,7 +406,12 @@ class LinkRules:
             (Rule.TOTAL, total_ua > limits.total_ua, total_ua, limits.total_ua),
             (Rule.CHARGE, charge_pc > limits.charge_pc, charge_pc, limits.charge_pc),
         ]
-        broken = np.array([each if each.ndim == 1 else each.any(axis=1) for _, each, _, _ in rules])
+        broken = np.array(
+            [
+                is_broken if is_broken.ndim == 1 else is_broken.any(axis=1)
+                for _, is_broken, _, _ in rules
+            ]
+        )
         if not broken.any():
             return None
         slot = int(broken.any(axis=0).argmax())
@@ -457,16 +464,16 @@ class LinkRules:
             return BrokenRule(Rule.RECHARGE, value=width_us, allowed=MAX_RECHARGE_US)
         if net := int(recharge_ua.sum()):
             return BrokenRule(Rule.BALANCE, value=net)
-        each = np.abs(recharge_ua)
+        magnitude_ua = np.abs(recharge_ua)
         allowed = np.minimum(min(MAX_RECHARGE_UA, MAX_RECHARGE_PC // width_us), limits.current_ua)
-        found = first_above(Rule.CURRENT, each, allowed) or first_above(
-            Rule.TOTAL, int(each.sum()) // 2, limits.total_ua
+        broken = first_above(Rule.CURRENT, magnitude_ua, allowed) or first_above(
+            Rule.TOTAL, int(magnitude_ua.sum()) // 2, limits.total_ua
         )
         for passes in (1, sequence.times):
             after_pc = self.second.session[2] + passes * load.each[2]
             most_pc = np.maximum(np.abs(after_pc - recharge_ua * width_us), MAX_RECHARGE_PC)
-            found = found or first_above(Rule.RECHARGE, np.abs(after_pc), most_pc)
-        return found
+            broken = broken or first_above(Rule.RECHARGE, np.abs(after_pc), most_pc)
+        return broken
 
 
 def _load_of(
@@ -476,12 +483,12 @@ def _load_of(
     width_us, each_ua = sequence.width_us, np.abs(signed_ua)
     strongest_ua, pulses_us = each_ua.max(axis=1, initial=0), int(width_us.sum())
     felt = ((each_ua >= limits.felt_ua) & (each_ua > 0)).sum(axis=0)
-    each = np.array([felt, width_us @ each_ua, width_us @ signed_ua])
+    loads = np.array([felt, width_us @ each_ua, width_us @ signed_ua])
     busy_us = pulses_us + int(sequence.discharge_us.sum())
     if sequence.recharge_ua is not None:
         phase_pc = sequence.recharge_ua * sequence.recharge_us
-        each += [0 * phase_pc, np.abs(phase_pc), phase_pc]
+        loads += [0 * phase_pc, np.abs(phase_pc), phase_pc]
         pulses_us += sequence.recharge_us
         busy_us += sequence.recharge_us + MIN_DISCHARGE_US
     peak_pc = int((strongest_ua * width_us).max(initial=0))
-    return Load(each, int(strongest_ua.max(initial=0)), peak_pc, busy_us, pulses_us)
+    return Load(loads, int(strongest_ua.max(initial=0)), peak_pc, busy_us, pulses_us)

@@ -124,9 +124,9 @@ class SkinCircuit:
         steps = self._steps_of(width_us, *_CAPPED)
         for length, decay, rise, late, admittance in zip(*steps, strict=True):
             rest = volts * late
-            most = (self.compliance_v - rest) * admittance
+            limit = (self.compliance_v - rest) * admittance
             least = (-self.compliance_v - rest) * admittance
-            amps = _balance(np.clip(asked, least, most))
+            amps = _balance(np.clip(asked, least, limit))
             volts = volts * decay + rise * amps
             charge += amps * length
         self._volts = volts
@@ -281,7 +281,7 @@ def parse_event(text: str) -> FingerEvent:
     except ValueError:
         form = f"TIME {kind} {FORMS[kind]}".strip()
         raise BoardError(f"event {text!r} has another form: write {form}") from None
-    if not all(0 <= each < math.inf for each in numbers.values()):
+    if not all(0 <= number < math.inf for number in numbers.values()):
         raise BoardError(f"event {text!r} has a number that is negative or not finite")
     electrode = int(numbers.get("ELECTRODE", 0))
     return FingerEvent(numbers["TIME"], kind, electrode, numbers.get("NEWTON", FORCE_N))

@@ -66,11 +66,11 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     window = (round(20 / factor) | 1,) * 2
     # Means around, weighted by depth: the pale edges of strokes change these little.
     depth = np.where(flat <= first, np.float32(middle) - flat, np.float32(0))
-    usual = np.vdot(depth, depth) / depth.sum()
-    around = cv2.blur(depth * depth, window) + 0.02 * usual**2
-    around /= cv2.blur(depth, window) + 0.02 * usual
+    typical = np.vdot(depth, depth) / depth.sum()
+    around = cv2.blur(depth * depth, window) + 0.02 * typical**2
+    around /= cv2.blur(depth, window) + 0.02 * typical
     calm = min(max((_GRAINY - grain) / (_GRAINY - _CALM), 0.0), 1.0)
-    contrast, light = usual + calm * (around - usual), np.float32(paper) / _PAPER
+    contrast, light = typical + calm * (around - typical), np.float32(paper) / _PAPER
     part = 0.5 - 0.04 * calm * (grain > 1)
     limit = cv2.convertScaleAbs((middle - part * contrast + 0.5) * light)
     ink = grey < cv2.resize(limit, grey.shape[::-1])

@@ -67,7 +67,9 @@ class Components:
 
     def joined(self, others: "Components") -> "Components":
         """Return these components and others."""
-        sides = [(getattr(self, each.name), getattr(others, each.name)) for each in fields(self)]
+        sides = [
+            (getattr(self, column.name), getattr(others, column.name)) for column in fields(self)
+        ]
         return Components(*map(np.concatenate, sides))
 
 
@@ -75,18 +77,18 @@ def find_components(ink: Ink) -> tuple[Components, NDArray[np.int32]]:
     """Return all components of an image of ink, (H, W), and their labels, from 1, (H, W)."""
     _, labels, boxes, _ = cv2.connectedComponentsWithStats(ink.view(np.uint8), connectivity=8)
     left, top, width, height, area = boxes[1:].astype(np.int_).T
-    found = Components(left, top, left + width, top + height, area)
-    return found, np.asarray(labels, np.int32)
+    components = Components(left, top, left + width, top + height, area)
+    return components, np.asarray(labels, np.int32)
 
 
 def usual_height(components: Components, shape: tuple[int, int]) -> float | None:
     """Return the usual height of letters, px; None if no component may be one."""
     height, width = components.height, components.width
-    kept = (height >= _LEAST_SIDE) & (height < _LARGEST_PART * min(shape))
-    kept &= (width < _RULE * height) & (height < _RULE * width)
+    is_letter = (height >= _LEAST_SIDE) & (height < _LARGEST_PART * min(shape))
+    is_letter &= (width < _RULE * height) & (height < _RULE * width)
     # The dots of leaders may be more than the letters.
-    kept &= (components.area < _DOT * width * height) | (height > 2 * width)
-    return components.of(kept).usual_height if kept.any() else None
+    is_letter &= (components.area < _DOT * width * height) | (height > 2 * width)
+    return components.of(is_letter).usual_height if is_letter.any() else None
 
 
 def like_letters(components: Components, height: float) -> NDArray[np.bool_]:
@@ -130,17 +132,19 @@ def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
 def part_lines(ink: Ink, components: Components, height: float) -> Ink:
     """Return the ink, (H, W), cut where letters of one line touch those of the next."""
     tall = (components.height > _TWO_LINES * height) & (components.height < _LETTER[1] * height)
-    usual = components.of(like_letters(components, height) & ~tall)
-    middle = (usual.top + usual.bottom) / 2
+    ordinary = components.of(like_letters(components, height) & ~tall)
+    middle = (ordinary.top + ordinary.bottom) / 2
     parted = ink.copy() if tall.any() else ink
     for k in np.flatnonzero(tall):
         left, right = int(components.left[k]), int(components.right[k])
         top, bottom = int(components.top[k]), int(components.bottom[k])
         # A large letter has large letters beside it; two that touch have lines above and below.
-        near = (usual.right > left - _BESIDE * height) & (usual.left < right + _BESIDE * height)
+        near = (ordinary.right > left - _BESIDE * height) & (
+            ordinary.left < right + _BESIDE * height
+        )
         near &= (middle > top) & (middle < bottom)
         upper = near & (middle < (top + bottom) / 2)
-        sides = (usual.right[near] <= left).any() and (usual.left[near] >= right).any()
+        sides = (ordinary.right[near] <= left).any() and (ordinary.left[near] >= right).any()
         one = not sides or not upper.any() or (upper == near).all()
         if one and right - left < bottom - top:
             continue
@@ -206,12 +210,12 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
     for x in (0, beside.size - 1):
         near = cv2.dilate(page, beside, anchor=(x, 0))
         white &= cv2.morphologyEx(near, cv2.MORPH_CLOSE, leading) > 0
-    found = np.zeros_like(ink)
+    lanes = np.zeros_like(ink)
     for spaces, length in _LANES:
         width = max(3, round(max(_NARROWEST * height, spaces * space)))
         lane = np.ones((round(length * height), width), np.uint8)
-        found |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
-    return found
+        lanes |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
+    return lanes
 
 
 def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
@@ -225,21 +229,21 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     near = min(_NEIGHBORS, len(height) - 1) + 1
     reach = 2 * _WIDEST_GAP * float(height.max())
     ends = np.column_stack([letters.right, 2 * middle])
-    _, found = tree.query(ends, k=near, distance_upper_bound=reach)
-    first, second = np.repeat(np.arange(len(height)), near), found.ravel()
+    _, neighbors = tree.query(ends, k=near, distance_upper_bound=reach)
+    first, second = np.repeat(np.arange(len(height)), near), neighbors.ravel()
     first, second = first[second < len(height)], second[second < len(height)]
     one, other = letters.of(first), letters.of(second)
     taller = np.maximum(one.height, other.height)
     lower = np.minimum(one.height, other.height)
     gap = other.left - one.right
     beside = np.minimum(one.bottom, other.bottom) - np.maximum(one.top, other.top)
-    kept = (gap <= _WIDEST_GAP * taller) & (other.left + other.right > one.left + one.right)
-    kept &= (beside >= _LEAST_OVERLAP * lower) & (taller <= _LARGEST_RATIO * lower)
+    is_link = (gap <= _WIDEST_GAP * taller) & (other.left + other.right > one.left + one.right)
+    is_link &= (beside >= _LEAST_OVERLAP * lower) & (taller <= _LARGEST_RATIO * lower)
     # A pixel of vertical offset costs as much as a pixel of gap.
-    cost = (np.maximum(gap, 0) + lower - beside)[kept]
+    cost = (np.maximum(gap, 0) + lower - beside)[is_link]
     cheapest = np.argsort(cost, kind="stable")
-    first, second, gap = (each[kept][cheapest] for each in (first, second, gap))
-    follows, precedes = (np.unique(each, return_index=True)[1] for each in (first, second))
+    first, second, gap = (column[is_link][cheapest] for column in (first, second, gap))
+    follows, precedes = (np.unique(ends, return_index=True)[1] for ends in (first, second))
     agreed = np.intersect1d(follows, precedes)
     return first[agreed], second[agreed], gap[agreed]
 
@@ -336,7 +340,7 @@ def measure_row(ink: Ink, letters: Components, slope: float | None = None) -> Ba
         # Where most letters descend, the others stand on the line.
         curve = np.append(curve[0] + np.median(row.fall[above]), curve[1:])
         higher = _on_curve(ink, letters, curve, x, top, bottom)
-        row = max(row, higher, key=lambda each: each.on_levels)
+        row = max(row, higher, key=lambda candidate: candidate.on_levels)
     return row
 
 
@@ -392,11 +396,11 @@ def _fitted(x: Floats, y: Floats, degree: int) -> Floats:
         weighted = powers.T * weight
         # Points in one place determine no slope: it is the least one then.
         level = 1e-9 * weight.sum() * np.eye(degree + 1)
-        found = np.linalg.solve(weighted @ powers + level, weighted @ y)
-        away = y - powers @ found
+        coefficients = np.linalg.solve(weighted @ powers + level, weighted @ y)
+        away = y - powers @ coefficients
         # Descenders are all on one side.
         off = np.where(away > 0, _DESCENDING, 1) * np.abs(away)
-        usual = float(np.partition(off, len(off) // 2)[len(off) // 2])
+        typical = float(np.partition(off, len(off) // 2)[len(off) // 2])
         # Geman and McClure's weights.
-        weight = 1 / (1 + (off / max(1.5 * usual, 0.3)) ** 2) ** 2
-    return np.asarray(found / scale ** np.arange(degree + 1))
+        weight = 1 / (1 + (off / max(1.5 * typical, 0.3)) ** 2) ** 2
+    return np.asarray(coefficients / scale ** np.arange(degree + 1))

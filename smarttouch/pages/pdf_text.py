@@ -95,15 +95,15 @@ def with_text(sheet: "pypdfium2.PdfPage", page: Page, point_mm: float, printed: 
     ]  # fmt: skip
     hidden = len(segments) - len(seen)
     boxes += [_box(page, sign, point_mm) for sign in turned]
-    found = reading_order(seen, sheet.get_height(), is_leftward)
-    lines = [_text_line(line, point_mm) for line in found]
-    texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in found]
+    ordered = reading_order(seen, sheet.get_height(), is_leftward)
+    lines = [_text_line(line, point_mm) for line in ordered]
+    texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in ordered]
     others = _print_beside(page, boxes)
     is_poor = 2 * len(turned) > len(signs) or not _makes_sense("".join(texts))
     if is_poor or _length(others) > _MOSTLY * _length(lines):
         reason = "most of its text is turned or unknown, or much of its print is not text"
         return replace(page, notes=(f"{reason}, so its picture is recognized instead",))
-    notes = [DOUBTFUL] if any(line.is_doubtful for line in found) else []
+    notes = [DOUBTFUL] if any(line.is_doubtful for line in ordered) else []
     if turned:
         text = "".join((" " if sign.space else "") + sign.text for sign in turned).strip()
         notes.append(f"turned text is left out: {text}")
@@ -161,8 +161,10 @@ def _segments(signs: list[_Sign]) -> list[Segment]:
         tracking, widest = _spacing(line)
         for last, sign in itertools.pairwise([None, *line]):
             if sign and not (last and _is_joined(segments[-1], last, sign, tracking, widest)):
-                place = -1 if sign.is_filled else len(segments)
-                segments.append(Segment(sign.text, sign.left, sign.right, sign.y, sign.size, place))
+                position = -1 if sign.is_filled else len(segments)
+                segments.append(
+                    Segment(sign.text, sign.left, sign.right, sign.y, sign.size, position)
+                )
     return segments
 
 
@@ -175,9 +177,9 @@ def _spacing(line: list[_Sign]) -> tuple[float, float]:
     is_even = len(spaces) > 1 and max(spaces) - min(spaces) < _EVEN
     if is_even and sum(len(word) > 1 and not FIGURE.fullmatch(word) for word in words) > 2:
         return 0.0, _EACH * (len(spaces) + 1)
-    usual = statistics.median(gaps) if len(gaps) > 2 else math.inf
-    is_spaced = usual < _SPACED and "".join(words).isalpha()
-    return (usual, 2 * _WIDER * usual) if is_spaced else (0.0, 0.0)
+    typical = statistics.median(gaps) if len(gaps) > 2 else math.inf
+    is_spaced = typical < _SPACED and "".join(words).isalpha()
+    return (typical, 2 * _WIDER * typical) if is_spaced else (0.0, 0.0)
 
 
 def _is_joined(segment: Segment, last: _Sign, sign: _Sign, tracking: float, widest: float) -> bool:

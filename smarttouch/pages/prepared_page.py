@@ -51,8 +51,8 @@ def cut_strip(
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=255,
     )
-    own = _without_neighbors(np.asarray(wide, np.uint8), above, rows)
-    return np.asarray(cv2.resize(own, (width, height_px), interpolation=cv2.INTER_AREA), np.uint8)
+    strip = _without_neighbors(np.asarray(wide, np.uint8), above, rows)
+    return np.asarray(cv2.resize(strip, (width, height_px), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArray[np.uint8]:
@@ -105,19 +105,19 @@ def prepare_page(
     if corners is not None:
         page = Page(flattened(page.grey, corners), page.mm_per_pixel)
         notes.append(LAID_FLAT)
-    straight, paper, found = page_lines(page, light_on_dark, leftward)
-    skew_deg = skew_of(found.lines)
+    straight, paper, lines = page_lines(page, light_on_dark, leftward)
+    skew_deg = skew_of(lines.lines)
     if skew_deg:
         page = Page(turned(page.grey, skew_deg), page.mm_per_pixel)
         notes.append(f"the text was tilted by {abs(skew_deg):.1f}° and was turned level")
-        straight, paper, found = page_lines(page, light_on_dark, leftward)
-    if found.is_doubtful:
+        straight, paper, lines = page_lines(page, light_on_dark, leftward)
+    if lines.is_doubtful:
         notes.append(DOUBTFUL)
-    left_out = [words for words in (found.left_out, FAINT if paper.faint else "") if words]
+    left_out = [words for words in (lines.left_out, FAINT if paper.faint else "") if words]
     if left_out:
         notes.append(LEFT_OUT + ", ".join(left_out))
     return PreparedPage(
-        straight, paper.cleaned, tuple(found.lines), paper.light_on_dark, tuple(notes)
+        straight, paper.cleaned, tuple(lines.lines), paper.light_on_dark, tuple(notes)
     )
 
 
@@ -146,8 +146,8 @@ def print_text(text: str) -> Page:
     lines = []
     for number, row in enumerate(wrapped):
         baseline_mm = _MARGIN_MM + number * _STEP_MM + font.getbbox("x")[3] / _PER_MM
-        place = _MARGIN_MM * _PER_MM, baseline_mm * _PER_MM
-        draw.text(place, row, fill=_INK_LEVEL, font=font, anchor="ls")
+        origin = _MARGIN_MM * _PER_MM, baseline_mm * _PER_MM
+        draw.text(origin, row, fill=_INK_LEVEL, font=font, anchor="ls")
         if row:
             left, _, right, _ = (side / _PER_MM for side in font.getbbox(row))
             lines.append(TextLine(

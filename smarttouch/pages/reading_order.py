@@ -158,12 +158,12 @@ def _ordered(rows: list[Row]) -> list[Line]:
             continue
         lines += _plain(waiting)
         waiting = []
-        found = [_table_row(row, ends) for row in band] if ends else [
+        table_rows = [_table_row(row, ends) for row in band] if ends else [
             line for part in parts for line in _ordered(part)
         ]  # fmt: skip
-        for line in found:
+        for line in table_rows:
             line.is_doubtful |= any(1 / _SURE < share < _SURE for share in shares)
-        lines += found
+        lines += table_rows
     return lines + _plain(waiting)
 
 

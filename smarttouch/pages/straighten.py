@@ -36,7 +36,7 @@ def find_sheet(grey: Grey) -> Corners | None:
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
     paper = np.asarray(cv2.morphologyEx(small, cv2.MORPH_CLOSE, around), np.uint8)
     largest = 0.0
-    found: Corners | None = None
+    corners_found: Corners | None = None
     for mask in _areas(paper):
         outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         if not outlines:
@@ -49,8 +49,8 @@ def find_sheet(grey: Grey) -> Corners | None:
         # A sheet that is lit in part only is the largest that is found.
         if corners is not None and _is_sheet(corners, outline, paper):
             largest = covered
-            found = np.asarray((corners + 0.5) / factor)
-    return found
+            corners_found = np.asarray((corners + 0.5) / factor)
+    return corners_found
 
 
 def _areas(paper: Grey) -> Iterator[Grey]:
@@ -125,11 +125,11 @@ def skew_of(lines: Sequence[TextLine]) -> float:
     slope = np.array(
         [float(line.slope(np.array(line.left_mm + line.right_mm) / 2)) for line in lines]
     )
-    usual = weighted_median(slope, length)
+    typical = weighted_median(slope, length)
     x_height_mm = weighted_median(np.array([line.x_height_mm for line in lines]), length)
     sure = length.sum() > _FEWEST_X_HEIGHTS * x_height_mm
-    sure &= abs(usual) * length.max() > _LEAST_RISE * x_height_mm
-    skew_deg = math.degrees(math.atan(usual))
+    sure &= abs(typical) * length.max() > _LEAST_RISE * x_height_mm
+    skew_deg = math.degrees(math.atan(typical))
     return skew_deg if sure and _LEAST_SKEW_DEG <= abs(skew_deg) <= _LARGEST_SKEW_DEG else 0.0
 
 

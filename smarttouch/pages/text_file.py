@@ -181,7 +181,7 @@ def _prepared(path: Path, kind: str, data: bytes) -> tuple[bytes, int, bool]:
     if not data.startswith(b"PK"):
         text = decoded(data, path, PageError)
         if kind not in _FORMULAS:
-            return _TEX.sub(lambda found: f"${found[1] or found[2]}$", text).encode(), 0, False
+            return _TEX.sub(lambda match: f"${match[1] or match[2]}$", text).encode(), 0, False
         return text.encode(), len(_EMBEDDED.findall(data)), False
     count, has_heads, file = 0, False, io.BytesIO()
     mark = b"(embedded object)" if kind == "odt" else rb"\g<0>"

@@ -82,7 +82,7 @@ def _panels(ink: Ink, components: Components, height: float) -> Ink:
     """Return where dark panels with light print are, (H, W)."""
     wide, tall = components.width, components.height
     large = (tall > _LEAST_SIDES[0] * height) & (wide > _LEAST_SIDES[1] * height)
-    found = np.zeros_like(ink)
+    panels = np.zeros_like(ink)
     for k in np.flatnonzero(large & (components.area > _LEAST_INK * wide * tall)):
         rows = slice(components.top[k], components.bottom[k])
         columns = slice(components.left[k], components.right[k])
@@ -90,12 +90,12 @@ def _panels(ink: Ink, components: Components, height: float) -> Ink:
         outlines, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         filled = cv2.drawContours(np.zeros_like(dark), outlines, -1, 1, cv2.FILLED)
         letters, _ = find_components((filled > dark).view(np.bool_))
-        usual = usual_height(letters, dark.shape) or 0.0
-        alike = np.count_nonzero((letters.height > usual / 2) & (letters.height < 2 * usual))
-        right_size = _LIGHT_LETTER[0] * height < usual < _LIGHT_LETTER[1] * height
+        typical = usual_height(letters, dark.shape) or 0.0
+        alike = np.count_nonzero((letters.height > typical / 2) & (letters.height < 2 * typical))
+        right_size = _LIGHT_LETTER[0] * height < typical < _LIGHT_LETTER[1] * height
         if filled.mean() > _LEAST_BOX and right_size and alike >= _FEWEST_LETTERS:
-            found[rows, columns] |= filled > 0
-    return found
+            panels[rows, columns] |= filled > 0
+    return panels
 
 
 _FEWEST_PIXELS = 3  # least area of a part of print
@@ -132,8 +132,8 @@ def _lines_in_ink(ink: Ink, height: float, mm_per_pixel: float, leftward: bool) 
     x_height, ascent, descent = _sizes(baselines)
     y, size = _levels(baselines), (ascent + descent) * x_height / _HEIGHT
     words = [
-        Segment("", each.left, each.right, float(y[k]), float(size[k]), -1 - k)
-        for k, each in enumerate(baselines)
+        Segment("", baseline.left, baseline.right, float(y[k]), float(size[k]), -1 - k)
+        for k, baseline in enumerate(baselines)
     ]
     order, lines = reading_order(words, len(ink), leftward), []
     for row in order:
@@ -162,22 +162,22 @@ def _left_out(small: int, pictures: int) -> str:
 
 def _measured(ink: Ink, rows: list[Components]) -> tuple[list[Baseline], int]:
     """Return the baselines of rows that are text, and the number of those too small to be read."""
-    found: list[Baseline] = []
+    measured: list[Baseline] = []
     slope_at: Callable[[Floats, Floats], Floats] | None = None
     small = 0
     for tried, row in enumerate(sorted(rows, key=_length, reverse=True)):
-        if tried > _HOPELESS + _MISSES * len(found):
+        if tried > _HOPELESS + _MISSES * len(measured):
             break
         slope = None
-        if found and _length(row) <= _LONG_ROW:
+        if measured and _length(row) <= _LONG_ROW:
             # Rows come by their length: all long ones are known.
-            slope_at = slope_at or _slopes(found)
+            slope_at = slope_at or _slopes(measured)
             slope = float(slope_at(np.array(np.median(row.left)), np.array(np.median(row.bottom))))
         baseline = measure_row(ink, row, slope)
         small += baseline.is_too_small
         if baseline.is_text:
-            found.append(baseline)
-    return _credible(ink, found), small
+            measured.append(baseline)
+    return _credible(ink, measured), small
 
 
 def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
@@ -194,27 +194,27 @@ def _credible(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
         if len(line.rise) >= _FEW:
             cv2.fillPoly(covered, outline, (1,))
     total = cv2.integral(rest)
-    found, sure = [], []
+    credible, sure = [], []
     for line in lines:
         size, count, even = line.letters.usual_height, len(line.rise), line.on_levels >= _EVEN
         rows = np.clip(line.middle_y + np.multiply(_AROUND, size), 0, len(ink)).astype(int)
         ends = np.clip([line.left - size, line.right + size], 0, ink.shape[1]).astype(int)
         around = total[np.ix_(rows, ends)].astype(np.float64)
-        own = int(line.letters.area.sum())
-        foreign = around[1, 1] - around[0, 1] - around[1, 0] + around[0, 0] - own * (count == 1)
-        most = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
+        area = int(line.letters.area.sum())
+        foreign = around[1, 1] - around[0, 1] - around[1, 0] + around[0, 0] - area * (count == 1)
+        limit = _NEAR_FOREIGN if even and count >= _FEW else _FOREIGN
         # A few letters amid a line are its dots and accents.
         middle = min(round(line.middle_y - size / 2), len(ink) - 1)
         amid = count < _FEW and covered[middle, round((line.left + line.right) / 2)]
-        if not amid and foreign < most * own * min(count, _MANY):
-            found.append(line)
+        if not amid and foreign < limit * area * min(count, _MANY):
+            credible.append(line)
             sure += [line.x_height] if count >= (_FEW if even else _MANY) else []
     if not sure:
-        own = sum(int(line.letters.area.sum()) for line in found)
-        return found if own > _MOST_OF_ALL * np.count_nonzero(ink) else []
-    sizes = np.array([line.x_height for line in found])
+        area = sum(int(line.letters.area.sum()) for line in credible)
+        return credible if area > _MOST_OF_ALL * np.count_nonzero(ink) else []
+    sizes = np.array([line.x_height for line in credible])
     alike = np.abs(np.log(sizes[:, None] / sure)).min(axis=1) < math.log(_SIMILAR)
-    return [found[k] for k in np.flatnonzero(alike)]
+    return [credible[k] for k in np.flatnonzero(alike)]
 
 
 def _length(row: Components) -> float:
@@ -225,8 +225,8 @@ def _slopes(guides: list[Baseline]) -> Callable[[Floats, Floats], Floats]:
     """Return the slope of lines at x and y, smooth over the page; level without guides."""
     if not guides:
         return lambda x, y: np.zeros_like(x)
-    x = np.array([np.linspace(each.left, each.right, 7) for each in guides])
-    y = np.array([each.at(along) for each, along in zip(guides, x, strict=True)])
+    x = np.array([np.linspace(guide.left, guide.right, 7) for guide in guides])
+    y = np.array([guide.at(along) for guide, along in zip(guides, x, strict=True)])
     slope = np.gradient(y, axis=1) / np.gradient(x, axis=1)
     size = max(float(x.max()), float(y.max()))
 
@@ -234,8 +234,8 @@ def _slopes(guides: list[Baseline]) -> Callable[[Floats, Floats], Floats]:
         return np.stack([np.ones_like(x), x, y, x * x, x * y], axis=-1)
 
     places = terms(x.ravel() / size, y.ravel() / size)
-    found = np.linalg.lstsq(places, slope.ravel(), rcond=0.05)[0]
-    return lambda x, y: np.asarray(terms(x / size, y / size) @ found)
+    solution = np.linalg.lstsq(places, slope.ravel(), rcond=0.05)[0]
+    return lambda x, y: np.asarray(terms(x / size, y / size) @ solution)
 
 
 def _levels(lines: list[Baseline]) -> Floats:
@@ -262,7 +262,7 @@ def _with_marks(lines: list[Baseline], components: Components) -> list[Baseline]
     thin, long = (side(components.width, components.height) for side in (np.minimum, np.maximum))
     letters = np.concatenate([line.letters.left + 1j * line.letters.top for line in lines])
     free = ~np.isin(components.left + 1j * components.top, letters)
-    found = []
+    extended = []
     for line in lines:
         size = line.x_height
         above = (line.at(x) - y) / size
@@ -274,8 +274,8 @@ def _with_marks(lines: list[Baseline], components: Components) -> list[Baseline]
         moved = np.linspace(left, right, 4 * len(line.curve))
         degree = max(1, len(line.curve) - 1)
         curve = np.asarray(polynomial.polyfit(moved - left, line.at(moved), degree), np.float64)
-        found.append(replace(line, left=left, right=right, curve=curve))
-    return found
+        extended.append(replace(line, left=left, right=right, curve=curve))
+    return extended
 
 
 def _reached(end: float, starts: NDArray[np.int_], ends: NDArray[np.int_], size: float) -> float:
@@ -290,21 +290,21 @@ def _reached(end: float, starts: NDArray[np.int_], ends: NDArray[np.int_], size:
 
 def _joined(ink: Ink, lines: list[Baseline]) -> list[Baseline]:
     """Return lines, those that meet as one."""
-    found: list[Baseline] = []
+    joined: list[Baseline] = []
     for line in sorted(lines, key=lambda line: line.left):
         start = np.array(line.left)
-        for k, other in enumerate(found):
+        for k, other in enumerate(joined):
             size = min(line.x_height, other.x_height)
             if (
                 line.left - other.right < _MEETING * size
                 and max(line.x_height, other.x_height) < _ONE_SIZE * size
                 and np.abs(other.at(start) - line.at(start)) < _ONE_BASELINE * size
             ):
-                found[k] = measure_row(ink, other.letters.joined(line.letters))
+                joined[k] = measure_row(ink, other.letters.joined(line.letters))
                 break
         else:
-            found.append(line)
-    return found
+            joined.append(line)
+    return joined
 
 
 _SAME, _CAPITALS, _CAPITAL = 0.15, 0.08, 1.42

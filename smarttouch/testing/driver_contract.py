@@ -217,9 +217,9 @@ class DriverContract:
         return make
 
     def _kept(self, name: str, method: Callable[..., Any]) -> Callable[..., Any]:
-        def called(*given: Any) -> Any:
-            self.calls.append((name, given))
-            return method(*given)
+        def called(*arguments: Any) -> Any:
+            self.calls.append((name, arguments))
+            return method(*arguments)
 
         return called
 
@@ -304,10 +304,10 @@ class DriverContract:
                 else:
                     board.send(sequence, 500)
                     self._wait_for(len(set(wanted)))
-            found = [pulse for pulse in self.pulses() if pulse != ZERO]
+            pulses = [pulse for pulse in self.pulses() if pulse != ZERO]
         if not self.counts_passes:
-            found, wanted = list(dict.fromkeys(found)), list(dict.fromkeys(wanted))
-        assert_same_pulses(found, wanted, self.step_ua, self.step_us)
+            pulses, wanted = list(dict.fromkeys(pulses)), list(dict.fromkeys(wanted))
+        assert_same_pulses(pulses, wanted, self.step_ua, self.step_us)
 
     def _wait_for(self, kinds: int) -> None:
         """Wait until a device that scans by itself has been sent so many different pulses."""

@@ -6,7 +6,7 @@ import pytest
 
 # So that failed asserts of the contracts show what they compared.
 pytest.register_assert_rewrite(
-    *(f"smarttouch.testing.{each}" for each in ("driver_contract", "source_contracts"))
+    *(f"smarttouch.testing.{module}" for module in ("driver_contract", "source_contracts"))
 )
 
 

@@ -63,18 +63,18 @@ class SourceContract(_Opened):
 
     def read(self, source: Source) -> list[Input]:
         """Return what it gives, until it ends or has been read often enough; none changes later."""
-        given: list[Input] = []
+        inputs: list[Input] = []
         copies: list[NDArray[Any]] = []
         time_ns = 0
-        while len(given) < READS and (each := source.read(time_ns)) is not None:
+        while len(inputs) < READS and (each := source.read(time_ns)) is not None:
             assert each.time_ns == time_ns
-            given.append(each)
+            inputs.append(each)
             copies.append(_content(each).copy())
             self.pause()
             time_ns += self.lasts_ns(each)
-        for each, copy in zip(given, copies, strict=True):
+        for each, copy in zip(inputs, copies, strict=True):
             np.testing.assert_array_equal(_content(each), copy)
-        return given
+        return inputs
 
     def lasts_ns(self, given: Input) -> int:
         """Return the time to the next read."""
@@ -93,30 +93,30 @@ class SourceContract(_Opened):
         np.testing.assert_array_equal(_content(one), _content(other))
 
     def test_each_is_what_it_is_to_be(self, source: Source, profile: Profile) -> None:
-        given = self.read(source)
-        assert given
-        for each in given:
-            self.check(each, given[0], profile)
-            assert each.age_ns >= 0
-            assert math.isnan(each.force_n) or each.force_n >= 0
-            pose = each.pose
+        inputs = self.read(source)
+        assert inputs
+        for one in inputs:
+            self.check(one, inputs[0], profile)
+            assert one.age_ns >= 0
+            assert math.isnan(one.force_n) or one.force_n >= 0
+            pose = one.pose
             assert np.isfinite([pose.x_mm, pose.y_mm, pose.angle_rad]).all()
         assert source.knows_force or not source.measures_force
         if source.knows_force:
-            assert not all(math.isnan(each.force_n) for each in given)
+            assert not all(math.isnan(one.force_n) for one in inputs)
         assert source.title
         assert source.ended
         assert source.duration_s is None or source.duration_s > 0
         assert all(isinstance(note, str) and note for note in source.notes)
 
     def test_every_frame_is_counted_and_one_number_is_one_image(self, source: Source) -> None:
-        given = self.read(source)
+        inputs = self.read(source)
         source.close()
-        numbers = [each.number for each in given]
+        numbers = [frame.number for frame in inputs]
         assert numbers == sorted(numbers)
         assert numbers[0] >= 0
         assert source.frames == len(set(numbers)) + source.dropped_frames
-        for one, next_one in pairwise(given):
+        for one, next_one in pairwise(inputs):
             if one.number == next_one.number:
                 self.check_same(one, next_one)
 
@@ -135,18 +135,18 @@ class SourceContract(_Opened):
         source.read(0)
         source.close()
         with contextlib.suppress(SmartTouchError):
-            given = source.read(round(self.step_s * 1e9))
-            assert given is None or isinstance(given, Input)
+            newest = source.read(round(self.step_s * 1e9))
+            assert newest is None or isinstance(newest, Input)
         source.close()
         self.make(profile).close()
 
     def test_reading_waits_for_nothing(self, source: Source) -> None:
         # The first may wait for a device that starts; one of the others may meet a busy computer.
-        given, time_ns, took_s = source.read(0), 0, list[float]()
-        while given is not None and len(took_s) < READS:
-            time_ns += self.lasts_ns(given)
+        newest, time_ns, took_s = source.read(0), 0, list[float]()
+        while newest is not None and len(took_s) < READS:
+            time_ns += self.lasts_ns(newest)
             start_s = time.perf_counter()
-            given = source.read(time_ns)
+            newest = source.read(time_ns)
             took_s.append(time.perf_counter() - start_s)
         assert min(took_s) < QUICKEST_S
 

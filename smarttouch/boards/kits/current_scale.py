@@ -103,10 +103,10 @@ def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[n
     current = sequence.current_ua.astype(np.int64)
     electrode = sequence.site.astype(np.intp)
     rows = np.arange(sequence.slots)
-    own = current[rows, electrode]
-    others = current * np.sign(own)[:, None]
+    alone_ua = current[rows, electrode]
+    others = current * np.sign(alone_ua)[:, None]
     others[rows, electrode] = 0
-    wrong = (others > 0).any(axis=1) | (np.abs(current).max(axis=1, initial=0) > np.abs(own))
+    wrong = (others > 0).any(axis=1) | (np.abs(current).max(axis=1, initial=0) > np.abs(alone_ua))
     if wrong.any():
         raise BoardError(
             f"slot {int(wrong.argmax())} is no pattern of one electrode against all others, and "
@@ -118,4 +118,4 @@ def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[n
             f"{len(electrode)} slots share {len(np.unique(electrode))} electrodes: this board "
             "drives each once in a scan"
         )
-    return electrode, own
+    return electrode, alone_ua

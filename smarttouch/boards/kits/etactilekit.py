@@ -265,7 +265,7 @@ class ETactileKitDriver(Driver):
     def _set(self, settings: Settings) -> bool:
         """Set pulse and rate while nothing flows; return whether the board has done so."""
         longest = max(
-            each.scan_us(self._outputs, 20) for each in (settings, self._settings) if each
+            chosen.scan_us(self._outputs, 20) for chosen in (settings, self._settings) if chosen
         )
         before_hz = 10 if self._settings is None else self._settings.rate_hz
         between_hz = max(1, min(settings.rate_hz, before_hz, 800_000 // longest))
@@ -292,10 +292,10 @@ class ETactileKitDriver(Driver):
     def _ask(self, body: bytes, *, drives: ProvedSequence | None = None) -> Span | None:
         """Send commands and update the scan lock by the readings; return the time of execution."""
         before, self._before = self._before, None
-        found = self._kit.exchange(body, ask=True, drives=drives)
-        if found is None:
+        answer = self._kit.exchange(body, ask=True, drives=drives)
+        if answer is None:
             return None
-        span, readings = found
+        span, readings = answer
         assert readings is not None
         # An answer during a scan takes as long as the scan.
         took_ns = span.late - span.early
@@ -411,7 +411,7 @@ class ETactileKitDriver(Driver):
     def _report_scans(self, shown: ShownPattern, end: Span) -> None:
         """Report the scans of a pattern and its voltages; latch the board if others pulsed."""
         sequence, events = shown.proved.sequence, self._kit.line.events
-        least, most = self._lock.starts(shown.since, end)
+        least, largest = self._lock.starts(shown.since, end)
         pulsed = np.zeros(self._outputs, bool)
         if self._before is not None:
             now = self._before[1]
@@ -425,7 +425,7 @@ class ETactileKitDriver(Driver):
                 self._lock.last, least = None, 0
             if least:
                 self._report_volts(sequence, current_ua, readings)
-        events.delivered(shown.proved, least, most=max(least, most))
+        events.delivered(shown.proved, least, most=max(least, largest))
         pulsed[self._wiring[sequence.site]] = False
         if pulsed.any():
             raise events.fault(

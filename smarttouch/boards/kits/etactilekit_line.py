@@ -94,9 +94,9 @@ def payload(
     """Return the pattern of a sequence: the height of each output in counts, of which neither
     rounding nor a scale that is wrong passes the limits."""
     electrode, current_ua = one_against_all(sequence)
-    most = scale.most_counts(limits, sequence.width_us.max(initial=0))
+    most_counts = scale.most_counts(limits, sequence.width_us.max(initial=0))
     nearest = np.rint(np.abs(current_ua) / scale.measured_ua)
-    counts = np.minimum(np.minimum(nearest, most[electrode]), LARGEST).astype(np.uint16)
+    counts = np.minimum(np.minimum(nearest, most_counts[electrode]), LARGEST).astype(np.uint16)
     # A byte that looks like a command would be one, if that before it were lost.
     low = counts & 0xFF
     counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0).astype(np.uint16)
@@ -199,13 +199,13 @@ class ScanLock:
         """Return the least and the largest number of scans that started between two events."""
         if self.last is None:
             least = max(0, end.early - begin.late) / self.period_ns * (1 - TOLERANCE)
-            most = max(0, end.late - begin.early) / self.period_ns * (1 + TOLERANCE)
-            return math.floor(least), math.floor(most) + 1
+            possible = max(0, end.late - begin.early) / self.period_ns * (1 + TOLERANCE)
+            return math.floor(least), math.floor(possible) + 1
         first, last = self._near(begin.early) - 1, self._near(end.late) + 1
         scans = [self.scan(number) for number in range(first, last + 1)]
         return (
-            sum(each.early >= begin.late and each.late <= end.early for each in scans),
-            sum(each.late > begin.early and each.early < end.late for each in scans),
+            sum(scan.early >= begin.late and scan.late <= end.early for scan in scans),
+            sum(scan.late > begin.early and scan.early < end.late for scan in scans),
         )
 
     def learn(self, bracket: Span) -> None:

@@ -65,8 +65,8 @@ class Kajimoto61Driver(Driver):
         self.port = port
         self.ua_per_count = self._scale.measured_ua
         self._step_ua = COUNTS_PER_BYTE * self.ua_per_count
-        most = self._scale.most_counts(limits, WIDTH_US, COUNTS_PER_BYTE)
-        self._largest = np.minimum(LARGEST, most)
+        most_counts = self._scale.most_counts(limits, WIDTH_US, COUNTS_PER_BYTE)
+        self._largest = np.minimum(LARGEST, most_counts)
         # When the next packet may go, and the period of the last one; None begins a new grid.
         self._next_ns: int | None = None
         self._skipped, self._note_ns = 0, 0

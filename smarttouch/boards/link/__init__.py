@@ -158,8 +158,8 @@ def encode_volts(volts: NDArray[np.float64]) -> bytes:
 
 def decode_volts(payload: bytes) -> NDArray[np.float32]:
     """Return the voltages in a payload of VOLTAGES, (S,) V; an odd byte is dropped."""
-    whole = payload[: len(payload) // 2 * 2]
-    return np.asarray(np.frombuffer(whole, "<u2") / np.float32(_VOLT), np.float32)
+    pairs = payload[: len(payload) // 2 * 2]
+    return np.asarray(np.frombuffer(pairs, "<u2") / np.float32(_VOLT), np.float32)
 
 
 def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
@@ -172,8 +172,8 @@ def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
             f"{_U16_MAX / 1000:.1f} mA: lower the currents",
             slot=int(source.argmax()),
         )
-    found: NDArray[np.uint16] = source.astype("<u2")
-    return found
+    volts: NDArray[np.uint16] = source.astype("<u2")
+    return volts
 
 
 def pack_states(signs: NDArray[np.int16]) -> bytes:

@@ -197,14 +197,14 @@ class LinkDriver(Driver):
             return
         image = KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
         piece = min(_PIECE, can.packet_bytes - OVERHEAD - protocol.KERNELS.size)
-        at, most, data, idle = 0, 0, b"", 0
+        at, furthest, data, idle = 0, 0, b"", 0
         # What it keeps already is not sent again; a board that keeps nothing is lost.
         while idle < _IDLE:
             head = protocol.KERNELS.pack(image.identity, len(image.data), at)
             answer = self._session.ask(MessageKind.KERNELS, head + data).payload
             if len(answer) != protocol.KEPT.size:
                 raise malformed(self._session.name)
-            identity, kept, whole, proof = protocol.KEPT.unpack(answer)
+            identity, stored, whole, proof = protocol.KEPT.unpack(answer)
             if identity == image.identity and whole:
                 if proof != digest_of(image.data, self._session.number):
                     raise self._line.events.fault(
@@ -213,10 +213,10 @@ class LinkDriver(Driver):
                 self._image = image
                 return
             # The first query carries no kernels: its answer shows where to begin.
-            kept = kept if identity == image.identity and kept < len(image.data) else 0
-            idle = 0 if kept > most else idle + 1
-            most = max(most, kept)
-            at, data = kept, image.data[kept : kept + piece]
+            stored = stored if identity == image.identity and stored < len(image.data) else 0
+            idle = 0 if stored > furthest else idle + 1
+            furthest = max(furthest, stored)
+            at, data = stored, image.data[stored : stored + piece]
         # Its session may have ended, as after 100 ms in which the host was held up.
         raise LineLostError(
             f"the board at {self._session.name} does not keep the kernels that it is sent: check "
@@ -227,21 +227,21 @@ class LinkDriver(Driver):
         """Take a board's capabilities if they fit the profile and, once its line was lost, those
         from before. A wrong board has received no more than HELLO."""
         name, known = self._session.name, self.can if self._line.reopened else None
-        found = capabilities_of(answer, name)
-        if found.emergency_switch and answer.state & protocol.SWITCH_OPEN:
+        capabilities = capabilities_of(answer, name)
+        if capabilities.emergency_switch and answer.state & protocol.SWITCH_OPEN:
             raise EmergencyStopError(
                 f"the emergency switch of the board at {name} is open: close it, then begin again"
             )
-        if known not in (None, found):
+        if known not in (None, capabilities):
             raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
-        outputs, electrodes = found.electrodes, self._limits.electrodes
-        wanted = found.output if self._output is None else self._output.kind
-        if (outputs, found.output) != (electrodes, wanted):
+        outputs, electrodes = capabilities.electrodes, self._limits.electrodes
+        wanted = capabilities.output if self._output is None else self._output.kind
+        if (outputs, capabilities.output) != (electrodes, wanted):
             raise BoardError(
-                f"the board at {name} has {outputs} electrodes and is {found.output}, the profile "
-                f"needs {electrodes} and {wanted}: use the profile of this board"
+                f"the board at {name} has {outputs} electrodes and is {capabilities.output}, the "
+                f"profile needs {electrodes} and {wanted}: use the profile of this board"
             )
-        self.can = found
+        self.can = capabilities
 
     def _ask_account(self) -> tuple[Any, ...]:
         """Return a REPORT: counts, mA and µC, in the order of `protocol.REPORT`."""
@@ -372,10 +372,10 @@ class LinkDriver(Driver):
         if sent is None or can is None:
             return self._session.refuse()
         sequence, part = sent.proved.sequence, sent.part
-        found = decode_volts(message.payload)
-        if len(found) != part.slots or not len(found):
+        decoded = decode_volts(message.payload)
+        if len(decoded) != part.slots or not len(decoded):
             return None
-        self._volts = [*self._volts, found] if part.first else [found]
+        self._volts = [*self._volts, decoded] if part.first else [decoded]
         volts = np.concatenate(self._volts)
         if len(volts) == sequence.slots == part.first + part.slots:
             compliance = can.compliance_v

@@ -56,16 +56,16 @@ class KernelImage:
 
 def encode_limits(limits: SafetyLimits) -> bytes:
     """Return the payload of LIMITS: nothing in it allows more than the limits do."""
-    part, whole = limits.duty_ratio
+    part, duty_whole = limits.duty_ratio
     head = LIMITS.pack(
         limits.period_us, limits.total_ua, limits.pulse_whole_us, math.ceil(limits.full_ua),
         math.ceil(limits.rounding_ua), 0,
         math.ceil(limits.ramp_ns / 1e6), min(_U16_MAX, math.ceil(limits.session_s)),
-        math.ceil(1000 * limits.session_mc), math.ceil(100 * part / whole),
+        math.ceil(1000 * limits.session_mc), math.ceil(100 * part / duty_whole),
         0, limits.width_whole_us,
     )  # fmt: skip
-    each = (limits.current_ua, "<u2"), (limits.felt_ua, "<u2"), (limits.charge_pc, "<u4")
-    return head + b"".join(values.astype(kind).tobytes() for values, kind in each)
+    columns = (limits.current_ua, "<u2"), (limits.felt_ua, "<u2"), (limits.charge_pc, "<u4")
+    return head + b"".join(values.astype(kind).tobytes() for values, kind in columns)
 
 
 class ScanPart(NamedTuple):

@@ -144,9 +144,9 @@ class LinkSession:
         deadline_s = now_s + (self.answer_s if within_s is None else within_s)
 
         def answered() -> bool:
-            found = self._answers.get(kind)
+            reply = self._answers.get(kind)
             # An answer of another version may name no query.
-            return found is not None and (found.about >= first or found.version != VERSION)
+            return reply is not None and (reply.about >= first or reply.version != VERSION)
 
         def over() -> bool:
             return self.fault is not None or answered() or self.line.is_stopped
@@ -354,7 +354,7 @@ def reason_of(refusal: Message) -> tuple[int, int, str]:
     if len(refusal.payload) != protocol.NAK.size:
         return 0, Rule.NONE, ""
     reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(refusal.payload)
-    name = next((each.name.lower() for each in Rule if each == rule), "unknown")
+    name = next((known.name.lower() for known in Rule if known == rule), "unknown")
     words = f"rule {rule} ({name})" if rule else "malformed"
     words += f": {value}, allowed {allowed}" if value or allowed else ""
     words += f", slot {slot}" if slot != NOTHING else ""
