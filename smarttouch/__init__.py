@@ -31,4 +31,4 @@ else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
     def __dir__() -> list[str]:
-        return [name for name in vars(import_module("smarttouch.top_names")) if name[0] != "_"]
+        return [name for name in vars(import_module("smarttouch.top_names")) if name[0].isalpha()]

@@ -42,7 +42,7 @@ static void open_board(void)
     }
     board.keep.whole = true;
     board.keep.count = 1;
-    board.limits = (st_limits){ 5000, 10000, 200, 5000, 100, 0, 0, 3600, 1800000, 80, 200, true };
+    board.limits = (st_limits){ 5000, 10000, 200, 5000, 100, 0, 3600, 1800000, 80, 200, true };
     for (uint32_t each = 0; each < ST_ELECTRODES; each++) {
         electrodes[each].limit_ua = 5000;
         electrodes[each].limit_pc = 500000;
