@@ -83,6 +83,39 @@ class KernelBank:
             gap=float(self.gap[afferent][site]),
         )
 
+    def responses(
+        self,
+        profile: Profile,
+        afferents: Sequence[Afferent],
+        numbers: NDArray[np.uint32],
+        width_us: NDArray[np.float32],
+        current_ua: NDArray[np.int16],
+    ) -> dict[int, NDArray[np.float32]]:
+        """Return the response of the receptors under electrodes to delivered slots, by sequence.
+
+        Each slot activates by the activating function at the receptors' nodes. A response, (E,) in
+        [0, 1], counts from the detection threshold on, and is 1 at the strongest comfortable pulse;
+        of several classes, and slots, the strongest counts. Slots of one sequence, by ``numbers``
+        (N,), follow each other; ``current_ua`` (N, E) is positive where cathodic.
+        """
+        from smarttouch.physiology.finger import strength
+
+        if not len(numbers):
+            return {}
+        chronaxie_us, full_ua = profile.pulse.chronaxie_us, profile.full_ma * 1000
+        reach = strength(width_us, chronaxie_us) / strength(profile.pulse.width_us, chronaxie_us)
+        current, activation = current_ua * reach[:, None], []
+        for afferent in afferents:
+            receptor = self.receptor[afferent]
+            full = full_ua * (receptor * self.kernels(afferent)).sum(axis=1)
+            # Masked sites have no kernel: there is no response.
+            activation.append(current @ receptor.T / np.where(full > 0, full, np.inf))
+        least = profile.threshold_ma / profile.full_ma
+        answers = np.clip((np.maximum.reduce(activation) - least) / (1 - least), 0, 1)
+        starts = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
+        strongest = np.maximum.reduceat(np.asarray(answers, np.float32), starts, axis=0)
+        return dict(zip(numbers[starts].tolist(), strongest, strict=True))
+
     def _made(self, afferent: Afferent) -> NDArray[np.float64]:
         if afferent not in self.weights:
             offered = ", ".join(

@@ -36,7 +36,6 @@ from smarttouch.reading.line_source import LineMotion, ReadingSource, TouchLine
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import BLOCK, recognize, recognized_lines
 from smarttouch.running.config import RunConfig
-from smarttouch.running.delivered import DeliveredResponses
 from smarttouch.running.display import Display
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.runner import Runner
@@ -125,12 +124,12 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
     source = ReadingSource("a line", profile, iter([line]), reading.motion)
     # Wait for the end of the text, too, so that the frames do not depend on the computer's speed.
     source.line(1, wait=True)
-    answers = DeliveredResponses(profile, reading.bank, reading.mode.afferents)
+    poses: dict[int, Pose] = {}
     meant: dict[int, NDArray[np.bool_]] = {}
 
     def watch(sent: StepResult) -> None:
-        answers.watch(sent)
-        if sent.number in answers.poses:
+        if sent.number is not None and sent.sequence.intensity > 0:
+            poses[sent.number] = sent.input.pose
             meant[sent.number] = np.asarray(sent.step.tactile.activation.any(axis=0))
 
     config = RunConfig(
@@ -143,13 +142,14 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
         driver = display.board.driver
         assert isinstance(driver, SimulatedDriver)
         pulses = driver.take_pulses()
-        answers.deliver(*pulses)
     source.close()
     length_mm = int(line.image.shape[1]) * pixel_pitch_mm(profile)
     picture = LinePicture(profile.electrodes, length_mm)
-    for pose, answer in answers:
-        picture.add(pose.x_mm, answer)
-    return DeliveredLine(picture, length_mm, answers.poses, meant, answers.answer, *pulses)
+    answers = reading.bank.responses(profile, reading.mode.afferents, *pulses)
+    silent = np.zeros(len(profile.electrodes), np.float32)
+    for number, pose in poses.items():
+        picture.add(pose.x_mm, answers.get(number, silent))
+    return DeliveredLine(picture, length_mm, poses, meant, answers, *pulses)
 
 
 def deliver_lines(lines: Sequence[TouchLine], reading: LineDelivery) -> Iterator[DeliveredLine]:

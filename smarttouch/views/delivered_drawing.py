@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 
@@ -21,7 +22,6 @@ from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import FIELD_MM, MOST_SLOTS, Counts, delivered_spikes, in_color
 from smarttouch.profile import Profile
-from smarttouch.running.delivered import DeliveredResponses
 from smarttouch.running.step import Listener, RunContext, StepResult
 from smarttouch.sources.source_contract import Pose, Sheet
 
@@ -106,9 +106,9 @@ class SpikeMap:
         return row[on], column[on], on
 
 
-class DeliveredDrawing(DeliveredResponses, ABC):
+class DeliveredDrawing(ABC):
     """Delivered pulses at the electrodes' places, below what they touched. A place shows the mean
-    response of the electrodes that passed it, or the strongest (see `DeliveredResponses`);
+    response of the electrodes that passed it, or the strongest (see `KernelBank.responses`);
     ``magnification`` is mm of the array per mm touched."""
 
     strongest = False  # whether a place shows the strongest response, not the mean
@@ -121,7 +121,10 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         afferents: tuple[Afferent, ...],
         magnification: float = 1.0,
     ) -> None:
-        super().__init__(profile, bank, afferents)
+        self.poses: dict[int, Pose] = {}  # of each sequence while the finger touched, by number
+        self._period_us: dict[int, int] = {}
+        self.answers: dict[int, Floats] = {}  # of the receptors, (E,) in [0, 1]
+        self._respond = partial(bank.responses, profile, afferents)
         self._magnification = magnification
         self._position_mm = profile.electrodes.position_mm / magnification
         self._cell_mm = tuple(side / magnification for side in profile.electrodes.cell_mm)
@@ -133,6 +136,12 @@ class DeliveredDrawing(DeliveredResponses, ABC):
     def under(self) -> Under:
         """Return what was touched; raises if nothing was."""
 
+    def watch(self, sent: StepResult) -> None:
+        """Record the pose of a step, and its duration."""
+        if sent.number is not None and sent.sequence.intensity > 0:
+            self.poses[sent.number] = sent.input.pose
+            self._period_us[sent.number] = sent.sequence.period_us
+
     def deliver(
         self,
         numbers: NDArray[np.uint32],
@@ -141,11 +150,11 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         finger: Finger | None = None,
     ) -> None:
         """Take delivered slots; with a finger its spikes are drawn, too."""
-        super().deliver(numbers, width_us, current_ua)
+        self.answers = self._respond(numbers, width_us, current_ua)
         self._finger = finger
         if finger is not None:
             self.spikes = delivered_spikes(
-                finger, numbers, width_us, current_ua, self.period_us, MOST_SLOTS
+                finger, numbers, width_us, current_ua, self._period_us, MOST_SLOTS
             )
 
     def places_mm(self, pose: Pose) -> NDArray[np.float64]:
@@ -161,11 +170,12 @@ class DeliveredDrawing(DeliveredResponses, ABC):
     def picture(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> Grey:
         """Return the touch of an area as grey levels, (H, W); 255 is nothing, 0 the strongest."""
         raster = Raster(shape, self.strongest)
-        for pose, answer in self:
+        silent = np.zeros(len(self._position_mm), np.float32)
+        for number, pose in self.poses.items():
             position_mm = self.places_mm(pose) - corner_mm
             pixel = position_mm // pixel_mm if self.strongest else np.rint(position_mm / pixel_mm)
             column, row = pixel.astype(np.intp).T
-            raster.add(row, column, answer)
+            raster.add(row, column, self.answers.get(number, silent))
         wide, high = (max(1, round(side / pixel_mm)) for side in self._cell_mm)
         if self.strongest:
             cell = np.ones((high, wide), np.uint8)

@@ -124,11 +124,11 @@ class FeltPulses:
 
 def pulses_of(drawing: TexturePicture) -> FeltPulses:
     """Return the pulses that a drawing shows."""
-    known = [number for number in drawing.answer if number in drawing.poses]
+    known = [number for number in drawing.answers if number in drawing.poses]
     if not known:
         nothing = np.zeros(0)
         return FeltPulses(nothing, nothing.astype(int), nothing.reshape(0, 2), nothing)
-    answers = np.array([drawing.answer[number] for number in known])
+    answers = np.array([drawing.answers[number] for number in known])
     row, electrode = np.nonzero(answers)
     places = np.array([drawing.places_mm(drawing.poses[number]) for number in known])
     return FeltPulses(
