@@ -23,7 +23,6 @@ from fiber_fit import ThresholdError, activating, fit, threshold_error, threshol
 from numpy.typing import NDArray
 
 from smarttouch.base.files import require_folder, write_json
-from smarttouch.base.terminal import print_table
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.physiology.membrane import (
     FIBERS,
@@ -34,6 +33,7 @@ from smarttouch.physiology.membrane import (
 )
 from smarttouch.profile import Profile, load_profile
 from smarttouch.views.progress import progress
+from smarttouch.views.terminal import print_table
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.terminal import print_table
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel, middle_90
 from smarttouch.profile import Profile, load_profile
+from smarttouch.views.terminal import print_table
 
 Array = NDArray[np.float64]
 Row = tuple[str, str, str]

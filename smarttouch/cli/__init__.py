@@ -12,7 +12,6 @@ import typer
 from smarttouch.base import __version__
 from smarttouch.base.errors import SmartTouchError, TableError
 from smarttouch.base.stopping import RunStopped
-from smarttouch.base.terminal import guarded_output
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.design import design, profiles
 from smarttouch.cli.devices import devices
@@ -21,6 +20,7 @@ from smarttouch.cli.live import live, replay, stop
 from smarttouch.cli.options import Commands, option
 from smarttouch.cli.read import braille, braille_display, read
 from smarttouch.cli.simulate import simulate
+from smarttouch.views.terminal import guarded_output
 
 _COMMANDS: dict[str, Callable[..., object] | typer.Typer] = {
     "live": live, "stop": stop, "read": read, "braille": braille,

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import (
     ArrayOption,
     Commands,
@@ -17,6 +16,7 @@ from smarttouch.cli.options import (
     parse_afferent,
     require_site,
 )
+from smarttouch.views.terminal import print_table
 
 if TYPE_CHECKING:
     from smarttouch.base.afferent import Afferent

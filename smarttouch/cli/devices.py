@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import (
     Commands,
     ForceOption,
@@ -15,6 +14,7 @@ from smarttouch.cli.options import (
     require_site,
 )
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board
+from smarttouch.views.terminal import print_table
 
 if TYPE_CHECKING:
     from smarttouch.base.events import Event

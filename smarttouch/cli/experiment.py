@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smarttouch.base import terminal
 from smarttouch.base.errors import ExperimentError, choice_of
 from smarttouch.cli.options import (
     ClassOption,
@@ -24,6 +23,7 @@ from smarttouch.cli.options import (
     require_answers,
     takes_options,
 )
+from smarttouch.views import terminal
 from smarttouch.views.keys_and_signals import drives_a_board
 
 if TYPE_CHECKING:

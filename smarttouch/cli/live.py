@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import (
     RunOptions,
     argument,
@@ -16,6 +15,7 @@ from smarttouch.cli.options import (
     takes_options,
 )
 from smarttouch.views.keys_and_signals import drives_a_board
+from smarttouch.views.terminal import print_table
 
 
 @takes_options

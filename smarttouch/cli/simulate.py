@@ -48,7 +48,6 @@ def simulate_page(
 ) -> None:
     """Run a page on a simulated board and read the result with Tesseract."""
     from smarttouch.base.files import write_json
-    from smarttouch.base.terminal import print_table
     from smarttouch.imaging.array_window import profile_for_reading, rows_of
     from smarttouch.kernels.bank import load_bank
     from smarttouch.pages.text_file import read_plain_text
@@ -58,6 +57,7 @@ def simulate_page(
     from smarttouch.reading.material import ReadingMaterial
     from smarttouch.running.config import RunConfig
     from smarttouch.views.progress import bank_progress, progress
+    from smarttouch.views.terminal import print_table
 
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
@@ -98,7 +98,6 @@ def study(
     ] = None,
 ) -> None:
     """Run a grid of fingers, profiles, modes, scans and letters, or continue one."""
-    from smarttouch.base.terminal import print_table
     from smarttouch.experiments.study import (
         ROWS_FILE,
         TABLE_NOTE,
@@ -109,6 +108,7 @@ def study(
         study_table,
     )
     from smarttouch.views.progress import bank_progress, progress
+    from smarttouch.views.terminal import print_table
 
     asked = load_study(plan)
     with (

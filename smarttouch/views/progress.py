@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager, contextmanager
 
 from rich.progress import Progress
 
-from smarttouch.base import terminal
+from smarttouch.views import terminal
 
 _LINE_S = 10.0
 Advance = Callable[[int, int], None]  # function called with how many are done, of how many

@@ -20,10 +20,10 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from smarttouch.base import terminal
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.events import Advice, Event
 from smarttouch.running.step import FirstPulse, Listener, RunContext, StepResult
+from smarttouch.views import terminal
 from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, Row, image_rows
 
 _REFRESH_S = 0.2

@@ -4,8 +4,8 @@ import io
 import sys
 import unicodedata
 
-from smarttouch.base import terminal
-from smarttouch.base.terminal import PlainStream, printable
+from smarttouch.views import terminal
+from smarttouch.views.terminal import PlainStream, printable
 
 OBEYED = (
     *range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F),
