@@ -19,9 +19,7 @@ from smarttouch.cli.options import (
 from smarttouch.views.terminal import print_table
 
 if TYPE_CHECKING:
-    from smarttouch.base.afferent import Afferent
-    from smarttouch.kernels.kernel_tables import Advance, SiteKernel, WordTable
-    from smarttouch.profile import Profile
+    from smarttouch.kernels.kernel_tables import WordTable
 
 
 def design(
@@ -58,7 +56,7 @@ def design(
         require_site(chosen, site)
     modes = possible_modes(chosen) if afferent is None else [afferent]
     with bank_progress() as progress:
-        shown = _kernels(chosen, modes, site, any_node, progress)
+        shown = kernel_tables.find_kernels(chosen, modes, site, any_node, progress)
     if site is None:
         _print(kernel_tables.site_table(chosen, shown))
     else:
@@ -72,26 +70,6 @@ def design(
 
         middle, drawn = kernel_tables.middle_kernels(chosen, shown)
         save(kernel_figure(chosen, drawn, middle), plot_file)
-
-
-def _kernels(
-    profile: "Profile",
-    modes: "Sequence[Afferent]",
-    site: int | None,
-    any_node: bool,
-    progress: "Advance | None",
-) -> "list[SiteKernel]":
-    """Return the kernels of modes at one site or at all, from a bank or designed now."""
-    from smarttouch.kernels import kernel_tables
-    from smarttouch.kernels.bank import find_bank, load_bank
-
-    sites = profile.driven.tolist() if site is None else [site]
-    if not any_node:
-        # One site of a large array is not worth its whole bank.
-        bank = load_bank(profile, progress) if site is None else find_bank(profile)
-        if bank is not None:
-            return kernel_tables.kernels_of_bank(profile, bank, modes, sites)
-    return kernel_tables.kernels_designed(profile, modes, sites, any_node, progress)
 
 
 def _print(table: "WordTable", marked: Sequence[Sequence[bool]] = ()) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.kernels.bank import KernelBank, design_confined
+from smarttouch.kernels.bank import design_confined, find_bank, load_bank
 from smarttouch.kernels.batch_design import design_sites, part_of
 from smarttouch.kernels.design_problem import Kernel, Problem
 from smarttouch.kernels.switched_design import designer
@@ -38,36 +38,40 @@ class WordTable:
     note: str
 
 
-def kernels_of_bank(
-    profile: Profile, bank: KernelBank, modes: Sequence[Afferent], sites: Sequence[int]
-) -> list[SiteKernel]:
-    """Return kernels as a bank has them."""
-    kind = profile.output.kind
-    return [
-        SiteKernel(mode, site, bank.kernel(mode, site, kind), float(bank.seconds[mode][site]))
-        for mode in modes
-        for site in sites
-    ]
-
-
-def kernels_designed(
+def find_kernels(
     profile: Profile,
     modes: Sequence[Afferent],
-    sites: Sequence[int],
+    site: int | None,
     any_node: bool,
     progress: Advance | None,
 ) -> list[SiteKernel]:
-    """Return kernels designed now, as the board needs them or over the nodes of each axon."""
-    if not any_node and profile.kernels.neighbors is not None:
-        return kernels_of_bank(profile, design_confined(profile, sites, progress), modes, sites)
+    """Return the kernels of modes at one site or at all, from a bank or designed now.
+
+    With ``any_node`` they are designed over the nodes of each axon, else as the board needs them.
+    """
+    sites = profile.driven.tolist() if site is None else [site]
+    if not any_node:
+        # One site of a large array is not worth its whole bank.
+        bank = load_bank(profile, progress) if site is None else find_bank(profile)
+        if bank is None and profile.kernels.neighbors is not None:
+            bank = design_confined(profile, sites, progress)
+        if bank is not None:
+            kind = profile.output.kind
+            return [
+                SiteKernel(
+                    mode, number, bank.kernel(mode, number, kind), float(bank.seconds[mode][number])
+                )
+                for mode in modes
+                for number in sites
+            ]
     design_one = design_any_node if any_node else designer(profile)
     kernels = []
     for index, mode in enumerate(modes):
         problem = Problem(profile, mode)
         timed = design_sites(problem, design_one, sites, part_of(progress, index, len(modes)))
         kernels += [
-            SiteKernel(mode, site, *timed_kernel)
-            for site, timed_kernel in zip(sites, timed, strict=True)
+            SiteKernel(mode, designed_site, *timed_kernel)
+            for designed_site, timed_kernel in zip(sites, timed, strict=True)
         ]
     return kernels
 

@@ -10,7 +10,7 @@ from smarttouch.base.errors import DesignError
 from smarttouch.kernels.bank import design_bank, find_bank, load_bank, problem_hash, write_bank
 from smarttouch.kernels.batch_design import design_sites, tiles_of
 from smarttouch.kernels.design_problem import Problem
-from smarttouch.kernels.kernel_tables import kernels_designed
+from smarttouch.kernels.kernel_tables import find_kernels
 from smarttouch.kernels.switched_design import (
     design_one_of_n,
     design_three_state,
@@ -205,7 +205,7 @@ def test_a_confined_bank_is_that_of_masked_arrays(grid, changed, of_cache):
 
 def test_one_site_is_designed_alone(grid):
     profile = grid(7, 21)
-    (found,) = kernels_designed(profile, [Afferent.RA], [24], False, None)
+    (found,) = find_kernels(profile, [Afferent.RA], 24, False, None)
     kernel = found.kernel
     assert np.count_nonzero(kernel.weights) <= 21
     # Of all the symmetries of its site.
