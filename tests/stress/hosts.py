@@ -1,0 +1,313 @@
+"""Ends the host of an emulated board at random instants: when does the last pulse end?
+
+``python tests/stress/hosts.py etactilekit kill 100`` prints what was found as JSON. A host is
+killed or frozen while it opens its board or drives it; or it is stopped while it measures, rises or
+repeats, in turn from another thread and by a signal whose handler stops the board in the very
+thread that drives it, and then tries to go on. One process plays the boards and forks a host for
+each run, so that a run costs no start of a program. What counts is the board's own account on the
+board's own clock, which stands still while this process is kept from running. Linux only: orphans
+are collected here, so that none stays behind unseen.
+"""
+
+import argparse
+import ctypes
+import json
+import os
+import random
+import select
+import signal
+import threading
+import time
+import traceback
+from collections import Counter
+from functools import partial
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from smarttouch.base.errors import (
+    BoardRestartedError,
+    LineLostError,
+    SafetyError,
+    SequenceLateError,
+    SmartTouchError,
+)
+from smarttouch.boards.kits import current_scale
+from smarttouch.boards.open import make_board
+from smarttouch.boards.probe_scans import one_each
+from smarttouch.emulator.device_lines import PtyLine
+from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.firmware import DeliveryLog, DeviceClock
+from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
+from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.stimulation.safety_gate import SafetyLimits
+
+ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
+SIGNALS = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP}
+ACTIONS = ("measuring", "rising", "repeating")
+RISE_S, MOST, STEP_S, REPEATED = 0.6, 0.25, 0.02, 3
+"""Time from zero to full intensity, what it rises to, its steps, and the one that is repeated."""
+LATEST_S = 0.6
+"""The end comes at any instant until then: after the host's start, or its first pulse."""
+OPENING = 4
+"""One host in so many is gone by its start, which may be while it opens the board."""
+PATIENCE_S, LEAVES_WITHIN_S = 30.0, 10.0
+WATCHED_NS = 600_000_000
+AWAKE_NS = 250_000_000
+"""So long a stopped board is watched: longer than two periods of sense scans."""
+PR_SET_CHILD_SUBREAPER = 36
+NOT_YET = BoardRestartedError, SequenceLateError, SafetyError
+"""On a busy computer a host may stand still by itself, or nothing of what opens the level is out
+yet: it begins anew."""
+
+
+class LastPulse(DeliveryLog):
+    """Books that know when the last pulse ended."""
+
+    ended_us = -np.inf
+
+    def enter(self, *entry, **more):
+        width_us, time_us = entry[4], entry[6]
+        self.ended_us = max(self.ended_us, time_us + width_us)
+        super().enter(*entry, **more)
+
+
+class PlayedBoard:
+    """A board that this process plays, on a line of its own, and the host that it forks."""
+
+    def __init__(self, kind):
+        kind, _, firmware = kind.partition(" ")
+        self.electrodes = ELECTRODES[kind]
+        books = LastPulse(self.electrodes)
+        self.firmware = {
+            "link": lambda: LinkFirmware("weighted", books),
+            "kajimoto61": lambda: Kajimoto61Firmware(books),
+            "etactilekit": lambda: ETactileKitFirmware(books, firmware=firmware or "71adee2"),
+        }[kind]()
+        self.books, self.line, self.clock, self._pending = books, PtyLine(), DeviceClock(), b""
+        self.url = f"{kind}:{self.line.name}" + f"?firmware={firmware}" * bool(firmware)
+
+    def fork_host(self, drive):
+        """Let a fork drive a board within limits of its own."""
+        if child := os.fork():
+            self._host = child
+            return
+        try:
+            # The far end is the board's alone.
+            os.close(self.line._master)
+            limits = SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.8)
+            drive(make_board(self.url, limits), limits)
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(1)
+
+    def go_on(self):
+        """Take what has come, and answer."""
+        data = self.line.read(0.0005)
+        now = self.clock.now_ns()
+        self._pending += self.firmware.feed(data, now) if data else self.firmware.advance(now)
+        if self._pending and data is not None:
+            self._pending = self.line.write(self._pending)
+
+    def signal(self, number):
+        os.kill(self._host, number)
+
+    def catch_up(self):
+        """Take what was written by now, however late this process comes to read it."""
+        while data := self.line.read(0):
+            self._pending += self.firmware.feed(data, self.clock.now_ns())
+
+    def end(self, since_ns):
+        """End the host; return what the board did since then."""
+        self.signal(signal.SIGKILL)
+        left, deadline = 1, time.monotonic() + LEAVES_WITHIN_S
+        while left and time.monotonic() < deadline:
+            try:
+                if os.waitpid(-1, os.WNOHANG)[0] == 0:
+                    time.sleep(0.002)
+            except ChildProcessError:
+                left = 0
+        while data := self.line.read(0.01):
+            pass
+        os.close(self.line._master)
+        books = self.books
+        return {
+            # 0 if no pulse came after.
+            "late_ms": max(0.0, (books.ended_us - since_ns / 1e3) / 1e3),
+            "unsafe": books.unsafe, "violations": books.violations, "processes_left": left,
+            "driving": books.state == "driving", "ports_kept": data is not None,
+        }  # fmt: skip
+
+
+def drive_for_ever(board, limits):
+    """Drive a board with a pattern that is never the same."""
+    draw = random.Random(os.getpid())
+    with board:
+        start_ns = now_ns = time.monotonic_ns()
+        while True:
+            intensity = min(MOST, (now_ns - start_ns) / 1e9 / RISE_S)
+            level = max(0, int(intensity * 2800) - draw.randrange(20))
+            sequence = one_each(
+                limits, level, 50, intensity, now_ns, cathodic=False, discharge_us=150,
+                period_us=20_000, sites=draw.sample(range(limits.electrodes), 6),
+            )  # fmt: skip
+            # Repeated for a second, so that only what is shown here ends it.
+            try:
+                board.send(sequence, 50)
+                time.sleep(STEP_S)
+                now_ns = time.monotonic_ns()
+            except NOT_YET:
+                start_ns = now_ns = time.monotonic_ns()
+
+
+def gone_run(kind, how, opening, at_s):
+    """Kill or freeze a host."""
+    board, gone_ns, pulsed = PlayedBoard(kind), None, False
+    board.fork_host(drive_for_ever)
+    begun = time.monotonic()
+    go_s = begun + at_s if opening else None
+    while gone_ns is None or board.clock.now_ns() < gone_ns + WATCHED_NS:
+        board.go_on()
+        if go_s is None and board.books.ended_us > -np.inf:
+            go_s = time.monotonic() + at_s
+        assert go_s or time.monotonic() < begun + PATIENCE_S, "it never pulsed"
+        if gone_ns is None and go_s and time.monotonic() > go_s:
+            gone_ns = board.clock.now_ns()
+            board.signal(SIGNALS[how])
+            board.catch_up()
+            # In the 50 ms before.
+            pulsed = board.books.ended_us > gone_ns / 1e3 - 50_000
+    return board.end(gone_ns) | {"pulsed": bool(pulsed)}
+
+
+def send(board, limits, step, times=1):
+    """Send the points of a step of the rise; return the next step."""
+    intensity = min(MOST, step * STEP_S / RISE_S)
+    sequence = one_each(
+        limits, int(0.9 * intensity * 2800), 50, intensity, time.monotonic_ns(), cathodic=False,
+        discharge_us=150, period_us=int(1e6 * STEP_S), sites=[1, 3, 5, 7],
+    )  # fmt: skip
+    board.send(sequence, times)
+    time.sleep(STEP_S)
+    return step + 1
+
+
+def act(board, limits, action, stopped):
+    """Drive a board until that is refused."""
+    step = 0
+    while True:
+        try:
+            if action == "measuring":
+                board.measure()
+            elif action == "rising" or step < REPEATED:
+                step = send(board, limits, step)
+            else:
+                send(board, limits, REPEATED, 1000)
+                wait_for(stopped)
+        except NOT_YET:
+            step = 0
+
+
+def wait_for(stopped):
+    # Not by an event, whose lock a signal's handler might find taken by its own thread.
+    deadline = time.monotonic() + PATIENCE_S
+    while not stopped and time.monotonic() < deadline:
+        time.sleep(0.01)
+
+
+def drive_until_stopped(board, limits, action, from_thread, at_s, said):
+    """Drive a board until it is stopped, then try to go on; write down what came of it."""
+    stopped = []
+
+    def stop(*_):
+        try:
+            board.stop()
+        except LineLostError:
+            # A host that stood still cannot confirm zero: its board is at zero by itself by then.
+            time.sleep(0.1)
+        os.write(said, b"stopped\n")
+        stopped.append(True)
+
+    board.open()
+    signal.signal(signal.SIGTERM, stop)
+    os.write(said, b"open\n")
+    if from_thread:
+        threading.Timer(at_s, stop).start()
+    came = []
+    for way in (
+        partial(act, board, limits, action, stopped),
+        board.measure,
+        partial(send, board, limits, 0),
+    ):
+        try:
+            way()
+        except SmartTouchError as error:
+            came.append(type(error).__name__)
+        wait_for(stopped)
+    os.write(said, json.dumps(came).encode() + b"\n")
+    time.sleep(PATIENCE_S)
+
+
+def stopped_run(kind, action, from_thread, at_s):
+    """Stop a board while its host drives it."""
+    board, (ours, said) = PlayedBoard(kind), os.pipe()
+    board.fork_host(
+        partial(
+            drive_until_stopped, action=action, from_thread=from_thread, at_s=at_s, said=said
+        )
+    )  # fmt: skip
+    told, go_s, stopped_ns, begun = b"", None, None, time.monotonic()
+    while (
+        stopped_ns is None or told.count(b"\n") < 3 or board.clock.now_ns() < stopped_ns + AWAKE_NS
+    ):
+        assert time.monotonic() < begun + PATIENCE_S, (kind, action, from_thread, at_s, told)
+        # First what it says, then what it had written before.
+        if select.select([ours], [], [], 0)[0]:
+            told += os.read(ours, 1000)
+        board.go_on()
+        if go_s is None and b"open" in told:
+            go_s = time.monotonic() + at_s
+        if go_s and not from_thread and time.monotonic() > go_s:
+            board.signal(signal.SIGTERM)
+            go_s = float("inf")
+        if stopped_ns is None and b"stopped" in told:
+            board.catch_up()
+            stopped_ns = board.clock.now_ns()
+    for end in (ours, said):
+        os.close(end)
+    pulsed, came = board.books.slots > 0, json.loads(told.splitlines()[-1])
+    return board.end(stopped_ns) | {"pulsed": pulsed, "came": came}
+
+
+def run(kind, how, count):
+    """Return what so many runs found."""
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    current_scale.BOOT_S = 0.0
+    draw = random.Random(f"{kind} {how}")
+    found = []
+    with threadpool_limits(1):
+        for number in range(count):
+            at_s = draw.uniform(0, LATEST_S)
+            if how in SIGNALS:
+                found.append(gone_run(kind, how, number % OPENING == 0, at_s))
+            else:
+                found.append(stopped_run(kind, how, bool(number % 2), at_s))
+    driven_ms = [each["late_ms"] for each in found if each["pulsed"]]
+    counted = ("pulsed", "unsafe", "violations", "driving", "ports_kept", "processes_left")
+    return {
+        "board": kind, "how": how, "runs": count,
+        "median_ms": round(float(np.median(driven_ms)), 1) if driven_ms else None,
+        "worst_ms": round(max(each["late_ms"] for each in found), 2),
+        **{name: sum(each[name] for each in found) for name in counted},
+        "came": Counter(name for each in found for name in each.get("came", ())),
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("kind", help=f"of {', '.join(ELECTRODES)}, or 'etactilekit newest'")
+    parser.add_argument("how", choices=(*SIGNALS, *ACTIONS))
+    parser.add_argument("count", type=int)
+    options = parser.parse_args()
+    print(json.dumps(run(options.kind, options.how, options.count)))
