@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from firmware.tests.rig import encode_lists
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.wire.framing import LARGEST_PACKET
 from smarttouch.boards.link import MessageKind
@@ -22,7 +23,6 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.source_contract import Frame, Pose
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import SlotPolicy
-from tests.boards.payloads import encode_lists
 
 FULL_NS = 10**9
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from firmware.tests.build import built
+from firmware.tests.rig import encode_lists
 from smarttouch.boards.link import MessageKind, encode
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.kernels.bank import load_bank
@@ -18,7 +19,6 @@ from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.source_contract import Stimulus
-from tests.boards.payloads import encode_lists
 
 WIRES = {"1 MB/s": 1e6, "921,600 Bd": 92_160}
 PULSE_US, REST_US = 200, 100

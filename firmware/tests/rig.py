@@ -7,13 +7,12 @@ import numpy as np
 
 from smarttouch.boards import link as protocol
 from smarttouch.boards.link import OUTPUTS, MessageKind, encode_volts
-from smarttouch.boards.link.sequence_encoding import KernelImage, encode_limits
+from smarttouch.boards.link.sequence_encoding import KernelImage, encode_limits, encode_scan
 from smarttouch.boards.link.session import LinkSession
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import NAME, LinkFirmware
 from smarttouch.emulator.link_packets import BoardSession
 from smarttouch.emulator.skin import COMPLIANCE_V, SkinCircuit
-from tests.boards.payloads import encode_lists
 
 ROOM = 1 << 22
 _RECHARGE = 4
@@ -156,11 +155,11 @@ class PulseBooks(DeliveryLog):
 class Emulated:
     """The Python emulator, with the same numbers where chance would give others."""
 
-    def __init__(self, electrodes, output="weighted", ramp_ms=500, worn=False):
-        self._books = PulseBooks(electrodes)
-        self._books.worn, self._books.kept = worn, []
+    def __init__(self, electrodes, output="weighted", ramp_ms=500, worn=False, **given):
+        self.log = PulseBooks(electrodes)
+        self.log.worn, self.log.kept = worn, []
         session = BoardSession(itertools.count(1).__next__)
-        self._board = LinkFirmware(output, self._books, session=session, ramp_ms=ramp_ms)
+        self._board = LinkFirmware(output, self.log, session=session, ramp_ms=ramp_ms, **given)
 
     def feed(self, data, now_us):
         return self._board.feed(data, 1000 * now_us), self._taken()
@@ -177,15 +176,15 @@ class Emulated:
         self._board.switch_open = is_open
 
     def _taken(self):
-        taken, self._books.kept = self._books.kept, []
+        taken, self.log.kept = self.log.kept, []
         return taken
 
     def books(self):
-        return {name: getattr(self._books, name) for name in BOOKS}
+        return {name: getattr(self.log, name) for name in BOOKS}
 
     def driven_pc(self):
         """Return the net charge that has been driven through each electrode."""
-        return (1e6 * self._books.passed_uc).tolist()
+        return (1e6 * self.log.passed_uc).tolist()
 
 
 class Both:
@@ -234,6 +233,12 @@ class Both:
 
     def books(self):
         return self._same([{name: each.books()[name] for name in BOOKS} for each in self.boards])
+
+
+def encode_lists(sequence, times, measure, switched, image, most_bytes):
+    """Return the payload of a SEQUENCE that a board has room for at once."""
+    (part,) = encode_scan(sequence, times, measure, switched, image, most_bytes, 1 << 16)
+    return part.payload
 
 
 class Talk:

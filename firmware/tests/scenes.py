@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from firmware.tests.rig import Talk
+from firmware.tests.rig import Talk, encode_lists
 from smarttouch.boards.link import MessageKind
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, quantized
-from tests.boards.payloads import encode_lists
 
 
 def random_table(rng, kernels, electrodes):

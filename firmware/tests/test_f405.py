@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 
 from firmware.tests.build import built
-from firmware.tests.rig import Talk
+from firmware.tests.rig import Talk, encode_lists
 from firmware.tests.test_qemu import OverSocket
 from smarttouch.boards.link import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import encode_limits
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from tests.boards.payloads import encode_lists
 from tests.support.processes import PROGRAM, Forked
 
 _WRITE = re.compile(r"addr (0x[0-9a-f]+) value (0x[0-9a-f]+) size \d name")

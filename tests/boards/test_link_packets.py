@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from firmware.tests.rig import encode_lists
 from firmware.tests.scenes import random_table, sequence_of
 from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer, WirePacket
@@ -29,7 +30,6 @@ from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
 
 from ..support.checks import raises
 from .fresh import until
-from .payloads import sequence_payload
 
 MS = 1_000_000
 currents = hnp.arrays(
@@ -41,6 +41,15 @@ def columns(current, seed=0):
     slots = len(current)
     random = np.random.default_rng(seed)
     return [random.integers(0, 65536, slots).astype(np.uint16) for _ in range(3)]
+
+
+def sequence_payload(
+    output, period_us, width_us, discharge_us, site, current_ua, times=1, measure=False
+):  # fmt: skip
+    """Return the payload of a SEQUENCE at full intensity, without kernels."""
+    columns = [np.asarray(each, np.uint16) for each in (width_us, discharge_us, site)]
+    sequence = ScanSequence(np.asarray(current_ua, np.int16), *columns, period_us, 1.0, 0)
+    return encode_lists(sequence, times, measure, output != "weighted", None, 1 << 20)
 
 
 @pytest.mark.parametrize("output", ["three-state", "one-against-all"])

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from firmware.tests.rig import Emulated, Talk
 from firmware.tests.scenes import sequence_of
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import BoardFaultError
@@ -15,6 +16,7 @@ from smarttouch.base.wire.framing import Deframer, frame_packet
 from smarttouch.boards import link as protocol
 from smarttouch.boards.link import (
     ALIVE_MS,
+    HALF,
     LATE_MS,
     LONGEST_PACKET_MS,
     Message,
@@ -22,78 +24,44 @@ from smarttouch.boards.link import (
     decode,
     decode_volts,
     digest_of,
+    encode,
 )
 from smarttouch.boards.link.link_driver import LinkDriver
 from smarttouch.boards.link.sequence_encoding import KernelImage
-from smarttouch.boards.link.session import LinkSession
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import MOST_HOSTS, BoardSession
 from smarttouch.emulator.link_rules import Room
 from smarttouch.emulator.skin import EmulatedFinger
 from smarttouch.stimulation.safety_gate import SafetyLimits
-from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable
-from tests.boards.payloads import encode_lists, limits_payload, sequence_payload
+from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
 
 from ..support.checks import raises
 
 MS = 1_000_000
 E = 6
-GOOD = [[300, -100, -100, -100], [-100, 300, -100, -100]]
-"""Two pulses of 100 µs, 50 µs apart."""
 
 
-class KeptBooks(DeliveryLog):
-    def keep(self, number, width_us, current_ua):
-        self.kept.append(np.rint(current_ua).astype(int).tolist())
-
-
-class Rig:
-    """A board, and a session begun at time zero, under limits."""
+class Rig(Talk):
+    """A host that has begun a session under limits, and the board that it talks to."""
 
     def __init__(self, electrodes=4, output="weighted", **given):
-        self.output, self.now_ms, self.sent = output, 0, []
-        self.books = KeptBooks(electrodes)
-        self.books.kept = []
-        self.board = LinkFirmware(output, self.books, **{"ramp_ms": 0} | given)
-        self.host = LinkSession(lambda message: None)
-        said = (MessageKind.HELLO, b""), (MessageKind.BEGIN, b"")
-        for kind, payload in (*said, (MessageKind.LIMITS, limits_payload(electrodes))):
-            (answer,) = self.say(0, kind, payload=payload)
-        assert (answer.kind, answer.payload) == (MessageKind.LIMITED, b"\1")
+        super().__init__(Emulated(electrodes, output, 0, **given))
+        self.books, self.switched = self.board.log, output != "weighted"
+        self.begin(SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0))
 
-    def say(self, now_ms, kind, about=0, payload=b""):
-        self.sent.append(self.host.encode(kind, about, payload))
-        return self.feed(now_ms, self.sent[-1])
+    def drive(self, **more):
+        """Send two pulses of 100 µs, 50 µs apart."""
+        current = np.array([[300, -100, -100, -100], [-100, 300, -100, -100]], np.int16)
+        column = np.ones(2, np.uint16)
+        scan = ScanSequence(current, 100 * column, 50 * column, column, 10_000, 1.0, 0)
+        self.send(scan, 1, switched=self.switched, **more)
 
-    def feed(self, now_ms, data):
-        return self.taken(self.board.feed(data, round(now_ms * MS)))
-
-    def advance(self, now_ms):
-        return self.taken(self.board.advance(round(now_ms * MS)))
-
-    def wait(self, time_ms, beating=True):
-        """Let time pass, a millisecond at once, with heartbeats that have heard the last ALIVE."""
-        for _ in range(time_ms):
-            self.now_ms += 1
-            self.advance(self.now_ms)
-            if beating and self.now_ms % 30 == 0:
-                self.say(self.now_ms, MessageKind.HEARTBEAT)
-
-    def taken(self, data):
-        """Return the packets in what a board says; those that no session takes are read, too."""
-        self.host.take(data)
-        packets = [decode(packet) for packet in Deframer().feed(data)]
-        return [packet for packet in packets if packet.kind != MessageKind.ALIVE]
-
-    def send(self, now_ms, current, **more):
-        """Send a sequence."""
-        current = np.asarray(current, np.int16)
-        column = np.ones(len(current), np.uint16)
-        payload = sequence_payload(
-            self.output, 10_000, column * 100, column * 50, column, current, **more
-        )
-        self.say(now_ms, MessageKind.SEQUENCE, 1, payload)
+    def live(self, time_ms):
+        """Let time pass with heartbeats, which have heard the last ALIVE."""
+        for _ in range(time_ms // 10):
+            self.wait(10_000)
+            self.say(MessageKind.HEARTBEAT)
 
     @property
     def ended(self):
@@ -115,8 +83,8 @@ def test_hello_of_any_version_is_answered_and_nothing_else():
 
 def test_an_open_electrode_needs_all_the_voltage_there_is():
     rig = Rig(output="one-against-all", finger=EmulatedFinger(4, ["0 open 1"]))
-    rig.send(0, GOOD, measure=True)
-    (told,) = rig.advance(11)
+    rig.drive(measure=True)
+    (told,) = (each for each in rig.wait(11_000) if each.kind == MessageKind.VOLTAGES)
     assert decode_volts(told.payload)[1] == pytest.approx(300, abs=0.02)
     assert decode_volts(told.payload)[0] < 60
 
@@ -149,19 +117,20 @@ def test_hellos_that_lead_to_nothing_are_counted():
 @pytest.mark.parametrize("noise", ["heartbeat", "hello", "garbage", "half a stop", "half anew"])
 def test_what_is_no_sign_of_life(rig, noise):
     """The host dies, and something on the line goes on."""
-    rig.send(0, GOOD, times=10_000)
-    rig.say(0, MessageKind.HEARTBEAT)
-    rig.wait(50)
+    rig.drive(times=10_000)
+    beat = rig.host.encode(MessageKind.HEARTBEAT)
+    rig.say(None, data=beat)
+    rig.live(50)
     played = {
-        "heartbeat": rig.sent[4],
-        "hello": rig.sent[0],
+        "heartbeat": beat,
+        "hello": encode(MessageKind.HELLO, rig.host.number & HALF, 1),
         "garbage": b"\x07garbage",
         "half a stop": b"\0" + rig.host.encode(MessageKind.STOP)[:-2],
         "half anew": b"\0" + rig.host.encode(MessageKind.SEQUENCE, 2, bytes(range(1, 60)))[:-2],
     }[noise]
     for _ in range(100):
-        rig.wait(5, beating=False)
-        rig.feed(rig.now_ms, played)
+        rig.wait(5000)
+        rig.say(None, data=played)
     assert rig.ended == ("shorted", "silence")
     assert rig.books.zero_after_ms == pytest.approx(protocol.SILENCE_MS, abs=5)
     # The head of a sequence that never came whole is fresh for as long as that of one that does.
@@ -170,25 +139,25 @@ def test_what_is_no_sign_of_life(rig, noise):
 
 
 def test_a_long_packet_on_its_way_is_a_sign_of_life_for_a_while(rig):
-    rig.send(0, GOOD, times=10_000)
-    rig.wait(30)
+    rig.drive(times=10_000)
+    rig.live(30)
     packet = rig.host.encode(MessageKind.SEQUENCE, 2, bytes(range(1, 251)) * 12)
     for at in range(0, LONGEST_PACKET_MS + 300, 50):
         # It never ends: the board does.
         assert rig.books.state == "driving" or at >= LONGEST_PACKET_MS
-        rig.feed(rig.now_ms, packet[at : at + 50])
-        rig.wait(50, beating=False)
+        rig.say(None, data=packet[at : at + 50])
+        rig.wait(50_000)
     assert rig.ended == ("shorted", "silence")
 
 
 def test_a_stop_is_never_too_late(rig, monkeypatch):
-    rig.send(0, GOOD, times=10_000)
+    rig.drive(times=10_000)
     # From here on its host hears nothing.
-    monkeypatch.setattr(rig.host, "take", lambda packet: None)
-    rig.wait(310)
+    monkeypatch.setattr(rig.host, "take", lambda packet: [])
+    rig.live(310)
     assert rig.books.state == "driving"
-    (answer,) = rig.say(rig.now_ms, MessageKind.STOP)
-    assert answer.kind == MessageKind.STOPPED
+    answer, _ = rig.board.feed(rig.host.encode(MessageKind.STOP), rig.now_us)
+    assert [each.kind for each in Deframer().feed(answer)] == [MessageKind.STOPPED]
     assert rig.ended == ("shorted", "stop")
 
 
@@ -218,17 +187,16 @@ LIMITS = SafetyLimits(E, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0)
 ])  # fmt: skip
 def test_lists_that_would_make_other_currents_go_as_currents(first, kernel, amplitude):
     rig, image = Rig(E, room=Room(kernel_bytes=10_000)), KernelImage.of(TABLE, 10_000, 100)
-    head = protocol.KERNELS.pack(image.identity, len(image.data), 0)
-    rig.say(0, MessageKind.KERNELS, payload=head + image.data)
+    rig.give(image)
     one, full = np.array([0], np.uint16), np.array([4000], np.uint16)
     usual = KernelLists(TABLE, np.array([0, 1]), one, full)
     sums = KernelLists(TABLE, np.array(first), kernel, amplitude)
     wanted = (sums if amplitude[0] < 0 else usual).current_ua
     sequence = sequence_of(usual, current_ua=wanted, sums=sums)
-    payload = encode_lists(sequence, 1, False, False, image, 10**6)
-    rig.say(0, MessageKind.SEQUENCE, 1, payload)
-    rig.advance(9)
-    assert rig.books.kept == wanted.tolist()
+    rig.send(sequence, 1, image=image)
+    pulses = rig.pulses
+    rig.wait(9000)
+    assert [each[-1] for each in (*pulses, *rig.pulses)] == wanted.tolist()
 
 
 def test_a_host_takes_no_table_of_the_same_size_for_its_own():
