@@ -5,7 +5,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from smarttouch.base.errors import SourceError, choice_of, require_within
+from smarttouch.base.errors import SourceError, require_within
 
 from ..support.checks import raises
 
@@ -22,10 +22,3 @@ def test_numbers_and_ranges(value, lowest, highest, above, within):
     ends = (lowest, highest)
     with nullcontext() if within else raises(SourceError, names="hz", value=value, allowed=ends):
         require_within(SourceError, "hz", value, lowest, highest, above=above)
-
-
-def test_a_name_is_one_of_the_choices_in_capitals_or_not():
-    choices = ["points", "auto"]
-    assert choice_of("scan", "AUTO", iter(choices)) == "auto"
-    with raises(SourceError, names="scan", value="all", allowed=("points", "auto")):
-        choice_of("scan", "all", iter(choices), SourceError)

@@ -8,9 +8,6 @@ import pytest
 
 from smarttouch.base.errors import BoardError, SourceError
 from smarttouch.base.urls import read_options
-from smarttouch.boards.open import make_board
-from smarttouch.profile import load_profile
-from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises
 
@@ -70,13 +67,3 @@ def test_options_that_are_none(url, about, value):
         offered = "events, fps, light_on_dark, path, seed, size, unpaced"
         with raises(SourceError, names=about, allowed=offered):
             read_options(opener, url, SourceError)
-
-
-def test_boards_by_url(tmp_path):
-    profile = load_profile("electric-mouse")
-    limits = SafetyLimits.of(profile)
-    with make_board(f"emulator:?books={tmp_path}", limits, profile.output):
-        pass
-    assert (tmp_path / "state.json").exists()
-    with raises(BoardError, names="?firmware", allowed="books, events"):
-        make_board("emulator:?firmware=1", limits)

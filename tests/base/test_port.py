@@ -40,6 +40,7 @@ def test_short_writes_over_tcp_do_not_wait(scheme):
             assert port._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
             port.write(b"ab")
             assert board.recv(10) == b"ab"
+            assert identity_of(port) is None
             port.close()
 
 
@@ -113,13 +114,6 @@ def test_the_same_device_is_waited_for_while_another_is_there(plugged):
     with reopen_port(name, 20, identity) as port:
         assert identity_of(port) == identity
     back.join()
-
-
-def test_a_network_address_is_nobodys_identity():
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = open_port(f"tcp://127.0.0.1:{server.getsockname()[1]}")
-        assert identity_of(port) is None
-        port.close()
 
 
 class Pipe:

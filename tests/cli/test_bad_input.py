@@ -79,10 +79,6 @@ def no_place(name):
     ("devices emulate optacon",
      says(value="optacon", allowed=("link", "kajimoto61", "etactilekit"))),
     ("devices emulate link?volts", says(value="?volts")),
-    ("devices emulate link?books=nowhere", says(value=Path("nowhere"))),
-    ("devices emulate link?firmware=newest",
-     says(value="link", allowed=("etactilekit",))),
-    ("devices emulate etactilekit?firmware=3", says(value="3")),
     ("devices show etactilekit:/dev/x?firmware=3", says(BoardError, "firmware '3'", "71adee2")),
     ("devices show kajimoto61:/dev/x --profile electric-mouse",
      says(BoardError, "weighted", "one-against-all")),
@@ -93,8 +89,6 @@ def no_place(name):
      says(value=9, allowed=pytest.approx(2.4))),
     ("devices test memory: --electrode 64", says(value=64, allowed=(0, 63))),
     ("devices measure memory:", says(BoardError, "measure")),
-    ("calibrate scale memory: --volts 1 --ohm 0", says(BoardError, value=0)),
-    ("calibrate scale memory: --volts -1", says(BoardError, "volts", value=-1)),
     ("calibrate scale kajimoto61:x --volts 0.001",
      says(BoardError, "0.001 V", "0.001 times", "30 %")),
     ("live --board memory: --set hold=charge", says(BoardError)),
@@ -115,7 +109,6 @@ def no_place(name):
     ("devices show text:x --seconds 0", says(value=0, allowed=(0, 3600))),
     ("devices show hx711:/dev/nowhere",
      says(SourceError, "electric-mouse", "force.curve", "0.00980665")),
-    ("devices emulate hx711?books=no/where", says(value=Path("no/where"))),
 ])  # fmt: skip
 def test_one_sentence(program_here, folder, arguments, wrong):
     wrong(refused(program_here(*arguments.split(" "))))

@@ -2,20 +2,17 @@
 
 import os
 import re
-import select
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
 
-from smarttouch.boards.open import may_touch_a_finger
 from smarttouch.emulator.firmware import STATE_FILE, read_slots, read_state
 
 from ..boards.fresh import fresh_state, until
 from ..support.processes import PROGRAM, Forked
-from .conftest import PRESSED, refused, says
+from .conftest import refused, says
 
 FULL = "--force fixed:1 --intensity 1"
 KITS = {
@@ -67,40 +64,6 @@ def test_live_end_to_end_ends_in_zero(program_here, kit):
     assert state["slots"] > 5
     assert state["max_current_ma"] <= figures["max_current_ma"] + 0.04
     assert state_of(books)["slots"] == state["slots"]
-
-
-@on("kajimoto61", "etactilekit")
-def test_a_signal_ends_in_zero(start_program, kit):
-    url, books = kit
-    how = signal.SIGTERM if url.startswith("kajimoto61") else signal.SIGINT
-    running = start_program("live", "--board", url, *PRESSED, "--intensity", "1")
-    wait_for_pulses(books)
-    running.send_signal(how)
-    running.communicate(timeout=60)
-    assert running.returncode == 0
-    state = state_of(books)
-    assert (state["state"], state["unsafe"]) == ("shorted", 0)
-
-
-def wait_for_pulses(books):
-    until(lambda: read_state(books)["slots"])
-
-
-@on("kajimoto61", "etactilekit")
-def test_a_killed_host(start_program, kit):
-    """The host-clocked board is at zero by itself, the other by its watchdog."""
-    url, books = kit
-    running = start_program("devices", "test", url, *PRESSED, "--seconds", 30, "--current-ma", 0.5)
-    wait_for_pulses(books)
-    # By then its current has risen, and nothing changes any more.
-    time.sleep(0.5)
-    running.kill()
-    running.wait()
-    time.sleep(0.3)
-    before = state_of(books)
-    after = state_of(books)
-    assert after["unsafe"] == 0
-    assert after["slots"] == before["slots"]
 
 
 @on("kajimoto61", "etactilekit", "link")
@@ -223,34 +186,6 @@ def test_a_page_is_shown(program_here):
     assert re.findall(r"\d+", rows["read"]) == ["21", "100"]
     assert rows["size"].startswith("64 x 64, ")
     assert re.search(r"\b0\.\d+ N", rows["force"])
-
-
-def test_an_array_is_played_and_shown(program_here):
-    program = "from smarttouch.cli.devices import devices; devices()"
-    arguments = ["emulate", "serial-array"]
-    with subprocess.Popen(
-        [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            assert select.select([process.stdout], [], [], 30)[0], "it prints nothing"
-            *command, url = [process.stdout.readline() for _ in range(3)][-1].split()
-            assert command == ["smarttouch", "devices", "show"]
-            shown = program_here("devices show", url, "--seconds", 0.3).fine()
-            rows = table(shown.stdout)
-            assert re.findall(r"\d+", rows["size"])[:4] == ["64", "64", "40", "220"]
-            assert not re.search(r"\d", rows["force"])
-            assert int(rows["frames"].partition(",")[0]) > 0
-        finally:
-            process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0
-
-
-@pytest.mark.parametrize(("url", "finger"), [
-    ("link:x", True), ("kajimoto61:x", True), ("etactilekit:x", True),
-    ("emulator:", False), ("simulated:", False), ("memory:", False),
-])  # fmt: skip
-def test_which_boards_a_finger_may_be_on(url, finger):
-    assert may_touch_a_finger(url) is finger
 
 
 @pytest.mark.parametrize("command", [

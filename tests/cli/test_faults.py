@@ -108,17 +108,3 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
     assert errors.count("\n") == 1
     emulator.wait(PATIENCE_S)
     assert read_state(books)["state"] == "shorted"
-
-
-def test_a_recording_that_is_removed_is_no_recording(start_program, tmp_path):
-    host = start_program(
-        "live", "text:touch?speed_mm_s=1", "--board", "simulated:",
-        "--record", "run.mcap",
-    )  # fmt: skip
-    until((tmp_path / "run.mcap").exists)
-    (tmp_path / "run.mcap").unlink()
-    code, output, errors = ending(host)
-    assert code == 2
-    assert "wrote" not in output
-    assert errors.count("\n") == 1
-    assert "run.mcap" in errors

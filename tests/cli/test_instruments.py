@@ -40,14 +40,6 @@ def test_all_three_on_an_emulated_board(played, tmp_path):
     assert_replays(tmp_path / "r.mcap")
 
 
-def test_what_is_left_out_is_reported(played):
-    said = played("vibration:tone:30Hz,9um+press:1N?seconds=0.3", "--profile kajimoto-61")
-    (left_out,) = (
-        line for line in said["noted"].splitlines() if line.split()[:2] == ["SAI", "would"]
-    )
-    assert "PC" not in left_out
-
-
 def test_without_options_a_virtual_hand_strokes_a_grating(played, tmp_path):
     figures = played("texture:", "--intensity 0.5 --felt felt.png --set finger=paper")
     # 60 mm there and back over 4 mm: 15 ridges each, at all of 64 electrodes.

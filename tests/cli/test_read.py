@@ -123,8 +123,8 @@ def lines_of(path):
 
 def test_at_a_terminal_keys_go_from_line_to_line(start_at_a_terminal, tmp_path):
     process, keys = start_at_a_terminal(
-        "read", "text:one\ntwo\nthree\nfour", "--as", "braille", "--record", "run.mcap",
-        "--json", "f.json",
+        "read", "text:one\ntwo\nthree\nfour", "--as", "braille", "--pause", "inf",
+        "--record", "run.mcap", "--json", "f.json",
     )  # fmt: skip
     for key, line in ((b"", 0), (b"\x1b[C", 1), (b"\x1b[C", 2), (b"\x1b[D", 1)):
         os.write(keys, key)

@@ -2,7 +2,6 @@
 
 import io
 import itertools
-import os
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -159,26 +158,6 @@ def test_where_there_is_no_image_the_activation_is_drawn(shown, profile, bank):
     assert seen.count("·") >= 62
     with_image = replace(step, input=replace(step.input, image=printed()))
     assert "▀" in "\n".join(shown((80, 24), StepResult(with_image, 1, 0.0)))
-
-
-def test_events_and_lines_are_printed_over_a_pipe_and_keys_work(start_at_a_terminal):
-    process, keys = start_at_a_terminal(
-        "read", "text:one\ntwo\nthree", "--as=braille", "--plain", "--pause=inf"
-    )
-    told = []
-    one, two = "line 1 of 3: one", "line 2 of 3: two"
-    for key, expected in ((None, one), (b"\x1b[C", two), (b"m", "mode")):
-        if key is not None:
-            os.write(keys, key)
-        while not any(expected in line for line in told[3:]):
-            told.append(process.stdout.readline())
-    os.write(keys, b"q")
-    rest, wrong = process.communicate(timeout=60)
-    assert (process.returncode, wrong) == (0, "")
-    assert told[0].startswith("a text, ")
-    assert told[1].startswith("keys: ")
-    assert "key q" in rest
-    assert not any("\x1b" in line for line in told)
 
 
 @pytest.mark.parametrize(

@@ -92,18 +92,6 @@ def test_whoever_reads_has_gone(shell):
     assert done.stderr == b""
 
 
-def test_a_run_that_fills_the_disk_keeps_what_it_took(shell, tmp_path):
-    long = f"text:{'touch ' * 40}"
-    run = f"smarttouch live '{long}' --board simulated: --record r.mcap --json f.json"
-    done = shell(f"ulimit -f 40; {run}")
-    assert "r.mcap" in refused(done.returncode, done.stderr)
-    assert json.loads((tmp_path / "f.json").read_text())["ended"] == "fault"
-    recording = RecordedRun(tmp_path / "r.mcap")
-    indexes = [recorded.index for recorded in recording.steps()]
-    assert indexes == list(range(len(indexes)))
-    assert not recording.whole
-
-
 def evil_profile(folder, name):
     text = (data_folder("calibration") / "smarttouch-4x4.toml").read_text(encoding="utf-8")
     title = json.dumps(EVIL + " [bold]:smile:[/nothing]")
@@ -140,19 +128,6 @@ def test_control_characters_in_names_are_not_obeyed(program_here, tmp_path, comm
     evil_profile(tmp_path, EVIL + ".toml")
     text = shown(program_here(*(each.format(EVIL) for each in command.split(" "))))
     assert "owned" in text
-
-
-def test_at_a_terminal_colors_stay_and_nothing_else_passes(shell, tmp_path):
-    evil_profile(tmp_path, "evil.toml")
-    run = f"{PROGRAM} {SHORT} --seconds 1 --profile evil.toml"
-    done = shell(f"script -qefc {shlex.quote(run)} /dev/null", TERM="xterm-256color")
-    written = done.stdout.decode()
-    assert done.returncode == 0
-    assert "\x1b[1m" in written
-    for evil in ("\x1b]0;", "\x07", "\x9b", "\u202e"):
-        assert evil not in written
-    # The screen shows a bell, too, by its sign.
-    assert SHOWN in written.replace("␇", "")
 
 
 def test_names_with_newlines_bytes_and_length(program_here, tmp_path):
