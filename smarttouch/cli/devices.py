@@ -213,7 +213,8 @@ def try_out(
             walk.go_on()
 
     with keyboard_listener(on_key):
-        run_walk(walk, display, [OnEvent(say), *as_listeners([note_pulses])], stop, force)
+        followers = [OnEvent(say), *as_listeners([note_pulses])]
+        run_walk(walk, display, listeners=followers, stop=stop, force=force)
     if missed := [str(site) for site in tried if site not in pulsed]:
         typer.echo(f"Electrodes that were sent no pulse: {', '.join(missed)}.")
     typer.echo("All electrodes are at zero.")

@@ -10,7 +10,6 @@ from typing import Any, Self
 from smarttouch.base.errors import BoardError, BoardStoppedError, SmartTouchError
 from smarttouch.base.stopping import Closing, StopRequest
 from smarttouch.boards.board import Board
-from smarttouch.boards.driver import Driver
 from smarttouch.boards.open import default_profile, make_board
 from smarttouch.boards.shutdown import current_command, expect
 from smarttouch.profile import Profile, load_profile
@@ -30,9 +29,8 @@ class Display(Closing):
 
     Parameters
     ----------
-    url : str, type or Board
-        Board, for example ``emulator:`` or ``link:/dev/ttyACM0``, the class of a driver, or a board
-        that you made.
+    url : str or Board
+        Board, for example ``emulator:`` or ``link:/dev/ttyACM0``, or a board that you made.
     profile : Profile
 
     Attributes
@@ -52,20 +50,12 @@ class Display(Closing):
     False
     """
 
-    def __init__(self, url: str | type[Driver] | Board, profile: Profile, **options: Any) -> None:
-        limits = SafetyLimits.of(profile)
-        if isinstance(url, str):
-            board = make_board(url, limits, profile.output, **options)
-        elif isinstance(url, Board):
-            board = url
+    def __init__(self, url: str | Board, profile: Profile, **options: Any) -> None:
+        if isinstance(url, Board):
+            kind = type(url.driver)
+            board, url = url, f"{kind.__module__}.{kind.__qualname__}:"
         else:
-            # Drivers are made as their URLs are opened.
-            kind: Any = url
-            driver = kind("", SafetyLimits.of(profile), profile.output, **options)
-            board = Board(driver, limits, profile.output)
-        if not isinstance(url, str):
-            kind = type(board.driver)
-            url = f"{kind.__module__}.{kind.__qualname__}:"
+            board = make_board(url, SafetyLimits.of(profile), profile.output, **options)
         self.url: str = url
         self.profile: Profile = profile
         self._stop = StopRequest()
@@ -139,7 +129,7 @@ class Display(Closing):
 
 
 def open_display(
-    url: str | type[Driver] | Board,
+    url: str | Board,
     profile: Profile | str | None = None,
     **options: Any,
 ) -> Display:
@@ -147,9 +137,9 @@ def open_display(
 
     Parameters
     ----------
-    url : str, type or Board
+    url : str or Board
         ``emulator:``, ``simulated:``, ``link:PORT``, ``kajimoto61:PORT``, ``etactilekit:PORT`` …,
-        the class of a driver of your own, or a board that you made.
+        or a board that you made.
     profile : Profile or str, optional
         Device and finger; the board's usual one if not given.
     **options
@@ -166,11 +156,8 @@ def open_display(
     >>> st.open_display("simulated:").profile.name
     'electric-mouse'
     """
-    if isinstance(url, str):
-        default_name = default_profile(url)
-    else:
-        default_name = (url.driver if isinstance(url, Board) else url).default_profile
-    return Display(url, load_profile(profile or default_name), **options)
+    usual = url.driver.default_profile if isinstance(url, Board) else default_profile(url)
+    return Display(url, load_profile(profile or usual), **options)
 
 
 class Session(Program):

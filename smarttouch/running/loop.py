@@ -14,7 +14,6 @@ import cv2
 
 from smarttouch.base.clock import LATE_NS, Clock, SimulatedClock
 from smarttouch.base.errors import (
-    BoardError,
     BoardRestartedError,
     BoardStoppedError,
     SequenceLateError,
@@ -23,7 +22,7 @@ from smarttouch.base.events import BoardRestarted, Emit, Event, Note, RunEnded
 from smarttouch.base.posix import prioritized, priority_advice
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
-from smarttouch.running.inputs import Controls, ControlState, Inputs
+from smarttouch.running.inputs import Controls, Inputs
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import FirstPulse, Listener, OnStep, Step, StepResult
@@ -159,8 +158,7 @@ class Loop:
     The source is read at each deadline; the next deadline is one sequence later, so an input that
     needs longer to scan lowers the rate and nothing queues. A late loop moves its schedule and
     never hurries. Statistics are filled as the run goes, so that they are there after a fault;
-    listeners also get a step that was lost with the board. Without controls the level is 1, which
-    only boards accept that no finger can be on.
+    listeners also get a step that was lost with the board.
     """
 
     def __init__(
@@ -173,16 +171,10 @@ class Loop:
         statistics: RunStatistics,
         seconds: float | None = None,
         listeners: Sequence[Listener] = (),
-        controls: Controls | None = None,
+        controls: Controls,
         force: ForceSource | None = None,
         clock: Clock | None = None,
     ) -> None:
-        if controls is None and board.on_a_finger:
-            raise BoardError(
-                "there may be a finger on this board, and no intensity is set: give controls, for "
-                "example Controls(ControlState(mode, level=0)), and raise the level from there"
-            )
-        controls = controls or Controls(ControlState(pipeline.mode))
         if isinstance(source, Listener):
             # A source that depends on how its frames were delivered.
             listeners = [source, *listeners]

@@ -82,7 +82,9 @@ class RecordingSource(Source):
         """Go to the next step; its input may be the same."""
         before, self._now = self._now, self._ahead
         assert self._now is not None
-        if before is None or _is_other(self._now.step.input, before.step.input):
+        recorded, last = self._now.step.input, None if before is None else before.step.input
+        # One number may have several images.
+        if last is None or (recorded.number, id(recorded.image)) != (last.number, id(last.image)):
             self._drop()
             self.frames += 1
             self._seen = False
@@ -91,11 +93,6 @@ class RecordingSource(Source):
     def _drop(self) -> None:
         self.dropped_frames += not self._seen
         self._seen = True
-
-
-def _is_other(recorded: Input, before: Input) -> bool:
-    """Return whether an input is not that of the step before, by its number or image."""
-    return recorded.number != before.number or recorded.image is not before.image
 
 
 def _end_ns(recorded: RecordedStep) -> int:

@@ -1,21 +1,18 @@
 """Pulses on one electrode after another, while someone feels or watches."""
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SmartTouchError, require_within
 from smarttouch.base.events import Note
-from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import single_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.program import Program
 from smarttouch.running.runner import Runner
-from smarttouch.running.step import Listener
-from smarttouch.sources.force import ForceSource
 
 
 class ElectrodeReached(Note):
@@ -55,6 +52,8 @@ class Walk(Program):
 
     def program(self) -> None:
         how = "any key: next, q: end" if self._seconds is None else f"{self._seconds:g} s"
+        each_ns = 1e9 * (self._seconds or math.inf)
+        period_us = round(1e6 / self._profile.pulse.rate_hz)
         with self._turn():
             for site in self._sites:
                 # Not above what is comfortable there.
@@ -62,35 +61,20 @@ class Walk(Program):
                 masked = site in self._profile.output.masked
                 words = "masked" if masked else f"up to {most_ma:.4g} mA ({how})"
                 self.emit(ElectrodeReached(self.now_ns, f"electrode {site}: {words}"))
-                if not masked:
-                    self._try(site, most_ma)
-
-    def _try(self, site: int, most_ma: float) -> None:
-        """Send pulses to one electrode until its time is over."""
-        self._leaves, began_ns = False, self.now_ns
-        # From zero: intensity rises no faster than the ramp.
-        self._pulse(site, 0.0)
-        # By the time of what was sent: a computer that stood still has tried nothing.
-        while not self._leaves and self.now_ns - began_ns < 1e9 * (self._seconds or math.inf):
-            self._pulse(site, most_ma)
-
-    def _pulse(self, site: int, current_ma: float) -> None:
-        profile, activation = self._profile, self._nothing.copy()
-        activation[Afferent.RA, site] = 1
-        self._count += 1
-        period_us, level = round(1e6 / profile.pulse.rate_hz), current_ma / profile.full_ma[site]
-        self._send(self._stimulus(activation, period_us, float(level)))
+                if masked:
+                    continue
+                activation, level = self._nothing.copy(), 0.0
+                activation[Afferent.RA, site] = 1
+                self._leaves, began_ns = False, self.now_ns
+                # By the time of what was sent: a computer that stood still has tried nothing.
+                while not level or (not self._leaves and self.now_ns - began_ns < each_ns):
+                    self._count += 1
+                    self._send(self._stimulus(activation, period_us, level))
+                    # From zero: intensity rises no faster than the ramp.
+                    level = float(most_ma / self._profile.full_ma[site])
 
 
-def run_walk(
-    walk: Walk,
-    display: Display,
-    listeners: Iterable[Listener],
-    stop: StopRequest,
-    force: ForceSource | str | None = None,
-) -> None:
-    """Run a walk, whose strength is an argument of its own; the arguments are those of `Runner`."""
-    Runner(
-        walk, display, RunConfig(scan="points", intensity=1.0), force=force, listeners=listeners,
-        stop=stop, load_kernels=single_bank,
-    ).run()  # fmt: skip
+def run_walk(walk: Walk, display: Display, **options: Any) -> None:
+    """Run a walk, whose strength is an argument of its own; the options are those of `Runner`."""
+    config = RunConfig(scan="points", intensity=1.0)
+    Runner(walk, display, config, load_kernels=single_bank, **options).run()

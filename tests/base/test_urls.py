@@ -14,7 +14,6 @@ from smarttouch.boards.open import (
     may_touch_a_finger,
 )
 from smarttouch.profile import DEFAULT_PROFILE
-from smarttouch.running.display import open_display
 from smarttouch.sources import open_source
 from smarttouch.sources.force import open_force
 from smarttouch.stimulation.safety_gate import SafetyLimits
@@ -132,11 +131,6 @@ def test_a_driver_without_capabilities(installed, limits):
         board.open()
     with raises(BoardClosedError, names="board"):
         board.send(None)
-
-
-def test_a_display_may_be_of_a_drivers_class(profile):
-    board = open_display(MemoryDriver, profile).board
-    assert (type(board.driver), board.on_a_finger) == (MemoryDriver, True)
 
 
 @pytest.mark.parametrize(("url", "meant"), [

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Mode
-from smarttouch.base.errors import BoardError, BoardStoppedError, LineLostError
+from smarttouch.base.errors import BoardStoppedError, LineLostError
 from smarttouch.base.events import BoardRestarted
 from smarttouch.base.posix import priority_advice
 from smarttouch.base.stopping import StopRequest
@@ -117,6 +117,7 @@ def play(pipeline, board):
             stop=stop or StopRequest(), events=[],
         )  # fmt: skip
         followers = as_listeners([*listeners, OnEvent(run.events.append)])
+        options = {"controls": Controls(ControlState(Mode.RA))} | options
         with board:
             Loop(
                 sensor, pipeline, board, stop=run.stop, statistics=run.statistics, clock=run.clock,
@@ -263,6 +264,7 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
         Loop(
             Bars(140), pipeline, board, stop=StopRequest(), statistics=RunStatistics(),
             listeners=as_listeners([lambda each: sent.append(each.step.sequence)]),
+            controls=Controls(ControlState(Mode.RA)),
         ).run()  # fmt: skip
     found = np.array([each.intensity for each in sent])
     time_s = np.array([each.time_ns / 1e9 for each in sent])
@@ -390,15 +392,6 @@ def test_a_pause_before_a_frame_is_taken_drops_nothing(profile, play):
 def test_a_board_stopped_by_nobody_who_may_is_a_fault(play, board):
     with raises(BoardStoppedError, names="board"):
         play(Bars(60), lambda _sent: board.stop())
-
-
-def test_on_a_finger_an_intensity_must_be_given(profile, play):
-    board = board_without_finger(profile, Watched, clock=FakeClock(), on_a_finger=True)
-    with raises(BoardError, names="controls"):
-        play(Bars(5), board=board)
-    assert board.driver.sequences == []
-    controls = Controls(ControlState(Mode.RA, 0.0))
-    assert play(Bars(5), board=board, controls=controls).intensities == [0] * 5
 
 
 @pytest.mark.parametrize(("on_a_finger", "simulated_time"), [(0, 0), (1, 0), (0, 1)])

@@ -2,10 +2,9 @@
 
 from collections import Counter
 
-from smarttouch.base.stopping import StopRequest
 from smarttouch.profile import load_profile
 from smarttouch.running.display import Display
-from smarttouch.running.step import OnEvent, OnStep
+from smarttouch.running.step import OnEvent
 from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
 
 from ..support.scans import board_without_finger
@@ -31,7 +30,7 @@ def walked(clock, profile="etactilekit-32", **options):
     profile, events = load_profile(profile), []
     display = Display(board_without_finger(profile, clock=clock), profile)
     walk = Walk(display.profile, 0.3, **options)
-    run_walk(walk, display, [OnEvent(events.append)], StopRequest())
+    run_walk(walk, display, listeners=[OnEvent(events.append)])
     reached = [str(each) for each in events if isinstance(each, ElectrodeReached)]
     return display.board.driver.sequences, reached
 
@@ -89,6 +88,6 @@ def test_each_electrode_until_it_is_left():
         if len(steps) % 10 == 0:
             walk.go_on()
 
-    run_walk(walk, display, [OnStep(leave)], StopRequest())
+    run_walk(walk, display, listeners=[leave])
     assert [int(site) for each in steps[9::10] for site in each.sequence.site] == list(range(32))
     assert len(steps) == 32 * 10
