@@ -108,29 +108,23 @@ def start_emulator():
         yield start_one
 
 
-class ScriptedPort:
-    """A serial port that expects these very bytes and gives these answers.
+class KajimotoPort:
+    """A port of a kit of 61 electrodes that keeps what is written to it."""
 
-    Every write must be what the script says next; what is left over at the end
-    of the test fails it.
-    """
+    timeout, is_open = 0.05, True
 
-    def __init__(self, exchanges):
-        self.exchanges = [(bytes(wanted), bytes(answer)) for wanted, answer in exchanges]
-        self.incoming = bytearray()
-        self.written = bytearray()
-        self.is_open = True
-        self.timeout = 0.05
+    def __init__(self):
+        self.heard, self.incoming = bytearray(), bytearray()
+
+    def packets(self):
+        """Return the packets between the zeros of opening and of closing."""
+        ends = bytes(61) + bytes([0xFF]) + bytes(61)
+        heard, size = bytes(self.heard), len(ends)
+        assert heard[:size] == heard[-size:] == ends
+        return [heard[at : at + 62] for at in range(size, len(heard) - size, 62)]
 
     def write(self, data):
-        self.written += data
-        while self.exchanges and len(self.written) >= len(self.exchanges[0][0]):
-            wanted, answer = self.exchanges.pop(0)
-            got = bytes(self.written[: len(wanted)])
-            assert got == wanted, f"wrote {got.hex(' ')}, expected {wanted.hex(' ')}"
-            del self.written[: len(wanted)]
-            self.incoming += answer
-        assert self.exchanges or not self.written, f"wrote {bytes(self.written).hex(' ')} beyond"
+        self.heard += data
         return len(data)
 
     def read(self, count=1):
@@ -145,35 +139,17 @@ class ScriptedPort:
     def reset_input_buffer(self):
         self.incoming.clear()
 
-    at_zero = False
-
-    def arm(self):
-        """Nothing watches it."""
-
     def close(self):
         self.is_open = False
 
 
 @pytest.fixture
-def script(monkeypatch):
-    """Return a setter of what the next opened port must hear and will answer."""
-    ports = []
-
-    def set_script(*exchanges):
-        port = ScriptedPort(exchanges)
-        ports.append(port)
-        monkeypatch.setattr("smarttouch.boards.line.open_port", lambda *_: port)
-        monkeypatch.setattr(
-            "smarttouch.boards.kits.etactilekit_line.WatchedPort", lambda port, _: port
-        )
-        monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
-        return port
-
-    yield set_script
-    for port in ports:
-        left = [(wanted.hex(" "), answer.hex(" ")) for wanted, answer in port.exchanges]
-        assert left == [], "this was never written"
-        assert bytes(port.written) == b"", "this was cut short"
+def port(monkeypatch):
+    """Return the port that is opened next."""
+    port = KajimotoPort()
+    monkeypatch.setattr("smarttouch.boards.line.open_port", lambda *_: port)
+    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
+    return port
 
 
 def pour(ends, data):

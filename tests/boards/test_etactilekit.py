@@ -1,154 +1,182 @@
-"""To the byte: what an eTactileKit receives, and that no change is trusted without its echo."""
+"""An eTactileKit scans every pattern, as often as it should, and the host knows how often.
 
+``pytest tests/boards/test_etactilekit.py --runs 2000 -s`` for the long run, and figures.
+"""
+
+import random
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardError, LineLostError
-from smarttouch.boards.board import Board
-from smarttouch.boards.kits import etactilekit
-from smarttouch.boards.kits.etactilekit import ETactileKitDriver
+from smarttouch.boards.kits.etactilekit_line import LOAD
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.skin import EmulatedFinger
-from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
-from tests.boards.fresh import deliver
-from tests.boards.manual_kit import MS, ManualClock, ManualKit, proved
+from tests.boards.manual_kit import MS, ManualKit, proved
 
 from ..support.checks import raises
+from ..support.full import WHOLE
 
-LIMITS = SafetyLimits(4, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
-PING, END, LOAD = b"\xf4", bytes(3), b"\xfb\x02\xfe"
-NOTHING = bytes(8)
-AT_REST = (
-    b"\xfc\0" + END + b"\xf9\0\0\xf8\0\0" + b"\xfb\0\0" + END + b"\xfa\x01\0" + END
-    + b"\xf7\0" + END + b"\xf6\x0a\0" + END
-)  # fmt: skip
-ZEROS = (bytes(514), b"")
-WAKE = [ZEROS, (AT_REST, b""), (b"\xf5", b"\x01")]
-QUIET = b"\xfb\x02\xfb\x02"
-HELLO = [
-    *WAKE, (PING + b"\xf5", b"\0\x01"), (QUIET + b"\xf9\0\0\xf8\0\0\xfc\x04" + PING, b"\x04"),
-]  # fmt: skip
+PATTERNS = 150 if WHOLE else 50
+LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
+PERIOD_US = 20_000
+FIRMWARES = pytest.mark.parametrize("firmware", ["71adee2", "newest"])
 
 
-def readings(*counts):
-    return b"".join(count.to_bytes(2, "little") for count in counts)
+def patterns(count, seed=1):
+    """Return sequences, each another set of electrodes or another height than that before."""
+    rng = random.Random(seed)
+    found = []
+    for step in range(count):
+        sites = sorted(rng.sample(range(8), rng.randint(1, 4)))
+        found.append(pulses(500 + 10 * (step % 150), sites, step))
+    return found
 
 
-heights = readings
+def pulses(level_ua, sites, step=0, limits=LIMITS, width_us=100, intensity=0.5, **more):
+    """Return a sequence of anodic pulses on some electrodes."""
+    given = {"cathodic": False, "discharge_us": 50, "period_us": PERIOD_US} | more
+    return one_each(limits, level_ua, width_us, intensity, step * 10**9, sites=sites, **given)
 
 
-def load(payload):
-    return (b"\xfb\x02\xfe" + payload + PING, b"\x04")
+def unlike(scans):
+    """Return the scans that differ from the one before."""
+    return [scan for i, scan in enumerate(scans) if not i or scan != scans[i - 1]]
 
 
-def go(before=NOTHING):
-    return (b"\xff\xfb\0" + PING, before + b"\x04")
+def wanted(sequence):
+    own = np.abs(sequence.current_ua[np.arange(sequence.slots), sequence.site].astype(int))
+    counts = np.rint(own / 9.99).astype(int)
+    counts -= np.where((counts & 0xFF) >= 0xF4, (counts & 0xFF) - 0xF3, 0)
+    return frozenset(zip(sequence.site.tolist(), counts.tolist(), strict=True))
 
 
-def ask(now):
-    return (b"\xff" + PING, now + b"\x04")
+@FIRMWARES
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize(
+    ("phase_us", "drift"), [(0, 100e-6), (4_900, -100e-6), (11_300, 0.0), (19_500, 100e-6)]
+)
+def test_every_pattern_is_scanned_once(monkeypatch, firmware, named, phase_us, drift, runs):
+    runs = runs or PATTERNS
+    kit = ManualKit(
+        monkeypatch, LIMITS, firmware, phase_ns=1000 * phase_us, drift=drift, named=named
+    )
+    sequences = patterns(runs)
+    start = kit.clock.time_ns
+    report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
+    assert kit.scans() == [wanted(each) for each in sequences]
+    assert (report.slots, report.pulses) == (kit.books.slots, kit.books.pulses)
+    assert report.most_pulses == report.pulses
+    assert (kit.host.acknowledged, kit.host.refused) == (runs, 0)
+    assert kit.books.unsafe == 0
+    took = (kit.clock.time_ns - start) / (20 * MS)
+    print(f"{firmware} {phase_us} {drift}: {took:.1f} periods for {runs} patterns")
+    # A few until its scans are located.
+    assert took < runs + 7
 
 
-def stop(now=NOTHING):
-    return (b"\xff" + QUIET + PING, now + b"\x04")
+@FIRMWARES
+@pytest.mark.parametrize("width_us", [100, 200])
+def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_us):
+    """48 electrodes fill 39 % of the period, or 64 %."""
+    limits = SafetyLimits(48, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
+    kit = ManualKit(monkeypatch, limits, firmware, phase_ns=3 * MS, drift=70e-6)
+    rng, start = random.Random(1), kit.clock.time_ns
+    sequences = [
+        pulses(900, rng.sample(range(48), 2), step, limits, width_us) for step in range(60)
+    ]
+    report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
+    assert kit.scans() == [wanted(each) for each in sequences]
+    assert (report.pulses, report.most_pulses) == (48 * 120, 48 * 120)
+    assert kit.clock.time_ns - start < 1.15 * 20 * MS * 60
+    assert not kit.board._stuck
 
 
-ZERO = [stop(), load(NOTHING)]
-OPEN = [*HELLO, *ZERO]
-
-
-ONCE = (
-    QUIET + END + b"\xf9\0" + END + b"\xf8\0" + END + b"\xf6\x0a\0" + END + b"\xfd\x01" + END
-    + b"\xfa\x64\0" + END + b"\xf7\x32" + END
-)  # fmt: skip
-SETTINGS = [load(NOTHING), (ONCE * 2 + (b"\xf6\x32\0" + END) * 2 + PING, b"\x04")]
-
-
-def anodic(level_ua, step=1, sites=(1,), cathodic=False, width=100, period_us=20_000):
-    return one_each(
-        LIMITS, level_ua, width, float(level_ua > 0), step * 10**9, cathodic=cathodic,
-        sites=list(sites), discharge_us=50, period_us=period_us,
+@FIRMWARES
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("named", [True, False])
+def test_what_a_busy_host_cannot_determine_is_a_range(monkeypatch, firmware, seed, named, runs):
+    """Waits of milliseconds too long, and frames that come when they like: none unscanned."""
+    runs = runs or PATTERNS
+    kit = ManualKit(
+        monkeypatch, LIMITS, firmware, seed=seed, late_us=3000, phase_ns=7 * MS * seed,
+        wire_us=2000, named=named,
     )  # fmt: skip
+    sequences = patterns(runs // 3, seed)
+    rng, time_ns, jobs = random.Random(seed), kit.clock.time_ns, []
+    for each in sequences:
+        jobs.append((time_ns, each, rng.choice([1, 1, 1, 5])))
+        time_ns += int(rng.uniform(5, 45) * MS)
+    report = kit.run(jobs)
+    shown = unlike(kit.scans())
+    assert shown == [wanted(each) for each in sequences]
+    assert report.pulses <= kit.books.pulses <= report.most_pulses
+    assert report.most_pulses <= 2 * report.pulses
 
 
-@pytest.fixture
-def make(monkeypatch):
-    """Return a maker of boards on a clock that the test sets, and that are never idle."""
-    monkeypatch.setattr(ETactileKitDriver, "idle_s", 600.0)
-    # One look at the readings is good enough to know when the board scans.
-    monkeypatch.setattr(etactilekit, "WIDE_NS", 10 * MS)
-
-    def make(output=None, limits=LIMITS):
-        driver = ETactileKitDriver("x", limits, output, firmware="71adee2")
-        clock = ManualClock(late_us=0)
-        board = Board(driver, limits, output, clock=clock, claimed_time=True)
-        board._line.pause = lambda _: None
-        return board
-
-    return make
+@FIRMWARES
+@pytest.mark.parametrize("times", [1, 7])
+def test_the_same_pattern_again_is_scanned_again(monkeypatch, firmware, times):
+    kit = ManualKit(monkeypatch, LIMITS, firmware, phase_ns=3 * MS, drift=60e-6)
+    (sequence,) = patterns(1)
+    start = kit.clock.time_ns
+    report = kit.run([(start + i * times * 20 * MS, sequence, times) for i in range(60)])
+    assert kit.scans() == [wanted(sequence)] * 60 * times
+    assert (report.pulses, report.most_pulses) == (kit.books.pulses, kit.books.pulses)
 
 
-def test_a_run_to_the_byte(script, make):
-    # 220 counts at 9.99 µA, as in the board's own example. The second look at the readings
-    # tells of its pulse.
-    seen = readings(0, 2000, 0, 0)
-    script(
-        *OPEN, *SETTINGS, load(heights(0, 220, 0, 0)), go(), ask(NOTHING), ask(seen), stop(seen),
-        load(heights(0, 110, 110, 0)), go(seen), stop(readings(0, 1000, 1000, 0)), *ZERO,
-    )  # fmt: skip
-    with make() as board:
-        deliver(board, anodic(0, 0), anodic(2200), anodic(1100, 2, (1, 2)))
-        (sequence, volts), (_, more) = board.take_volts()
-        assert sequence.site.tolist() == [1]
-        assert volts == pytest.approx([2000 * 0.0893])
-        assert more == pytest.approx([1000 * 0.0893] * 2)
-        assert (board.acknowledged, board.refused, board.replaced) == (3, 0, 0)
-        report = board.report()
-    assert (report.sequences, report.slots, report.pulses, report.most_pulses) == (3, 3, 12, 12)
+def test_what_is_too_weak_to_measure_is_scanned_and_reported_as_a_range(monkeypatch):
+    kit = ManualKit(monkeypatch, LIMITS, phase_ns=3 * MS)
+    weak = [pulses(10, [step % 8], step, intensity=0.1) for step in range(60)]
+    start = kit.clock.time_ns
+    report = kit.run([(start + i * 20 * MS, each, 1) for i, each in enumerate(weak)])
+    shown = unlike(kit.scans())
+    assert shown == [wanted(each) for each in weak]
+    assert report.pulses <= kit.books.slots * 8 <= report.most_pulses
+    assert report.slots >= 60
+
+
+@FIRMWARES
+def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
+    kit = ManualKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS)
+    sequences = [
+        pulses(800 + 20 * step, [step % 8], step, cathodic=step % 4 > 1, period_us=period_us)
+        for step, period_us in enumerate(([20_000] * 8 + [10_000] * 8) * 2 + [20_000] * 8)
+    ]
+    start = kit.clock.time_ns
+    report = kit.run([(start, each, 1) for each in sequences])
+    shown = unlike(kit.scans())
+    assert shown == [wanted(each) for each in sequences]
+    assert report.pulses <= kit.books.pulses <= report.most_pulses
+    assert kit.books.sequences < 50
+
+
+def test_voltages_are_those_of_each_scan(monkeypatch):
+    kit = ManualKit(monkeypatch, LIMITS)
+    kit.run([(20 * MS * i, pulses(2000 - 1000 * i, [1, 2][: 1 + i]), 1) for i in range(2)])
+    (one, first_v), (two, second_v) = kit.host.take_volts()
+    assert (one.site.tolist(), two.site.tolist()) == ([1], [1, 2])
+    assert first_v == pytest.approx([kit.books.max_volts], abs=0.1)
+    assert second_v == pytest.approx([first_v[0] / 2] * 2, rel=0.05)
 
 
 @pytest.mark.parametrize(("event", "lifted"), [("0 lift", True), ("0 touch", False)])
 def test_a_finger_that_is_gone_is_known_by_the_load_beside_it(monkeypatch, event, lifted):
-    limits = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
-    kit = ManualKit(monkeypatch, limits, finger=EmulatedFinger(8, [event]), dummy_ohm=66e3)
-    sequence = one_each(
-        limits, 2000, 100, 1.0, 0, cathodic=False, sites=[1], discharge_us=50, period_us=20_000
-    )
-    kit.run([(kit.clock.time_ns + i * 20 * MS, sequence, 1) for i in range(5)])
+    kit = ManualKit(monkeypatch, LIMITS, finger=EmulatedFinger(8, [event]), dummy_ohm=66e3)
+    kit.run([(kit.clock.time_ns + i * 20 * MS, pulses(2000, [1]), 1) for i in range(5)])
     assert kit.host.lifted == lifted
 
 
-def test_a_board_that_never_echoes_again_is_reported(script, make):
-    ping = (QUIET + bytes(4) + PING, b"")
-    silent = [ZEROS, ping, ping]
-    script(
-        *OPEN, *SETTINGS, (load(heights(0, 100, 0, 0))[0], b""), *silent, (stop()[0], b""),
-        *silent,
-    )  # fmt: skip
-    board = make()
-    board.open()
-    deliver(board, anodic(0, 0), anodic(1000))
+def test_a_board_that_never_echoes_again_is_reported(monkeypatch):
+    kit = ManualKit(monkeypatch, LIMITS)
+    kit.run([(0, pulses(1000, [1]), 1)])
+    kit.port.write = len
     # Even if nothing is sent any more: its last pattern may still be running.
-    with raises(LineLostError, names="board"):
-        board.close()
-
-
-def test_a_scan_that_is_too_long_for_its_period_never_leaves():
-    """4 outputs of 260 µs are more than 1 ms; their parser would stand still for ever."""
-    driver = ETactileKitDriver("x", LIMITS)
-    with raises(BoardError, value=1000, allowed=1040):
-        driver.check(proved(replace(anodic(1000, width=200), period_us=1000)))
-
-
-def test_wiring_decides_how_many_outputs_there_are(script, make):
-    output = Output(kind="one-against-all", wiring=(5, 3, 0, 1))
-    hello = [*HELLO[:-1], (HELLO[-1][0].replace(b"\xfc\x04", b"\xfc\x06"), b"\x06")]
-    zero = [(stop()[0], bytes(12) + b"\x06"), (load(bytes(12))[0], b"\x06")]
-    script(*hello, *zero, *zero)
-    with make(output):
-        pass
+    for act in (lambda: kit.driver.write(proved(pulses(1010, [1]))), kit.driver.zero):
+        with raises(LineLostError, names="board"):
+            act()
 
 
 def test_a_line_that_loses_one_command_after_another_is_not_driven(monkeypatch):
@@ -156,7 +184,14 @@ def test_a_line_that_loses_one_command_after_another_is_not_driven(monkeypatch):
     kit = ManualKit(monkeypatch, LIMITS)
     write = kit.port.write
     # The query behind a pattern is lost, and never one that asks whether the board is there.
-    kit.port.write = lambda data: write(data[:-1] if data[:3] == LOAD else data)
+    kit.port.write = lambda data: write(data[:-1] if data[: len(LOAD)] == LOAD else data)
     with raises(BoardError, names="safely"):
-        kit.run([(step * 10**9, anodic(1000 + 10 * step), 1) for step in range(1, 9)])
+        kit.run([(10**9 * step, pulses(1000 + 10 * step, [1]), 1) for step in range(1, 9)])
     assert kit.scans() == []
+
+
+def test_a_scan_that_is_too_long_for_its_period_never_leaves(monkeypatch):
+    """8 outputs of 160 µs are more than 1 ms; their parser would stand still for ever."""
+    kit = ManualKit(monkeypatch, LIMITS)
+    with raises(BoardError, value=1000, allowed=1280):
+        kit.driver.check(proved(replace(pulses(1000, [1]), period_us=1000)))

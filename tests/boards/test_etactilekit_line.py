@@ -33,6 +33,7 @@ from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmw
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.manual_kit import ManualClock, ManualPort, manual_line
 
@@ -221,11 +222,16 @@ def test_an_unknown_option_is_named(option, about, value):
         make_board(f"etactilekit:x?{option}", LIMITS)
 
 
-def test_a_smaller_kit_than_the_profile_is_refused(meet):
+@pytest.mark.parametrize(
+    ("electrodes", "wiring", "outputs"), [(32, None, 32), (4, (5, 3, 0, 8), 9)]
+)
+def test_a_smaller_kit_than_the_profile_is_refused(meet, electrodes, wiring, outputs):
+    """Wiring decides how many outputs there are."""
     meeting = meet("71adee2")
-    limits = SafetyLimits(32, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
-    with raises(BoardError, value=32, allowed=8):
-        ETactileKitDriver("told", limits).open(meeting.line, limits)
+    limits = SafetyLimits(electrodes, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
+    output = Output(kind="one-against-all", wiring=wiring)
+    with raises(BoardError, value=outputs, allowed=8):
+        ETactileKitDriver("told", limits, output).open(meeting.line, limits)
 
 
 FOUR = SafetyLimits(4, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)

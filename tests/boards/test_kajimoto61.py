@@ -17,8 +17,6 @@ from ..support.checks import raises
 from .fresh import deliver
 
 ZERO = bytes([0xFF]) + bytes(61)
-RECOVERY = bytes(61), ZERO
-OPEN = [(RECOVERY[0], b""), (ZERO, b"")]
 LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
 
 
@@ -50,19 +48,18 @@ def packet(**intensities):
     return bytes(data)
 
 
-def test_zero_first_scans_between_zero_last(script):
-    script(*OPEN, (packet(), b""), (packet(e0=26, e60=100), b""), *OPEN)
+def test_zero_first_scans_between_zero_last(port):
     with kajimoto() as board:
         # 39.0625 µA to a byte: 1,020 µA are 26.1, 3,900 are 99.84.
         deliver(board, anodic({}, 0), anodic({0: 1020, 60: 3900}))
         report = board.report()
+    assert port.packets() == [ZERO, packet(e0=26, e60=100)]
     assert (report.sequences, report.slots, report.by) == (2, 2, "host")
     assert report.max_current_ma == pytest.approx(3.9)
     assert board.acknowledged == 2
 
 
-def test_what_a_broken_line_may_have_carried_counts_as_a_range(script, monkeypatch):
-    script(*OPEN, (packet(), b""), (packet(e0=26), b""), *OPEN)
+def test_what_a_broken_line_may_have_carried_counts_as_a_range(port, monkeypatch):
     with kajimoto() as board:
         deliver(board, anodic({}, 0), anodic({0: 1020}))
 
@@ -88,16 +85,16 @@ def test_what_a_broken_line_may_have_carried_counts_as_a_range(script, monkeypat
     (replace(anodic({3: 1000}), current_ua=np.int16([[-500] * 2 + [500] * 2 + [0] * 57])),
      {"slot": 0}),
 ])  # fmt: skip
-def test_what_it_cannot_do_is_refused_and_never_sent(script, sequence, attributes):
-    script(*OPEN, (packet(), b""), *OPEN)
+def test_what_it_cannot_do_is_refused_and_never_sent(port, sequence, attributes):
     with kajimoto() as board:
         deliver(board, anodic({}, 0))
         with raises(BoardError, **attributes):
             board.send(sequence)
+    assert port.packets() == [ZERO]
 
 
-def test_a_board_that_answers_a_pattern_is_another(script):
-    script((bytes(61), b""), (ZERO, b"\x10\x02" * 4))
+def test_a_board_that_answers_a_pattern_is_another(port):
+    port.incoming += b"\x10\x02" * 4
     with raises(BoardError, names="board"):
         # Its reply comes a moment after the pattern: the flush before must not hide it.
         board = kajimoto()
@@ -132,9 +129,8 @@ class StillClock:
         self.time_ns = max(self.time_ns, deadline_ns)
 
 
-def test_packets_leave_on_a_grid_and_the_newest_wins(script):
+def test_packets_leave_on_a_grid_and_the_newest_wins(port):
     # A run of silent ones: bytes do not matter here, but when and how many.
-    port = script(*OPEN, *[(packet(), b"")] * 4, *OPEN)
     clock = StillClock()
     with kajimoto(clock=clock) as board:
         for step in range(3):
@@ -151,13 +147,13 @@ def test_packets_leave_on_a_grid_and_the_newest_wins(script):
         assert board.report().sequences == 2
     first = clock.deadlines[0]
     assert clock.deadlines[:4] == [first + each * 20_000_000 for each in range(4)]
-    assert port.exchanges == []
+    assert port.packets() == [ZERO] * 4
 
 
 @pytest.mark.parametrize(("late_ms", "notes"), [
     (9, []), (49, ["this computer was too slow: 2 sequences were skipped"]),
 ])  # fmt: skip
-def test_a_packet_that_left_late_is_not_made_up_for(script, late_ms, notes):
+def test_a_packet_that_left_late_is_not_made_up_for(port, late_ms, notes):
     """The rate that was proved holds between any two packets, whatever the machine does."""
 
     class Late(StillClock):
@@ -169,12 +165,12 @@ def test_a_packet_that_left_late_is_not_made_up_for(script, late_ms, notes):
                 sent[-1] = self.time_ns
 
     sent = []
-    script(*OPEN, *[(packet(), b"")] * 5, *OPEN)
     clock = Late()
     with kajimoto(clock=clock) as board:
         for _ in range(5):
             clock.gate.release()
         deliver(board, anodic({}, 0), times=5)
         assert board.notes == notes
+    assert port.packets() == [ZERO] * 5
     steps_ms = [20 + late_ms, 19, 20, 20]
     assert np.diff(sent[:5]).tolist() == [each * 1_000_000 for each in steps_ms]

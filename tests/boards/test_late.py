@@ -14,21 +14,11 @@ from smarttouch.boards.probe_scans import one_each
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from .fresh import deliver, until
+from .manual_kit import ManualClock
 
 HOUR_NS = 3600 * 10**9
-
-
-class ManualClock:
-    """Time that passes when it is set; waits are over at once."""
-
-    def __init__(self, time_ns=10**12):
-        self.time_ns = time_ns
-
-    def now_ns(self):
-        return self.time_ns
-
-    def wait_until(self, deadline_ns, stop):
-        self.time_ns = max(self.time_ns, deadline_ns)
+ZERO = bytes([0xFF]) + bytes(61)
+"""A silent packet of a kit of 61 electrodes."""
 
 
 def limits(electrodes):
@@ -46,7 +36,7 @@ def pulses(electrodes, step, level_ua=1000):
 def board_of(kind, electrodes, rest="x", **options):
     """Return a board on a finger, or as is said, whose time is claimed but for what is late."""
     driver = kind(rest, limits(electrodes))
-    usual = {"clock": ManualClock(), "claimed_time": True}
+    usual = {"clock": ManualClock(late_us=0), "claimed_time": True}
     return Board(driver, limits(electrodes), **(usual | options))
 
 
@@ -91,10 +81,6 @@ def test_after_a_pause_it_begins_at_zero(pause_ns):
     assert board.dropped_late == 1
 
 
-KAJIMOTO_ZERO = bytes([0xFF]) + bytes(61)
-KAJIMOTO_OPEN = [(bytes(61), b""), (KAJIMOTO_ZERO, b"")]
-
-
 class PausesBeforeTheSecondPacket(ManualClock):
     """The computer stands still while the sender waits for the second packet's time."""
 
@@ -108,10 +94,8 @@ class PausesBeforeTheSecondPacket(ManualClock):
 
 
 @pytest.mark.parametrize("times", [1, 5])
-def test_a_packet_whose_time_has_passed_is_not_written(script, times):
-    # Two silent packets, and not one of the pulses between them.
-    script(*KAJIMOTO_OPEN, (KAJIMOTO_ZERO, b""), (KAJIMOTO_ZERO, b""), *KAJIMOTO_OPEN)
-    with board_of(Kajimoto61Driver, 61, clock=PausesBeforeTheSecondPacket()) as board:
+def test_a_packet_whose_time_has_passed_is_not_written(port, times):
+    with board_of(Kajimoto61Driver, 61, clock=PausesBeforeTheSecondPacket(late_us=0)) as board:
         deliver(board, pulses(61, 0))
         deliver(board, pulses(61, 1), times=times)
         assert (board.acknowledged, board.dropped_late) == (1, 1)
@@ -121,12 +105,13 @@ def test_a_packet_whose_time_has_passed_is_not_written(script, times):
             board.send(pulses(61, 3))
         deliver(board, one_each(limits(61), 0, 50, 0.0, 4 * 10**9, cathodic=False))
         assert board.acknowledged == 2
+    # Two silent packets, and not one of the pulses between them.
+    assert port.packets() == [ZERO] * 2
     assert board.report().pulses == 0
 
 
-def test_what_waits_while_the_level_is_closed_is_not_sent(script):
+def test_what_waits_while_the_level_is_closed_is_not_sent(port):
     """It was proved before: the ramp is asked once more right before the write."""
-    script(*KAJIMOTO_OPEN, (KAJIMOTO_ZERO, b""), *KAJIMOTO_OPEN)
     with board_of(Kajimoto61Driver, 61) as board:
         deliver(board, pulses(61, 0))
         with board._news:
@@ -134,6 +119,7 @@ def test_what_waits_while_the_level_is_closed_is_not_sent(script):
             board.close_level()
         board.drain()
         assert (board.acknowledged, board.dropped_late) == (1, 1)
+    assert port.packets() == [ZERO]
 
 
 def emulated(clock):
@@ -144,7 +130,7 @@ def emulated(clock):
 
 def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
     written = []
-    with emulated(clock := ManualClock()) as board:
+    with emulated(clock := ManualClock(late_us=0)) as board:
         deliver(board, pulses(8, 0))
         packets, again = board.driver._session, []
         # Its answers are lost, so that it is sent again, and again.
