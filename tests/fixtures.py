@@ -202,69 +202,6 @@ def changed():
     return displays.changed
 
 
-@pytest.fixture(scope="session")
-def whole_programme():
-    """Return a solver of one site's whole programme at once, all rows, by scipy's linprog.
-
-    Written apart from the package: minimize t over (w, t), with magnitudes where the total is
-    limited. Under a spill bound that cannot be kept, the larger of both is minimized.
-    """
-    from scipy.optimize import linprog
-
-    from smarttouch.kernels.design_problem import limits_ma
-
-    def solve(problem, site, spill=0.2, method="highs", order=None):
-        far = problem.beyond_a_pitch(site)
-        target, count = problem.target[site], problem.electrodes
-        scale = np.abs(target).max()
-        axon = problem.axon(site)[1:] / scale
-        others, own = problem.other / scale, problem.own[far] / scale
-        if spill is None:
-            own = own[:0]
-        if order is not None:
-            others = others[order(len(others))]
-        total, _ = limits_ma(problem.profile)
-        limited = np.isfinite(total)
-        magnitudes = count if limited else 0
-
-        def minimum(own_by_t):
-            upper = [
-                np.c_[others, -np.ones(len(others)), np.zeros((len(others), magnitudes))],
-                np.c_[
-                    own,
-                    np.full(len(own), -1.0 if own_by_t else 0.0),
-                    np.zeros((len(own), magnitudes)),
-                ],
-                np.c_[axon, np.zeros((len(axon), 1 + magnitudes))],
-            ]
-            bound = [np.zeros(len(others)), np.full(len(own), 0 if own_by_t else spill or 0)]
-            bound.append(np.ones(len(axon)))
-            if limited:
-                eye, zero = np.eye(count), np.zeros((count, 1))
-                upper += [np.c_[eye, zero, -eye], np.c_[-eye, zero, -eye]]
-                sign = np.sign(target[site])
-                allowed = 2 * total / problem.full_ma(site)
-                upper.append(np.r_[-allowed * sign * eye[site], 0, np.ones(count)][None])
-                bound.append(np.zeros(2 * count + 1))
-            answer = linprog(
-                np.r_[np.zeros(count), 1, np.zeros(magnitudes)],
-                np.concatenate(upper),
-                np.concatenate(bound),
-                np.c_[np.stack([target / scale, np.ones(count)]), np.zeros((2, 1 + magnitudes))],
-                [1, 0],
-                bounds=[(None, None)] * (count + 1) + [(0, None)] * magnitudes,
-                method=method,
-            )
-            return answer.fun if answer.status == 0 else np.inf
-
-        best = minimum(False)
-        if spill is not None and best > spill:
-            best = min(best, minimum(True))
-        return best
-
-    return solve
-
-
 @pytest.fixture
 def usb_ports(monkeypatch):
     """Return a setter of the USB description of a device, as pyserial lists it."""

@@ -173,13 +173,7 @@ def grid(changed):
     return make
 
 
-@pytest.fixture
-def of_cache(tmp_path, monkeypatch):
-    monkeypatch.setattr("platformdirs.user_cache_path", lambda _: tmp_path)
-    return tmp_path
-
-
-def test_a_confined_bank_is_that_of_masked_arrays(grid, changed, of_cache):
+def test_a_confined_bank_is_that_of_masked_arrays(grid, changed, tmp_path, monkeypatch):
     profile = grid(4)
     bank = design_bank(profile)
     whole = Problem(profile, Afferent.SAI)
@@ -198,7 +192,8 @@ def test_a_confined_bank_is_that_of_masked_arrays(grid, changed, of_cache):
     for weights in bank.weights.values():
         assert np.abs(weights.sum(axis=1)).max() < 1e-12
     # Kept and found again, and not for kernels of all electrodes.
-    write_bank(of_cache / f"{problem_hash(profile)}.npz", profile, bank)
+    monkeypatch.setattr("platformdirs.user_cache_path", lambda _: tmp_path)
+    write_bank(tmp_path / f"{problem_hash(profile)}.npz", profile, bank)
     assert find_bank(profile) is not None
     assert find_bank(changed(profile, {"kernels.neighbors": None})) is None
 

@@ -116,11 +116,6 @@ def test_classes_are_all_driven_sites_once(profile, changed):
         assert apart.min() >= 2 * mine.electrodes.pitch_mm - 1e-9
 
 
-@pytest.fixture
-def hexagon(changed):
-    return changed(load_profile("kajimoto-61"), {"skin.node_spacing_mm": 0.5})
-
-
 def test_sets_are_as_large_as_can_be_proved(make_operator, profile, changed):
     bounds = FrameBounds()
     sets = proved_sets(make_operator(Afferent.RA).judge, bounds)
@@ -147,7 +142,8 @@ def test_what_is_proved_holds_every_tenth_of_a_millimeter(make_operator, profile
         assert closer.spill == pytest.approx(one.spill, rel=0.05)
 
 
-def test_what_is_no_grid_or_large_has_no_sets(profile, hexagon, changed):
+def test_what_is_no_grid_or_large_has_no_sets(profile, changed):
+    hexagon = changed(load_profile("kajimoto-61"), {"skin.node_spacing_mm": 0.5})
     wish = np.full(61, 2.0)
     assert proved_sets(FrameJudge(hexagon, Afferent.RA, wish), FrameBounds()) == []
     many = {"array.rows": 18, "array.columns": 18, "skin.node_spacing_mm": 1.0}
