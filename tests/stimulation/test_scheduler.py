@@ -1,14 +1,15 @@
-"""One slot for each active point, balanced, spread, and within the period."""
+"""Slots balanced, spread and within every limit; periods within the net charge of a second."""
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.base.afferent import Afferent
+from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ScheduleError
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import design_bank, load_bank
@@ -16,7 +17,8 @@ from smarttouch.profile import list_profiles, load_profile
 from smarttouch.stimulation.point_slots import perceived_at, spread_order
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
-from smarttouch.stimulation.scheduler import ScanScheduler
+from smarttouch.stimulation.scheduler import NetPlan, ScanScheduler
+from smarttouch.stimulation.sequence_limits import NET_PC
 
 from ..support.checks import raises
 from ..support.full import sample
@@ -190,3 +192,141 @@ def test_classes_that_are_due_together_follow_one_another(profile, bank):
     assert_joined(joined, (first, second))
     assert joined.proof is None
     prove_alone(profile, joined)
+
+
+@given(
+    intensity=st.floats(0, 1, width=32),
+    seed=st.integers(0, 2**32 - 1),
+    mode=st.sampled_from([each for each in Mode if each is not Mode.COLOR]),
+    softness=st.floats(0, 1),
+    pressure=st.floats(0, 1),
+)
+def test_every_sequence_of_every_mode_is_safe(
+    profile, bank, intensity, seed, mode, softness, pressure
+):
+    activation = np.random.default_rng(seed).random(64, np.float32)
+    activation[activation < 0.3] = 0
+    scan = ScanScheduler(profile, bank, mode.afferents, softness=softness)
+    gate = SafetyGate(SafetyLimits.of(profile))
+    rows = np.stack([activation, activation, np.zeros(64, np.float32)])
+    silent = scan.schedule(TactileImage(rows, 0, 1.0), 0.0)
+    open_level(gate.check, silent, gate.limits)
+    gate.check(scan.schedule(TactileImage(rows, 10**9, 1.0), intensity, pressure))
+
+
+@pytest.mark.parametrize(("options", "attributes"), [
+    ({"rate_hz": 50.0}, {"names": "rate_hz", "value": 50}),
+    ({"timing": ScanTiming(whole_hz=True)}, {"names": "mode", "allowed": ("RA", "SAI")}),
+    ({"timing": ScanTiming(in_index_order=True)}, {"names": "mode", "allowed": ("RA", "SAI")}),
+])  # fmt: skip
+def test_where_two_rates_are_not_possible(profile, bank, options, attributes):
+    with raises(ScheduleError, **attributes):
+        ScanScheduler(profile, bank, Mode.NATURAL.afferents, **options)
+
+
+@pytest.mark.parametrize("keys", [
+    {"perception.comfort_ma": (2.0,) * 8},
+    {"limits.electrode_ma": (1.0,) * 8},
+])  # fmt: skip
+def test_a_comfort_that_is_just_the_limit_stays_within_it(changed, keys):
+    """Remainders of rounding never push the strongest electrode above its limit."""
+    line = changed(load_profile("line-8"), keys)
+    bank = load_bank(line)
+    for afferent in Afferent:
+        scan = ScanScheduler(line, bank, (afferent,), 10.0)
+        for level in np.linspace(0.5, 1, 30):
+            prove_alone(line, scan.schedule(tactile(np.ones(8), 0, afferent), float(level)))
+
+
+def test_rounding_of_a_thousand_small_currents_is_no_charge_above_the_limit(profile, bank, changed):
+    """2.6 µA round to 3: what 923 electrodes leave over is 370 µA."""
+    wide = changed(profile, {"array.rows": 32, "array.columns": 32})
+    weights = np.zeros((1024, 1024))
+    for site in range(100):
+        weights[site, site] = 1
+        weights[site, 101:] = -1 / 923
+    scan = ScanScheduler(
+        wide, replace(bank, weights={Afferent.SAI: weights}), (Afferent.SAI,), 10.0
+    )
+    ramp = tactile(np.r_[np.linspace(0.1, 1, 100), np.zeros(924)], 0, Afferent.SAI)
+    for intensity in np.linspace(0.1, 1, 10):
+        sequence = scan.schedule(ramp, float(intensity))
+        prove_alone(wide, sequence)
+        assert sequence.slots == 100
+        assert np.abs(sequence.current_ua).max() <= 2500
+    strongest = sequence.site.tolist().index(99)
+    assert np.abs(sequence.current_ua[strongest] - 2400 * weights[99]).max() < 1.01
+
+
+SECOND_US = 1_000_000
+
+
+def newest_pc(sent, time_us):
+    """Return the largest net charge of any newest passes of the second before a time."""
+    kept = [net_pc for end_us, net_pc in reversed(sent) if end_us > time_us - SECOND_US]
+    return np.abs(np.cumsum(kept, axis=0)).max() if kept else 0.0
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_no_second_has_more_than_its_net_charge(seed):
+    rng, plan, sent, time_us = np.random.default_rng(seed), NetPlan(3), [], 0
+    for _ in range(200):
+        most_pc, period_us = rng.choice([2e4, 1e6, 9e6]), int(rng.choice([2000, 20_000, 200_000]))
+        net_pc = np.rint(rng.uniform(-0.2, 1, 3) * most_pc)
+        next_us = plan.next_period_us(net_pc, time_us, period_us, period_us // 2)
+        if next_us is not None:
+            sent.append((time_us + period_us // 2, net_pc))
+        assert newest_pc(sent, time_us) <= NET_PC
+        time_us += math.ceil(next_us or period_us)
+
+
+BUSY_US = 300
+
+
+def planned(rate_hz, net_pc, wanted, seconds=6.0):
+    """Return the times of passes, the periods planned, and how many passes were left out, µs."""
+    plan, time_us, period_us = NetPlan(1), 0.0, round(1e6 / rate_hz)
+    each_pc = np.array([float(net_pc)])
+    times, periods, left_out = [], [], 0
+    while time_us < 1e6 * seconds:
+        next_us = period_us
+        if wanted(time_us):
+            needed_us = plan.next_period_us(each_pc, time_us, period_us, BUSY_US)
+            left_out += needed_us is None
+            if needed_us is not None:
+                next_us = math.ceil(needed_us)
+                times.append(time_us)
+                periods.append(next_us)
+        time_us += next_us
+    return np.array(times), np.array(periods), left_out
+
+
+def always(_time_us):
+    return True
+
+
+@pytest.mark.parametrize("rate_hz", [50, 100, 200])
+@pytest.mark.parametrize("net_pc", [480_000, 1_200_000])
+def test_no_second_has_more_and_pauses_are_short(rate_hz, net_pc):
+    times, periods, left_out = planned(rate_hz, net_pc, always)
+    ends = times + BUSY_US
+    most = max(np.count_nonzero(ends[: index + 1] > time - 1e6) for index, time in enumerate(times))
+    assert most * net_pc <= NET_PC
+    assert left_out == 0
+    # Spread, not given at once and then withheld.
+    assert periods.max() < 60_000
+    steady = times[-1] - times[times > 3e6][0]
+    shortest_us = 1e6 / rate_hz
+    allowed_us = max(shortest_us, 1e6 * net_pc / NET_PC)
+    assert allowed_us <= steady / (np.count_nonzero(times > 3e6) - 1) + 1e-6 <= 1.2 * allowed_us
+
+
+@pytest.mark.parametrize(("net_pc", "wanted"), [
+    # Every fifth frame, as ridges pass under a finger; trains that are over in time.
+    (1_200_000, lambda time_us: int(time_us // 10_000) % 5 == 0),
+    (480_000, lambda time_us: time_us % 1_000_000 < 400_000),
+])  # fmt: skip
+def test_what_pauses_by_itself_keeps_its_rate(net_pc, wanted):
+    _, periods, left_out = planned(100, net_pc, wanted)
+    assert set(periods) == {10_000}
+    assert left_out == 0
