@@ -31,13 +31,25 @@ def test_fixed_force(profile, text, force_n):
         assert source.notes == []
 
 
-@pytest.mark.parametrize("text", ["", "x", "-0.1", "20.1", "nan", "inf", "0.5 N"])
-def test_what_is_no_fixed_force(profile, text):
-    with raises(SourceError, names="force", value=text, allowed=20):
-        open_force(f"fixed:{text}", profile)
-    known = ("fixed", "hx711", "loadcell")
-    with raises(SourceError, names="force", value="spring:1", allowed=known):
-        open_force("spring:1", profile)
+@pytest.mark.parametrize(("url", "value", "allowed"), [
+    *((f"fixed:{text}", text, 20) for text in ("", "x", "-0.1", "20.1", "nan", "inf", "0.5 N")),
+    ("spring:1", "spring:1", ("fixed", "hx711", "loadcell")),
+    ("hx711:/dev/nowhere", "electric-mouse", "smarttouch calibrate force"),
+])  # fmt: skip
+def test_what_is_no_force(profile, url, value, allowed):
+    with raises(SourceError, names="force", value=value, allowed=allowed):
+        open_force(url, profile)
+
+
+@pytest.fixture
+def in_grams(profile, changed):
+    """The profile, which takes readings for grams."""
+    return changed(profile, {"force.curve": (0.0, 0.00980665)})
+
+
+def grams(least):
+    """Return what a cell prints under such a weight."""
+    return lambda number: b"Reading: %d g\r\n" % (least + number % 2)
 
 
 class OfForce(ForceContract):
@@ -61,18 +73,15 @@ class TestLoadCell(OfForce):
     nowhere = "hx711:/dev/nothing"
 
     @pytest.fixture
-    def profile(self, profile, changed):
-        # Grams into newtons.
-        return changed(profile, {"force.curve": (0.0, 0.00980665)})
+    def profile(self, in_grams):
+        return in_grams
 
     @pytest.fixture(autouse=True)
     def _cell(self, make_device):
-        cell = make_device(lambda number: b"Reading: %d g\r\n" % (50 + number % 2))
-        self.url = f"hx711:{cell.line.name}?baud=115200"
+        self.url = f"hx711:{make_device(grams(50)).line.name}?baud=115200"
 
 
 SECOND = 10**9
-GRAMS = (0.0, 0.00980665)
 
 
 @pytest.mark.parametrize(("line", "reading"), [
@@ -81,16 +90,11 @@ GRAMS = (0.0, 0.00980665)
     (b"Load_cell output val: +.5", 0.5), (b"Weight:-4.5g", -4.5), (b"1.5e3", 1500), (b"12,5", 12),
     (b"", None), (b"HX711 not found.", None), (b"1.2.3", None), (b"--3", None),
     (b"information", None), (b"\xff12", None), (b"1\x002", None),
+    *((each, math.nan) for each in
+      (b"nan", b"Reading: NaN g", b"-inf", b"ovf", b"1e10", b"9" * 400, b"nan 3")),
 ])  # fmt: skip
 def test_lines(line, reading):
-    assert parse_line(line) == reading
-
-
-@pytest.mark.parametrize(
-    "line", [b"nan", b"Reading: NaN g", b"-inf", b"ovf", b"1e10", b"9" * 400, b"nan 3"]
-)
-def test_lines_that_report_no_reading(line):
-    assert math.isnan(parse_line(line))
+    assert parse_line(line) == (reading and pytest.approx(reading, nan_ok=True))
 
 
 @given(st.lists(st.binary(max_size=50), max_size=10), st.floats(-1e6, 1e6))
@@ -230,13 +234,8 @@ class TestWatch:
         assert numbers_in(note) == [24]
 
 
-@pytest.fixture
-def in_grams(profile, changed):
-    return changed(profile, {"force.curve": GRAMS})
-
-
 @pytest.mark.parametrize(("kind", "data"), [
-    ("hx711", lambda number: b"Reading: %d g\r\n" % (50 + number % 2)),
+    ("hx711", grams(50)),
     ("loadcell", lambda number: encode_force(number, 0, 50 + number % 2)),
 ])  # fmt: skip
 def test_newtons_and_raw_readings_from_a_port(make_device, in_grams, monkeypatch, kind, data):
@@ -260,7 +259,7 @@ def test_newtons_and_raw_readings_from_a_port(make_device, in_grams, monkeypatch
 
 
 def test_unplugged_and_back(make_device, in_grams, tmp_path):
-    first = make_device(lambda number: b"Reading: %d g\r\n" % (50 + number % 2))
+    first = make_device(grams(50))
     name = tmp_path / "port"
     name.symlink_to(first.line.name)
     with open_force(f"hx711:{name}?baud=115200", in_grams) as force:
@@ -268,7 +267,7 @@ def test_unplugged_and_back(make_device, in_grams, tmp_path):
         name.unlink()
         first.close()
         until(lambda: math.isnan(force.read(0)))
-        second = make_device(lambda number: b"Reading: %d g\r\n" % (100 + number % 2))
+        second = make_device(grams(100))
         name.symlink_to(second.line.name)
         until(lambda: force.read(0) == pytest.approx(1, abs=0.02))
         (note,) = force.notes
@@ -292,21 +291,12 @@ def test_the_curve(make_device, profile, changed, curve, reading, force_n):
         assert all("force.curve" in note for note in force.notes)
 
 
-def test_a_profile_without_a_curve(profile):
-    remedy = "smarttouch calibrate force"
-    with raises(SourceError, names=remedy, value=profile.name):
-        open_force("hx711:/dev/nowhere", profile)
-
-
-@pytest.mark.parametrize(("url", "about", "value"), [
-    ("scale:/dev/x", "force", "scale:/dev/x"),
-    ("hx711:", "port", "hx711:"),
-    ("hx711:?baud=9600", "port", "hx711:?baud=9600"),
-    ("hx711:/dev/x?baud=fast", "?baud=", "fast"),
-    ("hx711:/dev/x?baud=", "?baud=", ""),
-    ("loadcell:/dev/nowhere", "port", "/dev/nowhere"),
+@pytest.mark.parametrize(("url", "value"), [
+    *((url, url) for url in ("scale:/dev/x", "hx711:", "hx711:?baud=9600")),
+    ("hx711:/dev/x?baud=fast", "fast"), ("hx711:/dev/x?baud=", "?baud="),
+    ("loadcell:/dev/nowhere", "/dev/nowhere"),
 ])  # fmt: skip
-def test_what_cannot_be_opened(url, about, value):
+def test_what_cannot_be_opened(url, value):
     with raises(SourceError, value=value):
         open_cell(url)
 

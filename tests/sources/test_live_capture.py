@@ -29,7 +29,7 @@ ODD = ZeroDivisionError("by zero")
 
 
 class Script(ImageDevice):
-    """Does as it is set: shots are given, exceptions raised; at the end, nothing comes."""
+    """Does as it is set, or told later: shots are given, exceptions raised; then nothing comes."""
 
     title = "camera 0"
 
@@ -57,35 +57,6 @@ class Script(ImageDevice):
     def close(self):
         self.is_open = False
         self.closes += 1
-
-
-class Handed(ImageDevice):
-    """Gives what a test hands over, one image after the other."""
-
-    title = "by hand"
-
-    def __init__(self, *events):
-        self.condition = threading.Condition()
-        self.waiting = list(events)
-
-    def open(self):
-        pass
-
-    def close(self):
-        pass
-
-    def grab(self, timeout_s):
-        with self.condition:
-            self.condition.wait_for(lambda: self.waiting, timeout_s)
-            event = self.waiting.pop(0) if self.waiting else None
-        if isinstance(event, Exception):
-            raise event
-        return event
-
-    def hand(self, event):
-        with self.condition:
-            self.waiting.append(event)
-            self.condition.notify()
 
 
 @pytest.fixture(autouse=True)
@@ -141,11 +112,11 @@ def test_the_books_are_exact(profile, images, pauses):
 
 
 def test_the_newest_wins_and_may_be_read_again(profile):
-    source = Handed(shot(0))
+    source = Script(shot(0))
     with LiveSource(source, profile) as sensor:
         assert sensor.read(0).number == 0
         for value in (1, 2, 3):
-            source.hand(shot(value))
+            source.events.append(shot(value))
         until(lambda: sensor.frames == 4)
         first, again = sensor.read(7), sensor.read(8)
         assert (first.number, again.number) == (3, 3)
@@ -154,14 +125,14 @@ def test_the_newest_wins_and_may_be_read_again(profile):
         assert math.isnan(first.force_n)
         assert not sensor.knows_force
         assert sensor.dropped_frames == 2
-        source.hand(shot(4))
+        source.events.append(shot(4))
         until(lambda: sensor.frames == 5)
     assert sensor.dropped_frames == 3
 
 
 def test_age_and_staleness(profile):
     now = [10 * SECOND]
-    source = Handed(shot(taken_ns=10 * SECOND - 5_000_000))
+    source = Script(shot(taken_ns=10 * SECOND - 5_000_000))
     with LiveSource(source, profile, now_ns=lambda: now[0]) as sensor:
         frame = sensor.read(0)
         assert (frame.age_ns, frame.stale) == (5_000_000, False)
@@ -172,8 +143,8 @@ def test_age_and_staleness(profile):
 
 def test_no_image_at_first(profile, monkeypatch):
     monkeypatch.setattr(live_capture, "FIRST_IMAGE_S", 0.01)
-    mute = {"value": "by hand", "allowed": 0.01}
-    with LiveSource(Handed(), profile) as sensor, raises(SourceError, **mute):
+    mute = {"value": "camera 0", "allowed": 0.01}
+    with LiveSource(Script(), profile) as sensor, raises(SourceError, **mute):
         sensor.read(0)
 
 
@@ -224,13 +195,13 @@ def test_not_plugged_in_again(profile):
 
 def test_closing_while_it_is_gone(profile, monkeypatch):
     monkeypatch.setattr(live_capture, "RETRY_S", 60.0)
-    source = Handed(shot())
+    source = Script(shot())
     with LiveSource(source, profile) as sensor:
         sensor.read(0)
-        source.hand(SourceLostError("gone"))
+        source.events.append(SourceLostError("gone"))
         until(lambda: sensor.notes)
     (note,) = sensor.notes
-    assert numbers_in(note) == [0.0]
+    assert numbers_in(note) == [0, 0.0]
 
 
 def test_a_driver_that_hangs_is_left_behind(profile, monkeypatch):
@@ -256,11 +227,11 @@ def test_a_driver_that_hangs_is_left_behind(profile, monkeypatch):
 
 
 def test_motion_is_summed_over_images_that_nobody_reads(profile, page_patch):
-    source = Handed(Shot(page_patch(0), 0))
+    source = Script(Shot(page_patch(0), 0))
     with LiveSource(source, profile) as sensor:
         assert sensor.read(0).pose.x_mm == 0
         for step in range(1, 11):
-            source.hand(Shot(page_patch(4 * step), 0))
+            source.events.append(Shot(page_patch(4 * step), 0))
         until(lambda: sensor.frames == 11)
         pixel_mm = profile.optics.field_width_mm / 64
         assert sensor.read(0).pose.x_mm == pytest.approx(40 * pixel_mm, abs=0.2 * pixel_mm)
@@ -352,7 +323,6 @@ def device(monkeypatch):
     device = Device()
     monkeypatch.setattr(FakeCapture, "device", device, raising=False)
     monkeypatch.setattr(cv2, "VideoCapture", FakeCapture)
-    monkeypatch.setattr(live_capture, "RETRY_S", 0.001)
     monkeypatch.setattr(camera, "_PAUSE_S", 0.0)
     return device
 

@@ -179,10 +179,6 @@ def test_no_image_is_too_much(profile, images):
         assert all(map(math.isfinite, follow(tracker, image, image)))
 
 
-def measured(patch, frames=32):
-    return FlatField.measure(patch.images(frames, light=False), patch.images(frames, light=True))
-
-
 @pytest.fixture(scope="module")
 def patch():
     return SimulatedPatch((48, 64), dead=4, hot=3, seed=5)
@@ -190,23 +186,19 @@ def patch():
 
 @pytest.fixture(scope="module")
 def field(patch):
-    return measured(patch)
+    return FlatField.measure(patch.images(32, light=False), patch.images(32, light=True))
 
 
 def test_every_grey_is_even_after_correction(patch, field):
     for grey in (0.3, 0.6, 1.0):
-        seen = np.mean(patch.see(np.full((48, 64), grey), 30), axis=0)
-        corrected = np.mean(
-            [field.correct(each) for each in patch.see(np.full((48, 64), grey), 30)], axis=0
-        )
+        images = patch.see(np.full((48, 64), grey), 30)
+        seen = np.mean(images, axis=0)
+        corrected = np.mean(list(map(field.correct, images)), axis=0)
         assert seen.std() / seen.mean() > 0.1
         # What is left is the noise of 30 frames, and rounding.
         assert corrected.std() / corrected.mean() < 0.015
-        assert corrected.mean() == pytest.approx(grey * corrected_white(patch, field), rel=0.02)
-
-
-def corrected_white(patch, field):
-    return np.mean([field.correct(each) for each in patch.images(30, light=True)])
+        white = np.mean([field.correct(each) for each in patch.images(30, light=True)])
+        assert corrected.mean() == pytest.approx(grey * white, rel=0.02)
 
 
 def test_broken_pixels_show_what_those_around_do(patch, field):
