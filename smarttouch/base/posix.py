@@ -30,9 +30,8 @@ __all__ = ["fcntl", "pty", "termios", "tty"]
 
 HAS_POSIX: bool = fcntl is not None
 
-O_NOCTTY, O_NONBLOCK, O_NOFOLLOW, O_CLOEXEC, O_BINARY = (
-    getattr(os, name, 0)
-    for name in ("O_NOCTTY", "O_NONBLOCK", "O_NOFOLLOW", "O_CLOEXEC", "O_BINARY")
+O_NOCTTY, O_NONBLOCK, O_NOFOLLOW, O_BINARY = (
+    getattr(os, name, 0) for name in ("O_NOCTTY", "O_NONBLOCK", "O_NOFOLLOW", "O_BINARY")
 )
 
 

@@ -127,27 +127,29 @@ def read_options(
     return address, values
 
 
-def given_options(
-    opener: Callable[..., Any], url: str, options: dict[str, Any], error: type[SmartTouchError]
-) -> dict[str, Any]:
-    """Return the options that are not None; raises if the opener does not take one by its name."""
-    accepted = {name: value for name, value in options.items() if value is not None}
+def all_options(
+    opener: Callable[..., Any],
+    url: str,
+    rest: str,
+    beside: Mapping[str, Any],
+    error: type[SmartTouchError],
+    but: Collection[str] = (),
+) -> tuple[str, dict[str, Any]]:
+    """Return what `read_options` does, with options given beside the URL; None is one not given.
+
+    Raises if the opener does not take one by its name, or if one is given twice.
+    """
+    options = {name: value for name, value in beside.items() if value is not None}
     parameters = inspect.signature(opener).parameters.values()
     taken = [parameter.name for parameter in parameters if parameter.default is not parameter.empty]
-    for name in accepted:
+    for name in options:
         if name not in taken:
             kind, takes = url.partition(":")[0], ", ".join(taken) or "none"
             raise error(f"{kind}: does not take {name}: leave it out (it takes {takes})")
-    return accepted
-
-
-def joined_options(
-    url: str, given: dict[str, Any], in_url: dict[str, Any], error: type[SmartTouchError]
-) -> dict[str, Any]:
-    """Return the options given beside a URL and those in it; raises if one is in both."""
-    if twice := sorted(given.keys() & in_url.keys()):
+    address, in_url = read_options(opener, rest, error, but)
+    if twice := sorted(options.keys() & in_url.keys()):
         raise error(f"{twice[0]} is given in {url!r} and beside it: leave one out")
-    return given | in_url
+    return address, options | in_url
 
 
 def parse_size(text: str, error: type[SmartTouchError], name: str) -> tuple[int, int]:

@@ -56,28 +56,26 @@ class DocumentOptions(OptionGroup):
 
     def recognition(self, source: str) -> "tuple[str, RecognitionOptions]":
         """Return the document, and its options: these, and those that follow its name."""
-        from smarttouch.base.urls import joined_options, read_options
+        from smarttouch.base.urls import all_options
         from smarttouch.pages.document import password_of
         from smarttouch.pages.text_file import FileKind, file_kind
         from smarttouch.reading.recognition import RecognitionOptions
 
-        source = source.removeprefix("page:")
-        address, in_name = source, dict[str, Any]()
-        if Path(source.rpartition("?")[0]).is_file():
-            address, in_name = read_options(
-                RecognitionOptions, source, PageError, but=("password",)
-            )
-        if not address.startswith("text:") and named_file(address, BrailleError) is None:
-            address = f"text:{address}"
+        source = address = source.removeprefix("page:")
         accepted = dict[str, Any]()
         if self.languages is not None:
             accepted["languages"] = "+".join(
                 _TESSERACT.get(language.partition("-")[0], language)
                 for language in self.languages.split("+")
             )
+        if Path(source.rpartition("?")[0]).is_file():
+            address, accepted = all_options(
+                RecognitionOptions, source, source, accepted, PageError, ("password",)
+            )
+        if not address.startswith("text:") and named_file(address, BrailleError) is None:
+            address = f"text:{address}"
         if not address.startswith("text:") and file_kind(Path(address)) is FileKind.PAGES:
             accepted["password"] = password_of(Path(address), self.password_file)
-        accepted = joined_options(source, accepted, in_name, PageError)
         return address, RecognitionOptions(**accepted)
 
 

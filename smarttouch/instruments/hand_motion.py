@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import SourceError, SourceLostError, import_extra, require_within
 from smarttouch.base.files import read_csv
-from smarttouch.base.urls import given_options, joined_options, read_options, unknown
+from smarttouch.base.urls import all_options, unknown
 from smarttouch.pages.page_image import INCH_MM
 from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
 from smarttouch.sources import SOURCES, open_source
@@ -26,7 +26,6 @@ from smarttouch.sources.source_contract import Device, Pose, Source
 if TYPE_CHECKING:
     from evdev import InputDevice
 
-_KINDS = ("evdev", "path", "sweep")
 _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
 """Options of a sweep that follow from the texture."""
 
@@ -60,18 +59,15 @@ def open_motion(url: str, **options: Any) -> HandMotion:
     Options may stand in the URL, as in ``sweep:?speed_mm_s=20``; None is an option not given.
     """
     kind, colon, rest = url.partition(":")
-    known = [*_KINDS, *SOURCES.names]
-    if not colon or kind not in known:
-        raise unknown("motion", url, known, SourceError)
-    if kind not in _KINDS:
-        return open_posed_source(url, **given_options(open_posed_source, url, options, SourceError))
     openers: dict[str, Callable[..., HandMotion]] = {
         "evdev": open_evdev, "path": open_path, "sweep": open_sweep,
     }  # fmt: skip
-    opener = openers[kind]
-    accepted = given_options(opener, url, options, SourceError)
-    rest, in_url = read_options(opener, rest, SourceError, _NOT_IN_URLS)
-    return opener(rest, **joined_options(url, accepted, in_url, SourceError))
+    known = [*openers, *SOURCES.names]
+    if not colon or kind not in known:
+        raise unknown("motion", url, known, SourceError)
+    opener, rest = (openers[kind], rest) if kind in openers else (open_posed_source, url)
+    rest, accepted = all_options(opener, url, rest, options, SourceError, _NOT_IN_URLS)
+    return opener(rest, **accepted)
 
 
 _PATH_RESOLUTION_MM = 0.01  # resolution of recorded paths; an estimate of ours

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError, require_within
-from smarttouch.base.urls import joined_options, read_options
+from smarttouch.base.urls import all_options
 from smarttouch.instruments.textures import (
     COARSEST_PITCH_MM,
     FINEST_PITCH_MM,
@@ -335,14 +335,13 @@ def open_texture(
     ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file. Options may stand behind it,
     as in ``wood.png?dpi=300``.
     """
-    address, in_url = read_options(open_texture, spec, PageError)
-    accepted = {
+    asked = {
         "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm,
         "light_on_dark": light_on_dark or None,
     }  # fmt: skip
-    accepted = {name: value for name, value in accepted.items() if value is not None}
-    if in_url:
-        return open_texture(address, **joined_options(spec, accepted, in_url, PageError))
+    address, accepted = all_options(open_texture, spec, spec, asked, PageError)
+    if address != spec:
+        return open_texture(address, **accepted)
     kind, _, rest = spec.partition(":")
     if kind == "grating" and ":" in spec:
         for name in accepted:

@@ -11,7 +11,7 @@ import numpy as np
 
 from smarttouch.base.errors import SourceError
 from smarttouch.base.files import file_at, named_file
-from smarttouch.base.urls import Registry, given_options, joined_options, read_options, unknown
+from smarttouch.base.urls import Registry, all_options, read_options, unknown
 from smarttouch.profile import Profile, load_profile
 from smarttouch.sources.source_contract import Given, Images, Source
 
@@ -106,9 +106,7 @@ def open_source(
     """
     url, profile = source_url(url), load_profile(profile)
     opener, rest = SOURCES.find(url)
-    rest, in_url = read_options(opener, rest, SourceError, but=_NOT_IN_URLS)
-    accepted = given_options(opener, url, options, SourceError)
-    accepted = joined_options(url, accepted, in_url, SourceError)
+    rest, accepted = all_options(opener, url, rest, options, SourceError, _NOT_IN_URLS)
     if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:
         accepted["light_on_dark"] = True
     source: Source = opener(rest, profile, **accepted)

@@ -163,5 +163,5 @@ def _fill_closed() -> None:
             # The lowest number that is free, so this one.
             os.open(os.devnull, os.O_RDWR)
         if getattr(sys, name) is None:
-            nothing = os.open(os.devnull, os.O_RDWR | os.O_CLOEXEC)
+            nothing = os.open(os.devnull, os.O_RDWR)
             setattr(sys, name, os.fdopen(nothing, "w" if number else "r", encoding="utf-8"))
