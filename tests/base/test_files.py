@@ -1,7 +1,6 @@
 """Paths of users are opened only if they are files, and read no further than a limit."""
 
 import errno
-import math
 import os
 import re
 import resource
@@ -16,7 +15,6 @@ import pytest
 from smarttouch.base import files as module
 from smarttouch.base.errors import PageError, ProfileError
 from smarttouch.base.files import (
-    finite,
     make_folder,
     open_alone,
     open_file,
@@ -241,9 +239,3 @@ def test_columns_come_in_the_order_asked_and_others_are_not_used(table):
 def test_errors_of_tables_name_their_line(table, text, about, value):
     with raises(PageError, names=about, value=value):
         table(text, "a", "b")
-
-
-@pytest.mark.parametrize("text", ["", "x", "nan", "-inf", "1,5"])
-def test_what_is_no_finite_number(text):
-    assert math.isnan(finite(text))
-    assert finite(" -1.5 ") == -1.5

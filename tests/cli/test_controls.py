@@ -58,15 +58,3 @@ def test_a_run_ends_in_order(start_at_a_terminal, tmp_path, end):
         os.dup2(os.open(os.devnull, os.O_RDONLY), keys)
     reason = ended(process, tmp_path)["ended"]
     assert reason == ("key Esc" if end == "Esc" else "the terminal is gone")
-
-
-def test_another_process_stops_all_runs(start_at_a_terminal, program_here, tmp_path):
-    first, _ = start_at_a_terminal(*RUN, "--board", "emulator:")
-    wait_for_the_run(first)
-    (tmp_path / "state" / "left behind").mkdir()
-    stopped = program_here("stop").fine()
-    assert stopped.stdout.count("has confirmed zero") == 1
-    assert ended(first, tmp_path)["ended"] == "smarttouch stop"
-    again = program_here("stop")
-    assert (again.returncode, again.stdout) == (1, "")
-    assert str(tmp_path / "state") in again.stderr

@@ -11,6 +11,7 @@ from smarttouch.profile import list_profiles, load_profile
 from smarttouch.profile.toml_files import as_toml, profile_path
 
 from ..support.full import sample
+from .conftest import refused
 
 KEYS = {
     "mode", "site", "weights", "worst_other", "worst_other_class", "own_spill", "sum",
@@ -80,13 +81,6 @@ def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
     assert all(0 < kernel["worst_other"] < 1 for kernel in table["kernels"])
 
 
-def one_sentence(done):
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.count("\n") == 1
-    return done.stderr
-
-
 def test_all_are_listed(program_here):
     done = program_here("profiles").fine()
     for name in list_profiles():
@@ -97,9 +91,9 @@ def test_all_are_listed(program_here):
 def test_a_copy_is_the_file_with_its_comments(program_here, tmp_path):
     assert program_here("profiles new mine.toml --like line-7").returncode == 0
     assert (tmp_path / "mine.toml").read_bytes() == profile_path("line-7").read_bytes()
-    refused = one_sentence(program_here("profiles new mine.toml --like line-8"))
-    assert "mine.toml" in refused
-    assert "--overwrite" in refused
+    error = refused(program_here("profiles new mine.toml --like line-8"))
+    assert "mine.toml" in str(error)
+    assert "--overwrite" in str(error)
     assert (tmp_path / "mine.toml").read_bytes() == profile_path("line-7").read_bytes()
     assert program_here("profiles new mine.toml --like line-8 --overwrite").returncode == 0
     assert (tmp_path / "mine.toml").read_bytes() == profile_path("line-8").read_bytes()
@@ -112,7 +106,7 @@ def test_a_table_becomes_a_profile(program_here, tmp_path):
     made = load_profile(tmp_path / "mine.toml")
     expected = load_profile("electric-mouse").with_electrodes(table, made.title)
     assert as_toml(made) == as_toml(expected)
-    assert "--overwrite" in one_sentence(program_here("profiles new mine.csv mine.toml"))
+    assert "--overwrite" in str(refused(program_here("profiles new mine.csv mine.toml")))
 
 
 def test_a_grid_has_its_size_everywhere_and_shows_the_same_page(program_here, tmp_path):
@@ -171,5 +165,5 @@ def test_all_that_is_wrong_stands_in_a_line_of_its_own(program_here, tmp_path):
     ("new", "--grid", "99x2", "a.toml"),
 ])  # fmt: skip
 def test_what_cannot_be_is_one_sentence(program_here, tmp_path, arguments):
-    one_sentence(program_here("profiles", *arguments))
+    refused(program_here("profiles", *arguments))
     assert list(tmp_path.iterdir()) == []

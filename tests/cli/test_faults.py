@@ -11,7 +11,7 @@ from smarttouch import cli
 from smarttouch.emulator.firmware import read_state
 from smarttouch.running.pipeline import Pipeline
 
-from ..boards.fresh import fresh_state, until
+from ..boards.fresh import until
 from .conftest import PRESSED
 
 PATIENCE_S = 60
@@ -46,16 +46,6 @@ def test_signals_end_in_order(running, number, name):
     emulator.wait(PATIENCE_S)
     state = read_state(books)
     assert (state["state"], state["reason"]) == ("shorted", "stop")
-
-
-@pytest.mark.realtime
-def test_the_host_hangs(running):
-    """Stopped in its tracks, with the port still open: the board's watchdog ends it."""
-    host, _, books = running
-    host.send_signal(signal.SIGSTOP)
-    until(lambda: fresh_state(books)["state"] == "shorted")
-    slots = read_state(books)["slots"]
-    assert fresh_state(books)["slots"] == slots
 
 
 @pytest.mark.realtime

@@ -14,8 +14,6 @@ from smarttouch.running.recording import RecordedRun
 
 from .conftest import refused, says
 
-FAST = "live texture:grating:4mm?motion=sweep:?speed_mm_s=120 --set paced=no"
-
 
 @pytest.fixture
 def played(program_here):

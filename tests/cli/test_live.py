@@ -21,11 +21,6 @@ from ..support.processes import PROGRAM, Forked
 from .conftest import panels
 
 SAMPLE = f"page:{data_folder('sample_images') / 'page.png'}"
-KEYS = {
-    "frames", "sequences", "slots", "pulses", "acknowledged", "dropped_frames", "rate_asked_hz",
-    "rate_hz", "latency_us", "max_current_ma", "max_charge_uc", "max_net_charge_uc",
-    "emulator_violations", "active_fraction",
-}  # fmt: skip
 
 
 def messages(path, topic):
@@ -67,7 +62,6 @@ def test_the_sample_page(program, tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     figures = json.loads((tmp_path / "run.json").read_text())
-    assert set(figures) >= KEYS
     assert figures["ended"] == "end of the page"
     assert set(figures["latency_us"]) == {"p50", "p99", "max"}
     assert_safe(figures)

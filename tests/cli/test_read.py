@@ -85,12 +85,6 @@ def test_legibility_of_a_page(program_here, tmp_path, page_file):
     assert figures["text"] in done.stdout
 
 
-def test_without_tesseract_the_error_says_how_to_install_it(program_here, page_file, monkeypatch):
-    monkeypatch.setenv("PATH", "")
-    for command in ("simulate page", "read --as braille"):
-        says(ReadingError, "apt install tesseract-ocr")(refused(program_here(command, page_file)))
-
-
 @pytest.mark.parametrize(("arguments", "wrong"), [
     ("nofile.png", says(BrailleError, value=Path("nofile.png"))),
     ("'text: '", says(PageError, "text:")),
