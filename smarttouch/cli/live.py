@@ -98,10 +98,11 @@ def replay(
     board. The recorded force counts on simulated boards only; --intensity scales what was recorded.
     """
     from smarttouch.running.recorded_source import RecordedControls, RecordingSource
-    from smarttouch.running.recording import RecordedRun, describe
+    from smarttouch.running.recording import RecordedRun
+    from smarttouch.views.terminal_session import describe_recording
 
     if info:
-        print_table(describe(file), left=2)
+        print_table(describe_recording(file), left=2)
         return
     if check:
         _check(file, run.profile)

@@ -1,10 +1,8 @@
-"""Recordings of runs, also cut or damaged ones: their steps, arrays and summary."""
+"""Recordings of runs, also cut or damaged ones: their steps and arrays."""
 
 import json
-from collections import Counter
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, fields
-from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args
@@ -28,7 +26,6 @@ from smarttouch.running.recording_format import (
     digest_of,
 )
 
-_TOLD = ("subject", "note", "sensor", "force", "board")  # settings in a summary
 _MOST_BYTES = 2**40  # largest recording: a month
 _MOST_RECORD_BYTES = 128 * 2**20  # largest chunk: ours have some MB, and perhaps a large image
 
@@ -282,35 +279,3 @@ def load_recording(path: Path | str) -> RecordedRun:
     ((25, 3, 64), 64)
     """
     return RecordedRun(path)
-
-
-def describe(path: Path) -> list[tuple[str, str]]:
-    """Return the names and values of a recording's summary, for display."""
-    recording = RecordedRun(path)
-    settings, steps = recording.settings, [step for _, step in recording.contents("/step")]
-    modes = Counter(step["mode"] for step in steps)
-    slots = sum(step["slots"] for step in steps)
-    strongest_ma = max((step["strongest_ma"] for step in steps), default=0.0)
-    versions = json.loads(recording.about["versions"])
-    began = datetime.fromtimestamp(recording.started_unix_ns / 1e9, UTC)
-    rows = [
-        ("began", f"{began:%Y-%m-%d %H:%M:%S} UTC"),
-        ("lasted", f"{recording.seconds:.1f} s"),
-        ("profile", f"{recording.profile.name}, {recording.profile.title}"),
-        *((name, str(settings.get(name) or "none")) for name in _TOLD),
-        ("sequences", ", ".join(f"{mode} {count:,}" for mode, count in modes.items()) or "none"),
-        ("strongest", f"{strongest_ma:.2f} mA through one electrode, in {slots:,} slots"),
-        ("versions", ", ".join(f"{name} {value}" for name, value in versions.items())),
-        ("file", f"{path.stat().st_size / 1e6:.2f} MB"),
-        *((f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events),
-    ]
-    # Damage shows only once everything has been read.
-    return [("state", _state(recording)), *rows]
-
-
-def _state(recording: RecordedRun) -> str:
-    if recording.whole:
-        return "whole"
-    if recording.damaged_chunks:
-        return f"damaged: {recording.damaged_chunks} chunks cannot be read"
-    return "cut: the program that wrote it did not end in order"

@@ -1,10 +1,13 @@
-"""One run in a terminal: screen, keys, signals, and its printed and written results."""
+"""One run in a terminal: screen, keys, signals, its printed and written results; and recordings."""
 
 import contextlib
+import json
 import math
 import sys
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +20,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.inputs import STEP, Controls, ControlState
+from smarttouch.running.recording import RecordedRun
 from smarttouch.running.runner import MakeControls, Runner
 from smarttouch.running.step import Listener, RunContext
 from smarttouch.sources.force import ForceSource
@@ -37,6 +41,8 @@ if TYPE_CHECKING:
 OPENED_WITHIN_S = 60.0  # for a page without a browser here: somebody may copy its address
 _TIMED_S = 10.0  # longest wait for a page where a run has a limit of time
 DRAWN_WITHIN_S = 30.0  # to the end after a signal where pictures are drawn, unless a second comes
+
+_TOLD = ("subject", "note", "sensor", "force", "board")  # settings in a summary
 
 Keys = Mapping[str, Callable[[], None]]
 
@@ -172,3 +178,35 @@ def _keyboard(stop: StopRequest, keys: Keys, run: RunContext) -> AbstractContext
             key_lines.get(key, lambda: None)()
 
     return keyboard_listener(on_key)
+
+
+def describe_recording(path: Path) -> list[tuple[str, str]]:
+    """Return the names and values of a recording's summary, for display."""
+    recording = RecordedRun(path)
+    settings, steps = recording.settings, [step for _, step in recording.contents("/step")]
+    modes = Counter(step["mode"] for step in steps)
+    slots = sum(step["slots"] for step in steps)
+    strongest_ma = max((step["strongest_ma"] for step in steps), default=0.0)
+    versions = json.loads(recording.about["versions"])
+    began = datetime.fromtimestamp(recording.started_unix_ns / 1e9, UTC)
+    rows = [
+        ("began", f"{began:%Y-%m-%d %H:%M:%S} UTC"),
+        ("lasted", f"{recording.seconds:.1f} s"),
+        ("profile", f"{recording.profile.name}, {recording.profile.title}"),
+        *((name, str(settings.get(name) or "none")) for name in _TOLD),
+        ("sequences", ", ".join(f"{mode} {count:,}" for mode, count in modes.items()) or "none"),
+        ("strongest", f"{strongest_ma:.2f} mA through one electrode, in {slots:,} slots"),
+        ("versions", ", ".join(f"{name} {value}" for name, value in versions.items())),
+        ("file", f"{path.stat().st_size / 1e6:.2f} MB"),
+        *((f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events),
+    ]
+    # Damage shows only once everything has been read.
+    return [("state", _state(recording)), *rows]
+
+
+def _state(recording: RecordedRun) -> str:
+    if recording.whole:
+        return "whole"
+    if recording.damaged_chunks:
+        return f"damaged: {recording.damaged_chunks} chunks cannot be read"
+    return "cut: the program that wrote it did not end in order"
