@@ -190,40 +190,26 @@ def balance(profile, bank, make_steps):
     return make
 
 
-@pytest.fixture(scope="module")
-def balanced(balance):
-    return balance()
-
-
 @pytest.fixture
-def write(record, about, settings, balanced, tmp_path):
+def write(record, about, settings, tmp_path):
     """Return a writer of the recording with other settings."""
 
-    def write(steps=balanced, name="run", **other):
+    def write(steps, name="run", **other):
         table = json.dumps({**settings, "balance": True, **other})
         return record(tmp_path / f"{name}.mcap", steps, about={**about, "settings": table})
 
     return write
 
 
-def test_they_are_kept_and_come_out_again(write, balanced):
-    path = write(recharge=True)
-    kept = [each.step.sequence for each in RecordedRun(path).steps()]
-    for was, now in zip((each.step.sequence for each in balanced), kept, strict=True):
-        assert now.recharge_us == was.recharge_us
-        assert np.array_equal(now.recharge_ua, was.recharge_ua)
-    assert sum(each.recharge_us > 0 for each in kept) > 20
-    report = check_recording(path)
-    assert report.exact, report.describe()
-    assert report.sequences == 40
-
-
-def test_charge_that_an_earlier_run_left_is_known(write, balance):
+def test_recharge_phases_and_the_charge_before_them_are_known(write, balance):
     carried_pc = np.arange(-32, 32) * 20_000
-    path = write(balance(carried_pc), recharge=True, carried_pc=carried_pc.tolist())
-    report = check_recording(path)
-    assert report.exact, report.describe()
-    assert not check_recording(write(balance(carried_pc), "silent", recharge=True)).exact
-    path = write(name="short", recharge=True, carried_pc=[0] * 63)
+    for name, carried in (("none", 0), ("some", carried_pc)):
+        steps, known = balance(carried), {"carried_pc": carried.tolist()} if name == "some" else {}
+        assert sum(each.sequence.recharge_us > 0 for each in steps) > 20
+        report = check_recording(write(steps, name, recharge=True, **known))
+        assert report.exact, report.describe()
+        assert report.sequences == 40
+    assert not check_recording(write(steps, "silent", recharge=True)).exact
+    path = write(steps, "short", recharge=True, carried_pc=[0] * 63)
     with raises(RecordingError, value=63, allowed=64):
         check_recording(path)

@@ -6,17 +6,15 @@ from smarttouch.base.afferent import Mode
 from smarttouch.running.inputs import STEP, Controls, ControlState
 
 
-def test_as_many_steps_up_as_down():
-    controls = Controls(ControlState(Mode.RA, 0.0))
-    levels = []
-    for _ in range(25):
-        controls.change_level(STEP)
+@pytest.mark.parametrize("most", [1.0, 0.12])
+def test_keys_go_from_nothing_to_the_most_that_is_allowed(most):
+    controls, levels = Controls(ControlState(Mode.RA, 0.0)), []
+    controls.most = most
+    for by in [STEP] * 25 + [-STEP] * 25:
+        controls.change_level(by)
         levels.append(controls.state(0).level)
-    assert levels[:3] == [0.05, 0.1, 0.15]
-    assert levels[19:] == [1.0] * 6
-    for _ in range(25):
-        controls.change_level(-STEP)
-    assert controls.state(0).level == 0
+    assert levels[:2] == [0.05, 0.1]
+    assert (levels[24], levels[49]) == (most, 0)
 
 
 def test_pause_keeps_the_level():
@@ -43,13 +41,3 @@ def test_no_other_level_can_be_wished(level):
     with pytest.raises(ValueError) as error:
         ControlState(Mode.RA, level)
     assert str(level) in str(error.value)
-
-
-def test_keys_raise_it_no_higher_than_the_most():
-    controls = Controls(ControlState(Mode.RA, 0.0))
-    controls.most = 0.12
-    for _ in range(5):
-        controls.change_level(STEP)
-    assert controls.state(0).level == 0.12
-    controls.change_level(-STEP)
-    assert controls.state(0).level == 0.07

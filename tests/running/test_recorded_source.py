@@ -1,6 +1,5 @@
 """A recording plays what was seen, and counts what it passes over."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,22 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import RecordingError, SourceError
-from smarttouch.instruments.color_mix import ColorSource, mix_colors
-from smarttouch.instruments.skin_trace import open_trace
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
-from smarttouch.running.display import open_display
 from smarttouch.running.inputs import ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import RecordedControls, open_recording
-from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording import RecordedRun
-from smarttouch.running.recording_format import StepDecoder, image_message, step_message
-from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
-from smarttouch.sources.source_contract import Stimulus
 
 from ..support.checks import raises
 from .forged_recordings import put_together, take_apart
@@ -46,6 +38,17 @@ def test_at_the_recorded_times_all_comes_again(recording, steps, profile, bank):
         assert source.read(799_999_999).number == 19
         assert source.read(800_000_000) is None
     assert (source.frames, source.dropped_frames, source.notes) == (20, 0, [])
+
+
+def test_stimuli_are_played_once_more(golden, profile):
+    steps = [each.step for each in RecordedRun(golden("color")).steps()]
+    with open_recording(str(golden("color")), profile) as source:
+        for step in steps:
+            given = source.read(step.input.time_ns)
+            assert (given.number, given.period_us) == (step.input.number, step.input.period_us)
+            assert np.array_equal(given.activation, step.input.activation)
+            assert np.array_equal(given.image, step.input.image)
+        assert source.read(step.input.time_ns + 1000 * step.sequence.period_us) is None
 
 
 @settings(deadline=None)
@@ -108,8 +111,8 @@ def test_on_a_finger_the_profile_is_narrowed_and_stimuli_stay_on_their_array(
 def forge(golden, tmp_path):
     """Return a maker of recordings with changed messages."""
 
-    def make(change):
-        about, messages = take_apart(golden("ra"))
+    def make(change, name="ra"):
+        about, messages = take_apart(golden(name))
         put_together(path := tmp_path / "forged.mcap", about, change(messages))
         return path
 
@@ -133,72 +136,19 @@ def test_a_recording_does_not_wait_for_ever(forge, profile, topic, key, value):
     assert run.broken_steps == 1
 
 
+@pytest.mark.parametrize("name", ["ra", "color"])
+def test_a_step_whose_image_was_lost_is_not_passed_over(forge, name):
+    run = RecordedRun(forge(lambda messages: [m for m in messages if m[0] != "/frame"], name))
+    assert [*run.steps()] == []
+    assert run.broken_steps >= 20
+
+
 def test_where_steps_are_missing_there_is_no_current(forge, profile):
     # A step every 50 ms.
     path = forge(lambda messages: [each for each in messages if not 5 <= each[3] <= 12])
     with open_recording(str(path), profile) as source:
         stale = [source.read(time_ms * 10**6).stale for time_ms in (240, 345, 355, 640, 655)]
     assert stale == [False, False, True, True, False]
-
-
-@pytest.fixture(scope="module")
-def run(profile, bank, tmp_path_factory):
-    """Record a run of stimuli; return the file and the results of its steps."""
-    path, results = tmp_path_factory.mktemp("stimuli") / "run.mcap", []
-    trace = open_trace("tone:30Hz,9um+press:0.45N", 0.8)
-    mixture = mix_colors(trace, profile, bank, sites=[27, 36])
-    source = ColorSource("a mixture", profile, mixture, profile.force.full_n)
-    with open_display("simulated:", profile) as display:
-        listeners = [Recorder(path), results.append]
-        config = RunConfig(mode=mixture.mode)
-        Runner(source, display, config, listeners=listeners, load_kernels=lambda _: bank).run()
-    return path, results
-
-
-def decoded(step, image=True, **changed):
-    """Return a step from its messages, some values changed, with or without that of its image."""
-    decoder = StepDecoder(64)
-    if image and step.input.image is not None:
-        decoder.take("/frame", 0, json.dumps(image_message(step.input.image, 0)).encode(), 0)
-    message = step_message(StepResult(step, 1, 0.0)) | changed
-    found = decoder.take("/step", 0, json.dumps(message).encode(), step.input.time_ns)
-    assert decoder.broken == (found is None)
-    return found
-
-
-def test_they_are_played_once_more(run, profile):
-    path, results = run
-    assert "/frame" not in {topic for topic, _ in RecordedRun(path).messages()}
-    assert len(results) > 30
-    with open_recording(str(path), profile) as source:
-        for sent in results:
-            given = source.read(sent.input.time_ns)
-            assert (given.number, given.period_us) == (sent.input.number, sent.input.period_us)
-            assert np.array_equal(given.activation, sent.input.activation)
-        last = results[-1]
-        assert source.read(last.input.time_ns + 1000 * last.sequence.period_us) is None
-    assert (source.frames, source.dropped_frames) == (len(results), 0)
-
-
-@pytest.fixture(scope="module")
-def touched(profile, bank):
-    """Return a step of a stimulus with an image."""
-    activation, image = np.zeros((3, 64), np.float32), np.full((4, 4), 9, np.uint8)
-    activation[Afferent.RA, 5] = 0.25
-    stimulus = Stimulus(activation, 0, 1.0, 20_000, image=image)
-    return Pipeline(profile, bank, RunConfig(mode=Mode.RA)).process(stimulus)
-
-
-def test_what_lay_under_the_finger_stays_with_its_stimulus(touched):
-    assert np.array_equal(decoded(touched).step.input.image, touched.input.image)
-
-
-def test_an_image_that_was_lost_is_not_passed_over(touched):
-    assert decoded(touched, image=False) is None
-    blind = replace(touched, input=replace(touched.input, image=None))
-    assert decoded(blind).step.input.image is None
-    # Without a stimulus there is nothing to be felt.
-    assert decoded(blind, stimulus=False) is None
 
 
 @pytest.fixture(params=["sai-levels", "natural"])
@@ -232,13 +182,9 @@ def test_a_board_without_the_recorded_mode_is_refused(golden):
         RecordedControls(RecordedRun(golden("natural")), ControlState(Mode.RA), (Mode.RA,))
 
 
-def test_a_level_above_the_strongest_comfortable_current_is_not_followed(golden, tmp_path):
-    about, messages = take_apart(golden("ra"))
-    for topic, content, _, _ in messages:
-        if topic == "/step":
-            content["level"] = 1.5
-    put_together(tmp_path / "forged.mcap", about, messages)
-    controls = RecordedControls(
-        RecordedRun(tmp_path / "forged.mcap"), ControlState(Mode.RA, 0.2), tuple(Mode)
-    )
+def test_a_level_above_the_strongest_comfortable_current_is_not_followed(forge):
+    def change(messages):
+        return [(topic, {**content, "level": 1.5}, *rest) for topic, content, *rest in messages]
+
+    controls = RecordedControls(RecordedRun(forge(change)), ControlState(Mode.RA, 0.2), tuple(Mode))
     assert controls.state(10**9).level == 0.2

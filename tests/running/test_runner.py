@@ -1,5 +1,6 @@
 """Runs: one put together, its end at zero whatever happens, and the pace of its time."""
 
+import signal
 import threading
 import time
 
@@ -120,6 +121,16 @@ def test_an_exception_in_a_listener_ends_at_zero(source, display, stage, monkeyp
     assert other.calls[-1] == "close"
     with raises(BoardClosedError, names="board"):
         display.board.send(None)
+
+
+def test_an_interrupted_run_ends_at_once_and_its_program_goes_on():
+    """As by the stop button of a notebook."""
+    results, main = [], threading.main_thread().ident
+    threading.Timer(1.0, signal.pthread_kill, (main, signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        st.run("text:a long line of text", "memory:", seconds=60, listeners=[results.append])
+    assert 5 < len(results) < 500
+    assert st.run("text:a", "memory:", seconds=0.1).frames == 5
 
 
 @pytest.mark.parametrize("stop", [st.Display.stop, lambda display: display.stopping.ask("a key")])

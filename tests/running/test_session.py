@@ -262,23 +262,6 @@ def test_what_interrupts_a_call_ends_what_it_shows(call):
     assert len(full) < 100
 
 
-def test_a_generator_that_is_closed_ends_its_session():
-    touch, _ = session()
-
-    def patterns():
-        with touch:
-            while True:
-                yield touch.show(RING, 0.1)
-
-    shown = patterns()
-    assert next(shown).sequences == 5
-    shown.close()
-    with raises(SmartTouchError, names="session"), touch:
-        pass
-    assert "GeneratorExit" in touch.statistics.ended
-    assert "closed" in repr(touch)
-
-
 @pytest.mark.parametrize("when", ["prepare", "start", "step", "finish"])
 def test_a_listener_that_fails_ends_the_session_with_its_own_error(when):
     class Fails(st.Listener):
@@ -308,7 +291,10 @@ def test_what_ends_the_block_ends_at_zero_and_nothing_is_shown_outside_it():
         fails()
     assert "ZeroDivisionError" in touch.statistics.ended
     assert touch.statistics.figures["emulator_violations"] == 0
-    for call in (lambda: touch.show(RING, 0.1), lambda: touch.put(RING), touch.rise):
+    assert "closed" in repr(touch)
+    for call in (
+        lambda: touch.show(RING, 0.1), lambda: touch.put(RING), touch.rise, touch.__enter__,
+    ):  # fmt: skip
         with raises(SmartTouchError, names="session"):
             call()
 
