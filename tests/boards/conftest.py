@@ -231,28 +231,10 @@ class FaultyLine:
         os.close(self._behind)
 
 
-@pytest.fixture
-def faulty_line(tmp_path):
-    """Return a maker of lines to an emulator's port; the host opens their ``path``."""
-    lines = []
-
-    def make(behind):
-        line = FaultyLine(behind, tmp_path / f"port{len(lines)}")
-        lines.append(line)
-        return line
-
-    # Nor is the host: a watchdog does not bear its silence for long.
-    with prioritized():
-        yield make
-    for line in lines:
-        line.close()
-
-
 class Hosted:
     """A board behind a line with faults, to which anodic points can be sent."""
 
-    def __init__(self, kind, starters, faulty_line, folder, monkeypatch):
-        start_emulator, start_firmware, start_cortex_m3 = starters
+    def __init__(self, kind, start_emulator, start_firmware, start_cortex_m3, folder, monkeypatch):
         monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
         # An eTactileKit may have another firmware than the usual one, a link board one in C, on
@@ -267,7 +249,8 @@ class Hosted:
             _, port = start_emulator(
                 f"books={folder}", *more, protocol=kind, electrodes=self.electrodes
             )
-        self.line, self.folder, self.kind = faulty_line(port), folder, kind
+        self.line = FaultyLine(port, folder / "port")
+        self.folder, self.kind = folder, kind
         self.limits = SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.8)
         output = Output(kind="weighted" if kind == "link" else "one-against-all")
         option = f"?firmware={firmware or '71adee2'}" if kind == "etactilekit" else ""
@@ -299,8 +282,10 @@ class Hosted:
 
 
 @pytest.fixture
-def hosted(
-    request, start_emulator, start_firmware, start_cortex_m3, faulty_line, tmp_path, monkeypatch
-):
-    starters = start_emulator, start_firmware, start_cortex_m3
-    return Hosted(request.param, starters, faulty_line, tmp_path, monkeypatch)
+def hosted(request, start_emulator, start_firmware, start_cortex_m3, tmp_path, monkeypatch):
+    # A watchdog does not bear a host's silence for long.
+    with prioritized():
+        starters = start_emulator, start_firmware, start_cortex_m3
+        hosted = Hosted(request.param, *starters, tmp_path, monkeypatch)
+        yield hosted
+        hosted.line.close()

@@ -3,7 +3,6 @@
 import contextlib
 import subprocess
 import time
-from pathlib import Path
 
 from smarttouch.emulator.firmware import STATE_FILE, read_state
 
@@ -14,15 +13,6 @@ __all__ = ["HANGS_S", "until"]
 
 ENDED_S = 1.0
 """Whoever writes nothing for that long has ended."""
-
-
-def alive(process_id):
-    """Return whether a process runs; where nobody reaps orphans, a dead one stays listed."""
-    try:
-        stat = Path(f"/proc/{process_id}/stat").read_text()
-    except FileNotFoundError:
-        return False
-    return stat.rpartition(")")[2].split()[0] != "Z"
 
 
 def deliver(board, *sequences, times=1):

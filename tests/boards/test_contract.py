@@ -8,6 +8,7 @@ import pytest
 from smarttouch.base.errors import BoardError
 from smarttouch.base.posix import prioritized
 from smarttouch.boards.board import Board
+from smarttouch.boards.line import Line
 from smarttouch.boards.link import Rule
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import probe_sequences
@@ -28,77 +29,28 @@ from ..support.checks import raises
 from ..support.full import WHOLE
 
 
-class Source:
-    """The source of a kit's emulated firmware, without skin: it keeps what it is to drive."""
+def decoded(written, firmware, extra_us=0):
+    """Return the pulses that a kit's emulated firmware gives by bytes that came at these times.
 
-    def __init__(self, extra_us):
-        self.pulses, self._extra_us = [], extra_us
+    It rests for ``extra_us`` longer after each than is asked for.
+    """
+    found = []
 
     def pulse(
-        self, number, electrode, current_ua, width_us, start_ns, *, among, rest_us, more=False, **_
+        number, electrode, current_ua, width_us, start_ns, *, among, rest_us, more=False, **_
     ):
-        """Keep a pulse; the others share its current.
-
-        What comes before it is of the self-test, and not of what is sent.
-        """
+        # Without skin, the others share its current. What comes before it is of the self-test.
         current = [-current_ua / (among - 1)] * among
         current[electrode] = current_ua
         if current_ua and not more:
-            self.pulses.append(SentPulse(tuple(current), width_us, rest_us - self._extra_us))
+            found.append(SentPulse(tuple(current), width_us, rest_us - extra_us))
         return 0
 
-
-class SentBytes:
-    """All that a driver writes to its line, and when."""
-
-    def __init__(self, now_ns):
-        self.written, self.now_ns = [], now_ns
-
-    def keep(self, driver):
-        """Keep what is written from when a driver is opened."""
-        open_driver = driver.open
-
-        def opened(line, limits):
-            connect = type(line).connect
-            line.connect = lambda name, wrap=_same: connect(line, name, self._of(wrap))
-            return open_driver(line, limits)
-
-        driver.open = opened
-
-    def _of(self, wrap):
-        def wrapped(port):
-            line = wrap(port)
-            write = line.write
-
-            def kept(data):
-                self.written.append((self.now_ns(), bytes(data)))
-                return write(data)
-
-            # Without a number it is written to by this alone.
-            line.write, line.fileno = kept, _no_number
-            return line
-
-        return wrapped
-
-    def pulses(self, firmware, extra_us=0):
-        """Return the pulses that a firmware gives by these bytes at these times.
-
-        It rests for ``extra_us`` longer after each than is asked for.
-        """
-        source = Source(extra_us)
-        firmware._pulse = source.pulse
-        for time_ns, data in self.written:
-            firmware.feed(data, time_ns)
-        firmware.advance(self.now_ns())
-        return source.pulses
-
-
-def _same(port):
-    return port
-
-
-def _no_number():
-    raise OSError
+    firmware._pulse = pulse
+    for time_ns, data in written:
+        firmware.feed(data, time_ns)
+    firmware.advance(time.monotonic_ns())
+    return found
 
 
 def pulses_in_books(folder):
@@ -170,7 +122,6 @@ class Contract(DriverContract):
         options = {"books": self.folder} if url == "emulator:" else {}
         here = url(self.output.kind) if callable(url) else url
         self.driver = make_board(here, limits, self.output, **options).driver
-        self.keep_sent()
         return self.driver
 
     def board(self, driver, limits):
@@ -190,9 +141,6 @@ class Contract(DriverContract):
         state = read_state(self.folder) if ended else fresh_state(self.folder)
         assert (state["violations"], state["unsafe"]) == (0, 0)
         return state
-
-    def keep_sent(self):
-        """Keep what this board is sent from now on, where its books do not show that."""
 
     def pulses(self):
         self.state()
@@ -228,9 +176,16 @@ class OneAgainstAll(Contract):
     def _no_boot(self, monkeypatch):
         monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
 
-    def keep_sent(self):
-        self.sent = SentBytes(time.monotonic_ns)
-        self.sent.keep(self.driver)
+    @pytest.fixture(autouse=True)
+    def _keep_sent(self, monkeypatch):
+        """Keep what is written to the line, as books of a kit do not show what it was sent."""
+        self.sent, write = [], Line.write
+
+        def kept(line, data, proved=None):
+            self.sent.append((time.monotonic_ns(), bytes(data)))
+            write(line, data, proved)
+
+        monkeypatch.setattr(Line, "write", kept)
 
 
 class TestKajimoto61(OneAgainstAll):
@@ -239,7 +194,7 @@ class TestKajimoto61(OneAgainstAll):
     step_ua = 39.0625
 
     def pulses(self):
-        return self.sent.pulses(Kajimoto61Firmware(DeliveryLog(61)), extra_us=8)
+        return decoded(self.sent, Kajimoto61Firmware(DeliveryLog(61)), extra_us=8)
 
     @pytest.fixture
     def url(self, start_emulator, tmp_path):
@@ -251,7 +206,7 @@ class TestETactileKit(OneAgainstAll):
     step_ua, counts_passes = 9.99, False
 
     def pulses(self):
-        return self.sent.pulses(ETactileKitFirmware(DeliveryLog(8), firmware=self.firmware))
+        return decoded(self.sent, ETactileKitFirmware(DeliveryLog(8), firmware=self.firmware))
 
     @pytest.fixture
     def url(self, start_emulator, tmp_path):
@@ -281,9 +236,7 @@ class TestMemory(Contract):
     def pulses(self):
         """Nothing leaves this process."""
         sent = [given[0] for name, given in self.calls if name == "write"]
-        return [
-            pulse for each in sent for pulse in planned_pulses(each.sequence, each.times)
-        ]  # fmt: skip
+        return [pulse for each in sent for pulse in planned_pulses(each.sequence, each.times)]
 
     def assert_silent(self):
         assert len(self.driver.sequences) <= 2

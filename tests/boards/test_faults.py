@@ -3,7 +3,6 @@ what was not sent is latched; the host's own account of what is scanned."""
 
 import fcntl
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -35,22 +34,6 @@ from .fresh import deliver, starter
 pytestmark = pytest.mark.realtime
 
 
-def send_on(board, make_sequence, pause_s=0.02):
-    for step in range(1, 50):
-        board.send(make_sequence(step))
-        time.sleep(pause_s)
-
-
-def test_a_killed_board_is_reported_at_the_next_send(make_limits, make_sequence):
-    with make_board("emulator:", make_limits()) as board:
-        deliver(board, make_sequence(0))
-        os.kill(board.driver.process.process_id, signal.SIGKILL)
-        with raises(BoardError, value="/dev/") as error:
-            send_on(board, make_sequence)
-        assert board.acknowledged == 1
-        assert f"{board.capabilities.time_to_zero_ms:g} ms" in str(error.value)
-
-
 def test_a_busy_port_is_named(make_limits, start_emulator):
     _, port = start_emulator()
     with make_board(f"link:{port}", make_limits()), raises(BoardError, value=port):
@@ -68,12 +51,6 @@ def test_programs_that_ask_for_no_lock_are_kept_out_of_devices(monkeypatch, name
     port.close()
     for each in (master, slave):
         os.close(each)
-
-
-@pytest.mark.parametrize(("port", "value"), [("/dev/nowhere", "/dev/nowhere"), ("", None)])
-def test_a_missing_port_is_named(make_limits, port, value):
-    with raises(BoardError, value=value):
-        make_board(f"link:{port}", make_limits()).open()
 
 
 def test_another_board_than_the_profiles_is_refused(make_limits, start_emulator):
@@ -104,23 +81,29 @@ def test_what_a_board_cannot_deliver_is_named(make_limits):
             board.send(replace(silent(8), **phase))
 
 
-def test_a_silent_port_is_reported(make_limits):
+def test_a_missing_or_a_silent_port_is_reported(make_limits):
+    with pytest.raises(BoardError):
+        make_board("link:", make_limits()).open()
     master, slave = os.openpty()
     name = os.ttyname(slave)
-    try:
-        with raises(SilentBoardError, value=name):
-            make_board(f"link:{name}", make_limits()).open()
-    finally:
-        os.close(master)
-        os.close(slave)
+    with raises(SilentBoardError, value=name):
+        make_board(f"link:{name}", make_limits()).open()
+    for each in (master, slave):
+        os.close(each)
 
 
 def test_a_board_stopped_by_another_program_is_reported(make_limits, make_sequence):
     with make_board("emulator:", make_limits()) as board:
         board.send(make_sequence(0))
         board.driver._session.send(MessageKind.STOP)
-        with raises(BoardError):
-            send_on(board, make_sequence)
+
+        def send_on():
+            for step in range(1, 50):
+                board.send(make_sequence(step))
+                time.sleep(0.02)
+
+        with pytest.raises(BoardError):
+            send_on()
 
 
 def test_a_program_that_reads_from_the_port_is_named_once(make_limits, make_sequence, monkeypatch):

@@ -74,22 +74,9 @@ from smarttouch.base.wire.port import open_port
 port = WatchedPort(open_port(sys.argv[1]), bytes.fromhex(sys.argv[2]))
 port.arm()
 port.write(b"pattern")
-print(port.process_id, flush=True)
-while True:
-    time.sleep(1)
+print(flush=True)
+time.sleep(60)
 """
-
-
-@pytest.fixture
-def host(board):
-    with subprocess.Popen(
-        [sys.executable, "-c", HOST, board.name, ZERO.hex()],
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as host:
-        yield host, int(host.stdout.readline())
-        host.kill()
 
 
 @pytest.mark.parametrize("armed", [True, False])
@@ -105,14 +92,17 @@ def test_closing_ends_at_zero_and_lets_go_of_the_port(board, port, armed):
     open_port(board.name).close()
 
 
-def test_a_host_that_is_stopped_counts_as_gone(board, host):
-    process, _ = host
-    assert board.read(7) == b"pattern"
-    process.send_signal(signal.SIGSTOP)
-    try:
-        assert board.read(len(TWICE)) == TWICE
-    finally:
-        process.send_signal(signal.SIGCONT)
+def test_a_host_that_is_stopped_counts_as_gone(board):
+    command = [sys.executable, "-c", HOST, board.name, ZERO.hex()]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, start_new_session=True) as host:
+        host.stdout.readline()
+        assert board.read(7) == b"pattern"
+        host.send_signal(signal.SIGSTOP)
+        try:
+            assert board.read(len(TWICE)) == TWICE
+        finally:
+            host.kill()
 
 
 @pytest.mark.parametrize("stale", [False, True])
