@@ -6,7 +6,7 @@ import subprocess
 import pytest
 
 from firmware.tests import build
-from firmware.tests.cortex_m3 import CortexM3
+from firmware.tests.qemu import CortexM3
 
 
 @pytest.fixture

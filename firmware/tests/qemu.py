@@ -1,5 +1,6 @@
-"""The firmware on a Cortex-M3 that QEMU plays, with books as the Python emulator keeps them."""
+"""The firmware on machines that QEMU plays: a Cortex-M3 has books as the Python emulator's are."""
 
+import contextlib
 import socket
 import subprocess
 import threading
@@ -24,10 +25,49 @@ def trace_of(electrodes):
     )  # fmt: skip
 
 
-class CortexM3:
-    """One machine, whose line is a socket; ``name`` is that of its port.
+class OverSocket:
+    """A board at the other end of a socket, as `Talk` knows boards."""
 
-    It has a watchdog where it stands still after some pulses. With ``counts`` its clock counts
+    def __init__(self, line):
+        self.line = line
+        line.settimeout(10)
+
+    def feed(self, data, _now_us):
+        self.line.sendall(data)
+        answer = b""
+        while not answer.endswith(b"\0"):
+            answer += self.line.recv(65536)
+        return answer, []
+
+
+class Machine:
+    """One machine, whose line is a socket; ``name`` is that of its port."""
+
+    def __init__(self, kind, elf, begun, *options):
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            port = free.getsockname()[1]
+        self._port, self.name = port, f"socket://127.0.0.1:{port}"
+        command = ["qemu-system-arm", "-M", kind, "-kernel", elf, "-display", "none", "-monitor",
+                   "none", "-serial", f"tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on",
+                   *options]  # fmt: skip
+        self.process = subprocess.Popen(command, start_new_session=True)
+        for _ in range(6000):
+            if begun():
+                break
+            time.sleep(0.01)
+
+    @contextlib.contextmanager
+    def connected(self):
+        with socket.create_connection(("127.0.0.1", self._port)) as line:
+            yield OverSocket(line)
+
+    def close(self):
+        self.process.kill()
+        self.process.wait()
+
+
+class CortexM3(Machine):
+    """It has a watchdog where it stands still after some pulses. With ``counts`` its clock counts
     instructions, of 8 ns each, so that a busy host makes no slot late; its line is slower then.
     """
 
@@ -35,39 +75,28 @@ class CortexM3:
         self, folder, electrodes=ELECTRODES, output="weighted", ramp_ms=500, stands_after=0,
         counts=False,
     ):  # fmt: skip
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            port = free.getsockname()[1]
-        self.name = f"socket://127.0.0.1:{port}"
         self._trace, self._type = folder / "trace.bin", trace_of(electrodes)
         words = electrodes, OUTPUTS.index(output), ramp_ms, stands_after
         words = ",".join(f"arg={each}" for each in words)
         elf = cortex_m3(" -DST_WATCHDOG -DST_SILENCE_US=500000u" * bool(stands_after))
-        command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", elf, "-display",
-                   "none", "-monitor", "none", *["-icount", "shift=3"] * counts,
-                   "-semihosting-config",
-                   f"enable=on,arg=board,{words}", "-serial",
-                   f"tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on", "-serial",
-                   f"file:{self._trace}"]  # fmt: skip
-        self.process = subprocess.Popen(command, start_new_session=True)
         # The first that it does is to short all electrodes.
-        for _ in range(6000):
-            if self._trace.exists() and self._trace.stat().st_size >= self._type.itemsize:
-                break
-            time.sleep(0.01)
+        super().__init__(
+            "mps2-an385", elf, lambda: len(self.records()), *["-icount", "shift=3"] * counts,
+            "-semihosting-config", f"enable=on,arg=board,{words}", "-serial", f"file:{self._trace}",
+        )  # fmt: skip
         self._books = Books(folder, electrodes, output, self.records)
 
     def close(self):
-        self.process.kill()
-        self.process.wait()
+        super().close()
         self._books.close()
 
     def records(self, start=0):
         """Return all records from one on."""
-        with self._trace.open("rb") as file:
-            file.seek(start * self._type.itemsize)
+        size, data = self._type.itemsize, b""
+        with contextlib.suppress(FileNotFoundError), self._trace.open("rb") as file:
+            file.seek(start * size)
             data = file.read()
-        return np.frombuffer(data[: len(data) // self._type.itemsize * self._type.itemsize],
-                             self._type)  # fmt: skip
+        return np.frombuffer(data[: len(data) // size * size], self._type)
 
     def pulses(self):
         """Return the pulses so far."""

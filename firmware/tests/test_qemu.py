@@ -1,13 +1,12 @@
 """The firmware on a Cortex-M3 that QEMU plays: what is sent is delivered, silence is zero."""
 
 import contextlib
-import socket
 import time
 
 import numpy as np
 import pytest
 
-from firmware.tests.cortex_m3 import ELECTRODES
+from firmware.tests.qemu import ELECTRODES
 from firmware.tests.rig import Talk
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -24,68 +23,46 @@ def scan(level_ua, intensity):
     return ScanSequence(current, 100 * column, 50 * column, 0 * column, 10_000, intensity, 0)
 
 
-@pytest.fixture
-def machine(start_cortex_m3):
-    """Return the name of a port to the firmware, and its record of pulses so far."""
-    machine = start_cortex_m3(counts=True)
-    return f"link:{machine.name}", machine.pulses
-
-
-class OverSocket:
-    """A board at the other end of a socket, as `Talk` knows boards."""
-
-    def __init__(self, line):
-        self._line = line
-        line.settimeout(10)
-
-    def feed(self, data, _now_us):
-        self._line.sendall(data)
-        answer = b""
-        while not answer.endswith(b"\0"):
-            answer += self._line.recv(65536)
-        return answer, []
-
-
 @pytest.mark.realtime
-def test_noise_is_nothing_and_silence_is_zero_within_100_ms(machine):
-    port, pulses = machine
-    number = int(port.rpartition(":")[2])
-    rng = np.random.default_rng(0)
-    with socket.create_connection(("127.0.0.1", number)) as line:
-        line.sendall(rng.bytes(5000) + b"\0")
-        talk = Talk(OverSocket(line))
-        sequence = scan(300, 0.25)
+def test_noise_is_nothing_and_silence_is_zero_within_100_ms(start_cortex_m3):
+    machine, rng = start_cortex_m3(counts=True), np.random.default_rng(0)
+    with machine.connected() as board:
+        board.line.sendall(rng.bytes(5000) + b"\0")
+        talk, sequence = Talk(board), scan(300, 0.25)
         # A busy machine may be silent for 100 ms before the sequence, too: then once more.
         for _ in range(20):
             talk.begin(LIMITS)
             # The last that this host says.
             talk.send(sequence, 1, times=1000)
             time.sleep(0.6)
-            if len(told := pulses()):
+            if len(told := machine.pulses()):
                 break
     assert len(told) >= 4
     np.testing.assert_array_equal(
         told["current_ua"], np.tile(sequence.current_ua[0], (len(told), 1))
     )
-    _check_times(told, 150)
+    assert (told["width_us"] == 100).all()
+    # Within a sequence a slot begins no earlier than width and discharge after the one before.
+    same = told["number"][1:] == told["number"][:-1]
+    start_us = told["start_us"].astype(np.int64)
+    assert (np.diff(start_us)[same] >= 150).all()
     # The first slot begins when the sequence has come, which is the last sign of life.
-    assert np.ptp(told["start_us"].astype(np.int64)) <= 100_000
+    assert np.ptp(start_us) <= 100_000
 
 
 @pytest.mark.long
 def test_a_board_that_stands_still_is_reset(start_cortex_m3):
     """Its watchdog begins another life, shorted, which knows of no session."""
     machine = start_cortex_m3(stands_after=5, counts=True)
-    port = int(machine.name.rpartition(":")[2])
 
     def starts():
         records = machine.records()
         return np.flatnonzero(records["number"] == int.from_bytes(b"star", "little"))
 
-    with socket.create_connection(("127.0.0.1", port)) as line:
-        talk = Talk(OverSocket(line)).begin(LIMITS)
+    with machine.connected() as board:
+        talk = Talk(board).begin(LIMITS)
         # Whether it answers or not: first until it stands still, then of the session before.
-        line.settimeout(1)
+        board.line.settimeout(1)
         for number in (1, 2):
             with contextlib.suppress(TimeoutError):
                 talk.send(scan(30, 0.1), number, times=1000)
@@ -95,11 +72,3 @@ def test_a_board_that_stands_still_is_reset(start_cortex_m3):
     width_us = machine.records()["width_us"]
     assert (width_us[:second] > 0).sum() == 5
     assert (width_us[second:] == 0).all()
-
-
-def _check_times(told, least_us):
-    """Within a sequence a slot begins no earlier than width and discharge after the one before."""
-    same = told["number"][1:] == told["number"][:-1]
-    apart_us = np.diff(told["start_us"].astype(np.int64))
-    assert (apart_us[same] >= least_us).all()
-    assert (told["width_us"] == 100).all()
