@@ -50,12 +50,11 @@ FELT = 0.5
 """Answers above are of the electrode itself, and not of a neighbor's currents."""
 
 
-def grating_file(path, pitch_mm, angle_deg, kind="square", size_mm=(90, 40), noise=0.0):
-    """Draw a grating as an image, its ridges square, thin or faint."""
-    wide, high = (round(side * DPI / 25.4) for side in size_mm)
-    y, x = np.mgrid[:high, :wide] * (25.4 / DPI)
+def grating_file(path, angle_deg, kind="square", noise=0.0):
+    """Draw a grating of 4 mm on 90 x 40 mm as an image, its ridges square, thin or faint."""
+    y, x = np.mgrid[:400, :900] / 10
     angle = math.radians(angle_deg)
-    phase = (x * math.cos(angle) + y * math.sin(angle)) / pitch_mm
+    phase = (x * math.cos(angle) + y * math.sin(angle)) / 4
     ridge = {
         "square": (phase + 0.25) % 1 < 0.5,
         "thin": (phase + 0.1) % 1 < 0.2,
@@ -100,10 +99,9 @@ def stroke(texture, speed_mm_s, profile, bank, length_mm=60.0, origin_mm=(15.3, 
     motion = SweepMotion(speed_mm_s, (length_mm, 0.0))
     motion.origin_mm = origin_mm
     seconds = length_mm / speed_mm_s
-    touched, source = touch(texture, motion, profile, bank, START_S + seconds + 0.03, **options)
-    felt = touched.felt
-    time_s = np.array([touched.times_ns[each] for each in felt.number]) / 1e9
-    there = (time_s > START_S) & (time_s <= START_S + seconds + 0.02) & (felt.answer > FELT)
+    felt, source = touch(texture, motion, profile, bank, START_S + seconds + 0.03, **options)
+    in_time = (felt.time_s > START_S) & (felt.time_s <= START_S + seconds + 0.02)
+    there = in_time & (felt.answer > FELT)
     pulses = np.bincount(felt.electrode[there], minlength=len(profile.electrodes))
     return pulses / seconds, source
 
@@ -113,41 +111,18 @@ OPENED_NS = 700_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class FeltPulses:
-    """Pulses that were felt, as delivered: of which sequence, electrode and place, how strong."""
+class Felt:
+    """What was delivered: pulses by when their sequence began, electrode, place and strength."""
 
-    number: NDArray[np.int64]
+    drawing: TexturePicture
+    tally: RunStatistics
+    time_s: NDArray[np.float64]
     electrode: NDArray[np.intp]
     place_mm: NDArray[np.float64]
     answer: NDArray[np.float32]
 
 
-def pulses_of(drawing: TexturePicture) -> FeltPulses:
-    """Return the pulses that a drawing shows."""
-    known = [number for number in drawing.answers if number in drawing.poses]
-    if not known:
-        nothing = np.zeros(0)
-        return FeltPulses(nothing, nothing.astype(int), nothing.reshape(0, 2), nothing)
-    answers = np.array([drawing.answers[number] for number in known])
-    row, electrode = np.nonzero(answers)
-    places = np.array([drawing.places_mm(drawing.poses[number]) for number in known])
-    return FeltPulses(
-        np.array(known)[row], electrode, places[row, electrode], answers[row, electrode]
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class SimulationResult:
-    """Pulses felt, and by the number of each sequence when it began and where the hand was."""
-
-    drawing: TexturePicture
-    felt: FeltPulses
-    times_ns: dict[int, int]
-    poses_mm: dict[int, tuple[float, float]]
-    tally: RunStatistics
-
-
-def feel(sensor: MouseSource, profile, bank, seconds: float | None = None) -> SimulationResult:
+def feel(sensor: MouseSource, profile, bank, seconds: float | None = None) -> Felt:
     """Let a finger feel a texture until the hand stops; frames, kernels, safety are a live run's.
 
     The level is open before the hand moves, and nothing of that is part of the result. Charge is
@@ -156,8 +131,7 @@ def feel(sensor: MouseSource, profile, bank, seconds: float | None = None) -> Si
     The sensor is closed at the end; the profile is as `profile_for_reading` returns it.
     """
     drawing = sensor.drawing(profile, bank)
-    times_ns: dict[int, int] = {}
-    poses_mm: dict[int, tuple[float, float]] = {}
+    times_s: dict[int, float] = {}
 
     def opening(time_ns: int) -> Stimulus | None:
         given = read(time_ns)
@@ -174,9 +148,7 @@ def feel(sensor: MouseSource, profile, bank, seconds: float | None = None) -> Si
             return
         drawing.watch(sent)
         if sent.number is not None:
-            frame = sent.step.input
-            times_ns[sent.number] = frame.time_ns
-            poses_mm[sent.number] = (frame.pose.x_mm, frame.pose.y_mm)
+            times_s[sent.number] = sent.step.input.time_ns / 1e9
 
     with sensor, board_without_finger(profile, SimulatedDriver) as board:
         pipeline = Pipeline(profile, bank, RunConfig(mode=sensor.mode, scan="points", balance=True))
@@ -187,4 +159,12 @@ def feel(sensor: MouseSource, profile, bank, seconds: float | None = None) -> Si
         controls = Controls(ControlState(sensor.mode))
         tally = loop_through(sensor, pipeline, board, watch, seconds=seconds, controls=controls)
         drawing.deliver(*board.driver.take_pulses())
-    return SimulationResult(drawing, pulses_of(drawing), times_ns, poses_mm, tally)
+    count = len(profile.electrodes)
+    known = [each for each in drawing.answers if each in drawing.poses]
+    answers = np.array([drawing.answers[each] for each in known]).reshape(-1, count)
+    places = [drawing.places_mm(drawing.poses[each]) for each in known]
+    row, electrode = np.nonzero(answers)
+    return Felt(
+        drawing, tally, np.array([times_s[each] for each in known])[row], electrode,
+        np.reshape(places, (-1, count, 2))[row, electrode], answers[row, electrode],
+    )  # fmt: skip

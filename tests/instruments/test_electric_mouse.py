@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
-from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.exceptions import ConnectionClosed
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError, SourceError
@@ -95,9 +95,8 @@ def test_an_object_stays_put_while_the_hand_moves(tmp_path, brief, mouse_bank, k
         "to and fro": (40 + 14 * np.sin(2 * turn), 19 + time_s),
     }[way]
     texture = open_texture(str(object_file(tmp_path / "o.png", kind)))
-    touched, _ = touch(texture, path_motion(tmp_path, time_s, x, y), brief, mouse_bank)
-    felt = touched.felt
-    drawn = 255 - touched.drawing.picture((20.0, 0.0), (400, 400), 0.1).astype(float)
+    felt, _ = touch(texture, path_motion(tmp_path, time_s, x, y), brief, mouse_bank)
+    drawn = 255 - felt.drawing.picture((20.0, 0.0), (400, 400), 0.1).astype(float)
     rows, columns = np.mgrid[:400, :400] * 0.1 + 0.05
     middle = np.array([(columns * drawn).sum(), (rows * drawn).sum()]) / drawn.sum()
     assert np.hypot(*(middle - 20.0)) < 0.4
@@ -234,20 +233,14 @@ def test_jitter_on_a_slow_motion_is_no_motion_back():
     assert x[-1] > 9.7
 
 
-@pytest.fixture(scope="module")
-def cross(tmp_path_factory, mouse, mouse_bank):
+def test_the_sheet_shows_both(mouse, mouse_bank, tmp_path):
     """A cross, stroked over and back, and what came of it."""
-    path = object_file(tmp_path_factory.mktemp("cross") / "o.png", "cross", (40, 20), (20.0, 10.0))
-    texture = open_texture(str(path))
+    texture = open_texture(str(object_file(tmp_path / "o.png", "cross", (40, 20), (20.0, 10.0))))
     options = strokes_over(texture.size_mm, mouse.electrodes.extent_mm)
     origin = options.pop("origin_mm")
     motion = SweepMotion(60.0, **options)
     motion.origin_mm = origin
-    return texture, touch(texture, motion, mouse, mouse_bank)[0]
-
-
-def test_the_sheet_shows_both(cross, tmp_path):
-    _, touched = cross
+    touched, _ = touch(texture, motion, mouse, mouse_bank)
     touched.drawing.save(tmp_path / "felt.png")
     sheet = 255.0 - np.asarray(Image.open(tmp_path / "felt.png").convert("L"), float)
     half = (sheet.shape[0] - 24) // 2
@@ -313,15 +306,6 @@ def test_a_place_that_is_not_on_the_texture_ends_the_page(running, grating, sent
         with pytest.raises(ConnectionClosed):
             receive(socket, "never")
         assert poses(run) == {(0, 0)}
-
-
-def test_without_the_secret_or_something_to_move_nothing_moves(running, grating):
-    with running(grating) as run, pytest.raises(InvalidStatus):
-        connect(run, token="another")
-    with running() as run, connect(run) as socket:
-        socket.send("move 0 0")
-        with pytest.raises(ConnectionClosed):
-            receive(socket, "never")
 
 
 def test_a_run_without_a_window_is_refused(grating):

@@ -76,7 +76,7 @@ def crests(texture, start, step, count, electrodes=ONE):
 @pytest.mark.parametrize("step", sample([0.4, 0.05, 1.1], 3))
 @pytest.mark.parametrize("kind", ["square", "thin"])
 def test_a_grating_in_an_image_pulses_on_its_ridges(tmp_path, kind, step):
-    texture = open_texture(str(grating_file(tmp_path / "g.png", 4, 0, kind)))
+    texture = open_texture(str(grating_file(tmp_path / "g.png", 0, kind)))
     for way in (1, -1):
         start = 6.0 if way > 0 else 86.0
         found = crests(texture, (start, 20), (way * step, 0), int(80 / step))
@@ -88,7 +88,7 @@ def test_a_grating_in_an_image_pulses_on_its_ridges(tmp_path, kind, step):
 
 
 def test_along_its_ridges_a_grating_with_a_wide_grain_is_silent(tmp_path):
-    texture = open_texture(str(grating_file(tmp_path / "g.png", 4, 0)), grain_mm=WIDE_MM)
+    texture = open_texture(str(grating_file(tmp_path / "g.png", 0)), grain_mm=WIDE_MM)
     across = np.column_stack([np.linspace(-8, 8, 9), np.zeros(9)])
     assert len(crests(texture, (40, 4), (0, 0.4), 80, across)) == 0
 
@@ -115,7 +115,7 @@ def test_a_stroke_is_felt_across_and_along(tmp_path):
 
 @pytest.mark.parametrize("angle", [45, 75])
 def test_a_ridge_passed_obliquely_is_one_ridge(tmp_path, angle):
-    path = grating_file(tmp_path / "g.png", 4, angle, "faint", noise=5)
+    path = grating_file(tmp_path / "g.png", angle, "faint", noise=5)
     texture = open_texture(str(path), grain_mm=WIDE_MM)
     rows = np.column_stack([np.zeros(15), np.linspace(-14, 14, 15)])
     found = crests(texture, (2, 20), (0.4, 0), 200, rows)

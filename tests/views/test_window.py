@@ -94,7 +94,7 @@ def test_what_is_no_message_ends_a_page_and_nothing_else(running):
         wrong = [
             "", "seen ", "do", "do ", "do more ", "do most", "do level:", "do level:x",
             "do mode:PC", "do mode:nothing", "do key:q", "do key:", "do stop",
-            "steer 1", "stop now", "{}", "x" * (MOST_MESSAGE_BYTES + 1), b"stop",
+            "steer 1", "move 0 0", "stop now", "{}", "x" * (MOST_MESSAGE_BYTES + 1), b"stop",
             noise.randbytes(200),
             *("".join(map(chr, noise.choices(range(1, 0xD800), k=40))) for _ in range(5)),
         ]  # fmt: skip
