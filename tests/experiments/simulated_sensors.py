@@ -22,24 +22,17 @@ class SimulatedCell:
     missing: float = 0.0  # part of the readings that are NaN
     seed: int = 0
     rate_hz: float = 80.0
-    grams: float = 0.0  # weight on it; set by `put`
+    grams: float = 0.0  # weight on it
 
     def __post_init__(self):
         self._random = np.random.default_rng(self.seed)
 
-    def put(self, grams):
-        """Put a weight on it."""
-        self.grams = grams
-
-    @property
-    def _force_n(self):
-        return self.grams / 1000 * STANDARD_GRAVITY
-
     def collect(self, seconds):
         """Return the readings of a duration, at once."""
-        force_n, random = self._force_n, self._random
-        count = round(seconds * self.rate_hz)
-        readings = force_n + self.noise_n * random.standard_normal(count)
+        random, count = self._random, round(seconds * self.rate_hz)
+        readings = self.grams / 1000 * STANDARD_GRAVITY + self.noise_n * random.standard_normal(
+            count
+        )
         readings = self.zero + self.counts_per_n * readings
         wild = random.random(count) < self.garbage
         readings[wild] = random.uniform(-(2**23), 2**23, int(wild.sum()))
@@ -49,18 +42,12 @@ class SimulatedCell:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPatch:
-    """Simulated sensor patch: uneven light, pixels of varied gain and dark level, some
-    broken.
-    """
+    """Simulated sensor patch: uneven light, pixels of varied gain and dark level, some broken."""
 
     shape: tuple[int, int] = (64, 64)
-    shade: float = 0.3
-    own_gain: float = 0.05
-    own_dark: float = 2.0
     noise_levels: float = 2.0
     dead: int = 0
     hot: int = 0
-    level: float = 190.0
     seed: int = 0
 
     def images(self, count, *, light):
@@ -71,25 +58,16 @@ class SimulatedPatch:
         """Return the image of a scene, (H, W) from 0 (no light) to 1 (white)."""
         fixed = np.random.default_rng(self.seed)
         y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in self.shape), indexing="ij")
-        gain = 1 + 0.1 * x - self.shade / 2 * (x * x + y * y)
-        gain *= 1 + self.own_gain * fixed.standard_normal(self.shape)
-        dark = 14 + self.own_dark * fixed.standard_normal(self.shape)
+        gain = 1 + 0.1 * x - 0.15 * (x * x + y * y)
+        gain *= 1 + 0.05 * fixed.standard_normal(self.shape)
+        dark = 14 + 2 * fixed.standard_normal(self.shape)
         broken = fixed.permutation(gain.size)
         gain.ravel()[broken[: self.dead]] = 0.02
         dark.ravel()[broken[self.dead : self.dead + self.hot]] += 120
         fresh = np.random.default_rng((self.seed, count, int(1e6 * scene.mean())))
-        return [
-            np.clip(
-                np.rint(
-                    dark
-                    + self.level * gain * scene
-                    + self.noise_levels * fresh.standard_normal(self.shape)
-                ),
-                0,
-                255,
-            ).astype(np.uint8)
-            for _ in range(count)
-        ]
+        noise = self.noise_levels * fresh.standard_normal((count, *self.shape))
+        seen = np.rint(dark + 190 * gain * scene + noise)
+        return list(np.clip(seen, 0, 255).astype(np.uint8))
 
 
 _SAMPLES = 4  # rays per pixel and axis

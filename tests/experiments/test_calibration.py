@@ -280,7 +280,7 @@ UP = (0, 20, 50, 75, 100)
 def weighed(cell, grams=UP, seconds=2.0):
     found = []
     for each in grams:
-        cell.put(each)
+        cell.grams = each
         found.append(weigh(cell, each, seconds))
     return found
 

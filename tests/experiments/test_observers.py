@@ -9,10 +9,13 @@ from scipy.special import ndtr
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.observers import (
+    BASE_WEBER,
+    SHARPNESS,
     BlindObserver,
     Interval,
     Nerve,
     SimulatedObserver,
+    believable_hz,
     make_observer,
 )
 from smarttouch.experiments.trials import Setup
@@ -20,16 +23,17 @@ from smarttouch.physiology.finger import Finger
 
 from ..support.checks import raises
 from ..support.full import sample
-from .simulated import ratio_of, read_rows, sit, weber_fraction
+from .simulated import read_rows, sit
 
 RA, SAI, PC = Afferent
 MIDDLE = 27
 
 
-def chance_apart(subject, distance_mm):
-    """Return the probability that places or distances so different are put in order."""
-    chance = float(ndtr(distance_mm / (math.sqrt(2) * subject.place_mm)))
-    return subject.lapse / 2 + (1 - subject.lapse) * chance
+def weber_fraction(standard_hz, ratio):
+    """Return how much higher a comparison is judged so in 75 %; infinite if none is."""
+    n, limit_hz = SHARPNESS, believable_hz(ratio)
+    left = (standard_hz**-n + limit_hz**-n) * (1 + BASE_WEBER) ** -n - limit_hz**-n
+    return float(left ** (-1 / n) / standard_hz - 1) if left > 0 else math.inf
 
 
 @pytest.fixture(scope="module")
@@ -114,28 +118,29 @@ class TestNerve:
 class TestTheThresholdsOfThePaper:
     """Fig. 16 and 18, as the model has them; its noise and sharpness are set for the former."""
 
-    def test_in_ra_mode_frequency_is_lost_above_60_hz(self, observer, bank):
-        subject = observer()
-        ratio = ratio_of(subject.finger, bank, RA, MIDDLE)
-        weber = {hz: weber_fraction(hz, ratio) for hz in (15, 30, 45, 60, 75, 90)}
+    @pytest.fixture
+    def ratio_of(self, finger, train):
+        """Return the ratio of PC to RA spikes that full pulses of a mode evoke."""
+        return lambda afferent: Nerve(finger).of(train(20, afferent, seconds=1)).ratio
+
+    def test_in_ra_mode_frequency_is_lost_above_60_hz(self, ratio_of):
+        weber = {hz: weber_fraction(hz, ratio_of(RA)) for hz in (15, 30, 45, 60, 75, 90)}
         assert max(weber[15], weber[30], weber[45]) < 0.20
         assert 0.27 < weber[60] < 0.35
         assert weber[75] == pytest.approx(0.70, abs=0.03)
         assert weber[90] == math.inf
 
-    def test_in_pc_mode_it_goes_on(self, observer, bank):
-        subject = observer()
-        ratio = ratio_of(subject.finger, bank, PC, MIDDLE)
-        weber = {hz: weber_fraction(hz, ratio) for hz in (45, 60, 75, 90, 100)}
-        assert max(weber.values()) < 0.22
+    def test_in_pc_mode_it_goes_on(self, ratio_of):
+        assert max(weber_fraction(hz, ratio_of(PC)) for hz in (45, 60, 75, 90, 100)) < 0.22
 
     @pytest.mark.parametrize(
         ("afferent", "standard_hz"), sample([(RA, 75), (RA, 30), (PC, 100), (PC, 75)])
     )
-    def test_trials_agree_with_the_closed_form(self, observer, bank, train, afferent, standard_hz):
+    def test_trials_agree_with_the_closed_form(
+        self, observer, ratio_of, train, afferent, standard_hz
+    ):
         subject = observer(seed=7, lapse=0.0)
-        ratio = ratio_of(subject.finger, bank, afferent, MIDDLE)
-        weber = weber_fraction(standard_hz, ratio)
+        weber = weber_fraction(standard_hz, ratio_of(afferent))
         standard = train(standard_hz, afferent, seconds=0.2)
         comparison = train(standard_hz * (1 + weber), afferent, seconds=0.2)
         right = share(300, lambda: subject.respond("faster", [standard, comparison], "12"), "2")
@@ -164,7 +169,7 @@ class TestTheTasks:
         subject = observer(seed=8, lapse=0.0)
         left, right = points(26), points(27)
         at_mm = [Nerve(finger).of(each).center_mm[0] for each in (left, right)]
-        truth = chance_apart(subject, at_mm[1] - at_mm[0])
+        truth = float(ndtr((at_mm[1] - at_mm[0]) / (math.sqrt(2) * subject.place_mm)))
         assert truth > 0.6
         for trial, wanted in (([left, right], "r"), ([right, left], "l")):
             told = share(150, lambda trial=trial: subject.respond("side", trial, "lr"), wanted)

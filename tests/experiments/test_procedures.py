@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from smarttouch.experiments.answers import usual_model
+from smarttouch.experiments.findings import judge_answers
 from smarttouch.experiments.procedures import (
     RATIOS,
     constant_stimuli,
@@ -16,7 +18,7 @@ from smarttouch.experiments.procedures import (
     weighted_staircase,
 )
 
-from .simulated import PROCEDURES, TASKS, answer_all, ask_all, recover
+from .simulated import Subject, answer_all, ask_all
 
 
 @settings(deadline=None)
@@ -113,13 +115,54 @@ def test_intervals_are_balanced():
     assert set(answers.interval) == {1, 2}
 
 
-@pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("name", PROCEDURES)
+STANDARD = 30.0
+LEVELS = 0.5 * 2 ** (np.arange(-4, 5) / 4)
+LOW, HIGH = 1.01 * STANDARD, 2 * STANDARD
+AS_USED = {
+    ("discrimination", "constant"): lambda seed: constant_stimuli(
+        ratio_pairs([STANDARD]), seed=seed
+    ),
+    ("discrimination", "staircase"): lambda seed: weighted_staircase(
+        1.6 * STANDARD, LOW, HIGH, 0.03, STANDARD, seed=seed
+    ),
+    ("discrimination", "questplus"): lambda seed: quest_plus(LOW, HIGH, 0.5, STANDARD, seed=seed),
+    ("detection", "constant"): lambda seed: constant_stimuli(
+        [(0.0, float(each)) for each in LEVELS], two_intervals=False, seed=seed
+    ),
+    ("detection", "staircase"): lambda seed: weighted_staircase(
+        1.0, 0.1, 2.0, 0.05, target=0.5, two_intervals=False, seed=seed
+    ),
+    ("detection", "questplus"): lambda seed: quest_plus(
+        0.1, 2.0, 0.0, two_intervals=False, seed=seed
+    ),
+}
+"""Procedures as they are used with real subjects."""
+
+
+def draw_subject(task, random):
+    """Return a subject: Weber fraction 8 to 40 %, absolute threshold around 0.5, lapses to 5 %."""
+    lapse = random.uniform(0, 0.05)
+    if task == "discrimination":
+        weber = np.exp(random.uniform(np.log(0.08), np.log(0.4)))
+        return Subject(STANDARD * (1 + weber), np.log1p(weber) / 0.6745, 0.75, lapse)
+    threshold = 0.5 * np.exp(random.normal(0, 0.25))
+    return Subject(threshold, random.uniform(0.08, 0.3), 0.5, lapse, guess=0.0)
+
+
+@pytest.mark.parametrize(("task", "name"), AS_USED)
 def test_thresholds_come_back(task, name):
-    found = recover(task, name, subjects=24)
-    assert found.without <= 8
+    random, errors, held, trials = np.random.default_rng(0), [], [], []
+    for seed in range(24):
+        subject = draw_subject(task, random)
+        answers = answer_all(AS_USED[task, name](seed), subject.probability, [0, seed])
+        trials.append(answers.answered)
+        found = judge_answers(answers, usual_model([answers]))
+        if found.verdict is None:
+            errors.append(np.log(found.threshold.value / subject.threshold))
+            held.append(found.threshold.low <= subject.threshold <= found.threshold.high)
+    assert len(errors) >= 16
     # Weber fractions are from 8 to 40 %: what is found has to be told apart from any other.
-    assert abs(found.fitted.mean()) < 0.06
-    assert found.fitted.std() < 0.16
-    assert 20 <= found.trials <= 100
-    assert found.covered >= 0.75
+    assert abs(np.mean(errors)) < 0.06
+    assert np.std(errors) < 0.16
+    assert 20 <= np.mean(trials) <= 100
+    assert np.mean(held) >= 0.75
