@@ -133,6 +133,8 @@ def test_a_keyboard_is_enough(on_page):
             page.keyboard.press(key)
             until(holds)
             page.wait_for_selector("#steer[aria-pressed=true]")
+            # The page's next key acts on what it shows.
+            page.wait_for_selector(f"#pause[aria-pressed={str(run.state().paused).lower()}]")
         page.focus("#slider")
         for key, level in (("End", 1), ("Home", 0), ("ArrowRight", 0.01)):
             page.keyboard.press(key)
