@@ -30,24 +30,15 @@ class Registry:
     @property
     def names(self) -> list[str]:
         """All names, sorted."""
-        return sorted({*self._built_in, *self.plug_ins})
-
-    @property
-    def plug_ins(self) -> list[str]:
-        """Names that other packages have added."""
-        return sorted({*entry_points(group=self._group).names} - {*self._built_in})
+        return sorted({*self._built_in, *entry_points(group=self._group).names})
 
     def find(self, url: str) -> tuple[Callable[..., Any], str]:
         """Return the opener of ``url`` and the part of the URL after the name."""
         name, colon, rest = url.partition(":")
         if colon and name in self._built_in:
             return EntryPoint(name, self._built_in[name], self._group).load(), rest
-        if not colon or name not in self.plug_ins:
+        if not colon or name not in self.names:
             raise unknown(self._what, url, self.names, self._error)
-        return self.load(name), rest
-
-    def load(self, name: str) -> Any:
-        """Return the object that another package has under one of `plug_ins`."""
         points = entry_points(group=self._group, name=name)
         packages = sorted({point.dist.name if point.dist else point.module for point in points})
         if len(packages) > 1:
@@ -56,7 +47,7 @@ class Registry:
                 "one of them"
             )
         try:
-            return points[name].load()
+            return points[name].load(), rest
         except Exception as broken:
             raise self._error(
                 f"{name}: of the package {packages[0]} cannot be loaded "

@@ -1,5 +1,6 @@
 """``smarttouch calibrate``: one device on one finger, measured, and written to a profile."""
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,6 @@ from smarttouch.cli.options import (
     ProfileOption,
     argument,
     option,
-    require_answers,
     takes_options,
 )
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board
@@ -202,7 +202,8 @@ def thresholds(
     sites = file.profile.driven
     if electrodes is not None:
         sites = require_driven(file.profile, electrodes, CalibrationError, "electrodes")
-    require_answers(False, board, (), CalibrationError)
+    if not sys.stdin.isatty():
+        raise CalibrationError("there is no keyboard to answer on: use a terminal")
     procedure = ThresholdProcedure(
         start=calibration.profile or default_profile(board), file=file, board_url=board,
         sites=sites.tolist(),

@@ -20,7 +20,6 @@ from smarttouch.cli.options import (
     output_file,
     parse_afferent,
     read_form,
-    require_answers,
     takes_options,
 )
 from smarttouch.views import terminal
@@ -116,9 +115,17 @@ def _run_trials(
     from smarttouch.views.screen import BlindScreen
 
     simulate, observer = who.simulate, None
-    if simulate is not None:
+    if simulate is None:
+        if not sys.stdin.isatty():
+            message = "there is no keyboard to answer on: use a terminal, or add --simulate"
+            raise ExperimentError(message)
+    else:
         choice_of("simulate", simulate, ("model", "random"))
-    require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
+        if not run.board_url.startswith("simulated:"):
+            raise ExperimentError(
+                "a simulation never drives a board that a finger may be on: not "
+                f"{run.board_url!r}, only simulated:"
+            )
     afferent = parse_afferent(mode)
     is_default = run.profile is None and run.load_profile().name == DEFAULT_PROFILE
     if name == "frequency" and afferent is Afferent.RA and is_default:

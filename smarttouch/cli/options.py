@@ -3,7 +3,7 @@
 import inspect
 import sys
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -104,20 +104,6 @@ def require_site(profile: "Profile", site: int) -> None:
     """Raise unless a profile's array has such a site."""
     words = f"site {site} of {profile.name}"
     require_within(SmartTouchError, "site", site, 0, len(profile.electrodes) - 1, words)
-
-
-def require_answers(
-    simulate: bool, board_url: str, boards: tuple[str, ...], error: type[SmartTouchError]
-) -> None:
-    """Raise unless a person at a keyboard can answer, or a simulation on such boards."""
-    if simulate and not board_url.startswith(boards):
-        raise error(
-            f"a simulation never drives a board that a finger may be on: not {board_url!r}, only "
-            f"{' or '.join(boards)}"
-        )
-    if not simulate and not sys.stdin.isatty():
-        message = "there is no keyboard to answer on: use a terminal, or add --simulate"
-        raise error(message)
 
 
 ProfileOption = Annotated[
@@ -275,7 +261,6 @@ class RunOptions(OptionGroup):
         profile: "Profile",
         config: "RunConfig",
         ready: "Display | None" = None,
-        listeners: "Iterable[Listener]" = (),
         **more: Any,
     ) -> None:
         """Run a source in the terminal until its end, as `run_in_terminal` does with `more`."""
@@ -286,7 +271,7 @@ class RunOptions(OptionGroup):
         else:
             display = ready or self.display(profile)
         run_in_terminal(
-            source, display, config, [*self._outputs(), *listeners], force=self.force,
+            source, display, config, [*self._outputs()], force=self.force,
             json_file=self.json_file, files=self.files, window=self.window,
             draws=self.felt is not None,
             plain=profile.defaults.plain if self.plain is None else self.plain, **more,
