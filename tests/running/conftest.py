@@ -1,6 +1,5 @@
 """Steps of real runs, and recordings of them."""
 
-import tracemalloc
 from dataclasses import asdict, replace
 from io import BytesIO
 from pathlib import Path
@@ -84,16 +83,6 @@ def steps(make_steps):
 
 
 @pytest.fixture(scope="session")
-def with_volts():
-    """Return what adds voltages, measured of earlier steps, to one."""
-
-    def add(sent, *measured):
-        return replace(sent, step=replace(sent.step, observed=measured))
-
-    return add
-
-
-@pytest.fixture(scope="session")
 def record(about):
     """Return a writer of recordings from steps and events."""
 
@@ -118,23 +107,6 @@ def recording(record, steps, tmp_path_factory):
         # One for each step: what waits for no longer is not put together.
         patch.setattr(writer_module, "CHUNK_S", 0.0)
         return record(path, steps, ["paused", "goes on"])
-
-
-@pytest.fixture
-def traced_peak():
-    """Return a meter of the most memory that was taken since its start, in bytes."""
-
-    class Meter:
-        def __call__(self):
-            return tracemalloc.get_traced_memory()[1]
-
-        def reset(self):
-            tracemalloc.stop()
-            tracemalloc.start()
-
-    tracemalloc.start()
-    yield Meter()
-    tracemalloc.stop()
 
 
 @pytest.fixture(scope="session")

@@ -111,11 +111,10 @@ def pipeline(profile, bank):
 def play(pipeline, board):
     """Return a function that runs a source on a clock that the test sets: what it has left."""
 
-    def play(sensor, *listeners, board=board, statistics=None, clock=None, stop=None, **options):
+    def play(sensor, *listeners, board=board, clock=None, **options):
         run = SimpleNamespace(
-            statistics=statistics or RunStatistics(), clock=clock or FakeClock(),
-            stop=stop or StopRequest(), events=[],
-        )  # fmt: skip
+            statistics=RunStatistics(), clock=clock or FakeClock(), stop=StopRequest(), events=[]
+        )
         followers = as_listeners([*listeners, OnEvent(run.events.append)])
         options = {"controls": Controls(ControlState(Mode.RA))} | options
         with board:
@@ -175,18 +174,6 @@ def test_seconds_end_it(play):
     run = play(Bars(), seconds=0.5)
     assert run.statistics.frames == 25
     assert "0.5 s" in run.stop.reason
-
-
-def test_a_stop_request_ends_it_before_the_next_frame(play):
-    stop = StopRequest()
-
-    def after_ten(result):
-        if result.number == 10:
-            stop.ask("enough")
-            stop.ask("too late to be the reason")
-
-    run = play(Bars(), after_ten, stop=stop)
-    assert (run.statistics.frames, stop.reason) == (10, "enough")
 
 
 @pytest.mark.parametrize("stage", ["sensor", "pipeline", "board", "observer"])

@@ -79,17 +79,6 @@ def test_any_sensor_input_is_safe(profile, pipeline_of, moments):
         time_ns += wait
 
 
-def test_the_board_s_time_is_planned_for(pipeline_of, make_frame, patch):
-    pipeline = pipeline_of(timing=ScanTiming(scan_us=30_000, in_index_order=True))
-    pipeline.warm_up()
-    pipeline.process(make_frame(patch(), 0))
-    sequence = pipeline.process(make_frame(patch(), SECOND_NS)).sequence
-    assert sequence.period_us == 30_000 + 300 * sequence.slots
-    assert np.all(np.diff(sequence.site.astype(int)) > 0)
-    with raises(ScheduleError, names="pulse.width_us", value=200, allowed=50):
-        pipeline_of(timing=ScanTiming(width_us=50))
-
-
 def test_a_change_of_mode_begins_at_zero(pipeline_of, make_frame, patch):
     pipeline = pipeline_of()
     steps = []

@@ -60,10 +60,6 @@ def test_a_whole_recording(recording, steps, profile, settings):
     assert found.whole
     assert found.damaged_chunks == 0
     assert [each.index for each in again] == list(range(40))
-    for was, now in zip(steps, again, strict=True):
-        assert np.array_equal(was.step.input.image, now.step.input.image)
-        assert np.array_equal(was.step.sequence.current_ua, now.step.sequence.current_ua)
-        assert (was.number, was.step.level) == (now.sent.number, now.step.level)
     assert again[0].step.input.image is again[1].step.input.image
     assert (found.profile, found.settings) == (profile, settings)
     assert found.seconds == pytest.approx(0.78)

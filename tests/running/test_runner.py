@@ -215,12 +215,6 @@ def test_each_run_on_a_display_has_its_own_notes(profile, bank, display):
     assert [told[1].count("first"), told[1].count("second")] == [0, 1]
 
 
-def test_a_picture_of_what_was_felt_needs_every_pulse(profile, source, tmp_path):
-    display = st.open_display("memory:", profile)
-    with raises(st.SmartTouchError):
-        Runner(source, display, RunConfig(), listeners=[DeliveredPicture(tmp_path / "a.png")]).run()
-
-
 def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_path, changed):
     # No driving function was fitted to so short a pulse.
     short, shapes = changed(profile, {"pulse.width_us": 40}), []
@@ -240,14 +234,15 @@ def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_pa
     assert shapes == [3, 1]
 
 
-@pytest.mark.parametrize(("name", "anatomy", "wrong"), [
-    ("a.png", "none", raises(st.ProfileError, key="anatomy", value="none")),
-    ("a.gif", "paper", raises(st.SmartTouchError, value="a.gif")),
+@pytest.mark.parametrize(("url", "name", "anatomy", "wrong"), [
+    ("simulated:", "a.png", "none", raises(st.ProfileError, key="anatomy", value="none")),
+    ("simulated:", "a.gif", "paper", raises(st.SmartTouchError, value="a.gif")),
+    ("memory:", "a.png", "paper", raises(st.SmartTouchError, names="every pulse")),
 ])  # fmt: skip
 def test_an_impossible_picture_is_refused_before_the_board(
-    profile, source, tmp_path, name, anatomy, wrong
+    profile, source, tmp_path, url, name, anatomy, wrong
 ):
-    display = st.open_display("simulated:", profile)
+    display = st.open_display(url, profile)
     picture = DeliveredPicture(tmp_path / name, 1, anatomy)
     with wrong:
         Runner(source, display, RunConfig(), listeners=[picture]).run()
