@@ -1,15 +1,27 @@
-"""The firmware on a Cortex-M3 that QEMU plays: what is sent is delivered, silence is zero."""
+"""The firmware on processors that QEMU plays.
+
+On a Cortex-M3 what is sent is delivered, and silence is zero. On the STM32F405 of a kit's board a
+model of the registers that its pins go to, of shift registers and a converter, tells what flows.
+"""
 
 import contextlib
+import re
+import struct
+import subprocess
 import time
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
-from firmware.tests.qemu import ELECTRODES
-from firmware.tests.rig import Talk
+from firmware.tests.build import built
+from firmware.tests.qemu import ELECTRODES, Machine
+from firmware.tests.rig import Talk, encode_lists
+from smarttouch.boards.link import MessageKind, Refusal
+from smarttouch.boards.link.sequence_encoding import encode_limits
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
+from tests.support.processes import PROGRAM, Forked
 from tests.support.runs import until
 
 LIMITS = SafetyLimits(ELECTRODES, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
@@ -72,3 +84,269 @@ def test_a_board_that_stands_still_is_reset(start_cortex_m3):
     width_us = machine.records()["width_us"]
     assert (width_us[:second] > 0).sum() == 5
     assert (width_us[second:] == 0).all()
+
+
+_WRITE = re.compile(r"addr (0x[0-9a-f]+) value (0x[0-9a-f]+) size \d name")
+GPIOA_BSRR, GPIOB_BSRR = 0x40020018, 0x40020418
+SPI1_DR, SPI2_CR1, SPI2_DR = 0x4001300C, 0x40003800, 0x4000380C
+SILENT_US = 0x40023000
+TIM4_CR1, TIM4_ARR = 0x40000800, 0x4000082C
+LE, POL, SELECT = 4, 7, 12
+
+
+@dataclass
+class ShiftRegisters:
+    """HV507 or HV513 behind SPI 1, LE, POL and a timer's BL, and an AD5452 behind SPI 2.
+
+    By the table of functions in KajiLabHV507B.h: BL low with POL high puts all outputs at ground;
+    POL low inverts them. The AD5452 takes two zeros, counts and two bits that do not matter, at
+    falling edges (phase 1).
+
+    Every write to a register of the processor goes through `write`. What must never be is kept in
+    `wrong`, a sentence each.
+    """
+
+    chain_bits: int = 64
+    chain: list = field(default_factory=list)
+    """Bits that were shifted in, the last ones last."""
+    latched: tuple = ()
+    levels: dict = field(default_factory=dict)
+    edges: dict = field(default_factory=lambda: {LE: 0, POL: 0, SELECT: 0, "clock": 0, "BL": 0})
+    counts: int = 0
+    word: int | None = None
+    phase: int = 0
+    width_us: int = 0
+    high: bool = False
+    """Whether BL is high, so that outputs follow the latches."""
+    pulses: list = field(default_factory=list)
+    """Output bits, counts and width of each."""
+    wrong: list = field(default_factory=list)
+    zeros: list = field(default_factory=list)
+    """Of each time that all electrodes were shorted: pulses until then, and µs since the last
+    packet, by the board's clock."""
+
+    def _pin(self, pin, level):
+        if self.levels.get(pin) == level:
+            return
+        self.edges[pin] += 1
+        self.levels[pin] = level
+        if pin == LE and not level:
+            self.latched = tuple(self.chain[-self.chain_bits :])
+        if pin in (LE, POL) and self.high:
+            self.wrong.append(f"pin {pin} changes within a pulse")
+        if pin == SELECT and level and self.word is not None:
+            self._convert(self.word)
+
+    def _convert(self, word):
+        if word >> 14 or not self.phase:
+            self.wrong.append(f"the converter is told {word:#x} in phase {self.phase}")
+        self.counts, self.word = word >> 2 & 0xFFF, None
+        if self.counts and not self.high:
+            self.wrong.append("current before BL is high")
+        if self.counts and self.high:
+            self.pulses.append((self.latched, self.counts, self.width_us))
+
+    def _pins(self, value, pins):
+        for pin in pins:
+            if value >> pin & 1:
+                self._pin(pin, 1)
+            elif value >> (pin + 16) & 1:
+                self._pin(pin, 0)
+
+    def write(self, address, value):
+        """Take a write to one of the processor's registers."""
+        if address == GPIOA_BSRR:
+            self._pins(value, (LE,))
+        elif address == GPIOB_BSRR:
+            self._pins(value, (POL, SELECT))
+        elif address == SPI1_DR:
+            if self.high:
+                self.wrong.append("bits are shifted within a pulse")
+            self.chain = self.chain[-self.chain_bits :] + [
+                value >> bit & 1 for bit in range(7, -1, -1)
+            ]
+            self.edges["clock"] += 16
+        elif address == SPI2_DR:
+            self.word = value
+        elif address == SILENT_US:
+            self.zeros.append((len(self.pulses), value))
+        elif address == SPI2_CR1:
+            self.phase = value & 1
+        elif address == TIM4_ARR:
+            self.width_us = value
+        elif address == TIM4_CR1:
+            high = bool(value & 1)
+            if high and not value & 8:
+                self.wrong.append("the timer does not end the pulse by itself")
+            if high and self.levels.get(POL) != 1:
+                self.wrong.append("a pulse with POL low")
+            self.edges["BL"] += high != self.high
+            self.high = high
+
+
+SILENCE_US = 500_000
+"""As long as the contract of boards lets one take to zero: the machine is played slowly."""
+
+
+class F405(Machine):
+    """The board of a kit, and a record of what its processor writes to registers."""
+
+    def __init__(self, folder, kit):
+        more = f"-DST_QEMU -DST_KIT={kit} -DST_SILENCE_US={SILENCE_US}u"
+        programs = "arm-none-eabi-gcc", "qemu-system-arm"
+        elf = built("stm32", "st_f405.elf", *programs, more=more)
+        trace = self._trace = folder / "trace.txt"
+        super().__init__(
+            "netduinoplus2", elf, lambda: trace.exists() and "0xcccc" in trace.read_text(),
+            "-icount", "shift=3", "-trace", "memory_region_ops_write", "-D", trace,
+        )  # fmt: skip
+
+    def until_zero(self, least_us=0):
+        """Wait until all electrodes are shorted after pulses and some silence; return the model."""
+        for _ in range(600):
+            model = self.registers()
+            pulses, silent_us = model.zeros[-1] if model.zeros else (0, 0)
+            if pulses == len(model.pulses) > 0 and silent_us >= least_us:
+                break
+            time.sleep(0.1)
+        return model
+
+    def registers(self):
+        """Return the model, after all writes so far."""
+        model = ShiftRegisters()
+        with self._trace.open() as file:
+            for line in file:
+                if found := _WRITE.search(line):
+                    model.write(int(found[1], 16), int(found[2], 16))
+        return model
+
+
+KITS = {"st_kajimoto61": (61, 2.442), "st_etactilekit64": (64, 9.99)}
+"""Electrodes, and µA of a count of the converter."""
+
+
+@pytest.fixture
+def start(tmp_path):
+    started = []
+
+    def start(kit):
+        started.append(F405(tmp_path, kit))
+        return started[-1]
+
+    yield start
+    for machine in started:
+        machine.close()
+
+
+class Host(Talk):
+    """A host that waits for its answers however long QEMU is kept from working."""
+
+    def until(self, wanted, kind, about=0, payload=b""):
+        """Send a packet, again and again, until there is an answer of a kind; return it."""
+        for _ in range(20):
+            answers = self.say(kind, about, payload)
+            for _ in range(20):
+                for each in answers:
+                    if each.kind == wanted:
+                        return each
+                    # What came late is sent again.
+                    assert each.kind != MessageKind.NAK or each.payload[0] == Refusal.OLD, each
+                answers = self.say(MessageKind.HEARTBEAT)
+        raise AssertionError(f"no {wanted!r}")
+
+    def account(self):
+        """Return slots, refused sequences, and sequences that execute or wait."""
+        payload = self.until(MessageKind.REPORT, MessageKind.STATUS).payload
+        return struct.unpack_from("<I", payload, 4)[0], payload[16], payload[32]
+
+
+@pytest.mark.parametrize("kit", KITS)
+def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
+    electrodes, ua_per_count = KITS[kit]
+    machine = start(kit)
+    limits = SafetyLimits(electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+    rng, wanted, made = np.random.default_rng(0), [], 0
+    with machine.connected() as board:
+        talk = Host(board).begin()
+        talk.until(MessageKind.LIMITED, MessageKind.LIMITS, payload=encode_limits(limits))
+        for step in range(6):
+            # Intensity rises while current is scheduled: the first has none.
+            slots, share = (10, 2 * step) if step else (0, 0)
+            each, sign = rng.integers(0, electrodes, slots), rng.choice([1, -1], (slots, 1))
+            rows = np.where(np.arange(electrodes) == each[:, None], sign, -sign)
+            current = np.where(rows == sign, sign * share * (electrodes - 1), -sign * share)
+            column = np.ones(slots, np.uint16)
+            sequence = ScanSequence(current.astype(np.int16), 100 * column, 50 * column,
+                                    0 * column, 50_000, 0.07 * step, 0)  # fmt: skip
+            payload = encode_lists(sequence, 1, False, True, None, 8192)
+            talk.until(MessageKind.ACK, MessageKind.SEQUENCE, step + 1, payload)
+            wanted += [(row, share * (electrodes - 1)) for row in rows]
+            busy = 1
+            while busy:
+                made, refused, busy = talk.account()
+    model = machine.registers()
+    assert (model.wrong, refused, made) == ([], 0, len(wanted))
+    bits = np.array([pulse[0] for pulse in model.pulses], np.int8)[:, ::-1]
+    # A bit is −1, anode, and none 1, cathode.
+    np.testing.assert_array_equal(1 - 2 * bits[:, :electrodes], [row for row, _ in wanted])
+    # Outputs without an electrode stay at ground.
+    assert {bit for pulse in model.pulses for bit in pulse[0][: 64 - electrodes]} <= {0}
+    asked = np.array([ua for _, ua in wanted])
+    driven = np.array([counts for _, counts, _ in model.pulses]) * ua_per_count
+    assert ((asked - ua_per_count < driven) & (driven <= asked)).all()
+    assert {width for *_, width in model.pulses} == {100}
+    # One edge of LE and two of BL for each pulse; POL rises once.
+    assert model.edges["clock"] == 2 * 64 * made
+    assert (model.edges[LE], model.edges["BL"], model.edges[POL]) == (2 * made + 1, 2 * made, 1)
+
+
+def test_a_stop_ends_in_zero(start):
+    """Within a millisecond, by the board's clock."""
+    machine, slots = start("st_kajimoto61"), 20
+    limits = SafetyLimits(61, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+    row = np.full((slots, 61), -5)
+    row[:, 7] = 300
+    column = np.ones(slots, np.uint16)
+    sequence = ScanSequence(row.astype(np.int16), 50 * column, 50 * column, 0 * column, 10_000,
+                            0.15, 0)  # fmt: skip
+    with machine.connected() as board:
+        talk = Host(board).begin()
+        talk.until(MessageKind.LIMITED, MessageKind.LIMITS, payload=encode_limits(limits))
+        payload = encode_lists(sequence, 1000, False, True, None, 8192)
+        talk.until(MessageKind.ACK, MessageKind.SEQUENCE, 1, payload)
+        while talk.account()[0] < 2 * slots:
+            pass
+        talk.until(MessageKind.STOPPED, MessageKind.STOP)
+    model = machine.until_zero()
+    pulses, silent_us = model.zeros[-1]
+    assert model.wrong == []
+    assert 2 * slots <= pulses == len(model.pulses) < 1000 * slots
+    assert silent_us <= 1000
+    assert len(machine.registers().pulses) == pulses
+
+
+def test_a_killed_run_ends_in_zero(start, tmp_path):
+    """Within the time of silence after its last packet, by the board's clock."""
+    machine = start("st_kajimoto61")
+    command = [PROGRAM, "live", "--board", f"link:{machine.name}", "--profile",
+               "kajimoto-61", "--force", "fixed:0.9", "--intensity", "0.3"]  # fmt: skip
+    run = Forked(command, cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    while not machine.registers().pulses:
+        assert run.poll() is None
+        time.sleep(0.1)
+    run.kill()
+    run.wait()
+    model = machine.until_zero(SILENCE_US)
+    pulses, silent_us = model.zeros[-1]
+    assert model.wrong == []
+    assert SILENCE_US <= silent_us <= SILENCE_US + 1000
+    assert pulses == len(machine.registers().pulses)
+
+
+def test_the_library_links_from_cpp():
+    """The example is C++: it must ask for the core's names as C has them."""
+    object_file = built("arduino", "KitBoard.o", "c++")
+    names = subprocess.run(["nm", object_file], capture_output=True, text=True, check=True).stdout
+    assert {f"st_{name}" for name in ("init", "feed", "advance", "zero", "may_pulse")} <= {
+        line.split()[-1] for line in names.splitlines() if " U " in line
+    }

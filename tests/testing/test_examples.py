@@ -1,4 +1,5 @@
-"""The packages of the examples, and those that the how-tos write, work."""
+"""The packages of the examples, and those that the how-tos write, work; sources of stimuli
+keep their contract."""
 
 import re
 import subprocess
@@ -6,6 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
+
+import smarttouch as st
+from smarttouch import lab
+from smarttouch.instruments.color_mix import ColorSource
+from smarttouch.testing import StimulusContract
 
 from ..support.full import sample
 from ..support.packages import install_project
@@ -61,3 +67,17 @@ def test_a_package_by_the_page_alone(program, tmp_path):
     install_project(tmp_path, tmp_path / "site")
     done = program("-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", "pyproject.toml")
     assert done.returncode == 0, done.stdout
+
+
+class TestTexture(StimulusContract):
+    def make(self, profile):
+        texture = lab.open_texture("grating:4mm")
+        motion = lab.open_motion_over(texture, "sweep:", profile, speed_mm_s=60)
+        return lab.MouseSource(texture, motion, profile, press_n=lab.reading_force_n(profile))
+
+
+class TestVibration(StimulusContract):
+    def make(self, profile):
+        trace = lab.open_trace("tone:30Hz,9um+press:0.45N", 0.5)
+        mixture = lab.mix_colors(trace, profile, st.load_kernels(profile))
+        return ColorSource("a vibration", profile, mixture)

@@ -22,7 +22,6 @@ import test_smarttouch_journal as own
 from smarttouch_journal import JournalDriver
 
 
-
 class Changed(own.TestJournal):
     def make(self, limits):
         return self.kind(str(self.path), limits)
@@ -36,18 +35,6 @@ class Sent(NamedTuple):
     times: int
 
 
-class Other(JournalDriver):
-    def write(self, proved):
-        self._proved = proved
-        super().write(Sent(proved, self.change(proved.sequence), self.count(proved.times)))
-    def change(self, sequence):
-        return replace(sequence, **self.other(sequence))
-    def count(self, times):
-        return times
-    def other(self, sequence):
-        return {}
-
-
 class Lent:
     # A line that lets through whatever stands for a proved sequence.
 
@@ -57,9 +44,16 @@ class Lent:
         return self.line.current(getattr(sent, "proved", sent))
 
 
-class Through(Other):
+class Through(JournalDriver):
+    times = None
+
+    def other(self, sequence):
+        return {}
     def open(self, line, limits):
         return super().open(Lent(line), limits)
+    def write(self, proved):
+        sequence = replace(proved.sequence, **self.other(proved.sequence))
+        super().write(Sent(proved, sequence, self.times or proved.times))
 
 
 def one_polarity(sequence):
@@ -88,8 +82,7 @@ for name, other in OTHERS.items():
 
 class TestOnce(Changed):
     class kind(Through):
-        def count(self, times):
-            return 1
+        times = 1
 
 
 class TestTwice(Changed):
@@ -106,25 +99,22 @@ class Around:
         return contextlib.nullcontext()
 
 
-class TestLooksNotAtStop(Changed):
-    class kind(JournalDriver):
-        def write(self, proved):
-            line, self._line = self._line, Around()
-            try:
-                super().write(proved)
-            finally:
-                self._line = line
-
-
 class TestLooksTooEarly(Changed):
     class kind(JournalDriver):
-        def write(self, proved):
+        def look(self):
             self._line.require_running()
+        def write(self, proved):
+            self.look()
             line, self._line = self._line, Around()
             try:
                 super().write(proved)
             finally:
                 self._line = line
+
+
+class TestLooksNotAtStop(Changed):
+    class kind(TestLooksTooEarly.kind):
+        def look(self): ...
 
 
 class TestStopsNot(Changed):
