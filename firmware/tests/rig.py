@@ -211,17 +211,15 @@ class Both:
             own = [each for each in pulses if each[1] == protocol.NOTHING]
             recharges += [(each[0], each[4], *each[5 : self._reported]) for each in own]
             told.append((answer, [each[: self._reported] for each in pulses if each not in own]))
-        return self._same(told)
+        answer, pulses = self._same(told)
+        self.said += answer
+        return answer, pulses
 
     def feed(self, data, now_us):
-        answer, pulses = self._told([each.feed(data, now_us) for each in self.boards])
-        self.said += answer
-        return answer, pulses
+        return self._told([each.feed(data, now_us) for each in self.boards])
 
     def advance(self, now_us):
-        answer, pulses = self._told([each.advance(now_us) for each in self.boards])
-        self.said += answer
-        return answer, pulses
+        return self._told([each.advance(now_us) for each in self.boards])
 
     def hang_up(self, now_us):
         for each in self.boards:

@@ -122,15 +122,10 @@ def test_what_waits_while_the_level_is_closed_is_not_sent(port):
     assert port.packets() == [ZERO]
 
 
-def emulated(clock):
-    """Return an emulated board for which it can be too late."""
-    driver = make_board("emulator:", limits(8)).driver
-    return Board(driver, limits(8), clock=clock, claimed_time=True)
-
-
 def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
-    written = []
-    with emulated(clock := ManualClock(late_us=0)) as board:
+    written, clock, driver = [], ManualClock(late_us=0), make_board("emulator:", limits(8)).driver
+    # A board for which it can be too late.
+    with Board(driver, limits(8), clock=clock, claimed_time=True) as board:
         deliver(board, pulses(8, 0))
         packets, again = board.driver._session, []
         # Its answers are lost, so that it is sent again, and again.

@@ -232,24 +232,6 @@ def test_no_exception_is_raised_within_a_write():
     assert written == ["first", "second"]
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
-def test_a_run_in_the_main_thread_ends_by_itself_and_then_the_program(number, code):
-    def work(say):
-        stop = StopRequest()
-        with stoppable_run(stop, Display()) as to_its_end:
-            to_its_end()
-            say()
-            assert stop.event.wait(PATIENCE_S)
-            os.write(told, b"closed")
-        os.write(told, b"went on")
-
-    heard, told = os.pipe()
-    with in_child(work) as child:
-        os.kill(child, number)
-        assert exit_code(child) == code
-        assert os.read(heard, 99) == b"closed"
-
-
 class TestCommands:
     """Commands of the command line end by signals and stops, also before a board is open."""
 
