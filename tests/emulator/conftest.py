@@ -3,9 +3,6 @@
 import pytest
 
 from smarttouch.sources import force, live_capture
-from tests.boards.conftest import claimed_time, make_limits, make_sequence, start_emulator
-
-__all__ = ["claimed_time", "make_limits", "make_sequence", "start_emulator"]
 
 
 @pytest.fixture
