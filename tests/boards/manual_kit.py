@@ -113,34 +113,31 @@ def proved(sequence, times=1, number=0, due_ns=0, late_ns=LATE_NS):
     return ProvedSequence(sequence, times, number, due_ns, due_ns + late_ns, 0, key=_GATE)
 
 
-def manual_line(patch, driver, port, clock, limits):
-    """Return a line to a port in this process, by a clock that the test sets."""
-    patch.setattr(current_scale, "BOOT_S", 0.0)
-    patch.setattr(etactilekit_line, "WatchedPort", lambda port, _: port)
-    line = Board(driver, limits, clock=clock)._line
-
-    def connect(name, wrap):
-        line.name, line._port = name, wrap(port)
-
-    line.connect, line.pause = connect, clock.sleep
-    return line
-
-
 class ManualKit:
-    """A driver and its board, in one thread."""
+    """A driver and its board, in one thread; the line is not opened yet if that is said."""
 
     def __init__(
         self, patch, limits, firmware="71adee2", seed=1, late_us=200, finger=None,
-        dummy_ohm=np.inf, named=True, **line,
+        dummy_ohm=np.inf, named=True, board=None, opened=True, **line,
     ):  # fmt: skip
         self.clock = ManualClock(seed, late_us)
         self.books = ScanBooks(limits.electrodes)
-        self.board = ETactileKitFirmware(self.books, finger, firmware=firmware, dummy_ohm=dummy_ohm)
+        self.board = board or ETactileKitFirmware(
+            self.books, finger, firmware=firmware, dummy_ohm=dummy_ohm
+        )
         self.port = ManualPort(self.board, self.clock, **line)
         self.driver = ETactileKitDriver("told", limits, firmware=firmware if named else None)
-        self.line = manual_line(patch, self.driver, self.port, self.clock, limits)
+        patch.setattr(current_scale, "BOOT_S", 0.0)
+        patch.setattr(etactilekit_line, "WatchedPort", lambda port, _: port)
+        self.line = Board(self.driver, limits, clock=self.clock)._line
         self.host = self.line._board
-        self.driver.open(self.line, limits)
+
+        def connect(name, wrap):
+            self.line.name, self.line._port = name, wrap(self.port)
+
+        self.line.connect, self.line.pause = connect, self.clock.sleep
+        if opened:
+            self.driver.open(self.line, limits)
 
     def run(self, jobs):
         """Let the driver write jobs: when they come by its clock, sequence, times."""

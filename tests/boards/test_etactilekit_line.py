@@ -35,7 +35,7 @@ from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
-from tests.boards.manual_kit import ManualClock, ManualPort, manual_line
+from tests.boards.manual_kit import ManualKit
 
 from ..support.checks import raises
 from ..support.full import WHOLE, sample
@@ -95,16 +95,20 @@ class OldKit:
         return answers
 
 
-class Meeting:
-    """A driver that meets a board for the first time."""
+class Meeting(ManualKit):
+    """A driver that meets a board for the first time, of whose firmware it may not be told."""
 
-    def __init__(self, patch, firmware, selected=None, board=None):
-        self.clock = ManualClock(late_us=0)
-        self.books = DeliveryLog(8)
-        self.board = board or ETactileKitFirmware(self.books, firmware=firmware)
-        self.port = ManualPort(self.board, self.clock)
-        self.driver = ETactileKitDriver("told", LIMITS, firmware=selected)
-        self.line = manual_line(patch, self.driver, self.port, self.clock, LIMITS)
+    def __init__(self, patch, firmware="71adee2", named=False, board=None):
+        super().__init__(
+            patch,
+            LIMITS,
+            firmware,
+            late_us=0,
+            named=named,
+            board=board,
+            opened=False,
+            dummy_ohm=66e3,
+        )
 
     def open(self):
         """Return the capabilities of the board that is opened."""
@@ -116,13 +120,6 @@ class Meeting:
         self.clock.time_ns += 100_000_000
         self.board.advance(self.clock.time_ns)
 
-    def slots_at_rest(self):
-        """Check that nothing flows for three seconds; return how many slots have."""
-        slots = self.books.slots
-        self.board.advance(self.clock.time_ns + 3_000_000_000)
-        assert self.books.slots == slots
-        return slots
-
 
 @pytest.fixture
 def meet(monkeypatch):
@@ -133,14 +130,16 @@ def meet(monkeypatch):
 @pytest.mark.parametrize("half", HALVES)
 def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, half):
     """What its firmware does by itself is believed only if it is named."""
-    meeting = meet(firmware, firmware if half else None)
+    meeting = meet(firmware, named=bool(half))
     meeting.leave(PULSING + SENSE + half)
     pulsed = meeting.books.slots
     assert pulsed > 0
     can = meeting.open()
     assert (firmware in can.firmware) == bool(half)
     assert (can.time_to_zero_ms is None) == (firmware != "newest" or not half)
-    slots = meeting.slots_at_rest()
+    slots = meeting.books.slots
+    meeting.board.advance(meeting.clock.time_ns + 3_000_000_000)
+    assert meeting.books.slots == slots
     assert meeting.books.state == "shorted"
     # At most the scan that was under way, and one with what zeros made of half a command.
     assert slots - pulsed <= 24
@@ -152,7 +151,7 @@ def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, hal
 @pytest.mark.parametrize("firmware", OLD)
 def test_an_older_firmware_is_put_at_zero_and_refused(meet, firmware, half):
     size, pulsing = OLD[firmware]
-    meeting = meet(None, board=OldKit(DeliveryLog(8), size))
+    meeting = meet(board=OldKit(DeliveryLog(8), size))
     meeting.leave(pulsing + SENSE + half)
     assert meeting.board.books.slots > 0
     with raises(BoardError, names="firmware", value="71adee2"):
@@ -172,7 +171,7 @@ def test_no_probe_ever_makes_a_board_pulse(firmware, noise, half, losses):
     """Not even one of whose bytes one is lost, or behind noise: a quiet board stays quiet."""
     with pytest.MonkeyPatch.context() as patch:
         old = OldKit(DeliveryLog(8), OLD[firmware][0]) if firmware in OLD else None
-        meeting = Meeting(patch, firmware if old is None else None, board=old)
+        meeting = Meeting(patch, "71adee2" if old else firmware, board=old)
         # Everything set but a height.
         quiet = "FC08 FA6400 F732 F632" + "FB0000" * (firmware == "936c6c0")
         meeting.leave(quiet + (half or bytes(min(each, 0xF3) for each in noise).hex()))
@@ -201,7 +200,7 @@ def test_another_board_gets_nothing_that_it_could_obey(meet, other):
         "link": lambda: LinkFirmware("one-against-all", books),
         "silent": lambda: Deaf(books),
     }[other]()
-    meeting = meet("71adee2", board=board)
+    meeting = meet(named=True, board=board)
     with raises(SilentBoardError, names="board"):
         meeting.open()
     assert (books.slots, books.sequences) == (0, 0)
@@ -227,7 +226,7 @@ def test_an_unknown_option_is_named(option, about, value):
 )
 def test_a_smaller_kit_than_the_profile_is_refused(meet, electrodes, wiring, outputs):
     """Wiring decides how many outputs there are."""
-    meeting = meet("71adee2")
+    meeting = meet(named=True)
     limits = SafetyLimits(electrodes, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
     output = Output(kind="one-against-all", wiring=wiring)
     with raises(BoardError, value=outputs, allowed=8):
