@@ -5,8 +5,7 @@ import subprocess
 
 import pytest
 
-from firmware.tests import build
-from firmware.tests.qemu import CortexM3
+from firmware.tests.build import CortexM3, host
 
 
 @pytest.fixture
@@ -17,7 +16,7 @@ def start_firmware():
     def start(*arguments, electrodes=8, output="weighted"):
         options = (f"--electrodes={electrodes}", f"--output={output}", "--linger=2", *arguments)
         process = subprocess.Popen(
-            [build.host(), *options],
+            [host(), *options],
             stdout=subprocess.PIPE,
             text=True,
             start_new_session=True,

@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from firmware.tests.build import built
-from firmware.tests.qemu import ELECTRODES, Machine
+from firmware.tests.build import ELECTRODES, Machine, built
 from firmware.tests.rig import Talk, encode_lists
 from smarttouch.boards.link import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import encode_limits

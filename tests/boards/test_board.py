@@ -19,7 +19,7 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises
-from .runs import PATIENCE_S
+from .fresh import PATIENCE_S
 
 LIMITS = SafetyLimits(
     electrodes=4, current_ma=2.0, pulse_us=200.0, charge_uc=0.4, rate_hz=50.0, duty=0.5,
