@@ -1,7 +1,6 @@
 """Fits agree with hand calculation; a sentence says why there is no threshold."""
 
 import math
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +19,7 @@ from smarttouch.experiments.procedures import constant_stimuli, ratio_pairs
 from smarttouch.experiments.psychometric import Counts, Model, Parameters, fit
 from smarttouch.views.figure_style import save
 
-from ..support.checks import raises
+from ..support.checks import numbers_in, raises
 from .simulated import Subject, answer_all, as_answers, ask_all, of_counts
 
 MODELS = [
@@ -28,10 +27,6 @@ MODELS = [
     Model(guess=0.04, logarithmic=False),
 ]  # fmt: skip
 STIMULUS = 30 * 2 ** (np.arange(-9, 10, 2) / 9)
-
-
-def parameters_of(*values):
-    return Parameters(*(np.array([each]) for each in values))
 
 
 def counts_of(stimulus, n, k):
@@ -83,7 +78,8 @@ def test_two_points_by_hand():
 def test_what_nothing_at_all_says_is_the_guess():
     model = Model(guess="free")
     x = model.axis([0.0, 1.0])
-    assert model.probability(x, parameters_of(0.0, 1.0, 0.02, 0.13))[0, 0] == 0.13
+    parameters = Parameters(*(np.array([each]) for each in (0.0, 1.0, 0.02, 0.13)))
+    assert model.probability(x, parameters)[0, 0] == 0.13
     counts = counts_of([0, 1, 2, 4, 8], [40] * 5, [8, 8, 22, 38, 40])
     assert fit(counts, model).parameters.guess[0] == pytest.approx(0.2, abs=0.04)
 
@@ -124,10 +120,6 @@ def session(answers, standard=30.0, repetitions=10, seed=0):
     return as_answers(shown, [answers(each, n) for n, each in enumerate(shown)])
 
 
-def numbers(sentence):
-    return [float(each) for each in re.findall(r"\d+(?:\.\d+)?", sentence)]
-
-
 def verdict(answers):
     found = judge_answers(answers, usual_model([answers]))
     assert found.verdict
@@ -162,7 +154,7 @@ def test_no_threshold(name):
     found = verdict(session(answers) if callable(answers) else answers)
     words = [each for each in said if isinstance(each, str)]
     assert all(each in found.verdict for each in words)
-    assert numbers(found.verdict) == said[len(words) :]
+    assert numbers_in(found.verdict) == said[len(words) :]
 
 
 def test_upside_down():
@@ -176,7 +168,7 @@ def test_beyond_the_range():
     subject = Subject(90.0, 0.8)
     answers = answer_all(constant_stimuli(ratio_pairs([30.0]), 60), subject.probability, 2)
     found = verdict(answers)
-    assert numbers(found.verdict) == [75, 60]
+    assert numbers_in(found.verdict) == [75, 60]
     assert found.fit.bounded(0.75).value > 60
     low = of_counts([5, 6, 7, 8, 10], [60] * 5, [40, 44, 50, 55, 60])
     assert "below 5" in verdict(low).verdict
@@ -241,16 +233,12 @@ def test_which_model():
     assert usual_model([frequency], 0.5, 0.8) == Model(guess=0.5, at=0.8)
 
 
-@pytest.fixture(scope="module")
-def found():
-    """Return what is found for a standard by a good subject, and by one who guesses."""
+def test_two_modes_in_a_figure(tmp_path):
+    """Of a good subject, and of one who guesses."""
     good = Subject(36.0, 0.25).probability
     procedure = constant_stimuli(ratio_pairs([30.0]), 30)
     answers = answer_all(procedure, good, 3), session(lambda each, n: n % 2 == 0, 60.0)
-    return [judge_answers(each, usual_model([each])) for each in answers]
-
-
-def test_two_modes_in_a_figure(found, tmp_path):
+    found = [judge_answers(each, usual_model([each])) for each in answers]
     series = [(AnswerTable(name, "Hz", ()), found) for name in ("RA", "PC")]
     figure = discrimination_figure(series)
     ra, pc, thresholds = figure.axes

@@ -90,7 +90,6 @@ def test_the_sensor_to_be_calibrated_is_seen_without_its_flat_field(profile, cha
     assert uncorrected(named).optics.flat_field is None
 
 
-TENTH = 0.1
 COARSEST, COARSE, FINE = (32, 32), (64, 64), (480, 640)
 
 
@@ -125,7 +124,7 @@ def test_the_true_error_is_below_a_tenth_of_a_pitch(profile, shape, cases):
     for seed in range(cases):
         view = random_view(seed, shape, profile.optics)
         found = register(view.render(target, profile.optics, shape), profile, target)
-        assert true_error(found, profile, view, shape).max() < TENTH, view
+        assert true_error(found, profile, view, shape).max() < 0.1, view
         assert found.correlation > 0.88, view
 
 
@@ -185,15 +184,12 @@ def test_the_target_as_it_is_printed(tmp_path, profile):
         target.draw(tmp_path / "none" / "target.png")
 
 
-@pytest.mark.parametrize(("image", "words"), [
-    (np.full(COARSE, 200, np.uint8), "no marker"),
-    (np.zeros(COARSE, np.uint8), "no marker"),
-    (np.random.default_rng(1).integers(0, 256, COARSE, np.uint8), "no marker"),
-    (np.zeros((2, 2), np.uint8), "no marker"),
-    (np.zeros((3, 64), np.uint8), "no marker"),
+@pytest.mark.parametrize("image", [
+    np.full(COARSE, 200, np.uint8), np.zeros(COARSE, np.uint8), np.zeros((2, 2), np.uint8),
+    np.zeros((3, 64), np.uint8), np.random.default_rng(1).integers(0, 256, COARSE, np.uint8),
 ])  # fmt: skip
-def test_no_target_is_one_sentence(profile, image, words):
-    with pytest.raises(CalibrationError, match=words):
+def test_no_target_is_one_sentence(profile, image):
+    with pytest.raises(CalibrationError, match="no marker"):
         register(image, profile, target_for(profile))
 
 

@@ -51,7 +51,7 @@ def test_each_finger_gets_each_letter_in_each_choice(rows):
     assert full[0].total_ma == pytest.approx(2 * half[0].total_ma, rel=0.01)
 
 
-def test_a_study_goes_on_where_it_was_interrupted(rows, tmp_path, monkeypatch):
+def test_a_study_goes_on_where_it_was_interrupted(rows, tmp_path):
     def interrupt(done, _total):
         if done == 2:
             raise KeyboardInterrupt

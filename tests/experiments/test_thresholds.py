@@ -111,7 +111,7 @@ def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **o
     return shown
 
 
-def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile, tmp_path, begun):
+def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile, begun):
     progress, display = begun(), display_of(profile)
     wanted = [3, 9]
     run(display, profile, subjects(profile), wanted, progress, repeats=1)
@@ -138,7 +138,7 @@ def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(profile
 
 
 @pytest.mark.parametrize("name", sample(list_profiles(), 5))
-def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path, begun):
+def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, begun):
     """Nothing is ever felt: the current goes up to the ceiling, and every proof holds."""
     profile = load_profile(name)
     display, site = display_of(profile), len(profile.electrodes) - 1
@@ -170,7 +170,7 @@ def test_a_ramp_that_cannot_be_slower_leaves_less_to_reach(profile, changed):
     assert measuring.full_ma.max() == pytest.approx(slow.full_ma.max(), abs=1e-3)
 
 
-def test_single_electrodes_keep_their_own_limit(profile, changed, tmp_path, begun):
+def test_single_electrodes_keep_their_own_limit(profile, changed, begun):
     own = [2.45] * 64
     own[5] = 2.4
     limited = changed(profile, {"limits.electrode_ma": own})
@@ -179,7 +179,7 @@ def test_single_electrodes_keep_their_own_limit(profile, changed, tmp_path, begu
     assert max(level_of(each) for each in display.board.driver.sequences) == 2.4
 
 
-def test_an_interrupted_session_goes_on_where_it_was(profile, tmp_path, begun):
+def test_an_interrupted_session_goes_on_where_it_was(profile, begun):
     first, stop = begun(), StopRequest()
 
     def stop_after_two(_result):
@@ -198,7 +198,7 @@ def test_an_interrupted_session_goes_on_where_it_was(profile, tmp_path, begun):
     assert {int(s) for each in second.board.driver.sequences for s in each.site} == {2}
 
 
-def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, tmp_path, begun):
+def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, begun):
     stop, display, sent = StopRequest(), display_of(profile), []
 
     def stop_at_a_level(result):
@@ -226,7 +226,7 @@ class Losing(Unpaced):
         super().write(proved)
 
 
-def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun):
+def test_a_board_that_was_lost_begins_again_at_zero(profile, begun):
     progress, display = begun(), display_of(profile, Losing)
     display.board.driver.at = lost = [300, 700]
     run(display, profile, subjects(profile), [0], progress, repeats=1)
@@ -238,7 +238,7 @@ def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun):
     assert progress.found[0].threshold_ma == pytest.approx(1.1, rel=0.2)
 
 
-def test_a_board_that_is_lost_all_the_time(profile, tmp_path, begun):
+def test_a_board_that_is_lost_all_the_time(profile, begun):
     display, progress = display_of(profile, Losing), begun()
     display.board.driver.at = range(0, 20_000, 200)
     with raises(ExperimentError, names="trial", value=MOST_SPOILED + 1, allowed=MOST_SPOILED):
@@ -375,8 +375,6 @@ def test_bias_and_spread_over_many_subjects(kind):
         found = rise(subject, seed=seed)
         rising.append(found.threshold_ma / threshold - 1)
         comfort.append(found.comfort_ma / strongest - 1)
-    for name, off in ("rising", rising), ("comfort", comfort):
-        print(f"{kind}, {len(off)} fingers, {name}: off by {np.mean(off):+.1%} ± {np.std(off):.1%}")
     # Measured, rising: bias −3 to +7 %, spread 4 to 9 %; comfort −11 to +2 %, 3 to 9 %.
     assert abs(np.mean(rising)) < 0.1
     assert np.std(rising) < 0.11

@@ -184,7 +184,7 @@ def test_a_note_says_what_pc_costs_unless_a_vibrator_plays_it(profile, bank):
     assert open_vibration("tone:250Hz,1.5um", profile, vibrated=True).notes == []
 
 
-def test_notes_count_what_was_sent(profile, bank, make_source):
+def test_notes_count_what_was_sent(make_source):
     spec = "tone:30Hz,9um+press:0.45N"
     source, mixture = make_source(spec, sites=range(64))
     asked(source)

@@ -160,10 +160,6 @@ def test_drive_is_linear_in_decibels_above_threshold(afferent, frequency_hz):
         assert np.median(answer.drive) == pytest.approx(expected, abs=0.01)
 
 
-def mean_rate_hz(answer):
-    return answer.rate_hz[answer.drive > 0].mean()
-
-
 @pytest.mark.parametrize(
     ("afferent", "hz"), [(Afferent.RA, 25), (Afferent.RA, 60), (Afferent.PC, 217)]
 )
@@ -172,7 +168,7 @@ def test_one_spike_each_cycle_at_the_same_phase(afferent, hz):
     spikes = answer.spike_s[(answer.spike_s > 0.2) & (answer.spike_s < 1.8)]
     assert len(spikes) == pytest.approx(1.6 * hz, abs=1)
     assert np.ptp(np.mod(spikes * hz + 0.5, 1)) < 0.01
-    assert mean_rate_hz(answer) == pytest.approx(hz, rel=0.01)
+    assert answer.rate_hz[answer.drive > 0].mean() == pytest.approx(hz, rel=0.01)
 
 
 def test_sai_fires_faster_when_pressed_harder():

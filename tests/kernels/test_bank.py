@@ -64,14 +64,6 @@ def test_shipped_banks_answer_their_profiles(name, cache, no_design):
     assert not cache.exists()
 
 
-def test_total_current_is_limited_in_every_kernel():
-    for name in ("electric-mouse", "optacon-24x6"):
-        profile = load_profile(name)
-        for afferent in Afferent:
-            source = np.abs(load_bank(profile).kernels(afferent)).sum(axis=1) / 2 * 2.4
-            assert source.max() < profile.limits.total_ma
-
-
 @pytest.mark.parametrize(
     ("afferent", "site"), sample([(Afferent.SAI, 27), (Afferent.RA, 0), (Afferent.PC, 9)], 3)
 )

@@ -116,7 +116,7 @@ def test_classes_are_all_driven_sites_once(profile, changed):
         assert apart.min() >= 2 * mine.electrodes.pitch_mm - 1e-9
 
 
-def test_sets_are_as_large_as_can_be_proved(make_operator, profile, changed):
+def test_sets_are_as_large_as_can_be_proved(make_operator):
     bounds = FrameBounds()
     sets = proved_sets(make_operator(Afferent.RA).judge, bounds)
     assert [len(each.sites) for each in sets] == [16] * 4

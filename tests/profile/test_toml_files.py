@@ -271,20 +271,15 @@ def test_what_is_known_of_a_board(edited):
 
 
 def test_unknown_name():
-    names = tuple(list_profiles())
-    with raises(ProfileError, names="profile", value="nothing", allowed=names) as caught:
+    with raises(ProfileError, names="profile", value="nothing", allowed=tuple(ELECTRODES)):
         load_profile("nothing")
-    assert all(name in str(caught.value) for name in ("nothing", *ELECTRODES))
-
-
-def read_back(text, profile):
-    return profile_of(tomllib.loads(text), Path(f"{profile.name}.toml"))
 
 
 @pytest.mark.parametrize("name", list_profiles())
 def test_it_is_read_back_as_it_was(name):
     profile = load_profile(name)
-    assert read_back(as_toml(profile), profile) == profile
+    written = tomllib.loads(as_toml(profile))
+    assert profile_of(written, Path(f"{profile.name}.toml")) == profile
 
 
 MEASURED = {

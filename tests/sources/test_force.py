@@ -53,25 +53,19 @@ def grams(least):
 
 
 class OfForce(ForceContract):
-    """The contract of a source of force of a URL; `nowhere` is one that is not there."""
+    """The contract of a source of force of a URL."""
 
-    url = nowhere = ""
+    url = ""
 
     def make(self, profile):
         return open_force(self.url, profile)
 
-    def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile):
-        with raises(SourceError):
-            open_force(self.nowhere, profile)
-
 
 class TestFixed(OfForce):
-    url, nowhere = "fixed:0.5", "fixed:hard"
+    url = "fixed:0.5"
 
 
 class TestLoadCell(OfForce):
-    nowhere = "hx711:/dev/nothing"
-
     @pytest.fixture
     def profile(self, in_grams):
         return in_grams

@@ -127,11 +127,12 @@ def test_a_run_takes_what_is_at_hand(tmp_path):
     assert len(list(smarttouch.steps("text:a", profile, seconds=0.1))) == 5
 
 
-@pytest.mark.parametrize(
-    "given", [None, 3, GRAY, b"text:a", {"image": GRAY}, "lettr.png", "nothing:there", 0.5]
-)
+@pytest.mark.parametrize("given", [
+    None, 3, GRAY, b"text:a", {"image": GRAY}, "lettr.png", "nothing:there", 0.5,
+    "page:nothing.png", "text:", "frames:nothing", "video:nothing.avi", "recording:nothing.mcap",
+])  # fmt: skip
 def test_what_is_no_source_is_one_sentence(given, profile):
-    with raises(SourceError):
+    with raises(SmartTouchError):
         source_of(given, profile)
 
 
@@ -210,26 +211,19 @@ def test_a_text_file_is_printed():
         assert shown.url == "page:notes.txt"
 
 
-GOLDENS = Path(__file__).parents[1] / "running" / "goldens"
-
-
 class Contract(SourceContract):
-    """The contract of a source of a URL; `nowhere` is one that is not there."""
+    """The contract of a source of a URL."""
 
-    url = nowhere = ""
+    url = ""
     unpaced = width_mm = fps = None
 
     def make(self, profile):
         options = {"unpaced": self.unpaced, "page_width_mm": self.width_mm, "fps": self.fps}
         return open_source(self.url, profile, **options)
 
-    def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile):
-        with raises(SmartTouchError):
-            open_source(self.nowhere, profile)
-
 
 class TestPage(Contract):
-    nowhere, width_mm = "page:nothing.png", 20.0
+    width_mm = 20.0
 
     @pytest.fixture(autouse=True)
     def _page(self, tmp_path):
@@ -240,11 +234,10 @@ class TestPage(Contract):
 
 
 class TestText(Contract):
-    url, nowhere = "text:a word", "text:"
+    url = "text:a word"
 
 
 class TestUnpacedFolder(Contract):
-    nowhere = "frames:nothing"
     unpaced = True
 
     @pytest.fixture(autouse=True)
@@ -260,7 +253,6 @@ class TestPacedFolder(TestUnpacedFolder):
 
 
 class TestUnpacedVideo(Contract):
-    nowhere = "video:nothing.avi"
     unpaced = True
 
     @pytest.fixture(autouse=True)
@@ -271,7 +263,6 @@ class TestUnpacedVideo(Contract):
 
 class TestSerialArray(Contract):
     ends = False
-    nowhere = "serial-array:/dev/nothing"
 
     @pytest.fixture(autouse=True)
     def _device(self, make_device):
@@ -285,5 +276,4 @@ class TestSerialArray(Contract):
 
 
 class TestRecording(Contract):
-    nowhere = "recording:nothing.mcap"
-    url = f"recording:{GOLDENS / 'ra.mcap'}"
+    url = f"recording:{Path(__file__).parents[1] / 'running/goldens/ra.mcap'}"

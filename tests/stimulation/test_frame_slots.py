@@ -43,11 +43,6 @@ def problems(profile, changed):
     return {each: Problem(coarse, each) for each in (Afferent.RA, Afferent.SAI)}
 
 
-@pytest.fixture(scope="module")
-def rows(problems):
-    return problems[Afferent.RA]
-
-
 def image(activation, afferent=Afferent.RA):
     rows = np.zeros((3, len(activation)), np.float32)
     rows[afferent] = activation
@@ -156,7 +151,7 @@ def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made
     assert faint.proof.off_target == pytest.approx(0.6 / 0.96 * found.proof.off_target, rel=1e-3)
 
 
-def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots, bank, profile):
+def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots):
     assert len(slots.slots(0 * LETTER, 1.0)[0]) == 0
     site, _, width_us, *_ = slots.slots(LETTER, 1.0)
     assert len(site) == 4 < len(LETTER_T)
