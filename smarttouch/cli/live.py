@@ -113,7 +113,6 @@ def replay(
     asked = {"hold": None, "balance": False, "paced": run.is_watched} | run.settings()
     config = recording.run.model_copy(update=asked)
     with RecordingSource(recording) as source:
-        source.url = f"recording:{file}"
         run.start(source, chosen, config, controls=partial(RecordedControls, recording))
 
 

@@ -131,8 +131,7 @@ class Inputs:
     _last_seen: int | None = None
     _blind: bool = False
     _lifted_until_ns: int = 0
-    _inkless_since_ns: int | None = None
-    _said_inkless: bool = False
+    _inkless_since_ns: float | None = None  # infinite once that was said
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
         """Return the input with the force that counts (zero if unknown), and the level that flows.
@@ -174,8 +173,8 @@ class Inputs:
         """Say once that a pressing finger sees no ink, so that silence has a reason."""
         if self._inkless_since_ns is None:
             self._inkless_since_ns = time_ns
-        elif time_ns - self._inkless_since_ns >= NO_INK_NS and not self._said_inkless:
-            self._said_inkless = True
+        elif time_ns - self._inkless_since_ns >= NO_INK_NS:
+            self._inkless_since_ns = math.inf
             words = f"no ink was seen in the first {NO_INK_NS / 1e9:g} s: nothing can be felt"
             self.emit(Advice(time_ns, words))
 

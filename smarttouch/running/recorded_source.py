@@ -32,6 +32,7 @@ class RecordingSource(Source):
 
     def __init__(self, recording: RecordedRun) -> None:
         super().__init__(recording.path.name)
+        self.url = f"recording:{recording.path}"
         self._recording = recording
         self.duration_s: float = recording.seconds
         self._steps = recording.steps()

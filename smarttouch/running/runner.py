@@ -429,11 +429,8 @@ def replay(
     True
     """
     recording = RecordedRun(path)
-    source = RecordingSource(recording)
-    source.url = f"recording:{path}"
     config = recording.run.model_copy(update={"hold": None, "balance": False} | dict(settings))
-    controls = partial(RecordedControls, recording)
     return Runner(
-        source, display, config, force=force, listeners=listeners, stop=stop,
-        controls=controls,
+        RecordingSource(recording), display, config, force=force, listeners=listeners, stop=stop,
+        controls=partial(RecordedControls, recording),
     ).run()  # fmt: skip
