@@ -12,29 +12,20 @@ import smarttouch.emulator.link_firmware as link
 from smarttouch.emulator.__main__ import main
 from smarttouch.emulator.firmware import DeliveryLog
 
+fault = sys.argv.pop(1)
 
-def twice(enter):
-    """Deliver each slot twice."""
+
+def entering(enter):
+    """Deliver each slot twice, or leave another value in the books."""
 
     def entered(books, *given, **named):
-        enter(books, *given, **named)
-        return enter(books, *given, **named)
+        for _ in range(1 + (fault == "twice")):
+            taken = enter(books, *given, **named)
+        books.violations += fault == "violation"
+        books.max_current_ma = 4.9 if fault == "strong" else books.max_current_ma
+        return taken
 
     return entered
-
-
-def counting(name, value):
-    """Return a change by which each slot leaves a value in the books."""
-
-    def change(enter):
-        def entered(books, *given, **named):
-            taken = enter(books, *given, **named)
-            setattr(books, name, value)
-            return taken
-
-        return entered
-
-    return change
 
 
 def after_zero(report):
@@ -59,25 +50,13 @@ def beside(pulses):
     return pulsed
 
 
-def change(owner, name, by):
-    setattr(owner, name, by(getattr(owner, name)))
-
-
-fault = sys.argv.pop(1)
-if fault == "twice":
-    change(DeliveryLog, "enter", twice)
-elif fault == "violation":
-    change(DeliveryLog, "enter", counting("violations", 1))
-elif fault == "strong":
-    change(DeliveryLog, "enter", counting("max_current_ma", 4.9))
-elif fault == "after zero":
-    for each in (link.LinkFirmware, *link.LinkFirmware.__subclasses__()):
-        if "_report" in vars(each):
-            change(each, "_report", after_zero)
+if fault == "after zero":
+    link.LinkFirmware._report = after_zero(link.LinkFirmware._report)
 elif fault == "volts":
-    change(link, "encode_volts", lambda encode: lambda volts: encode(np.full(len(volts), 650.0)))
+    encode = link.encode_volts
+    link.encode_volts = lambda volts: encode(np.full(len(volts), 650.0))
 elif fault == "beside":
-    change(kit.ETactileKitFirmware, "_pulses", beside)
+    kit.ETactileKitFirmware._pulses = beside(kit.ETactileKitFirmware._pulses)
 else:
-    raise SystemExit(f"no such fault: {fault}")
+    DeliveryLog.enter = entering(DeliveryLog.enter)
 main()

@@ -71,26 +71,19 @@ def pulses_in_books(folder):
     return found
 
 
-def without_repeating(*names):
-    """Return a decorator of a contract over what differs from another contract in a part.
-
-    That is shown by the tests of these names and by those of its own; the others, which repeat
-    what the other one shows, are run in CI.
-    """
-
-    def of_its_own(kind):
-        kept = {*names, *vars(kind)}
-        for name in dir(kind):
-            if name.startswith("test_") and name not in kept and not WHOLE:
-                setattr(kind, name, None)
-        return kind
-
-    return of_its_own
+DIFFERS = {
+    "test_a_stop_at_any_line_of_the_driver", "test_closing_puts_it_at_zero",
+    "test_what_the_device_is_sent_is_what_was_proved", "test_a_newer_sequence_ends_a_repetition",
+}  # fmt: skip
 
 
-AT_ANY_LINE = "test_a_stop_at_any_line_of_the_driver"
-CLOSES = "test_closing_puts_it_at_zero"
-SENT = "test_what_the_device_is_sent_is_what_was_proved"
+def without_repeating(kind):
+    """Decorate a contract over what differs from another in a part: tests that show no more than
+    the other's run in CI alone."""
+    for name in dir(kind):
+        if name.startswith("test_") and name not in {*DIFFERS, *vars(kind)} and not WHOLE:
+            setattr(kind, name, None)
+    return kind
 
 
 class Contract(DriverContract):
@@ -219,10 +212,7 @@ class TestETactileKit(OneAgainstAll):
     firmware, more = "71adee2", ()
 
 
-@without_repeating(
-    SENT, AT_ANY_LINE, CLOSES,
-    "test_a_newer_sequence_ends_a_repetition",
-)  # fmt: skip
+@without_repeating
 class TestNewestETactileKitOverTcp(TestETactileKit):
     more = ("tcp",)
     firmware = "newest"
@@ -299,10 +289,7 @@ class TestSimulated(TestMemory):
         self.assert_silent()
 
 
-@without_repeating(
-    SENT, AT_ANY_LINE, CLOSES,
-    "test_a_newer_sequence_ends_a_repetition",
-)  # fmt: skip
+@without_repeating
 class TestFirmware(Contract):
     @pytest.fixture
     def url(self, start_firmware, tmp_path):

@@ -106,54 +106,45 @@ def test_every_run_is_asked_and_says_whether_it_is_at_zero(folder, smarttouch_st
     assert list(folder.glob("*.json")) == []
 
 
-def withhold_request(folder, child, alive):
-    # Otherwise it might take this for a request.
-    os.kill(child, signal.SIGSTOP)
-    next(folder.glob("*.json")).with_suffix(".stop").symlink_to(folder / "nowhere" / "file")
+def happen(what, folder, child):
+    """Let something happen to a run or its files; return whether it is still there."""
+    file = next(folder.glob("*.json"))
+    if what in ("frozen", "request withheld"):
+        # Otherwise it might take the second for a request.
+        os.kill(child, signal.SIGSTOP)
+    if what == "request withheld":
+        file.with_suffix(".stop").symlink_to(folder / "nowhere" / "file")
+    elif what == "mark withheld":
+        (folder / "stopped").mkdir()
+    elif what == "copied":
+        shutil.copy(file, folder / f"{ID}.json")
+    elif what == "elsewhere":
+        os.environ["XDG_STATE_HOME"] = str(folder / "other")
+    elif what == "killed":
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    return what != "killed"
 
 
-def withhold_mark(folder, child, alive):
-    (folder / "stopped").mkdir()
-
-
-def copy(folder, child, alive):
-    shutil.copy(next(folder.glob("*.json")), folder / f"{ID}.json")
-
-
-def freeze(folder, child, alive):
-    os.kill(child, signal.SIGSTOP)
-
-
-def kill(folder, child, alive):
-    os.kill(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    alive.clear()
-
-
-def go_elsewhere(folder, child, alive):
-    os.environ["XDG_STATE_HOME"] = str(folder / "other")
-
-
-@pytest.mark.parametrize(("happens", "code", "said", "ends"), [
-    (copy, 2, [AT_ZERO, UNKNOWN], True),
-    (withhold_mark, 2, [AT_ZERO, "stop again"], True),
-    (withhold_request, 2, [f"cannot be asked .*: {UNKNOWN}"], False),
-    (freeze, 2, [f"did not answer: {UNKNOWN}"], False),
-    (go_elsewhere, 1, ["No run is announced in .*other"], False),
-    (kill, 1, ["No run is announced in "], None),
+@pytest.mark.parametrize(("what", "code", "said", "ends"), [
+    ("copied", 2, [AT_ZERO, UNKNOWN], True),
+    ("mark withheld", 2, [AT_ZERO, "stop again"], True),
+    ("request withheld", 2, [f"cannot be asked .*: {UNKNOWN}"], False),
+    ("frozen", 2, [f"did not answer: {UNKNOWN}"], False),
+    ("elsewhere", 1, ["No run is announced in .*other"], False),
+    ("killed", 1, ["No run is announced in "], None),
 ])  # fmt: skip
 @pytest.mark.parametrize("locks", [True, False], ids=["locks", "no locks"])
 def test_what_happens_to_a_run_and_its_files_hides_it_from_no_stop(
-    folder, smarttouch_stop, monkeypatch, happens, code, said, ends, locks
+    folder, smarttouch_stop, monkeypatch, what, code, said, ends, locks
 ):
     """Also on file systems whose locks other computers do not see, or that have none."""
     monkeypatch.setattr(run_registry, "ANSWER_S", 1.0)
     monkeypatch.setenv("XDG_STATE_HOME", os.environ["XDG_STATE_HOME"])
     if not locks:
         monkeypatch.setattr(run_registry, "try_lock", lambda _number, shared=False: True)
-    alive = [True]
     with in_child(until_zero(Display())) as child:
-        happens(folder, child, alive)
+        alive = happen(what, folder, child)
         found, sentences = smarttouch_stop()
         assert found == code
         for pattern in said:
@@ -162,7 +153,7 @@ def test_what_happens_to_a_run_and_its_files_hides_it_from_no_stop(
         if ends:
             assert exit_code(child) == 7
         else:
-            assert bool(run_registry._start_ns(child)) == bool(alive)
+            assert bool(run_registry._start_ns(child)) == alive
 
 
 def described(pid, changes):
