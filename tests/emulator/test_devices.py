@@ -12,7 +12,6 @@ import time
 
 import numpy as np
 import pytest
-import serial
 
 from smarttouch.emulator.__main__ import main
 from smarttouch.emulator.devices import EmulatedLoadCell, SensorArray, SensorFirmware, Server
@@ -25,7 +24,6 @@ from ..boards.fresh import starter, until
 from ..support.processes import Forked, emulator
 
 MS = 10**6
-ZERO = b"\xff" + bytes(61)
 
 
 @pytest.fixture
@@ -68,18 +66,6 @@ def test_bytes_pass_as_they_are_before_a_host_sets_up_its_end(start_board):
             assert os.read(port, 10) == bytes([count])
     finally:
         os.close(port)
-
-
-def test_a_kajimoto61_on_a_serial_port(start_board, tmp_path):
-    _, name = start_board("kajimoto61", "event=0 open 5", program=subprocess.Popen)
-    # It outlives its host, as it was.
-    for _ in range(2):
-        with serial.Serial(name, 921600, timeout=5) as port:
-            port.write(ZERO + b"\xfe")
-            reply = port.read(62)
-        assert (len(reply), reply[-1], reply[5]) == (62, 0xFF, 71)
-        time.sleep(0.2)
-    until(lambda: read_state(tmp_path)["slots"] == 122)
 
 
 def test_an_etactilekit_goes_on_without_its_host(start_board, tmp_path):
