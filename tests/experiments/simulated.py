@@ -1,5 +1,6 @@
 """Simulated subjects of known thresholds, and whole experiments on a simulated board."""
 
+import contextlib
 import math
 from dataclasses import dataclass, field
 
@@ -43,13 +44,12 @@ def answer_all(procedure, probability, seed=0):
     """Go through a procedure; answers are drawn from the probability of each comparison."""
     random = np.random.default_rng(seed)
     success = []
-    shown = ask_all(
-        procedure,
-        lambda each: (
-            success.append(bool(random.random() < probability(each.comparison))) or success[-1]
-        ),
-    )
-    return as_answers(shown, success)
+
+    def answer(condition):
+        success.append(bool(random.random() < probability(condition.comparison)))
+        return success[-1]
+
+    return as_answers(ask_all(procedure, answer), success)
 
 
 def read_rows(path):
@@ -59,14 +59,11 @@ def read_rows(path):
 
 def ask_all(procedure, answer=lambda _condition: True):
     """Return all conditions of a procedure; a function of each gives its answer."""
-    shown = []
-    condition = next(procedure, None)
-    while condition is not None:
-        shown.append(condition)
-        try:
+    shown, condition = [], next(procedure, None)
+    with contextlib.suppress(StopIteration):
+        while condition is not None:
+            shown.append(condition)
             condition = procedure.send(answer(condition))
-        except StopIteration:
-            break
     return shown
 
 

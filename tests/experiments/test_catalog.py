@@ -26,7 +26,7 @@ from smarttouch.running.step import Listener
 from ..support.checks import raises
 from ..support.runs import loop_through
 from ..support.scans import board_without_finger
-from .simulated import sit
+from .simulated import ask_all, sit
 
 EXAMPLE = Path(__file__).parents[2] / "examples/own_experiment.py"
 MOUSE = load_profile("electric-mouse")
@@ -35,13 +35,7 @@ MOUSE = load_profile("electric-mouse")
 def begun(name, profile=MOUSE, afferent=Afferent.RA, **options):
     """Return the setup of an experiment, and all of its trials, answered right."""
     setup, trials = trials_of(name, Setup(profile, afferent, **options))
-    shown, answer = [], None
-    while True:
-        try:
-            shown.append(next(trials) if answer is None else trials.send(answer))
-        except StopIteration:
-            return setup, shown
-        answer = Answer(shown[-1].success, True)
+    return setup, ask_all(trials, lambda trial: Answer(trial.success, True))
 
 
 def sites(train, afferent=Afferent.RA):

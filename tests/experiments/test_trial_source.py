@@ -309,14 +309,12 @@ def respond(path, answers, most=1000, name="frequency", **options):
     setup = Setup(MOUSE, **{"standards": "30,60", "repetitions": 1, "trials": 8} | options)
     with open_experiment(name, setup, path, "p", "s") as sitting:
         trials = sitting.source()._trials
-        answer = None
-        for _ in range(most + 1):
-            try:
-                trial = next(trials) if answer is None else trials.send(answer)
-            except StopIteration:
-                break
-            response = answers[len(sitting.file.rows) % len(answers)]
-            answer = Answer(response, response == trial.success if response else None, 0.3)
+        with contextlib.suppress(StopIteration):
+            trial = next(trials)
+            for _ in range(most):
+                response = answers[len(sitting.file.rows) % len(answers)]
+                right = response == trial.success if response else None
+                trial = trials.send(Answer(response, right, 0.3))
         return sitting.over
 
 

@@ -191,13 +191,11 @@ def test_without_contact_nothing_flows(tmp_path, mouse, mouse_bank):
     assert touched.tally.frames > 100 * (START_S + 1)
 
 
-@pytest.mark.parametrize(("options", "about", "allowed"), [
-    ({"rate_hz": 5}, "rate_hz", (10, 200)),
-    ({"rate_hz": 201}, "rate_hz", (10, 200)),
-    ({"mode": Mode.NATURAL}, "mode", ("RA", "SAI", "PC")),
-    ({"mode": Mode.COLOR}, "mode", ("RA", "SAI", "PC")),
+@pytest.mark.parametrize(("options", "allowed"), [
+    *(({"rate_hz": each}, (10, 200)) for each in (5, 201)),
+    *(({"mode": each}, ("RA", "SAI", "PC")) for each in (Mode.NATURAL, Mode.COLOR)),
 ])  # fmt: skip
-def test_the_impossible_is_refused(mouse, options, about, allowed):
+def test_the_impossible_is_refused(mouse, options, allowed):
     (value,) = options.values()
     with raises(SourceError, value=value, allowed=allowed):
         MouseSource(GRATING, Played([]), mouse, **options)

@@ -247,14 +247,14 @@ def grey(level, shape=(8, 8)):
     return [np.full(shape, level, np.uint8)]
 
 
-@pytest.mark.parametrize(("dark", "white", "about", "value"), [
-    ([], grey(200), "frames", None),
-    (grey(10), grey(30), "white", 20),
-    (grey(200), grey(20), "white", -180),
-    (grey(10), grey(255), "white", 1.0),
-    (grey(10), grey(200, (8, 9)), "frames", (8, 9)),
-    (grey(10), grey(200) + grey(200, (9, 9)), "frames", ((8, 8), (9, 9))),
+@pytest.mark.parametrize(("dark", "white", "value"), [
+    ([], grey(200), None),
+    (grey(10), grey(30), 20),
+    (grey(200), grey(20), -180),
+    (grey(10), grey(255), 1.0),
+    (grey(10), grey(200, (8, 9)), (8, 9)),
+    (grey(10), grey(200) + grey(200, (9, 9)), ((8, 8), (9, 9))),
 ])  # fmt: skip
-def test_references_that_are_none(dark, white, about, value):
+def test_references_that_are_none(dark, white, value):
     with raises(CalibrationError, value=value):
         FlatField.measure(dark, white)

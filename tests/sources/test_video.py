@@ -172,14 +172,14 @@ def tiny(path, width):
     Image.fromarray(np.zeros((6, width), np.uint8)).save(path)
 
 
-@pytest.mark.parametrize(("url", "kind", "place", "make", "attributes"), [
-    ("video:", "file", "", None, {"names": "frames:"}),
-    ("frames:notes.txt", "folder", "notes.txt", None, {"names": "video:"}),
-    ("frames:nowhere", "folder", "nowhere", None, {}),
-    ("frames:empty", "folder", "empty", Path.mkdir, {}),
-    ("frames:", "file", "1.png", lambda path: tiny(path, 1), {}),
+@pytest.mark.parametrize(("url", "place", "make", "attributes"), [
+    ("video:", "", None, {"names": "frames:"}),
+    ("frames:notes.txt", "notes.txt", None, {"names": "video:"}),
+    ("frames:nowhere", "nowhere", None, {}),
+    ("frames:empty", "empty", Path.mkdir, {}),
+    ("frames:", "1.png", lambda path: tiny(path, 1), {}),
 ])  # fmt: skip
-def test_what_is_neither_a_video_nor_a_folder(profile, folder, url, kind, place, make, attributes):
+def test_what_is_neither_a_video_nor_a_folder(profile, folder, url, place, make, attributes):
     if make is not None:
         make(folder / place)
     scheme, _, opened = url.partition(":")

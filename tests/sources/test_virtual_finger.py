@@ -239,13 +239,13 @@ def test_recorded_path(tmp_path):
     assert path.duration_s == 1
 
 
-@pytest.mark.parametrize(("text", "about", "value"), [
-    (None, "file", "path.csv"),
-    ("a,b\n", "columns", ("a", "b")),
-    (HEADER + "0,0,0,0,0\n", "rows", 1),
-    (HEADER + "0,0,0,0,0\n0,0,0,0,0\n", "line", 3),
+@pytest.mark.parametrize(("text", "value"), [
+    (None, "path.csv"),
+    ("a,b\n", ("a", "b")),
+    (HEADER + "0,0,0,0,0\n", 1),
+    (HEADER + "0,0,0,0,0\n0,0,0,0,0\n", 3),
 ])  # fmt: skip
-def test_bad_recorded_paths(tmp_path, text, about, value):
+def test_bad_recorded_paths(tmp_path, text, value):
     file = tmp_path / "path.csv"
     if text is not None:
         file.write_text(text)

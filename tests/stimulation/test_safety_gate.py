@@ -1,6 +1,7 @@
 """Every limit raises, nothing that keeps them is refused, and the ramp follows a clock."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -107,16 +108,6 @@ def test_each_limit_raises(bad, limit, slot, electrode):
         warmed().check(bad)
 
 
-class ManualClock:
-    """Time as a test sets it."""
-
-    def __init__(self):
-        self.time_ns = 0
-
-    def now_ns(self):
-        return self.time_ns
-
-
 weak_or_strong = st.lists(
     st.tuples(
         st.integers(0, 2400), st.integers(1, 200), st.floats(0, 1), st.integers(5_000, 10**6)
@@ -148,16 +139,17 @@ def test_whatever_weak_current_claims_it_opens_a_multiple_of_itself(asked):
 
 def test_parts_and_repetitions_of_a_sequence_open_the_level_once():
     """Written three times, 20 ms apart: its one pass counts from the first."""
-    clock, opened = ManualClock(), []
+    time_ns, opened = [SECOND], []
     for noted in (1, 3):
-        gate, clock.time_ns = SafetyGate(LIMITS, clock), SECOND
+        time_ns[0] = SECOND
+        gate = SafetyGate(LIMITS, SimpleNamespace(now_ns=lambda: time_ns[0]))
         gate.check(sequence([], intensity=0.0, time_ns=0))
         weak = sequence([[-40, 20, 10, 10]], intensity=0.02, period_us=50_000, time_ns=1)
         proved = gate.prove(weak)
         for _ in range(noted):
             gate.note(proved)
-            clock.time_ns += 20_000_000
-        clock.time_ns = 2 * SECOND
+            time_ns[0] += 20_000_000
+        time_ns[0] = 2 * SECOND
         opened.append(gate.ramp.allowed_level(2))
     assert opened[0] == opened[1]
 
