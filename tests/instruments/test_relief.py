@@ -144,20 +144,17 @@ def test_bright_parts_of_a_deep_image_may_be_high(tmp_path):
 
 
 @pytest.mark.parametrize(("spec", "options", "attributes"), [
-    ("grating:", {}, {"value": "grating:"}),
-    ("grating:4cm", {}, {"value": "grating:4cm"}),
+    *((spec, {}, {"value": spec}) for spec in ("grating:", "grating:4cm")),
+    *((name, {}, {"value": Path(name)}) for name in ("none.png", "words.png")),
     ("grating:0.01mm", {}, {"value": 0.01}),
     ("grating:4mm,400deg", {}, {"value": 400, "allowed": (-360, 360)}),
     ("grating:4mm", {"width_mm": 10}, {"value": "grating:4mm"}),
-    ("none.png", {}, {"value": Path("none.png")}),
-    ("text: ", {}, {}),
-    ("text:a", {"dpi": 100}, {}),
+    ("text: ", {}, {}), ("text:a", {"dpi": 100}, {}),
     ("o.png", {"dpi": 100, "width_mm": 20}, {}),
     ("o.png", {"grain_mm": 0.0}, {"value": 0}),
     ("o.png", {"width_mm": 1e5}, {"names": SCALE}),
     ("flat.png", {"dpi": 100}, {"value": "flat.png"}),
     ("unscaled.png", {}, {"value": Path("unscaled.png"), "names": SCALE}),
-    ("words.png", {}, {"value": Path("words.png")}),
 ])  # fmt: skip
 def test_errors_are_reported(tmp_path, monkeypatch, spec, options, attributes):
     monkeypatch.chdir(tmp_path)

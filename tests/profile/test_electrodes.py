@@ -73,16 +73,13 @@ def test_by_number_and_range(sites, expected):
     assert require_driven(MOUSE, sites, ProfileError, "site").tolist() == expected
 
 
-@pytest.mark.parametrize("text", ["", "a", "3-", "-3", "1;2", "5-2", "64", "0-64"])
-def test_what_is_no_list_of_electrodes(text):
-    with raises(ProfileError, names="sites", value=text):
-        require_driven(MOUSE, text, ProfileError, "sites")
-
-
-@pytest.mark.parametrize(("sites", "site"), [([], None), ([64], 64), ([-1], -1)])
-def test_what_is_not_there(sites, site):
-    with raises(ProfileError, names="site", value=site, electrode=site):
-        require_driven(MOUSE, sites, ProfileError, "site")
+@pytest.mark.parametrize(("sites", "value", "more"), [
+    *((text, text, {}) for text in ("", "a", "3-", "-3", "1;2", "5-2", "64", "0-64")),
+    *((sites, site, {"electrode": site}) for sites, site in (([], None), ([64], 64), ([-1], -1))),
+])  # fmt: skip
+def test_what_is_no_list_of_electrodes(sites, value, more):
+    with raises(ProfileError, names="sites", value=value, **more):
+        require_driven(MOUSE, sites, ProfileError, "sites")
 
 
 def test_masked_ones(changed):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import ProfileError
+from smarttouch.profile import load_profile
 from smarttouch.profile.profile import stricter
 from smarttouch.stimulation.safety_limits import SafetyLimits
 
@@ -24,24 +25,20 @@ def comfortable(profile, comfort_ma, threshold_ma=None):
 
 
 @pytest.mark.parametrize(
-    ("key", "low", "high"),
+    ("key", "strict", "wide"),
     [
         ("current_ma", 2.5, 5.0), ("total_ma", 4.0, 10.0), ("total_ma", 4.0, None),
         ("pulse_us", 200.0, 200.0), ("charge_uc", 0.49, 0.5), ("rate_hz", 60.0, 200.0),
         ("duty", 0.4, 0.8), ("density_uc_cm2", 70.0, 100.0), ("session_s", 60.0, 3600.0),
-        ("session_mc", 5.0, 1800.0),
+        ("session_mc", 5.0, 1800.0), ("ramp_s", 2.0, 0.5),
     ],
 )  # fmt: skip
-def test_the_lower_limit_holds_whoever_has_it(profile, key, low, high):
-    strict, wide = (with_limits(profile, **{key: value}) for value in (low, high))
-    assert getattr(stricter(wide, strict).limits, key) == low
-    assert getattr(stricter(strict, wide).limits, key) == low
-    assert stricter(wide, strict).shares == wide.shares
-
-
-def test_the_longer_ramp_holds(profile):
-    slow = with_limits(profile, ramp_s=2.0)
-    assert [stricter(*pair).limits.ramp_s for pair in ((slow, profile), (profile, slow))] == [2, 2]
+def test_the_lower_limit_holds_whoever_has_it(profile, key, strict, wide):
+    """And the longer ramp."""
+    one, other = (with_limits(profile, **{key: value}) for value in (strict, wide))
+    assert getattr(stricter(other, one).limits, key) == strict
+    assert getattr(stricter(one, other).limits, key) == strict
+    assert stricter(other, one).shares == other.shares
 
 
 def test_the_same_limits_leave_a_profile_as_it_is(profile):
@@ -82,20 +79,14 @@ def test_masks_add_up(profile):
     assert both.output.masked == (3, 5, 9)
 
 
-def test_another_array_lowers_all_electrodes_to_its_least(profile, other_array):
+def test_another_array_lowers_all_electrodes_to_its_least(profile):
+    other_array = load_profile("kajimoto-61")
     currents = np.full(len(other_array.electrodes), 2.0)
     currents[7] = 1.5
     masked = with_output(comfortable(other_array, tuple(currents), 1.2), (2,))
     both = stricter(profile, masked)
     assert both.full_ma.max() == pytest.approx(1.5, abs=2e-3)
     assert (len(both.electrodes), both.output.masked) == (64, ())
-
-
-@pytest.fixture
-def other_array():
-    from smarttouch.profile import load_profile
-
-    return load_profile("kajimoto-61")
 
 
 def test_what_no_pulse_fits_is_refused(profile):

@@ -59,24 +59,13 @@ def spot(x_mm, y_mm, side_mm=0.8, mm_per_pixel=0.04):
     return grey
 
 
-def center_of_ink(image):
-    ink = image < 128
-    rows, columns = np.nonzero(ink)
-    return columns.mean() + 0.5, rows.mean() + 0.5
-
-
-def test_a_spot_is_where_it_lies(still):
-    frame = still(spot(11.0, 9.5), 0.04).read(0)
-    x, y = center_of_ink(frame.image)
-    assert x == pytest.approx(32 + 1.0 / 5 * 64, abs=0.5)
-    assert y == pytest.approx(32 - 0.5 / 5 * 64, abs=0.5)
+@pytest.mark.parametrize(("y_mm", "angle", "x", "y"), [(9.5, 0, 44.8, 25.6), (10, 90, 32, 19.2)])
+def test_a_spot_is_where_it_lies_and_turns_against_the_finger(still, y_mm, angle, x, y):
+    frame = still(spot(11.0, y_mm), 0.04, angle).read(0)
+    rows, columns = np.nonzero(frame.image < 128)
+    assert columns.mean() + 0.5 == pytest.approx(x, abs=0.5)
+    assert rows.mean() + 0.5 == pytest.approx(y, abs=0.5)
     assert frame.force_n == 1
-
-
-def test_turning_the_finger_turns_the_view_the_other_way(still):
-    x, y = center_of_ink(still(spot(11.0, 10.0), 0.04, angle=90).read(0).image)
-    assert x == pytest.approx(32, abs=0.5)
-    assert y == pytest.approx(32 - 12.8, abs=0.5)
 
 
 def opened(profile, seed, name="page.png"):
