@@ -4,6 +4,7 @@ import random
 import struct
 import zlib
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -156,11 +157,11 @@ class World:
     def make_board(self):
         """Return the board of a host that comes to this one."""
         output = Output(kind="weighted")
-        driver = ToldDriver("the middle", LIMITS, output)
-        driver._session = ToldSession(self, driver)
-        return Board(
-            driver, LIMITS, output, clock=WorldClock(self), on_a_finger=False, claimed_time=True
-        )  # fmt: skip
+        driver = LinkDriver("the middle", LIMITS, output)
+        # Without a thread: the world lets it do what is due.
+        driver._session, driver.idle_s = ToldSession(self, driver), 0.0
+        clock = SimpleNamespace(now_ns=lambda: self.now_ns)
+        return Board(driver, LIMITS, output, clock=clock, on_a_finger=False, claimed_time=True)
 
     def wait(self, time_ms):
         for _ in range(time_ms):
@@ -227,22 +228,6 @@ class World:
         if judged is not None and judged[1] and listening:
             self.replayed["host"] += 1
             assert self.host.refused == before + 1, "a replay was not counted"
-
-
-class WorldClock:
-    """The world's time."""
-
-    def __init__(self, world):
-        self._world = world
-
-    def now_ns(self):
-        return self._world.now_ns
-
-
-class ToldDriver(LinkDriver):
-    """A driver without a thread: the world lets it do what is due."""
-
-    idle_s = 0.0
 
 
 class ToldSession(LinkSession):
