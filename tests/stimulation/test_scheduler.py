@@ -166,13 +166,6 @@ def test_successive_points_are_apart(count):
     assert steps.min() >= count // 4
 
 
-def assert_joined(joined, parts):
-    """Check that slots are those of several sequences, one after the other."""
-    for name in ("site", "current_ua", "width_us", "discharge_us"):
-        alone = np.concatenate([getattr(each, name) for each in parts])
-        assert getattr(joined, name).tolist() == alone.tolist(), name
-
-
 def natural_image():
     """RA and SAI here and there, each point as strong as no other: no slot is another's."""
     rows = np.zeros((3, 64), np.float32)
@@ -189,7 +182,9 @@ def test_classes_that_are_due_together_follow_one_another(profile, bank):
         ScanScheduler(profile, bank, (each,), 10.0).schedule(natural_image(), 0.7) for each in both
     )
     assert (first.slots, second.slots) == (22, 13)
-    assert_joined(joined, (first, second))
+    for name in ("site", "current_ua", "width_us", "discharge_us"):
+        alone = np.concatenate([getattr(each, name) for each in (first, second)])
+        assert getattr(joined, name).tolist() == alone.tolist(), name
     assert joined.proof is None
     prove_alone(profile, joined)
 
