@@ -3,17 +3,33 @@
 Errors are natural logarithms of estimate over truth, so nearly parts of the threshold.
 """
 
+import numpy as np
 import pytest
 
-from tests.experiments.simulated import PROCEDURES, TASKS, recover
+from smarttouch.experiments.answers import usual_model
+from smarttouch.experiments.findings import judge_answers
+from tests.experiments.simulated import answer_all
+from tests.experiments.test_procedures import AS_USED, draw_subject
 
 
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize("task", TASKS)
-def test_recovery(task, row, quick, runs):
+@pytest.mark.parametrize(("task", "name"), AS_USED)
+def test_recovery(task, name, row, quick, runs):
     subjects = 12 if quick else runs or 200
-    for name in PROCEDURES:
-        found = recover(task, name, subjects)
-        row("Simulated subjects", {"task": task, "procedure": name} | found.cells)
-        assert abs(found.fitted.mean()) < (0.2 if quick else 0.05)
-        assert found.covered > (0.5 if quick else 0.9)
+    random, errors, held, trials = np.random.default_rng(0), [], [], []
+    for seed in range(subjects):
+        subject = draw_subject(task, random)
+        answers = answer_all(AS_USED[task, name](seed), subject.probability, [0, seed])
+        trials.append(answers.answered)
+        found = judge_answers(answers, usual_model([answers]))
+        if found.verdict is None:
+            errors.append(np.log(found.threshold.value / subject.threshold))
+            held.append(found.threshold.low <= subject.threshold <= found.threshold.high)
+    row("Simulated subjects", {
+        "task": task, "procedure": name, "trials": f"{np.mean(trials):.1f}",
+        "without threshold": subjects - len(errors),
+        "bias, SD": f"{np.mean(errors):+.3f}, {np.std(errors):.3f}",
+        "95 % interval holds": f"{np.mean(held):.3f}",
+    })  # fmt: skip
+    assert abs(np.mean(errors)) < (0.2 if quick else 0.05)
+    assert np.mean(held) > (0.5 if quick else 0.88)
