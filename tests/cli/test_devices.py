@@ -81,6 +81,7 @@ def test_info(program_here, kit):
     assert state_of(kit[1])["slots"] == 0
 
 
+@pytest.mark.realtime
 @on("etactilekit")
 def test_a_walk_through_the_electrodes(program_here, kit):
     url, books = kit
@@ -121,6 +122,7 @@ def test_a_key_goes_on_to_the_next_electrode_and_q_ends_it():
     os.close(keyboard)
 
 
+@pytest.mark.realtime
 @on("etactilekit")
 def test_stop(program_here, kit):
     program_here("stop", kit[0]).fine()

@@ -241,6 +241,7 @@ def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(play, b
     assert found[-1] > 0.5
 
 
+@pytest.mark.realtime
 def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     """By the voltages and the force that the board reports; it comes back from zero."""
     sent = []

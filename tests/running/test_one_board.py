@@ -9,6 +9,8 @@ import smarttouch as st
 from smarttouch.boards.board import Board
 from smarttouch.emulator.firmware import read_slots, read_state
 
+pytestmark = pytest.mark.realtime
+
 FIGURES = (
     "frames", "sequences", "slots", "pulses", "acknowledged", "refused", "dropped_late", "restarts",
     "lifts", "without_force_or_image", "packets_refused_by_board", "reported_by",

@@ -229,6 +229,7 @@ class Brighter(StimulusSource):
         )
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("url", ["memory:", "emulator:"])
 @pytest.mark.parametrize("period_us", sample([20_000, 120_000]))
 def test_strong_pulses_after_weak_ones_rise_by_the_ramp(url, period_us, profile, changed):
