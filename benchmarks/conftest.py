@@ -3,7 +3,13 @@
 ``pytest benchmarks --quick`` takes each path once, short, with all assertions but those on speed.
 """
 
+import sys
+from pathlib import Path
+
 import pytest
+
+sys.path.append(str(Path(__file__).parents[1]))  # last: an installed package comes first
+pytest_plugins = ["tests.fixtures"]
 
 
 def pytest_addoption(parser):

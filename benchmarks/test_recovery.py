@@ -6,25 +6,14 @@ Errors are natural logarithms of estimate over truth, so nearly parts of the thr
 import numpy as np
 import pytest
 
-from smarttouch.experiments.answers import usual_model
-from smarttouch.experiments.findings import judge_answers
-from tests.experiments.simulated import answer_all
-from tests.experiments.test_procedures import AS_USED, draw_subject
+from tests.experiments.test_procedures import AS_USED, recover
 
 
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("task", "name"), AS_USED)
 def test_recovery(task, name, row, quick, runs):
     subjects = 12 if quick else runs or 200
-    random, errors, held, trials = np.random.default_rng(0), [], [], []
-    for seed in range(subjects):
-        subject = draw_subject(task, random)
-        answers = answer_all(AS_USED[task, name](seed), subject.probability, [0, seed])
-        trials.append(answers.answered)
-        found = judge_answers(answers, usual_model([answers]))
-        if found.verdict is None:
-            errors.append(np.log(found.threshold.value / subject.threshold))
-            held.append(found.threshold.low <= subject.threshold <= found.threshold.high)
+    errors, held, trials = recover(task, name, subjects)
     row("Simulated subjects", {
         "task": task, "procedure": name, "trials": f"{np.mean(trials):.1f}",
         "without threshold": subjects - len(errors),

@@ -2,10 +2,15 @@
 
 import select
 import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
-from firmware.tests.build import CortexM3, host
+sys.path.append(str(Path(__file__).parents[2]))  # last: an installed package comes first
+pytest_plugins = ["tests.fixtures"]
+
+from firmware.tests.build import CortexM3, host  # noqa: E402, the folder comes first
 
 
 @pytest.fixture

@@ -149,10 +149,10 @@ def draw_subject(task, random):
     return Subject(threshold, random.uniform(0.08, 0.3), 0.5, lapse, guess=0.0)
 
 
-@pytest.mark.parametrize(("task", "name"), AS_USED)
-def test_thresholds_come_back(task, name):
+def recover(task, name, subjects):
+    """Return errors of estimates, whether intervals hold the truth, and numbers of trials."""
     random, errors, held, trials = np.random.default_rng(0), [], [], []
-    for seed in range(24):
+    for seed in range(subjects):
         subject = draw_subject(task, random)
         answers = answer_all(AS_USED[task, name](seed), subject.probability, [0, seed])
         trials.append(answers.answered)
@@ -160,6 +160,12 @@ def test_thresholds_come_back(task, name):
         if found.verdict is None:
             errors.append(np.log(found.threshold.value / subject.threshold))
             held.append(found.threshold.low <= subject.threshold <= found.threshold.high)
+    return errors, held, trials
+
+
+@pytest.mark.parametrize(("task", "name"), AS_USED)
+def test_thresholds_come_back(task, name):
+    errors, held, trials = recover(task, name, 24)
     assert len(errors) >= 16
     # Weber fractions are from 8 to 40 %: what is found has to be told apart from any other.
     assert abs(np.mean(errors)) < 0.06

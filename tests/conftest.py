@@ -3,5 +3,5 @@
 import sys
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).parent))  # last: an installed package comes first
+sys.path.append(str(Path(__file__).parents[1]))  # last: an installed package comes first
 pytest_plugins = ["tests.fixtures"]
