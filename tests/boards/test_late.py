@@ -62,6 +62,27 @@ def test_a_tenth_of_a_second_is_the_limit(on_a_finger, late_ns, sent):
     assert (len(board.driver.sequences), board.dropped_late) == (sent, 2 - sent)
 
 
+class StandsStill(MemoryDriver):
+    """The computer stands still within the driver, before a device that is not a port."""
+
+    clock = None
+
+    def write(self, proved):
+        if self.clock is not None:
+            self.clock.time_ns += LATE_NS + 1
+        super().write(proved)
+
+
+def test_a_driver_without_a_port_writes_nothing_that_is_late():
+    board = board_of(StandsStill, 8, "")
+    with board:
+        board.send(pulses(8, 0))
+        board.driver.clock = board.clock
+        with pytest.raises(SequenceLateError):
+            board.send(pulses(8, 1))
+    assert len(board.driver.sequences) == 1
+
+
 @pytest.mark.parametrize("pause_ns", [3 * LATE_NS, HOUR_NS])
 def test_after_a_pause_it_begins_at_zero(pause_ns):
     """Also after an hour of sleep: the clock runs on while the machine is suspended."""
