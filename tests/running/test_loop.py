@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Mode
+from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import BoardStoppedError, LineLostError
 from smarttouch.base.events import BoardRestarted
 from smarttouch.base.posix import priority_advice
@@ -260,7 +261,9 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     away = int(np.argmax(np.diff(time_s[driven])))
     # It is lifted for 0.6 s, and told of a little later than put back.
     assert np.diff(time_s[driven])[away] > 0.3
-    assert np.all(np.diff(found) <= np.diff(time_s) / profile.limits.ramp_s + 0.01)
+    # After a delay of the computer it may catch up by 100 ms.
+    rise_s = np.diff(time_s) + LATE_NS / 1e9
+    assert np.all(np.diff(found) <= rise_s / profile.limits.ramp_s + 0.01)
     assert max(found[: driven[away]]) == 1
     assert max(found[driven[away + 1] :]) > 0.5
 
