@@ -101,13 +101,12 @@ def faults_of(path):
     return list(visit(ast.parse(text)))
 
 
-def choose(folders, faults, critical, seed, without):
+def choose(faults, critical, seed, without):
     """Return faults, spread by lines over the files; ``critical`` of them in CRITICAL folders."""
     files = [
         path
         for path in sorted(Path("smarttouch").rglob("*.py"))
         if not re.search(without, str(path))
-        and (not folders or any(path.is_relative_to(folder) for folder in folders))
     ]
     pick, chosen = random.Random(seed), {}
     lines = {path: len(path.read_text("utf-8").splitlines()) for path in files}
@@ -152,8 +151,15 @@ def check(options):
 def chosen_faults(options):
     """Return the faults that the command line asks for."""
     if options.listed:
-        return listed()
-    return choose(options.folders, options.faults, options.critical, options.seed, options.without)
+        chosen = listed()
+    else:
+        chosen = choose(options.faults, options.critical, options.seed, options.without)
+    folders = [Path("smarttouch", folder) for folder in options.folders or [""]]
+    return {
+        fault: text
+        for fault, text in chosen.items()
+        if any(map(Path(fault[0]).is_relative_to, folders))
+    }
 
 
 def tests_of_lines():
@@ -271,11 +277,14 @@ def table(_):
 def map_tests(_):
     """Run the suite with coverage by test."""
     BUILD.mkdir(exist_ok=True)
+    COVERAGE.unlink(missing_ok=True)
     command = [sys.executable, "-m", "pytest", "-q", "--cov=smarttouch", "--cov-context=test"]
     environment = {**os.environ, "COVERAGE_FILE": str(COVERAGE.absolute())}
     with DURATIONS.open("w", encoding="utf-8") as file:
         more = ["--cov-report=", "--durations=0", "--durations-min=0"]
         subprocess.run([*command, *more], stdout=file, env=environment, check=False)
+    if not COVERAGE.exists():
+        sys.exit(f"no coverage was measured: is pytest-cov installed? {DURATIONS} has the output")
 
 
 def main():
@@ -291,7 +300,7 @@ def main():
     checker = commands.add_parser("check")
     checker.set_defaults(function=check)
     for command in (runner, checker):
-        command.add_argument("folders", nargs="*", help="of the package; all if none is given")
+        command.add_argument("folders", nargs="*", help="those in these, such as boards; or all")
         command.add_argument("--faults", type=int, default=300)
         command.add_argument("--critical", type=int, default=60, help="in stimulation and boards")
         command.add_argument("--seed", type=int, default=4)
