@@ -20,5 +20,5 @@ from smarttouch.sources.live_capture import Shot as Shot
 from smarttouch.sources.source_contract import Device as Device
 from smarttouch.sources.source_contract import DeviceWarnings as DeviceWarnings
 from smarttouch.sources.source_contract import Pose as Pose
-from smarttouch.stimulation.pulse_rates import ScanTiming as ScanTiming
 from smarttouch.stimulation.safety_gate import ProvedSequence as ProvedSequence
+from smarttouch.stimulation.scan_sequence import ScanTiming as ScanTiming

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import BoardError, BoardFaultError
 from smarttouch.boards.reports import BoardReport, Capabilities, SequenceStart
 from smarttouch.profile import DEFAULT_PROFILE
-from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.scan_sequence import ScanTiming
 
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board

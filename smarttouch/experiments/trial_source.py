@@ -15,8 +15,8 @@ from smarttouch.profile import Profile
 from smarttouch.running.program import SILENT_US, STEADY, Level, Program, Shown
 from smarttouch.running.step import RunContext, StepResult
 from smarttouch.sources.source_contract import Input, Stimulus
-from smarttouch.stimulation.pulse_rates import rate_share
 from smarttouch.stimulation.safety_gate import FIRST_NS, MOST_STEP_NS
+from smarttouch.stimulation.scheduler import rate_share
 
 PAUSE_S = 0.5  # least time between an answer and the next trial
 PATIENCE_S = 10.0  # for the current of a trial, where nobody is there who could press harder

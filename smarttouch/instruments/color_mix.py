@@ -22,8 +22,8 @@ from smarttouch.profile import Profile
 from smarttouch.profile.profile import require_driven
 from smarttouch.running.display import Display
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
-from smarttouch.stimulation.point_slots import perceived_at
-from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.scan_sequence import ScanTiming
+from smarttouch.stimulation.slots import perceived_at
 
 
 def disc(profile: Profile) -> NDArray[np.intp]:
@@ -63,11 +63,10 @@ Times = NDArray[np.int64]
 def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
     """Return the shortest sequence with so many slots within the profile's limits, µs."""
     pulse, limits = profile.pulse, profile.limits
-    busy_us = timing.shortest_period_us(
-        slots, len(profile.electrodes), pulse.width_us, pulse.discharge_us
-    )
     within_us = max(slots * pulse.width_us / limits.duty, 1e6 / limits.rate_hz)
-    return max(busy_us, timing.possible_period_us(within_us))
+    return timing.shortest_period_us(
+        within_us, slots, len(profile.electrodes), pulse.width_us, pulse.discharge_us
+    )
 
 
 def thinned(time_us: Times, least_us: int) -> Times:

@@ -20,7 +20,7 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError, SmartTouchError
 from smarttouch.base.files import read_csv
 from smarttouch.physiology.vibration_thresholds import sensitivity, threshold_um
-from smarttouch.stimulation.pulse_rates import SLOWEST
+from smarttouch.stimulation.scheduler import SLOWEST
 
 Array = NDArray[np.float64]
 

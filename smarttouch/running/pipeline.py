@@ -18,14 +18,13 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.step import Measured, Step
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
 from smarttouch.stimulation.adaptation import RESERVED, Adaptation
-from smarttouch.stimulation.frame_slots import FrameSlots
-from smarttouch.stimulation.pulse_rates import ScanTiming, force_gate
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_recharge
 from smarttouch.stimulation.safety_gate import Ramp
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
-from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
-from smarttouch.stimulation.scheduler import NetPlan, ScanScheduler, SchedulerContext
+from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence, ScanTiming
+from smarttouch.stimulation.scheduler import NetPlan, ScanScheduler, SchedulerContext, force_gate
 from smarttouch.stimulation.sequence_limits import strength_ppb
+from smarttouch.stimulation.slots import FrameSlots
 
 _WAITING_UC = 0.02  # charge that whole µA of the longest recharge phase may leave
 

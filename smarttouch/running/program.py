@@ -38,7 +38,7 @@ from smarttouch.sources.source_contract import (
     checked_activation,
     gray_image,
 )
-from smarttouch.stimulation.pulse_rates import force_gate
+from smarttouch.stimulation.scheduler import force_gate
 
 STEADY = 0.98  # part of a level that counts as reached
 SILENT_US = 20_000  # period of a silence that is asked for, and of pulses that open a level

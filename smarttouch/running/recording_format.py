@@ -25,8 +25,12 @@ from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.step import FirstPulse, Step, StepResult
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
-from smarttouch.stimulation.pulse_rates import ScanTiming
-from smarttouch.stimulation.scan_sequence import ScanSequence, SelectivityReport, SlotPolicy
+from smarttouch.stimulation.scan_sequence import (
+    ScanSequence,
+    ScanTiming,
+    SelectivityReport,
+    SlotPolicy,
+)
 from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
 
 FORMAT = "2"  # version of the format, raised when older readers can no longer read it

@@ -124,9 +124,10 @@ class RunStatistics:
         if slots := len(sequence.width_us):
             self.slots += slots
             self.modes.add(step.mode)
-        if sequence.proof is not None and (shared := sequence.proof.shared) is not None:
-            self.off_target = max(self.off_target, shared[0])
-            self.spill = max(self.spill, shared[1])
+        proof = sequence.proof
+        if proof is not None and (several := proof.points > 1).any():
+            self.off_target = max(self.off_target, float(proof.off_target[several].max()))
+            self.spill = max(self.spill, float(proof.spill[several].max()))
         self.slowed += sequence.period_us > step.asked_us
         self.asked_us += step.asked_us
         self.scan_us += sequence.period_us

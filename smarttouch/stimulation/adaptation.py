@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.profile import Profile
-from smarttouch.stimulation.point_slots import Slots
 from smarttouch.stimulation.scan_sequence import ScanSequence, round_charge_balanced
+from smarttouch.stimulation.slots import Slots
 
 NEAR = 0.92  # part of the compliance above which a source counts as saturated
 FASTEST_FALL = 0.8

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_DUTY, CEILING_MEAN_MA
-from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_limits import recharge_most_ua
-from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.scan_sequence import ScanSequence, ScanTiming
 from smarttouch.stimulation.sequence_limits import (
     BURST_US,
     MOST_RECHARGE_PC,
@@ -128,7 +127,7 @@ def add_recharge(
         sequence.period_us,
         _fitting_us(sequence, width_us, rules),
         # At which no electrode's mean current exceeds the planned one.
-        rules.timing.possible_period_us(min(BURST_US, -(-int(most_pc.max()) // _PLANNED_UA))),
+        rules.timing.shortest_period_us(min(BURST_US, -(-int(most_pc.max()) // _PLANNED_UA))),
     )
     room_pc = np.maximum(_PLANNED_UA * min(period_us, BURST_US) - passed_pc, 0)
     most_ua = np.minimum(most_ua, room_pc // width_us)
@@ -161,6 +160,7 @@ def _fitting_us(sequence: ScanSequence, width_us: int, rules: RechargeRules) -> 
     """Return the shortest period with room for a recharge phase and a short circuit after it."""
     timing = rules.timing
     slots_us = timing.shortest_period_us(
+        0,
         sequence.slots,
         sequence.electrodes,
         float(sequence.width_us.mean()),
@@ -172,4 +172,4 @@ def _fitting_us(sequence: ScanSequence, width_us: int, rules: RechargeRules) -> 
     busy_us = max(slots_us, all_us) + width_us + rest_us
     flowing_us = pulses_us + width_us
     # A hair more: the duty is compared in whole numbers.
-    return timing.possible_period_us(max(busy_us, (flowing_us + 1e-6) / rules.duty))
+    return timing.shortest_period_us(max(busy_us, (flowing_us + 1e-6) / rules.duty))

@@ -2,9 +2,10 @@
 ramp: how strong current may be, by what has flowed since it was zero."""
 
 from contextlib import AbstractContextManager
-from dataclasses import InitVar, dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 from threading import RLock
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from smarttouch.base.clock import LATE_NS, Clock
 from smarttouch.base.errors import SafetyError
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion, refusal
-from smarttouch.stimulation.scan_sequence import ScanSequence, unwritable
+from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.stimulation.sequence_limits import Dose, Exposure, prove_sequence
 
 __all__ = ["ProvedSequence", "Ramp", "SafetyGate", "SafetyLimits"]
@@ -43,8 +44,6 @@ _ARRAYS = (
 may be None."""
 
 
-_GATE: Final = object()
-"""Key with which the gate makes a `ProvedSequence`."""
 WAITS_NS = 5_000_000_000
 """Longest wait of a sequence for its turn, beside four of its periods and its repetitions: a kit
 that has lost a command takes over 2 s to find the next one."""
@@ -62,7 +61,7 @@ class Ramp:
     def __init__(self, ramp_ns: int, clock: Clock | None = None) -> None:
         self._ramp_ns, self._clock = ramp_ns, clock
         self._late_ppb = LATE_NS * PPB // ramp_ns
-        self._newest_ns: int | None = None
+        self._newest_ns = -(2**63)
         self.lock: AbstractContextManager[object] = RLock()
         self.restart()
 
@@ -72,13 +71,7 @@ class Ramp:
         self._level_ppb = self._strength_ppb = self._since_ns = self._left_ns = 0
         self._claimed_ppb = 0
         if self._clock is None:
-            self._newest_ns = None
-
-    def time_of(self, claimed_ns: int) -> int:
-        """Return the time of a sequence that is proved, planned or written now."""
-        now_ns = claimed_ns if self._clock is None else self._clock.now_ns()
-        # A clock that falls counts as standing still.
-        return now_ns if self._newest_ns is None else max(now_ns, self._newest_ns)
+            self._newest_ns = -(2**63)
 
     def claim(self, ppb: int, strength_ppb: int, now_ns: int) -> None:
         """Enter a sequence that is proved, and may not be written yet, for planning.
@@ -88,19 +81,23 @@ class Ramp:
         self._begun, self._newest_ns = True, now_ns
         self._claimed_ppb = ppb if strength_ppb else min(ppb, self._claimed_ppb)
 
-    def open_ppb(self, now_ns: int, kept_ns: int = LEVEL_KEPT_NS) -> int:
-        """Return the level that is open now, without what may be caught up."""
+    def open_at(self, claimed_ns: int, kept_ns: int = LEVEL_KEPT_NS) -> tuple[int, int]:
+        """Return the time of a sequence that is proved, planned or written now, and the level that
+        is open then, without what may be caught up."""
+        # A clock that falls counts as standing still.
+        clock_ns = claimed_ns if self._clock is None else self._clock.now_ns()
+        now_ns = max(clock_ns, self._newest_ns)
         gone_ns = now_ns - self._since_ns
         if gone_ns > self._left_ns + kept_ns:
-            return 0
+            return now_ns, 0
         flowed_ns = max(0, min(gone_ns, self._left_ns))
         risen_ppb = self._level_ppb + flowed_ns * PPB // self._ramp_ns
-        return max(self._level_ppb, min(self._strength_ppb, risen_ppb))
+        return now_ns, max(self._level_ppb, min(self._strength_ppb, risen_ppb))
 
     def open_level(self, claimed_ns: int) -> float:
         """Return the strength, in [0, 1], with which pulses may go on after a pause."""
         with self.lock:
-            open_ppb = self.open_ppb(self.time_of(claimed_ns), PLANNED_KEPT_NS)
+            _, open_ppb = self.open_at(claimed_ns, PLANNED_KEPT_NS)
             return min(self._claimed_ppb, open_ppb) / PPB
 
     def allowed_level(self, claimed_ns: int) -> float:
@@ -108,8 +105,7 @@ class Ramp:
         with self.lock:
             if not self._begun:
                 return 0.0
-            now_ns = self.time_of(claimed_ns)
-            open_ppb = self.open_ppb(now_ns, PLANNED_KEPT_NS)
+            now_ns, open_ppb = self.open_at(claimed_ns, PLANNED_KEPT_NS)
             if not open_ppb:
                 return FIRST_NS / self._ramp_ns
             # Time counts while pulses flow.
@@ -123,7 +119,7 @@ class Ramp:
         with self.lock:
             most_ppb = LEEWAY_PPB
             if self._begun:
-                most_ppb += self.open_ppb(self.time_of(claimed_ns)) + self._late_ppb
+                most_ppb += self.open_at(claimed_ns)[1] + self._late_ppb
             return strength_ppb <= most_ppb
 
     def note(self, ppb: int, strength_ppb: int, claimed_ns: int, lasting_ns: int) -> None:
@@ -132,20 +128,20 @@ class Ramp:
         passes, all repetitions included."""
         with self.lock:
             # The board finishes its present pass, and of repetitions no more.
-            now_ns = self.time_of(claimed_ns)
+            now_ns, open_ppb = self.open_at(claimed_ns)
             gone_ns = max(0, now_ns - self._since_ns)
             left_ns = self._left_ns - gone_ns
             to_come_ns = min(left_ns, LATE_NS) if left_ns > 0 else 0
             if strength_ppb:
                 if ppb > self._level_ppb or -left_ns > LEVEL_KEPT_NS:
-                    ppb = min(ppb, self.open_ppb(now_ns))
+                    ppb = min(ppb, open_ppb)
                 self._level_ppb, self._strength_ppb = ppb, strength_ppb
                 self._since_ns, self._left_ns = now_ns, to_come_ns + lasting_ns
             else:
                 self._left_ns = min(self._left_ns, gone_ns + to_come_ns)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class ProvedSequence:
     """Sequence that the gate has proved safe; only the gate can make one.
 
@@ -159,6 +155,10 @@ class ProvedSequence:
         Number of the sequence on its board.
     due_ns, write_before_ns : int
         Planned start, and the time after which it may no longer be written, by the board's clock.
+    session : int
+        Of the gate, in which it was proved.
+    strength_ppb : int
+        By its strongest pulse; see `sequence_limits.strength_ppb`.
     """
 
     sequence: ScanSequence
@@ -167,14 +167,10 @@ class ProvedSequence:
     due_ns: int
     write_before_ns: int
     session: int
-    """Of the gate, in which it was proved."""
-    strength_ppb: int = 0
-    """By its strongest pulse; see `sequence_limits.strength_ppb`."""
-    key: InitVar[object] = None
+    strength_ppb: int
 
-    def __post_init__(self, key: object) -> None:
-        if key is not _GATE:
-            raise SafetyError("only the safety gate can prove a sequence", limit="gate")
+    def __init__(self, *_: object, **__: object) -> None:
+        raise SafetyError("only the safety gate can prove a sequence", limit="gate")
 
 
 class SafetyGate:
@@ -259,24 +255,27 @@ class SafetyGate:
             times = times if type(times) is int else _whole(times, "times")
             if times < 1:
                 raise SafetyError(f"{times} repetitions: there must be one at least", limit="times")
-            copy, before_ns = frozen(sequence), self._time_ns
+            sequence = frozen(sequence)
             # Beyond 0 to 1 it is refused.
-            ppb = parts_per_billion(copy.intensity) if 0 <= copy.intensity <= 1 else 0
-            load = prove_sequence(copy, self.limits, ppb)
-            time_ns, strength_ppb = copy.time_ns, load.strength_ppb
-            if before_ns is not None and time_ns <= before_ns:
-                raise refusal("order", time_ns, before_ns + 1)
+            ppb = parts_per_billion(sequence.intensity) if 0 <= sequence.intensity <= 1 else 0
+            load = prove_sequence(sequence, self.limits, ppb)
+            time_ns, strength_ppb = sequence.time_ns, load.strength_ppb
+            if self._time_ns is not None and time_ns <= self._time_ns:
+                raise refusal("order", time_ns, self._time_ns + 1)
             permitted = not strength_ppb or self.ramp.permits(strength_ppb, time_ns)
-            now_ns = self.ramp.time_of(time_ns)
+            now_ns, open_ppb = self.ramp.open_at(time_ns)
             if not permitted:
-                open_ppb = self.ramp.open_ppb(now_ns)
                 raise refusal("ramp_s", strength_ppb / PPB, open_ppb / PPB)
-            self._exposure.enter(now_ns, copy.period_us, times, load, copy.slots > 0)
+            flows = len(sequence.width_us) > 0
+            self._exposure.enter(now_ns, sequence.period_us, times, load, flows)
             self._time_ns = time_ns
             self.ramp.claim(ppb, strength_ppb, now_ns)
-            return ProvedSequence(
-                copy, times, number, due_ns, due_ns + late_ns, self.session, strength_ppb, _GATE
-            )
+            proved = object.__new__(ProvedSequence)
+            vars(proved).update(
+                sequence=sequence, times=times, number=number, due_ns=due_ns,
+                write_before_ns=due_ns + late_ns, session=self.session, strength_ppb=strength_ppb,
+            )  # fmt: skip
+            return proved
 
     def check(self, sequence: ScanSequence, times: int = 1) -> ScanSequence:
         """Return a frozen copy of a sequence that reaches no board, or raise as `prove`; it counts
@@ -301,8 +300,9 @@ class SafetyGate:
                 f"sequence {proved.number} would begin {(due_ns - latest_ns) / 1e9:.3g} s too late",
                 limit="write_before_ns", value=due_ns, allowed=latest_ns,
             )  # fmt: skip
-        waits_ns = proved.write_before_ns - proved.due_ns
-        return replace(proved, due_ns=due_ns, write_before_ns=due_ns + waits_ns, key=_GATE)
+        later, waits_ns = copy(proved), proved.write_before_ns - proved.due_ns
+        vars(later).update(due_ns=due_ns, write_before_ns=due_ns + waits_ns)
+        return later
 
     def note(self, proved: ProvedSequence) -> None:
         """Enter that the bytes of a proved sequence have just been written; its parts and
@@ -344,7 +344,8 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
                 f"dimension(s), {slots} slots",
                 limit=name,
             )
-        fields[name] = unwritable(plain)
+        # Nothing can write to an array that is backed by bytes.
+        fields[name] = np.frombuffer(plain.tobytes(), kind).reshape(plain.shape)
     for name in ("period_us", "time_ns", "recharge_us"):
         value = getattr(sequence, name)
         fields[name] = value if type(value) is int else _whole(value, name)

@@ -1,19 +1,21 @@
-"""The scan sequence: all pulses of one frame, as sums of kernels in whole numbers.
+"""The scan sequence: all pulses of one frame, as sums of kernels in whole numbers; scan timing.
 
 A weight is an int16, 32,767 the largest of its kernel; an amplitude counts quarters of a µA. What
-flows is defined to the bit, by `KernelLists.current_ua`.
+flows is defined to the bit, by `KernelLists`.
 """
 
+import math
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ScheduleError
 from smarttouch.base.tactile_image import one_line
 from smarttouch.profile import Profile
 
@@ -57,8 +59,11 @@ class KernelTable:
     shared: dict[Afferent, int]  # first row of the kernels of each class that share slots
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", unwritable(np.asarray(self.weights, np.int16)))
-        object.__setattr__(self, "site", unwritable(np.asarray(self.site, np.uint16)))
+        # Nothing can write to arrays that are backed by bytes.
+        weights = np.frombuffer(np.asarray(self.weights, np.int16).tobytes(), np.int16)
+        object.__setattr__(self, "weights", weights.reshape(np.shape(self.weights)))
+        site = np.frombuffer(np.asarray(self.site, np.uint16).tobytes(), np.uint16)
+        object.__setattr__(self, "site", site)
 
     @classmethod
     def of(cls, weights: Mapping[Afferent, NDArray[np.float64]], shared: Shared) -> "KernelTable":
@@ -93,46 +98,40 @@ class KernelTable:
 
 @dataclass(frozen=True, eq=False)
 class KernelLists:
-    """Slots as lists of kernels with amplitudes."""
+    """Slots as lists of kernels with amplitudes, and the currents that these are.
+
+    Of weights times amplitudes, added up, the sum from electrode 0 to each one is rounded to whole
+    µA, halves upward; an electrode gets the difference of two of these.
+    """
 
     table: KernelTable
     # (S + 1,) start of each slot's list, and the last one's end; none is empty
     first: NDArray[np.intp]
     kernel: NDArray[np.uint16]  # (N,) row in the table
     amplitude: NDArray[np.uint16]  # (N,) in quarters of a µA; those of a slot sum to at most 65,535
+    # (S, E) µA, positive cathodic, sum zero in each slot
+    current_ua: NDArray[np.int16] = field(init=False)
+    site: NDArray[np.uint16] = field(init=False)  # (S,) that of each slot's first kernel
 
     def __post_init__(self) -> None:
-        for name in ("first", "kernel", "amplitude"):
-            object.__setattr__(self, name, unwritable(getattr(self, name)))
-
-    @property
-    def site(self) -> NDArray[np.uint16]:
-        """Site of each slot, (S,): that of its first kernel."""
-        return self.table.site[self.kernel[self.first[:-1]]]
-
-    @cached_property
-    def current_ua(self) -> NDArray[np.int16]:
-        """Currents that flow, (S, E) µA, positive cathodic.
-
-        Of weights times amplitudes, added up, the sum from electrode 0 to each one is rounded to
-        whole µA, halves upward; an electrode gets the difference of two of these.
-        """
+        # What is sent must be what the currents were computed from: nothing can write to bytes.
+        first = np.frombuffer(self.first.tobytes(), self.first.dtype)
+        kernel = np.frombuffer(self.kernel.tobytes(), self.kernel.dtype)
+        amplitude = np.frombuffer(self.amplitude.tobytes(), self.amplitude.dtype)
         # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
-        scaled = self.table.so_far_ua[self.kernel] * self.amplitude.astype(np.float64)[:, None]
-        if len(scaled) > len(self.first) - 1:
-            scaled = np.add.reduceat(scaled, self.first[:-1], axis=0)
+        scaled = self.table.so_far_ua.take(kernel, axis=0)
+        scaled *= amplitude.astype(np.float64)[:, None]
+        if len(scaled) > len(first) - 1:
+            scaled = np.add.reduceat(scaled, first[:-1], axis=0)
         # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
-        rounded = (scaled + (_ABOVE + 0.5)).astype(np.int64).astype(np.int16)
-        return unwritable(np.diff(rounded, axis=1, prepend=np.int16(0)))
-
-    def joined(self, other: "KernelLists") -> "KernelLists":
-        """Return these slots, and then others of the same table."""
-        return KernelLists(
-            self.table,
-            np.concatenate([self.first, self.first[-1] + other.first[1:]]),
-            np.concatenate([self.kernel, other.kernel]),
-            np.concatenate([self.amplitude, other.amplitude]),
-        )
+        scaled += _ABOVE + 0.5
+        rounded = scaled.astype(np.int64).astype(np.int16)
+        current_ua = np.diff(rounded, axis=1, prepend=np.int16(0))
+        vars(self).update(
+            first=first, kernel=kernel, amplitude=amplitude,
+            site=self.table.site[kernel[first[:-1]]],
+            current_ua=np.frombuffer(current_ua.tobytes(), np.int16).reshape(current_ua.shape),
+        )  # fmt: skip
 
 
 def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
@@ -190,11 +189,6 @@ def _records(weights: NDArray[np.int16], sites: NDArray[np.uint16]) -> Iterator[
         yield b"".join(parts)
 
 
-def unwritable(values: NDArray[Any]) -> NDArray[Any]:
-    """Return a copy that nothing can write to: it is backed by bytes."""
-    return np.frombuffer(values.tobytes(), values.dtype).reshape(values.shape)
-
-
 def largest_amplitude(
     weights: NDArray[np.int16], most_ua: NDArray[np.float64]
 ) -> NDArray[np.uint16]:
@@ -226,14 +220,6 @@ class SelectivityReport:
     points: NDArray[np.uint16]
     off_target: NDArray[np.float32]
     spill: NDArray[np.float32]
-
-    @property
-    def shared(self) -> tuple[float, float] | None:
-        """Worst other and worst spill of slots of several points; None if there are none."""
-        several = self.points > 1
-        if not several.any():
-            return None
-        return float(self.off_target[several].max()), float(self.spill[several].max())
 
     @classmethod
     def of_nothing(cls, slots: int) -> "SelectivityReport":
@@ -342,3 +328,57 @@ def peak_pc(current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
         return max(int(current_ua.max()), -int(current_ua.min())) * longest_us
     high_ua, low_ua = current_ua.max(axis=1), current_ua.min(axis=1).astype(np.int64)
     return int((np.maximum(high_ua, -low_ua) * width_us).max())
+
+
+@dataclass(frozen=True)
+class ScanTiming:
+    """Scan timing fixed by a board; the defaults leave all to the host."""
+
+    width_us: int | None = None  # the only pulse width, if fixed
+    discharge_us: int | None = None  # the only discharge time, if fixed
+    slot_extra_us: float = 0.0  # time of a slot beyond pulse and discharge
+    scan_us: float = 0.0  # time of a scan beyond its slots
+    every_electrode: bool = False  # whether idle electrodes take a slot too
+    in_index_order: bool = False  # whether the board scans by electrode number
+    own_widths: bool = True  # whether each slot may have its own pulse width
+    whole_hz: bool = False  # whether its rate is a whole number of hertz
+    load: float = 1.0  # share of the period that a scan may fill
+
+    def shortest_period_us(
+        self,
+        least_us: float,
+        slots: int | None = None,
+        electrodes: int = 0,
+        width_us: float = 0.0,
+        discharge_us: float = 0.0,
+    ) -> int:
+        """Return the shortest period possible on the board that is not below ``least_us``, nor
+        below what a scan takes, if its number of slots is given; times of slots are means, µs.
+
+        A rate of f whole hertz is a period of 1e6/f rounded up: ``round(1e6 / period)`` gives f.
+        """
+        if slots is not None:
+            taken = electrodes if self.every_electrode else slots
+            busy_us = taken * (width_us + discharge_us + self.slot_extra_us) + self.scan_us
+            least_us = max(least_us, busy_us / self.load)
+        period = math.ceil(least_us)
+        if not self.whole_hz or period <= 1:
+            return period
+        # The largest f whose period, rounded up, is no shorter.
+        rate_hz = 999_999 // (period - 1)
+        if not rate_hz:
+            raise ScheduleError(
+                f"a scan takes {period / 1e6:.2f} s, and the board scans once a second at the "
+                "slowest: lower pulse.discharge_us or the number of electrodes"
+            )
+        return -(-1_000_000 // rate_hz)
+
+    def check(self, profile: Profile) -> None:
+        """Raise a ScheduleError unless a profile's pulses suit the board."""
+        for key, fixed in (("width_us", self.width_us), ("discharge_us", self.discharge_us)):
+            asked = getattr(profile.pulse, key)
+            if fixed is not None and asked != fixed:
+                raise ScheduleError(
+                    f"the profile's pulse.{key} is {asked} µs, the board's is always {fixed} µs: "
+                    f"set pulse.{key} = {fixed}"
+                )

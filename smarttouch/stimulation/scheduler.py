@@ -1,8 +1,13 @@
-"""Tactile image times kernels times intensity: the slots of one frame, and their period."""
+"""Tactile image times kernels times intensity: the slots of one frame, and their period.
+
+The period follows from the rates of the classes, finger force, the scan timing of the board, and
+the limits of pulses and charge.
+"""
 
 import math
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -13,17 +18,15 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.profile import Profile
+from smarttouch.profile import ForceLaw, Profile
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.frame_slots import FrameSlots
-from smarttouch.stimulation.point_slots import PointSlots, Slots, constant_us, joined
-from smarttouch.stimulation.pulse_rates import PulseRates, ScanTiming, rate_share, rates_of
 from smarttouch.stimulation.safety_gate import FIRST_NS, MOST_STEP_NS
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import (
     NO_SHARING,
     KernelTable,
     ScanSequence,
+    ScanTiming,
     SlotPolicy,
     peak_pc,
 )
@@ -32,10 +35,10 @@ from smarttouch.stimulation.sequence_limits import (
     MOST_PER_US,
     NET_PC,
     PLANNED,
-    Sums,
     add_up,
     strength_ppb,
 )
+from smarttouch.stimulation.slots import FrameSlots, PointSlots, Slots, constant_us, joined
 
 WINDOW_US = 1_100_000
 """Time over which net charge is planned: a board may count its second in tenths."""
@@ -47,6 +50,119 @@ _MOST_PC = 0.99 * NET_PC
 
 
 Array = NDArray[np.float64]
+
+
+SLOWEST = 0.2
+"""Part of the full rate at the lightest touch of something hard: 10 of 50 Hz, the slowest pulses of
+the paper's experiments (Section III-B.2)."""
+_ON_TIME = 0.25  # part of its interval: a class that is later than this starts a new grid
+_SLOWEST_HZ = 0.1
+
+
+def force_gate(force_n: float, law: ForceLaw) -> float:
+    """Return the intensity at a finger force, in [0, 1].
+
+    Zero below contact, one from full force on, rising linearly or with the logarithm of force in
+    between (paper, Section IV-B). A force of NaN is no contact.
+    """
+    if not force_n > law.contact_n:
+        return 0.0
+    if force_n >= law.full_n:
+        return 1.0
+    if law.law == "linear":
+        return (force_n - law.contact_n) / (law.full_n - law.contact_n)
+    return math.log(force_n / law.contact_n) / math.log(law.full_n / law.contact_n)
+
+
+def rate_share(pressure: float, softness: float) -> float:
+    """Return the fraction of the full pulse rate at a finger pressure, in [0, 1] as `force_gate`.
+
+    SAI afferents encode pressure in their firing rate. Pressed on something hard they fire faster;
+    on something soft the rate hardly changes (paper, Section III-B.2, where a constant rate under a
+    moving finger felt soft). Softness 1 leaves the rate unchanged, 0 lets it follow force.
+    """
+    return softness + (1 - softness) * max(SLOWEST, pressure)
+
+
+def rates_of(
+    profile: Profile, afferents: tuple[Afferent, ...], rate_hz: float | None, timing: ScanTiming
+) -> dict[Afferent, float]:
+    """Return the pulse rate of each class, Hz: `rate_hz` for one, the profile's for two, none for
+    all three, which are not due by themselves."""
+    pulse, limits = profile.pulse, profile.limits
+    rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
+    if Afferent.PC in afferents and len(afferents) > 1:
+        # All three never pulse by themselves.
+        rates_hz = {}
+    elif len(afferents) > 1:
+        rates_hz = {Afferent.RA: pulse.ra_rate_hz, Afferent.SAI: pulse.sai_rate_hz}
+        if rate_hz is not None:
+            raise ScheduleError(
+                f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
+                "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile"
+            )
+        if timing.whole_hz or timing.every_electrode or timing.in_index_order:
+            raise ScheduleError(
+                "natural mode pulses at two rates, and this board scans all electrodes at "
+                "one: choose RA or SAI"
+            )
+    for each_hz in rates_hz.values():
+        if not _SLOWEST_HZ <= each_hz <= limits.rate_hz:
+            raise ScheduleError(
+                f"a rate of {each_hz:g} Hz is not possible: it must be at least "
+                f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz"
+            )
+    return rates_hz
+
+
+class PulseRates:
+    """Times of pulses: of one class at its rate, of several on time grids of their own.
+
+    Pulses of several classes with full rates in Hz are merged where they are due closer together
+    than `merge_us`, the shortest period of a sequence. The rate of SAI follows pressure, by
+    `softness`.
+    """
+
+    def __init__(
+        self,
+        rates_hz: Mapping[Afferent, float],
+        merge_us: int,
+        softness: float = 1.0,
+        timing: ScanTiming | None = None,
+    ) -> None:
+        self._rates_hz = dict(rates_hz)
+        self._merge_us, self._softness = merge_us, softness
+        self._timing = timing or ScanTiming()
+        self._last_ns: dict[Afferent, float] = {}
+
+    def due(self, time_ns: int, pressure: float = 1.0) -> tuple[tuple[Afferent, ...], int]:
+        """Return the classes that pulse now, by pressure in [0, 1], and the µs to the next."""
+        now, merge_ns = [], 1000 * self._merge_us
+        next_ns = []
+        for afferent, rate_hz in self._rates_hz.items():
+            if afferent is Afferent.SAI:
+                rate_hz *= rate_share(pressure, self._softness)
+            if len(self._rates_hz) == 1:
+                return (afferent,), self._timing.shortest_period_us(1e6 / rate_hz)
+            interval_ns = 1e9 / rate_hz
+            due_ns = self._last_ns.get(afferent, -float("inf")) + interval_ns
+            if due_ns - time_ns < merge_ns:
+                now.append(afferent)
+                if time_ns - due_ns > _ON_TIME * interval_ns:
+                    due_ns = time_ns
+                self._last_ns[afferent] = due_ns
+                due_ns += interval_ns
+            next_ns.append(due_ns)
+        if not next_ns:
+            raise ScheduleError(
+                "mode color is for stimuli with periods of their own, and this source gives none: "
+                "choose RA"
+            )
+        return tuple(now), max(self._merge_us, round((min(next_ns) - time_ns) / 1000))
+
+    def restart(self) -> None:
+        """Restart: all classes are due."""
+        self._last_ns.clear()
 
 
 class _Pass(NamedTuple):
@@ -156,8 +272,8 @@ class ScanScheduler:
         common = SchedulerContext() if common is None else common
         self._timing = timing = ScanTiming() if timing is None else timing
         timing.check(profile)
-        pulse, self._rate_hz = profile.pulse, rates_of(profile, afferents, rate_hz, timing)
-        self._vibrated, self._softness = vibrated, softness
+        pulse, rates_hz = profile.pulse, rates_of(profile, afferents, rate_hz, timing)
+        self._vibrated = vibrated
         self._makers: dict[Afferent, PointSlots | FrameSlots] = {}
         for afferent in afferents:
             if vibrated and afferent is Afferent.PC:
@@ -166,12 +282,12 @@ class ScanScheduler:
                 common.makers[afferent] = (
                     FrameSlots(profile, bank, afferent)
                     if afferent in common.sharing.afferents
-                    else PointSlots(profile, bank, afferent, timing, common.table)
+                    else PointSlots(profile, bank, afferent, common.table, timing.in_index_order)
                 )
             self._makers[afferent] = common.makers[afferent]
         self._first = next(iter(self._makers))
         self._least_us = math.ceil(1e6 / profile.limits.rate_hz)
-        self._rates = PulseRates(self._rate_hz, self._least_us)
+        self._rates = PulseRates(rates_hz, self._least_us, softness, timing)
         self._electrodes, self._duty = len(profile.electrodes), profile.limits.duty
         # At most one slot for each point of each class.
         self._discharges_us = constant_us(self._electrodes * len(afferents), pulse.discharge_us)
@@ -179,11 +295,10 @@ class ScanScheduler:
         steps_ns = 0, 2 * FIRST_NS, MOST_STEP_NS
         self._steps = [step_ns / self._limits.ramp_ns for step_ns in steps_ns]
         # Before anything is sent: the longest scan must be possible too.
-        all_us = self._electrodes * pulse.width_us
+        all_us, count = self._electrodes * pulse.width_us, self._electrodes
         timing.shortest_period_us(
-            self._electrodes, self._electrodes, pulse.width_us, pulse.discharge_us,
-            all_us / self._duty,
-        )  # fmt: skip
+            all_us / self._duty, count, count, pulse.width_us, pulse.discharge_us
+        )
         self.asked_us: int = 0
         self.net_slowed: int = 0
         self.net_emptied: int = 0
@@ -211,16 +326,24 @@ class ScanScheduler:
         every active class pulses now, and not again before it has passed. One that the profile's
         limits forbid, or a class that cannot be driven, raises a ScheduleError.
         """
-        timing = self._timing
-        due, self.asked_us = self._due(image, pressure)
-        parts, intensity = self._within_ramp(due, image, intensity, allowed, adaptation)
+        if image.period_us is None:
+            due, self.asked_us = self._rates.due(image.time_ns, pressure)
+        else:
+            due, self.asked_us = self._active(image.activation, image.period_us), image.period_us
+        parts = self._slots(due, image.activation, intensity, adaptation)
+        if intensity > allowed:
+            parts, intensity = self._within_ramp(parts, due, image, intensity, allowed, adaptation)
         slots, pulses_us = len(parts.site), int(parts.width_us.sum(dtype=np.int64))
         least_us, mean_us = max(self.asked_us, pulses_us / self._duty), 0.0
         if slots:
             sums = add_up(parts.current_ua, parts.width_us, self._limits.felt_ua)[0]
-            least_us, mean_us = max(least_us, self._exposed_us(sums)), pulses_us / slots
-        rest_us = int(self._discharges_us[0])
-        period_us = timing.shortest_period_us(slots, self._electrodes, mean_us, rest_us, least_us)
+            # The shortest period for what the sequence does to each electrode.
+            exposed_us = math.ceil(float(sums[:2].max()) / (PLANNED * MOST_PER_US))
+            if exposed_us > BURST_US:
+                raise _overexposed(exposed_us)
+            least_us, mean_us = max(least_us, exposed_us), pulses_us / slots
+        timing, rest_us = self._timing, int(self._discharges_us[0])
+        period_us = timing.shortest_period_us(least_us, slots, self._electrodes, mean_us, rest_us)
         if slots and self._net is not None:
             time_us, busy_us = image.time_ns / 1000, pulses_us + slots * rest_us
             needed_us = self._net.next_period_us(sums[2], time_us, period_us, busy_us)
@@ -229,7 +352,7 @@ class ScanScheduler:
                 parts, slots = Slots(parts.site[:0], parts.current_ua[:0], parts.width_us[:0]), 0
             elif needed_us > period_us:
                 self.net_slowed += 1
-                period_us = timing.possible_period_us(needed_us)
+                period_us = timing.shortest_period_us(needed_us)
         vibration = None
         if self._vibrated:
             vibration = image.activation[Afferent.PC] * np.float32(intensity)
@@ -238,21 +361,46 @@ class ScanScheduler:
             float(intensity), image.time_ns, vibration, parts.proof, sums=parts.sums,
         )  # fmt: skip
 
-    def _due(self, image: TactileImage, pressure: float) -> tuple[tuple[Afferent, ...], int]:
-        """Return the classes that pulse now, and the time until the next is due, µs."""
-        if image.period_us is not None:
-            return self._active(image.activation, image.period_us), image.period_us
-        if not self._rate_hz:
-            raise ScheduleError(
-                "mode color is for stimuli with periods of their own, and this source gives none: "
-                "choose RA"
-            )
-        first, share = self._first, 1.0
-        if Afferent.SAI in self._rate_hz:
-            share = rate_share(pressure, self._softness)
-        if len(self._rate_hz) > 1:
-            return self._rates.due(image.time_ns, {Afferent.RA: 1.0, Afferent.SAI: share})
-        return (first,), self._timing.possible_period_us(1e6 / (self._rate_hz[first] * share))
+    def _slots(
+        self,
+        due: tuple[Afferent, ...],
+        activation: NDArray[np.float32],
+        intensity: float,
+        adaptation: Adaptation | None,
+    ) -> Slots:
+        """Return the slots of all classes that are due; none of the first if none is."""
+        parts = []
+        for afferent in due or (self._first,):
+            maker = self._makers[afferent]
+            parts.append(maker.slots(activation[afferent], intensity if due else 0.0))
+        slots = parts[0] if len(parts) == 1 else joined(parts)
+        return slots if adaptation is None or not len(slots.site) else adaptation.apply(slots)
+
+    def _within_ramp(
+        self,
+        slots: Slots,
+        due: tuple[Afferent, ...],
+        image: TactileImage,
+        wanted: float,
+        allowed: float,
+        adaptation: Adaptation | None,
+    ) -> tuple[Slots, float]:
+        """Return slots of no more strength than allowed, in place of those of the wanted intensity,
+        and their intensity."""
+        ppb, charge_pc = parts_per_billion(wanted), peak_pc(slots.current_ua, slots.width_us)
+        # Whole µA may be a little stronger than asked for.
+        planned_ppb = min(ppb, strength_ppb(self._limits, ppb, charge_pc))
+        intensity = wanted if planned_ppb else allowed
+        # The first step may be too weak for any pulse.
+        for least in self._steps if allowed else self._steps[:1]:
+            strongest = max(allowed, least)
+            if planned_ppb <= strongest * PPB:
+                break
+            intensity = wanted * strongest * PPB / planned_ppb
+            slots = self._slots(due, image.activation, intensity, adaptation)
+            if slots.current_ua.any():
+                break
+        return slots, intensity
 
     def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Afferent, ...]:
         """Return the classes that an image with its own period lets pulse."""
@@ -271,50 +419,6 @@ class ScanScheduler:
             )
         return tuple(active)
 
-    def _slots(
-        self,
-        due: tuple[Afferent, ...],
-        activation: NDArray[np.float32],
-        intensity: float,
-        adaptation: Adaptation | None,
-    ) -> Slots:
-        """Return the slots of all classes that are due; none of the first if none is."""
-        one, *others = due or (self._first,)
-        slots = self._makers[one].slots(activation[one], intensity if due else 0.0)
-        if others:
-            rows = [
-                self._makers[afferent].slots(activation[afferent], intensity) for afferent in others
-            ]
-            slots = joined([slots, *rows])
-        return slots if adaptation is None or not len(slots.site) else adaptation.apply(slots)
-
-    def _within_ramp(
-        self,
-        due: tuple[Afferent, ...],
-        image: TactileImage,
-        wanted: float,
-        allowed: float,
-        adaptation: Adaptation | None,
-    ) -> tuple[Slots, float]:
-        """Return slots of no more strength than allowed, and their intensity."""
-        slots = self._slots(due, image.activation, wanted, adaptation)
-        if wanted <= allowed:
-            return slots, wanted
-        ppb, charge_pc = parts_per_billion(wanted), peak_pc(slots.current_ua, slots.width_us)
-        # Whole µA may be a little stronger than asked for.
-        planned_ppb = min(ppb, strength_ppb(self._limits, ppb, charge_pc))
-        intensity = wanted if planned_ppb else allowed
-        # The first step may be too weak for any pulse.
-        for least in self._steps if allowed else self._steps[:1]:
-            strongest = max(allowed, least)
-            if planned_ppb <= strongest * PPB:
-                break
-            intensity = wanted * strongest * PPB / planned_ppb
-            slots = self._slots(due, image.activation, intensity, adaptation)
-            if slots.current_ua.any():
-                break
-        return slots, intensity
-
     def _require_exposure_of_all(self) -> None:
         """Raise if all points that have slots of their own expose an electrode too much."""
         sums = np.zeros((3, self._electrodes))
@@ -323,15 +427,14 @@ class ScanScheduler:
                 points = maker.slots(np.ones(self._electrodes, np.float32), 1.0)
                 if len(points.site):
                     sums += add_up(points.current_ua, points.width_us, self._limits.felt_ua)[0]
-        self._exposed_us(sums)
+        exposed_us = math.ceil(float(sums[:2].max()) / (PLANNED * MOST_PER_US))
+        if exposed_us > BURST_US:
+            raise _overexposed(exposed_us)
 
-    def _exposed_us(self, sums: Sums) -> int:
-        """Return the shortest period for the load of a sequence, µs."""
-        needed_us = math.ceil(float(sums[:2].max()) / (PLANNED * MOST_PER_US))
-        if needed_us > BURST_US:
-            raise ScheduleError(
-                f"the points of one frame expose an electrode as much as {needed_us / 1000:.0f} ms "
-                f"allow, and one sequence may bring at most {BURST_US / 1000:.0f} ms of it: lower "
-                "perception.comfort_ratio or pulse.width_us, or choose another mode"
-            )
-        return needed_us
+
+def _overexposed(needed_us: int) -> ScheduleError:
+    return ScheduleError(
+        f"the points of one frame expose an electrode as much as {needed_us / 1000:.0f} ms allow, "
+        f"and one sequence may bring at most {BURST_US / 1000:.0f} ms of it: lower "
+        "perception.comfort_ratio or pulse.width_us, or choose another mode"
+    )

@@ -247,18 +247,22 @@ class _Sent(NamedTuple):
     times: int
     flows: bool
 
-    def begun_by(self, now_ns: int) -> int:
-        """Return the number of passes begun by a time: one at least, which waits for its turn."""
-        return max(1, min(self.times, (now_ns - self.first.start_ns) // self.period_ns + 1))
-
-    def repetitions(self, begun: int) -> list[_Pass]:
-        """Return the passes that have begun since, but for those of long ago."""
-        first, recent = self.first, max(1, begun - WINDOW_NS // self.period_ns - 2)
-        delays_ns = (index * self.period_ns for index in range(recent, begun))
-        return [
+    def cut_short(self, now_ns: int) -> tuple[int, list[_Pass], int]:
+        """Return when a new sequence begins that may begin now, after the pass that is under way;
+        the passes after the first that have begun, but for those of long ago; and the number of
+        those that never begin."""
+        # The first waits for its turn.
+        first, period_ns = self.first, self.period_ns
+        begun = max(1, min(self.times, (now_ns - first.start_ns) // period_ns + 1))
+        delays_ns = [
+            index * period_ns for index in range(max(1, begun - WINDOW_NS // period_ns - 2), begun)
+        ]
+        repeated = [
             first._replace(start_ns=first.start_ns + by_ns, end_ns=first.end_ns + by_ns)
             for by_ns in delays_ns
         ]
+        over_ns = first.start_ns + begun * period_ns
+        return max(now_ns, over_ns), repeated, self.times - begun
 
 
 class Exposure:
@@ -294,7 +298,10 @@ class Exposure:
     def begin_session(self, now_ns: int | None) -> None:
         """Reset the session's dose; the last second still counts, with what repeated until now."""
         if now_ns is not None and self._last is not None:
-            self._add(self._last.repetitions(self._last.begun_by(now_ns)))
+            for scan in self._last.cut_short(now_ns)[1]:
+                self._window.append(scan)
+                self._second_at_most += scan.most
+                self._net_at_most += scan.most
         self._last: _Sent | None = None
         self._session: Sums = np.zeros((3, self._limits.electrodes))
         self._session_ns = 0
@@ -333,16 +340,14 @@ class Exposure:
         burst_us, largest = min(period_us, BURST_US), float(np.maximum.reduce(sums[:2], axis=None))
         if largest > MOST_PER_US * burst_us:
             raise _too_much(sums[:2], burst_us)
-        start_ns, entered = now_ns, list[_Pass]()
+        start_ns, repeated = now_ns, list[_Pass]()
         session, session_ns = self._session + times * sums, self._session_ns
         session_ns += period_ns * times * flows
         if last is not None:
-            begun = 1 if last.times == 1 else last.begun_by(now_ns)
-            start_ns = max(now_ns, last.first.start_ns + begun * last.period_ns)
-            if begun > 1:
-                entered = last.repetitions(begun)
-            if left := last.times - begun:
-                # Cut short by this sequence: they were counted, and are not delivered.
+            start_ns = max(now_ns, last.first.start_ns + last.period_ns)
+            if last.times > 1:
+                start_ns, repeated, left = last.cut_short(now_ns)
+                # They were counted, and are not delivered.
                 session_ns -= left * last.period_ns * last.flows
                 session -= left * last.first.sums
         if load.recharge_pc is not None:
@@ -351,10 +356,15 @@ class Exposure:
             _check_recharge(carried_pc, load.recharge_pc, sums[2], times)
         first = _Pass(start_ns, start_ns + 1000 * load.busy_us, sums, largest)
         # Until the first of its passes has left the second, each adds to what is in it.
-        judged = (
-            1 if times == 1 else min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
-        )
-        net_at_most = self._check_second(now_ns, first, judged, period_ns, entered)
+        judged = min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
+        net_at_most = min(self._net_at_most, self._second_at_most)
+        most = judged * largest + (len(repeated) * repeated[0].most if repeated else 0)
+        if (
+            len(window) + len(repeated) >= self._most_passes
+            or self._second_at_most + most > MOST_PER_US * 1_000_000
+            or net_at_most + most > PER_PC * NET_PC
+        ):
+            net_at_most = self._check_second(now_ns, first, judged, period_ns, repeated)
         if session_ns > self._most_session_ns:
             raise refusal("session_s", session_ns / 1e9, self._limits.session_s)
         if np.maximum.reduce(session[1]) > self._most_of_session:
@@ -363,35 +373,22 @@ class Exposure:
             raise refusal("session_mc", charge_mc, self._limits.session_mc, electrode=at)
         # From here on nothing is refused.
         self._net_at_most = net_at_most
-        self._add([*entered, first])
+        for scan in (*repeated, first):
+            window.append(scan)
+            self._second_at_most += scan.most
+            self._net_at_most += scan.most
         while window and window[0].end_ns <= now_ns - WINDOW_NS:
             self._second_at_most -= window.popleft().most
         self._last = _Sent(first, period_ns, times, flows)
         self._session, self._session_ns = session, session_ns
 
-    def _add(self, passes: list[_Pass]) -> None:
-        for scan in passes:
-            self._window.append(scan)
-            self._second_at_most += scan.most
-            self._net_at_most += scan.most
-
     def _check_second(
-        self, now_ns: int, first: _Pass, judged: int, period_ns: int, entered: list[_Pass]
+        self, now_ns: int, first: _Pass, judged: int, period_ns: int, repeated: list[_Pass]
     ) -> float:
         """Raise if any second would hold too many passes, or too much of what they bring: of
         ``judged`` passes a period apart, and of those of the sequence before that are not in the
         window yet. Returns a bound of the net charge (× `PER_PC`) of the newest passes before."""
-        window, largest = self._window, judged * first.most
-        for scan in entered:
-            largest += scan.most
-        net_at_most = min(self._net_at_most, self._second_at_most)
-        if (
-            len(window) + len(entered) < self._most_passes
-            and self._second_at_most + largest <= MOST_PER_US * 1_000_000
-            and net_at_most + largest <= PER_PC * NET_PC
-        ):
-            return net_at_most
-        recent = [scan for scan in (*window, *entered) if scan.end_ns > now_ns - WINDOW_NS]
+        recent = [scan for scan in (*self._window, *repeated) if scan.end_ns > now_ns - WINDOW_NS]
         passes = sum(scan.start_ns > now_ns - WINDOW_NS for scan in recent) + 1
         if passes > self._most_passes:
             raise refusal("passes", passes, self._most_passes)

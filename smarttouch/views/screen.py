@@ -250,7 +250,7 @@ class Screen(Listener):
             ("session", f"{dose.seconds:.0f}/{limits.session_s:.0f} s, {charge}"),
             ("net", f"charge {dose.most_net_uc:.0f} µC"),
             ("finger", f"x {pose.x_mm:.1f}  y {pose.y_mm:.1f} mm"),
-            ("unwanted", _beside(sequence.proof.shared if sequence.proof else None)),
+            ("unwanted", _beside(statistics.off_target, statistics.spill)),
             ("frames", f"{statistics.delivered} sent, {dropped} dropped of {self._source.frames}"),
             ("board", f"{self._board.acknowledged} of {statistics.frames} acknowledged"),
             ("own work", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
@@ -281,11 +281,11 @@ def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
     return f"{known_ms:.1f} ms, to last byte"
 
 
-def _beside(shared: tuple[float, float] | None) -> str:
-    """Return the unwanted activation by points that share slots, in words."""
-    if not shared:
+def _beside(other: float, spill: float) -> str:
+    """Return the worst unwanted activation by points that have shared slots, in words."""
+    if not other and not spill:
         return "no points share a slot"
-    return f"{shared[0]:.0%} other class, {shared[1]:.0%} place"
+    return f"{other:.0%} other class, {spill:.0%} place"
 
 
 def bar(part: float, width: int = 10) -> str:

@@ -11,7 +11,8 @@ from smarttouch.boards.kits import current_scale, etactilekit_line
 from smarttouch.boards.kits.etactilekit import ETactileKitDriver
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
-from smarttouch.stimulation.safety_gate import _GATE, ProvedSequence
+
+from ..support.scans import unproved
 
 US, MS = 1000, 1_000_000
 
@@ -110,7 +111,7 @@ class ScanBooks(DeliveryLog):
 
 def proved(sequence, times=1, number=0, due_ns=0, late_ns=LATE_NS):
     """Return a sequence as the gate would prove it: what is tested is what drivers do."""
-    return ProvedSequence(sequence, times, number, due_ns, due_ns + late_ns, 0, key=_GATE)
+    return unproved(sequence, times, number, due_ns, due_ns + late_ns)
 
 
 class ManualKit:

@@ -180,7 +180,6 @@ LIMITS = SafetyLimits(E, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0)
     ([0, 1], np.array([0], np.uint16), np.array([-4000])),
     ([0, 1], np.array([0], np.uint16), np.array([4000 + 65_536])),
     ([0, 1], np.array([-5]), np.array([4000], np.uint16)),
-    ([0, 1], np.array([99], np.uint16), np.array([4000], np.uint16)),
     ([0, 1], np.array([0, 0], np.uint16), np.array([3000, 1000], np.uint16)),
     ([1, 2], np.array([1, 0], np.uint16), np.array([9, 4000], np.uint16)),
     ([0, 1], np.array([0], np.uint16), np.array([3999], np.uint16)),

@@ -36,7 +36,7 @@ from smarttouch.running.loop import Loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import Listener, as_listeners
-from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.scan_sequence import ScanTiming
 from smarttouch.views.vibrator import Vibrator
 
 from ..support.checks import numbers_in, raises

@@ -16,7 +16,7 @@ from smarttouch.running.recorder import Recorder
 from smarttouch.running.recording_format import about_run, digest_of
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Frame, Pose
-from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.scan_sequence import ScanTiming
 
 STARTED_NS = 1_700_000_000 * 10**9
 

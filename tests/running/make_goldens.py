@@ -27,8 +27,7 @@ from smarttouch.running.recorder import Recorder
 from smarttouch.running.runner import Runner
 from smarttouch.sources import open_source
 from smarttouch.sources.source_contract import Frame, Source, Stimulus
-from smarttouch.stimulation.pulse_rates import ScanTiming
-from smarttouch.stimulation.scan_sequence import SlotPolicy
+from smarttouch.stimulation.scan_sequence import ScanTiming, SlotPolicy
 
 from ..support.scans import board_without_finger
 

@@ -21,9 +21,9 @@ from smarttouch.running.pipeline import Pipeline, Regulator, make_regulator
 from smarttouch.running.runner import run
 from smarttouch.sources.source_contract import Frame, Pose, Stimulus, StimulusSource
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanTiming
 
 from ..support.checks import raises
 from ..support.full import sample

@@ -6,8 +6,9 @@ import pytest
 
 from smarttouch.boards.board import Board
 from smarttouch.emulator.emulated_boards import SimulatedDriver
-from smarttouch.stimulation.safety_gate import _GATE, ProvedSequence, Ramp, SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety_gate import Ramp, SafetyGate, SafetyLimits
 
+from ..support.scans import unproved
 from . import watch
 from .bounds import Bounds
 from .by_hand import pair, sequence
@@ -17,9 +18,9 @@ LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 SILENT = sequence([], intensity=0.0, time_ns=0)
 
 
-def unproved(gate, sequence, times=1, **_):
+def prove_all(gate, sequence, times=1, **_):
     """Prove whatever it is."""
-    return ProvedSequence(sequence, times, 1, 0, 2**62, gate.session, 1, key=_GATE)
+    return unproved(sequence, times, session=gate.session, strength_ppb=1)
 
 
 @pytest.fixture
@@ -28,7 +29,7 @@ def blind(safety_watch):
     safety_watch.on = False
     blinded = watch.Watch()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SafetyGate, "prove", unproved)
+        patch.setattr(SafetyGate, "prove", prove_all)
         patch.setattr(Ramp, "permits", lambda *_: True)
         inner = blinded.installed()
         yield blinded

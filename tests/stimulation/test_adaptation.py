@@ -10,8 +10,8 @@ from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import Profile, load_profile
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanTiming
 from smarttouch.stimulation.scheduler import ScanScheduler
 
 from ..support.full import WHOLE

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError
 from smarttouch.profile import ForceLaw, load_profile
-from smarttouch.stimulation.pulse_rates import (
+from smarttouch.stimulation.scan_sequence import ScanTiming
+from smarttouch.stimulation.scheduler import (
     SLOWEST,
     PulseRates,
-    ScanTiming,
     force_gate,
     rate_share,
 )
@@ -37,25 +37,25 @@ ETACTILEKIT = ScanTiming(slot_extra_us=10, every_electrode=True, whole_hz=True, 
 
 @given(st.floats(5000, 999_999))
 def test_whole_hertz_are_rounded_down(period_us):
-    possible = ETACTILEKIT.possible_period_us(period_us)
+    possible = ETACTILEKIT.shortest_period_us(period_us)
     rate_hz = round(1e6 / possible)
     assert possible >= period_us
     assert possible == math.ceil(1e6 / rate_hz)
     assert math.ceil(1e6 / (rate_hz + 1)) < math.ceil(period_us), "the next hertz is too fast"
-    assert ETACTILEKIT.possible_period_us(possible) == possible
+    assert ETACTILEKIT.shortest_period_us(possible) == possible
 
 
 @given(st.integers(0, 255), st.floats(10, 200), st.floats(20, 255))
 def test_a_scan_fits_its_share_of_the_period(slots, width_us, discharge_us):
-    period_us = ETACTILEKIT.shortest_period_us(slots, 255, width_us, discharge_us)
+    period_us = ETACTILEKIT.shortest_period_us(0, slots, 255, width_us, discharge_us)
     assert 255 * (width_us + discharge_us + 10) <= 0.9 * period_us
-    period_us = KAJIMOTO.shortest_period_us(slots, 255, width_us, discharge_us)
+    period_us = KAJIMOTO.shortest_period_us(0, slots, 255, width_us, discharge_us)
     assert (slots * (width_us + discharge_us + 8) + 700) * 1.1 <= period_us * (1 + 1e-9)
 
 
 def test_less_than_one_hertz_is_no_rate():
     with raises(ScheduleError, value=1.476):
-        ETACTILEKIT.shortest_period_us(0, 255, 200, 5000)
+        ETACTILEKIT.shortest_period_us(0, 0, 255, 200, 5000)
 
 
 @pytest.mark.parametrize(("timing", "key", "value", "allowed"), [
@@ -71,14 +71,11 @@ def test_other_pulses_than_the_board_s(timing, key, value, allowed):
     assert remedy in str(error.value)
 
 
-FULL = {Afferent.RA: 1.0, Afferent.SAI: 1.0}
-
-
-def pulses(rates, seconds, shares=FULL):
+def pulses(rates, seconds):
     """Follow the rates as a loop would; return when each class pulsed, s."""
     time_ns, found = 0, {Afferent.RA: [], Afferent.SAI: []}
     while time_ns < seconds * 1e9:
-        due, wait_us = rates.due(time_ns, shares)
+        due, wait_us = rates.due(time_ns)
         for afferent in due:
             found[afferent].append(time_ns / 1e9)
         time_ns += 1000 * wait_us
@@ -98,29 +95,32 @@ def test_each_class_pulses_at_its_own_rate(ra_hz, sai_hz):
 def test_no_sequence_is_shorter_than_the_shortest(ra_hz, sai_hz):
     rates, time_ns = PulseRates({Afferent.RA: ra_hz, Afferent.SAI: sai_hz}, 5000), 0
     for _ in range(100):
-        _, wait_us = rates.due(time_ns, FULL)
+        _, wait_us = rates.due(time_ns)
         assert wait_us >= 5000
         time_ns += 1000 * wait_us
 
 
+BOTH = Afferent.RA, Afferent.SAI
+
+
 def test_a_little_lateness_does_not_make_the_next_sequence_too_short():
-    rates = PulseRates({Afferent.RA: 200.0}, 5000)
-    rates.due(0, FULL)
-    assert rates.due(5_900_000, FULL) == ((Afferent.RA,), 5000)
+    rates = PulseRates(dict.fromkeys(BOTH, 200.0), 5000)
+    rates.due(0)
+    assert rates.due(5_900_000) == (BOTH, 5000)
 
 
 def test_a_late_class_begins_a_new_grid():
-    rates = PulseRates({Afferent.RA: 10.0}, 5000)
-    assert rates.due(0, FULL) == ((Afferent.RA,), 100_000)
-    assert rates.due(470_000_000, FULL) == ((Afferent.RA,), 100_000)
+    rates = PulseRates(dict.fromkeys(BOTH, 10.0), 5000)
+    assert rates.due(0) == (BOTH, 100_000)
+    assert rates.due(470_000_000) == (BOTH, 100_000)
 
 
 def test_a_rate_that_fell_lets_a_class_wait():
-    rates = PulseRates({Afferent.SAI: 50.0}, 5000)
-    assert rates.due(0, FULL) == ((Afferent.SAI,), 20_000)
-    assert rates.due(20_000_000, {Afferent.SAI: 0.2}) == ((), 80_000)
+    rates = PulseRates(dict.fromkeys(BOTH, 50.0), 5000, softness=0.0)
+    assert rates.due(0) == (BOTH, 20_000)
+    assert rates.due(20_000_000, 0.2) == ((Afferent.RA,), 20_000)
     rates.restart()
-    assert rates.due(21_000_000, {Afferent.SAI: 0.2})[0] == (Afferent.SAI,)
+    assert rates.due(21_000_000, 0.2)[0] == BOTH
 
 
 def test_softness():

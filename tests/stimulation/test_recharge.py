@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import (
     ChargeBalance,
     RechargeRules,
@@ -14,7 +13,7 @@ from smarttouch.stimulation.recharge import (
     net_charge_pc,
     recharge_most_ua,
 )
-from smarttouch.stimulation.scan_sequence import SelectivityReport
+from smarttouch.stimulation.scan_sequence import ScanTiming, SelectivityReport
 from smarttouch.stimulation.sequence_limits import (
     MOST_RECHARGE_PC,
     MOST_RECHARGE_US,

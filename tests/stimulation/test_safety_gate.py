@@ -210,7 +210,7 @@ def opened():
     ramp = begun()
     ramp.note(0, PPB, 0, RAMP_NS)
     ramp.note(PPB, PPB, RAMP_NS, STEP_NS)
-    assert ramp.open_ppb(RAMP_NS) == PPB
+    assert ramp.open_at(RAMP_NS)[1] == PPB
     return ramp, RAMP_NS + STEP_NS
 
 
@@ -231,7 +231,7 @@ def test_what_is_planned_is_permitted_though_it_is_written_late_or_never(asked):
 def test_a_restart_begins_at_zero_without_current(now_ns):
     ramp, _ = opened()
     ramp.restart()
-    assert ramp.open_ppb(now_ns) == ramp.allowed_level(now_ns) == 0
+    assert ramp.open_at(now_ns)[1] == ramp.allowed_level(now_ns) == 0
     assert not ramp.permits(LEEWAY_PPB + 1, now_ns)
     ramp.claim(PPB, 0, now_ns)
     assert ramp.permits(LATE_PPB, now_ns)

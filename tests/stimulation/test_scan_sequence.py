@@ -16,11 +16,11 @@ from smarttouch.stimulation.scan_sequence import (
     PEAK,
     KernelLists,
     KernelTable,
-    SelectivityReport,
     largest_amplitude,
     quantized,
     round_charge_balanced,
 )
+from smarttouch.stimulation.slots import Slots, joined
 
 
 def random_table(seed, kernels, electrodes):
@@ -46,10 +46,13 @@ def test_currents_are_defined_to_the_bit(seed, pairs):
     table = random_table(seed, 5, 9)
     kernel, amplitude = np.array(pairs, np.uint16).T
     lists = KernelLists(table, np.array([0, len(pairs)]), kernel, amplitude)
-    joined = lists.joined(lists)
-    assert joined.current_ua.tolist() == [slowly(table, pairs)] * 2
+    slots = joined(
+        [Slots(lists.site, lists.current_ua, np.full(1, 200, np.uint16), sums=lists)] * 2
+    )
+    for made in (slots, slots.sums):
+        assert made.current_ua.tolist() == [slowly(table, pairs)] * 2
+        assert made.site.tolist() == [pairs[0][0]] * 2
     assert sum(slowly(table, pairs)) == 0
-    assert joined.site.tolist() == [pairs[0][0]] * 2
 
 
 def test_kernels_sum_to_zero_and_have_one_peak():
@@ -95,8 +98,8 @@ def test_sequences_are_sums_and_proved_as_such(scan):
         if before.current_ua.shape == sequence.current_ua.shape:
             # What rounding leaves over does not go to one electrode any more.
             np.testing.assert_allclose(sequence.current_ua, before.current_ua, atol=12)
-        if (shared := sequence.proof) is not None and shared.shared is not None:
-            assert max(shared.shared) <= 0.3
+        if (proof := sequence.proof) is not None:
+            assert np.maximum(proof.off_target, proof.spill)[proof.points > 1].max(initial=0) <= 0.3
 
 
 @given(st.integers(0, 6), st.integers(1, 80), st.integers(0, 2**32 - 1), st.floats(0, 5000))
@@ -108,11 +111,3 @@ def test_whole_currents_sum_to_zero_and_none_is_off_by_one(slots, electrodes, se
     assert whole.dtype == np.int16
     assert not whole.sum(axis=1).any()
     assert (np.abs(whole - current_ua) < 1).all()
-
-
-def test_shared_slots_are_reported_apart_from_single_points():
-    ratio = np.array([0.5, 0.2, 0.25, np.nan], np.float32)
-    proof = SelectivityReport(np.array([1, 2, 3, 0], np.uint16), ratio, ratio / 2)
-    assert proof.shared == (0.25, 0.125)
-    assert SelectivityReport(np.ones(4, np.uint16), ratio, ratio).shared is None
-    assert SelectivityReport.of_nothing(3).shared is None

@@ -14,11 +14,11 @@ from smarttouch.base.errors import ScheduleError
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import design_bank, load_bank
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.stimulation.point_slots import perceived_at, spread_order
-from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanTiming
 from smarttouch.stimulation.scheduler import NetPlan, ScanScheduler
 from smarttouch.stimulation.sequence_limits import NET_PC
+from smarttouch.stimulation.slots import perceived_at, spread_order
 
 from ..support.checks import raises
 from ..support.full import sample

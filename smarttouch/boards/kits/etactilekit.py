@@ -46,9 +46,8 @@ from smarttouch.boards.kits.watched_port import KEPT_MS
 from smarttouch.boards.line import Line
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
-from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.scan_sequence import ScanSequence, ScanTiming
 
 FIRMWARES = ("71adee2", "newest")  # by their first commits in the repository
 NEWEST_ZERO_MS = 520.0  # newest firmware: ends its scan 500 ms after the host's last byte

@@ -30,9 +30,8 @@ from smarttouch.boards.kits.current_scale import one_against_all, require_kit
 from smarttouch.boards.line import Line
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
-from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.scan_sequence import ScanSequence, ScanTiming
 
 ELECTRODES = 61
 STIMULATE = 0xFF
@@ -126,7 +125,7 @@ class Kajimoto61Driver(Driver):
                 f"this board pulses for {WIDTH_US} µs and grounds for {REST_US} µs, the sequence "
                 f"wants {int(sequence.width_us[0])} and {int(sequence.discharge_us[0])}"
             )
-        shortest = self.timing.shortest_period_us(sequence.slots, ELECTRODES, WIDTH_US, REST_US)
+        shortest = self.timing.shortest_period_us(0, sequence.slots, ELECTRODES, WIDTH_US, REST_US)
         if sequence.period_us < shortest:
             raise BoardError(
                 f"a period of {sequence.period_us} µs is too short for {sequence.slots} "

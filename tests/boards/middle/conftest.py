@@ -19,7 +19,9 @@ from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import BoardSession
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety_gate import _GATE, ProvedSequence, SafetyLimits
+from smarttouch.stimulation.safety_gate import SafetyLimits
+
+from ...support.scans import unproved
 
 MS = 1_000_000
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
@@ -260,9 +262,7 @@ def write(board, sequence, times=1):
     """Let a driver write what no gate has proved, with no ramp."""
     now_ns, number = board.clock.now_ns(), board.driver._number + 1
     board.driver.write(
-        ProvedSequence(
-            sequence, times, number, now_ns, now_ns + LATE_NS, board._gate.session, key=_GATE
-        )
+        unproved(sequence, times, number, now_ns, now_ns + LATE_NS, board._gate.session)
     )
 
 

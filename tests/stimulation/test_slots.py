@@ -11,11 +11,9 @@ from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import load_bank
 from smarttouch.kernels.design_problem import Problem
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.frame_slots import FrameSlots
-from smarttouch.stimulation.point_slots import PointSlots
-from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
+from smarttouch.stimulation.slots import FrameSlots, PointSlots
 
 from ..support.checks import raises
 from ..support.full import WHOLE
@@ -127,9 +125,6 @@ def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
     assert (proof.points[count:] == 0).all()
     assert np.isnan(proof.off_target[count:]).all()
     assert np.isfinite(each.proof.off_target).all()
-    assert proof.shared == pytest.approx(
-        (proof.off_target[:count].max(), proof.spill[:count].max())
-    )
     assert (
         ScanScheduler(profile, bank, both).schedule(TactileImage(rows, 0, 1.0), 1.0).proof is None
     )
@@ -141,7 +136,7 @@ def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made
     activation[:10] = 1
     found = made[Afferent.SAI].slots(activation, 1.0)
     assert found.proof.points.tolist() == [1] * 10
-    alone = PointSlots(profile, bank, Afferent.SAI, ScanTiming()).slots(activation, 1.0)
+    alone = PointSlots(profile, bank, Afferent.SAI).slots(activation, 1.0)
     order = np.argsort(alone.site)
     assert found.site.tolist() == alone.site[order].tolist()
     assert found.current_ua == pytest.approx(alone.current_ua[order], abs=40)
