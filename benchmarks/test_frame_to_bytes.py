@@ -14,8 +14,8 @@ from firmware.tests.rig import encode_lists
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.wire.framing import LARGEST_PACKET
 from smarttouch.boards.link import MessageKind
+from smarttouch.boards.link.link_driver import LinkSession
 from smarttouch.boards.link.sequence_encoding import KernelImage
-from smarttouch.boards.link.session import LinkSession
 from smarttouch.physiology.activating_function import af_matrix, targets
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig

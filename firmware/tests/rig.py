@@ -6,12 +6,12 @@ import itertools
 import numpy as np
 
 from smarttouch.boards import link as protocol
-from smarttouch.boards.link import OUTPUTS, MessageKind, encode_volts
+from smarttouch.boards.link import OUTPUTS, MessageKind
+from smarttouch.boards.link.link_driver import LinkSession
 from smarttouch.boards.link.sequence_encoding import KernelImage, encode_limits, encode_scan
-from smarttouch.boards.link.session import LinkSession
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import NAME, LinkFirmware
-from smarttouch.emulator.link_packets import BoardSession
+from smarttouch.emulator.link_packets import BoardSession, encode_volts
 from smarttouch.emulator.skin import COMPLIANCE_V, SkinCircuit
 
 ROOM = 1 << 22

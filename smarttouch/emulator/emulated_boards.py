@@ -19,9 +19,7 @@ from smarttouch.base.urls import refuse_rest
 from smarttouch.boards import link as protocol
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import MessageKind
-from smarttouch.boards.link.link_driver import LinkDriver
-from smarttouch.boards.link.sequence_encoding import ScanPart
-from smarttouch.boards.link.session import LinkSession
+from smarttouch.boards.link.link_driver import LinkDriver, LinkSession
 from smarttouch.boards.reports import Capabilities
 from smarttouch.emulator import link_rules
 from smarttouch.emulator.firmware import DeliveryLog
@@ -147,15 +145,17 @@ class SimulatedDriver(LinkDriver):
         with self._line.current():
             session.wait_until(self._start_ns(sequence.time_ns))
             end_ns = session.now_ns() + sequence.period_us * proved.times * 1000
-            super().write(proved)
+            before = self._number
+            try:
+                super().write(proved)
+            finally:
+                # One for each part.
+                self._numbers += [proved.number] * (self._number - before)
             session.wait_until(end_ns)
-        session.raise_fault()
+        if session.fault is not None:
+            raise session.fault
         if self._suspicion:
             raise self._line.events.fault(self._suspicion)
-
-    def _send_part(self, proved: ProvedSequence, part: ScanPart) -> None:
-        self._numbers.append(proved.number)
-        super()._send_part(proved, part)
 
     def _start_ns(self, stamp_ns: int) -> int:
         """Return when a sequence with a time stamp begins."""

@@ -22,10 +22,14 @@ from smarttouch.boards.link import (
     Refusal,
     Rule,
     decode,
-    encode_volts,
 )
 from smarttouch.emulator.firmware import RECHARGE, DeliveryLog, Firmware
-from smarttouch.emulator.link_packets import BoardSession, ReceivedSequence, decode_lists
+from smarttouch.emulator.link_packets import (
+    BoardSession,
+    ReceivedSequence,
+    decode_lists,
+    encode_volts,
+)
 from smarttouch.emulator.link_rules import (
     MAX_CURRENT_UA,
     RAMP_MS,

@@ -25,6 +25,7 @@ from smarttouch.boards.link import (
     STATES,
     SUM,
     VERSION,
+    VOLT,
     Message,
     MessageKind,
     Refusal,
@@ -32,13 +33,17 @@ from smarttouch.boards.link import (
     digest_of,
     draw_half,
     encode,
-    unpack_states,
 )
 
 MOST_HOSTS = 8  # number of hosts with separate HELLO records
 _MS = 1_000_000
 _PAIR = struct.Struct("<HH")
 _NOTHING = bytes(16)
+
+
+def encode_volts(volts: NDArray[np.float64]) -> bytes:
+    """Return the payload of VOLTAGES: the source's voltage in each slot, (S,) V."""
+    return np.clip(np.rint(volts * VOLT), 0, 0xFFFF).astype("<u2", copy=False).tobytes()
 
 
 class BoardSession:
@@ -232,6 +237,13 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
         bool(flags & GOES_ON), recharge_us, recharge_ua, kinds, site, source_ua, width_us,
         discharge_us, np.concatenate(rows), np.concatenate(pairs),
     )  # fmt: skip
+
+
+def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8]:
+    """Return the state of each electrode, (S, E): 1 cathode, −1 anode, 0 insulated, 2 invalid."""
+    bits = np.unpackbits(packed, axis=1, count=2 * electrodes, bitorder="little")
+    codes = bits.reshape(len(packed), electrodes, 2) @ np.array([1, 2])
+    return np.asarray(np.array([0, 1, -1, 2], np.int8)[codes])
 
 
 def rounded(every: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -333,10 +333,10 @@ def test_a_board_whose_session_is_over_gets_its_kernels_in_another(start_firmwar
     table = random_table(np.random.default_rng(0), 9, limits.electrodes)
     port = start_firmware()[1]
     with make_board(f"link:{port}", limits, Output(kind="weighted")) as board:
-        packets = board.driver._session
-        packets.beat = lambda: 0.01
+        driver = board.driver
+        driver.idle = lambda: 0.01
         time.sleep(0.3)
-        del packets.beat
-        first = packets.number
+        del driver.idle
+        first = driver._session.number
         board.keep_kernels(table)
-        assert packets.number != first
+        assert driver._session.number != first

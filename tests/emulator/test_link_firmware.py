@@ -22,7 +22,6 @@ from smarttouch.boards.link import (
     Message,
     MessageKind,
     decode,
-    decode_volts,
     digest_of,
     encode,
 )
@@ -85,8 +84,9 @@ def test_an_open_electrode_needs_all_the_voltage_there_is():
     rig = Rig(output="one-against-all", finger=EmulatedFinger(4, ["0 open 1"]))
     rig.drive(measure=True)
     (told,) = (each for each in rig.wait(11_000) if each.kind == MessageKind.VOLTAGES)
-    assert decode_volts(told.payload)[1] == pytest.approx(300, abs=0.02)
-    assert decode_volts(told.payload)[0] < 60
+    volts = np.frombuffer(told.payload, "<u2") / protocol.VOLT
+    assert volts[1] == pytest.approx(300, abs=0.02)
+    assert volts[0] < 60
 
 
 # -- sessions ----------------------------------------------------------------
@@ -206,8 +206,8 @@ def test_a_host_takes_no_table_of_the_same_size_for_its_own():
         driver = LinkDriver("x", LIMITS)
         driver.can = SimpleNamespace(kernel_bytes=10_000, most_kernels=100, packet_bytes=1000)
         driver._session = SimpleNamespace(
-            name="board", number=5, ask=lambda *_, kept=kept: SimpleNamespace(payload=kept)
+            number=5, ask=lambda *_, kept=kept: SimpleNamespace(payload=kept)
         )
-        driver._line = SimpleNamespace(events=SimpleNamespace(fault=BoardFaultError))
+        driver._line = SimpleNamespace(name="board", events=SimpleNamespace(fault=BoardFaultError))
         with raises(BoardFaultError, names="kernels"):
             driver.store_kernels(TABLE)

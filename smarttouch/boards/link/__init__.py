@@ -21,13 +21,10 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Literal, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
-from smarttouch.base.errors import BoardError
 from smarttouch.base.wire.framing import HEAD_BYTES, WirePacket, frame_packet, parse_head
 
 VERSION = 5
+VOLT = 100  # in VOLTAGES
 SWITCH_OPEN = 1  # state of a board whose emergency switch is open
 SILENCE_MS = 100
 ALIVE_MS = 20
@@ -145,46 +142,6 @@ class Rule(IntEnum):
     SESSION_CHARGE = 26
     READY = 27
     PART = 28
-
-
-_VOLT = 100
-_U16_MAX = 0xFFFF
-
-
-def encode_volts(volts: NDArray[np.float64]) -> bytes:
-    """Return the payload of VOLTAGES: the source's voltage in each slot, (S,) V."""
-    return np.clip(np.rint(volts * _VOLT), 0, _U16_MAX).astype("<u2", copy=False).tobytes()
-
-
-def decode_volts(payload: bytes) -> NDArray[np.float32]:
-    """Return the voltages in a payload of VOLTAGES, (S,) V; an odd byte is dropped."""
-    pairs = payload[: len(payload) // 2 * 2]
-    return np.asarray(np.frombuffer(pairs, "<u2") / np.float32(_VOLT), np.float32)
-
-
-def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
-    """Return the current of a switched board's one source in each slot, (S,) µA."""
-    source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
-    strongest = int(source.max(initial=0))
-    if strongest > _U16_MAX:
-        raise BoardError(
-            f"a slot asks {strongest / 1000:.1f} mA of one source, the protocol carries at most "
-            f"{_U16_MAX / 1000:.1f} mA: lower the currents",
-            slot=int(source.argmax()),
-        )
-    volts: NDArray[np.uint16] = source.astype("<u2")
-    return volts
-
-
-def pack_states(signs: NDArray[np.int16]) -> bytes:
-    bits = np.stack([signs > 0, signs < 0], axis=-1).reshape(len(signs), 2 * signs.shape[1])
-    return np.packbits(bits, axis=1, bitorder="little").tobytes()
-
-
-def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8]:
-    bits = np.unpackbits(packed, axis=1, count=2 * electrodes, bitorder="little")
-    codes = bits.reshape(len(packed), electrodes, 2) @ np.array([1, 2])
-    return np.asarray(np.array([0, 1, -1, 2], np.int8)[codes])
 
 
 _HEAD = struct.Struct("<BQII")

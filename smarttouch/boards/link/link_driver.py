@@ -1,7 +1,10 @@
-"""Driver of boards that implement our own protocol over a serial line."""
+"""Driver of boards that implement our own protocol over a serial line, and its sessions."""
 
 import contextlib
+import threading
+import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -13,31 +16,47 @@ from smarttouch.base.errors import (
     LineLostError,
     OtherDeviceError,
     SequenceLateError,
+    SilentBoardError,
 )
-from smarttouch.base.wire.framing import LARGEST_PACKET
+from smarttouch.base.posix import prioritized
+from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer
 from smarttouch.boards import link as protocol
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
-from smarttouch.boards.link import Message, MessageKind, Refusal, Rule, decode_volts, digest_of
+from smarttouch.boards.link import (
+    ANSWERS,
+    HALF,
+    NOTHING,
+    SILENCE_MS,
+    VERSION,
+    Feature,
+    Message,
+    MessageKind,
+    Refusal,
+    Rule,
+    decode,
+    digest_of,
+    draw_half,
+    encode,
+)
 from smarttouch.boards.link.sequence_encoding import (
     KernelImage,
     ScanPart,
     encode_limits,
     encode_scan,
 )
-from smarttouch.boards.link.session import (
-    HEARTBEAT_S,
-    PAUSED_S,
-    LinkSession,
-    capabilities_of,
-    malformed,
-    reason_of,
-)
 from smarttouch.boards.reports import BoardReport, Capabilities, SequenceStart
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable
 
+HEARTBEAT_S = 0.03  # longest silence of the host: the board gives up after 0.1 s
+SILENCE_S = 0.5  # after which a board, which sends every 20 ms in a session, is gone
+LISTENED_S = 0.1  # most silence counted for one read; the rest was a pause of ours
+ANSWER_S = 1.0
+ASKED_AGAIN_S = 0.25  # time after which a query is sent again
+PAUSED_S = 1.0  # time for which a pause of this computer explains what the board does
+LAST_NUMBER = 2**32 - 1
 AGAIN_S = 0.04
 """Time after which a sequence without an ACK is sent again, unless it is too late for it."""
 AFTER_ZERO_S = 0.02
@@ -51,6 +70,244 @@ OPEN_SHARE = 0.97
 OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
 _PIECE = 1024  # bytes of kernels at once: nothing else can pass while they do
 _IDLE = 3  # times that nothing new may have been kept
+
+
+class LinkSession:
+    """One session with a board, from before HELLO on; a fault is raised at the next call. Each
+    `open` begins another one.
+
+    Parameters
+    ----------
+    receive : callable
+        Gets every packet that answers no query, with `news` held.
+    draw : callable
+        Returns the host's half of a session, a new one each time.
+    """
+
+    line: Line
+    now_s: Callable[[], float] = staticmethod(time.monotonic)  # clock of all timeouts here
+
+    def __init__(
+        self, receive: Callable[[Message], None], draw: Callable[[], int] = draw_half
+    ) -> None:
+        # Longest wait for an answer, and longest silence of the board in a session.
+        self.answer_s: float = ANSWER_S
+        self.silence_s: float = SILENCE_S
+        self.refused: int = 0  # packets of the board, in all sessions
+        self.news: threading.Condition = threading.Condition()
+        self.paused_at_s: float = -PAUSED_S  # when this computer last wrote after a long pause
+        self._receive, self._draw = receive, draw
+        self._closed = threading.Event()
+        self._reader: threading.Thread | None = None
+        self._restart()
+
+    def _restart(self) -> None:
+        self.number: int = self._draw()  # its upper half is 0 until the board has answered HELLO
+        self.begun: bool = False  # whether the board has answered BEGIN
+        self.sent: int = 0  # number of the last packet
+        self.fault: BoardError | None = None
+        self._taken = self._offered = 0
+        self._asked: dict[int, MessageKind] = {}  # answers that are due, by the queries' numbers
+        self._answers: dict[int, Message] = {}
+        self._deframer = Deframer()
+        self._ahead_ns: deque[int] = deque(maxlen=16)  # of the host's clock before the board's
+
+    def open(self, line: Line) -> None:
+        """Start reading from a connected line."""
+        self.line = line
+        self._restart()
+        self._closed.clear()
+        self.written_s: float = self.now_s()  # when the last packet was written
+        self._listen()
+
+    def _listen(self) -> None:
+        self._reader = threading.Thread(target=self._read_all, name="board reader", daemon=True)
+        self._reader.start()
+
+    def now_ns(self) -> int:
+        """Return the time by which sequences are sent and answered."""
+        return self.line.now_ns()
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait for a condition, with `news` held; return whether it holds."""
+        return self.news.wait_for(condition, timeout_s)
+
+    def close(self) -> None:
+        """End the reader."""
+        self.begun = False
+        self._closed.set()
+        if self._reader is not None and self._reader is not threading.current_thread():
+            self._reader.join(ANSWER_S)
+
+    # -- queries -----------------------------------------------------------
+
+    def begin(self, accept: Callable[[Message], None]) -> None:
+        """Begin a session with a board, unless ``accept`` raises on its CAPABILITIES, of any
+        version."""
+        deadline_s = self.now_s() + self.answer_s
+        while True:
+            accept(self.ask(MessageKind.HELLO))
+            try:
+                if not self.begun:
+                    self.ask(MessageKind.BEGIN, within_s=ASKED_AGAIN_S)
+                return
+            except SilentBoardError:
+                # Another HELLO may have replaced what the board has offered.
+                if self.now_s() >= deadline_s:
+                    raise
+
+    def ask(
+        self, question: MessageKind, payload: bytes = b"", within_s: float | None = None
+    ) -> Message:
+        """Send a query until it is answered; raise SilentBoardError if it is not, within
+        `answer_s` if no time is given."""
+        kind, first = ANSWERS[question], self.sent + 1
+        deadline_s = self.now_s() + (self.answer_s if within_s is None else within_s)
+
+        def is_answered() -> bool:
+            reply = self._answers.get(kind)
+            # An answer of another version may name no query.
+            return reply is not None and (reply.about >= first or reply.version != VERSION)
+
+        def is_over() -> bool:
+            return self.fault is not None or is_answered() or self.line.is_stopped
+
+        while self.now_s() < deadline_s:
+            self.send(question, payload=payload)
+            with self.news:
+                # In short waits: a stop of a board that is being opened wakes nobody.
+                any(self.wait(is_over, ASKED_AGAIN_S / 5) for _ in range(5))
+                if self.fault is not None:
+                    raise self.fault
+                self.line.require_running()
+                if is_answered():
+                    return self._answers.pop(kind)
+        raise SilentBoardError(
+            f"the board at {self.line.name} does not answer: check that it is on and speaks link "
+            f"version {VERSION}"
+        )
+
+    # -- packets of the host -------------------------------------------------
+
+    def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
+        """Return the host's next packet."""
+        if self.sent == LAST_NUMBER:
+            raise LineLostError(f"the session of {LAST_NUMBER} packets is over")
+        self.sent += 1
+        if kind in ANSWERS:
+            self._asked[self.sent] = ANSWERS[kind]
+        session = self.number & HALF if kind == MessageKind.HELLO else self.number
+        return encode(kind, session, self.sent, self._taken, about, payload)
+
+    def send(
+        self,
+        kind: MessageKind,
+        about: int = 0,
+        payload: bytes = b"",
+        *,
+        proved: ProvedSequence | None = None,
+    ) -> None:
+        """Write the next packet of the session; one that delivers a sequence is refused as
+        `Line.write` says."""
+        try:
+            # Numbered under the lock, so that packets leave in order.
+            with self.line.current():
+                # A leading zero ends any half packet on the line.
+                zero = b"\0" * (proved is None)
+                self._put(zero + self.encode(kind, about, payload), proved)
+        except LineLostError as lost:
+            self.fail(lost)
+            raise self.fault or lost from None
+        before_s, self.written_s = self.written_s, self.now_s()
+        if self.written_s - before_s > SILENCE_MS / 1000:
+            self.paused_at_s = self.written_s
+
+    def _put(self, packet: bytes, proved: ProvedSequence | None) -> None:
+        self.line.write(packet, proved)
+
+    def stop_blindly(self) -> None:
+        """Write a STOP to a line that has failed, which may still carry it."""
+        with contextlib.suppress(BoardError):
+            self._put(b"\0" + self.encode(MessageKind.STOP), None)
+
+    def fail(self, fault: BoardError) -> None:
+        """Keep the first fault for the next call."""
+        with self.news:
+            self.fault = self.fault or fault
+            self.news.notify_all()
+
+    # -- packets of the board --------------------------------------------------
+
+    @prioritized()
+    def _read_all(self) -> None:
+        silent_s, now_s = 0.0, self.now_s()
+        while not self._closed.is_set():
+            try:
+                data = self.line.read_some()
+            except BoardError as error:
+                if not self._closed.is_set():
+                    self.fail(error)
+                return
+            before_s, now_s = now_s, self.now_s()
+            silent_s += min(now_s - before_s, LISTENED_S)
+            # Before a session a board sends nothing by itself.
+            if self.take(data) or not self.begun:
+                silent_s = 0.0
+            if silent_s > self.silence_s:
+                self.fail(self.line.lost(f"has been silent for {self.silence_s:g} s"))
+                return
+
+    def take(self, data: bytes) -> list[Message]:
+        """Process bytes from the board; return the packets of the session among them. Others are
+        counted: those that are old, of another session, or answers to what was not asked."""
+        taken = []
+        for message in map(decode, self._deframer.feed(data)):
+            kind, is_answer = message.kind, message.kind in ANSWERS.values()
+            with self.news:
+                if kind == MessageKind.CAPABILITIES:
+                    accepted = self._accept_offer(message)
+                else:
+                    accepted = (message.session, message.version) == (self.number, VERSION)
+                    accepted = accepted and message.number > self._taken
+                    if accepted:
+                        self._taken = message.number
+                        accepted = not is_answer or self._asked.pop(message.about, None) == kind
+                if not accepted:
+                    self.refuse()
+                    continue
+                taken.append(message)
+                self.begun |= kind == MessageKind.BEGUN
+                if is_answer:
+                    self._answers[kind] = message
+                else:
+                    self._receive(message)
+                self.news.notify_all()
+        return taken
+
+    def refuse(self) -> None:
+        """Count a refused packet; those before CAPABILITIES are of an earlier run."""
+        self.refused += self.number > HALF
+
+    def _accept_offer(self, offer: Message) -> bool:
+        if offer.version != VERSION:
+            # A board of another version is reported by its version.
+            return not self.begun
+        was_asked = self._asked.pop(offer.about, None) == offer.kind
+        if offer.session & HALF != self.number & HALF or not was_asked:
+            return False
+        if self.begun or offer.about < self._offered:
+            return offer.session == self.number
+        self.number, self._offered = offer.session, offer.about
+        return True
+
+    def start_ns(self, board_us: int, sent_ns: int, now_ns: int) -> int:
+        """Return when a sequence began by the host's clock, by the answer that came fastest of the
+        last few: it was sent at a time, began at one of the board's clock, and was answered now."""
+        if self._ahead_ns and 1000 * board_us + min(self._ahead_ns) < sent_ns:
+            # No sequence begins before it is sent: the board's clock has stood still.
+            self._ahead_ns.clear()
+        self._ahead_ns.append(now_ns - 1000 * board_us)
+        return 1000 * board_us + min(self._ahead_ns)
 
 
 class SentPart(NamedTuple):
@@ -81,8 +338,7 @@ class LinkDriver(Driver):
         self._repeated: deque[int] = deque(maxlen=64)
         """Sequences sent more than once: they may be answered more than once."""
         self._again_s = 0.0
-        self._output = output
-        self._limits = limits
+        self._output, self._limits = output, limits
         self.can: Capabilities | None = None  # of the board, once it has been asked
         self._number = 0
         self._account: tuple[Any, ...] | None = None
@@ -107,12 +363,10 @@ class LinkDriver(Driver):
         self._flight = None
         self._suspicion = ""
         self._session.open(line)
-        if not line.reopened:
-            self._refused_before = 0
         self._session.begin(self._take_offer)
         limited = self._session.ask(MessageKind.LIMITS, encode_limits(self._limits))
         if limited.payload != b"\1":
-            raise malformed(self._session.name)
+            raise self._malformed()
         self._give_kernels()
         self._account_before, self._account = self._ask_account(), None
         self._slots_sent = self._unsafe_refused = 0
@@ -125,7 +379,9 @@ class LinkDriver(Driver):
         self._line.connect(str(self.port))
 
     def write(self, proved: ProvedSequence) -> None:
-        can = self.can
+        """Send a sequence, in parts where the board has no room for all of it: each is due when
+        the part before has begun."""
+        can, session, line = self.can, self._session, self._line
         assert can is not None
         room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
         switched, image = can.output != "weighted", self._image
@@ -133,43 +389,102 @@ class LinkDriver(Driver):
             proved.sequence, proved.times, can.measures, switched, image, room, can.max_slots
         ):
             self._number += 1
-            self._wait_for_room()
-            self._send_part(proved, part)
+            with session.news:
+                if self._flight is not None:
+                    self._wait_for_room(self._flight.number)
+                if session.fault is not None:
+                    raise session.fault
+                line.require_running()
+                now_ns = session.now_ns()
+                if part.first:
+                    proved = line.later(proved, max(proved.due_ns, now_ns))
+                self._flight = SentPart(self._number, proved, part, now_ns)
+                self._sent[self._number] = self._flight
+                self._sent.pop(self._number - 4, None)
+                self._slots_sent += part.slots * proved.times
+                self._again_s = session.now_s() + AGAIN_S
+            try:
+                session.send(MessageKind.SEQUENCE, self._number, part.payload, proved=proved)
+            except SequenceLateError:
+                self._flight = None
+                raise
+
+    def _wait_for_room(self, number: int) -> None:
+        """Wait until the sequence on its way is answered, with the session's `news` held."""
+        session, line = self._session, self._line
+
+        def is_over() -> bool:
+            return self._flight is None or session.fault is not None or line.is_stopped
+
+        if not session.wait(is_over, session.answer_s):
+            what = f"has not acknowledged sequence {number} within {session.answer_s:g} s"
+            raise line.lost(what)
 
     def zero(self) -> None:
+        """Stop the board; latch it if it delivers slots after it has confirmed that."""
         session = self._session
         with session.news:
             session.news.notify_all()
-        if not session.is_open or not session.begun:
+        if not session.begun:
             return
         if session.fault is not None:
             session.stop_blindly()
             return
         try:
             session.ask(MessageKind.STOP)
-            self._check_zero()
         except BoardError:
             # A lost board has been reported, or will be at the next send.
             if session.fault is None:
                 raise
+            return
+        try:
+            slots = self._ask_account()[1]
+            with session.news:
+                session.wait(lambda: False, AFTER_ZERO_S)
+            self._account = self._ask_account()
+        except BoardError:
+            # It has confirmed zero; what has become of the line since then changes nothing.
+            return
+        if self._account[1] != slots:
+            raise self._line.events.fault("the board delivered pulses after it had confirmed zero")
 
     def close(self) -> None:
         session = self._session
-        if session.is_open and session.begun:
+        if session.begun:
             # A board still in its session would refuse the next HELLO; after a stop this is barred.
             session.stop_blindly()
         session.close()
 
     def idle(self) -> float | None:
-        """Send a lost packet again, and a heartbeat if one is due."""
-        if self._session.fault is not None:
+        """Send a sequence without an ACK again, unless it is too late for it, and a heartbeat if
+        one is due."""
+        session = self._session
+        if session.fault is not None:
             return None
         if self._suspicion:
             fault = self._line.events.fault(self._suspicion)
-            self._session.fail(fault)
+            session.fail(fault)
             raise fault
-        self._send_again()
-        return self._session.beat()
+        # Nothing newer can go out between the look and the write.
+        with self._line.current():
+            with session.news:
+                now_s, flight = session.now_s(), self._flight
+                if flight is not None and now_s < self._again_s:
+                    flight = None
+                if flight is not None:
+                    self._again_s = now_s + AGAIN_S
+                    self._repeated.append(flight.number)
+                    self._unsafe_refused += 1
+            if flight is not None:
+                # If it is late, the next sequence reports that the board is lost. It has the same
+                # number: the board recognizes it if only the ACK was lost.
+                with contextlib.suppress(SequenceLateError):
+                    payload, proved = flight.part.payload, flight.proved
+                    session.send(MessageKind.SEQUENCE, flight.number, payload, proved=proved)
+        if session.begun and now_s - session.written_s > HEARTBEAT_S:
+            session.send(MessageKind.HEARTBEAT)
+        # Nothing is due soon after a packet.
+        return max(HEARTBEAT_S / 4, session.written_s + HEARTBEAT_S * 2 / 3 - now_s)
 
     def is_busy(self) -> bool:
         return bool(self._ask_account()[7])
@@ -185,6 +500,55 @@ class LinkDriver(Driver):
         return self._session.refused
 
     # -- the session ---------------------------------------------------------
+
+    def _take_offer(self, answer: Message) -> None:
+        """Take a board's capabilities if they fit the profile and, once its line was lost, those
+        from before. A wrong board has received no more than HELLO."""
+        name, before = self._line.name, self.can if self._line.reopened else None
+        if answer.version != VERSION:
+            raise BoardError(
+                f"the board at {name} speaks link version {answer.version}, this program "
+                f"{VERSION}: bring both to the same"
+            )
+        head, size = protocol.CAPABILITIES, protocol.CAPABILITIES.size
+        end = size + protocol.KEEPING.size
+        if len(answer.payload) < end:
+            raise self._malformed()
+        electrodes, kind, able, current_ua, slots, zero_ms, volts = head.unpack_from(answer.payload)
+        if kind >= len(protocol.OUTPUTS):
+            raise BoardError(f"the board at {name} has outputs of unknown kind {kind}")
+        room, packet, kernels = protocol.KEEPING.unpack_from(answer.payload, size)
+        keeps = bool(able & Feature.KERNELS)
+        can = Capabilities(
+            electrodes=electrodes, output=protocol.OUTPUTS[kind], max_current_ma=current_ua / 1000,
+            max_slots=slots, time_to_zero_ms=zero_ms,
+            firmware=answer.payload[end:].decode("utf-8", "replace"),
+            measures=bool(able & Feature.VOLTAGE), force=bool(able & Feature.FORCE),
+            compliance_v=float(volts) or None,
+            # A recharge phase needs a source for each electrode.
+            recharges=bool(able & Feature.RECHARGE) and protocol.OUTPUTS[kind] == "weighted",
+            emergency_switch=bool(able & Feature.EMERGENCY), kernel_bytes=keeps * room,
+            most_kernels=keeps * kernels, packet_bytes=packet,
+        )  # fmt: skip
+        if can.emergency_switch and answer.state & protocol.SWITCH_OPEN:
+            raise EmergencyStopError(
+                f"the emergency switch of the board at {name} is open: close it, then begin again"
+            )
+        if before not in (None, can):
+            raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
+        wanted = can.output if self._output is None else self._output.kind
+        if (electrodes, can.output) != (self._limits.electrodes, wanted):
+            raise BoardError(
+                f"the board at {name} has {electrodes} electrodes and is {can.output}, the "
+                f"profile needs {self._limits.electrodes} and {wanted}: use the profile of this "
+                "board"
+            )
+        self.can = can
+
+    def _malformed(self) -> BoardError:
+        return BoardError(
+            f"the board at {self._line.name} gives invalid answers: check its firmware"
+        )
 
     def store_kernels(self, table: KernelTable) -> None:
         self._table = table
@@ -203,12 +567,12 @@ class LinkDriver(Driver):
             head = protocol.KERNELS.pack(image.identity, len(image.data), at)
             answer = self._session.ask(MessageKind.KERNELS, head + data).payload
             if len(answer) != protocol.KEPT.size:
-                raise malformed(self._session.name)
+                raise self._malformed()
             identity, stored, whole, proof = protocol.KEPT.unpack(answer)
             if identity == image.identity and whole:
                 if proof != digest_of(image.data, self._session.number):
                     raise self._line.events.fault(
-                        f"the board at {self._session.name} holds other kernels than those sent"
+                        f"the board at {self._line.name} holds other kernels than those sent"
                     )
                 self._image = image
                 return
@@ -219,44 +583,26 @@ class LinkDriver(Driver):
             at, data = stored, image.data[stored : stored + piece]
         # Its session may have ended, as after 100 ms in which the host was held up.
         raise LineLostError(
-            f"the board at {self._session.name} does not keep the kernels that it is sent: check "
+            f"the board at {self._line.name} does not keep the kernels that it is sent: check "
             "its firmware"
         )
-
-    def _take_offer(self, answer: Message) -> None:
-        """Take a board's capabilities if they fit the profile and, once its line was lost, those
-        from before. A wrong board has received no more than HELLO."""
-        name, known = self._session.name, self.can if self._line.reopened else None
-        capabilities = capabilities_of(answer, name)
-        if capabilities.emergency_switch and answer.state & protocol.SWITCH_OPEN:
-            raise EmergencyStopError(
-                f"the emergency switch of the board at {name} is open: close it, then begin again"
-            )
-        if known not in (None, capabilities):
-            raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
-        outputs, electrodes = capabilities.electrodes, self._limits.electrodes
-        wanted = capabilities.output if self._output is None else self._output.kind
-        if (outputs, capabilities.output) != (electrodes, wanted):
-            raise BoardError(
-                f"the board at {name} has {outputs} electrodes and is {capabilities.output}, the "
-                f"profile needs {electrodes} and {wanted}: use the profile of this board"
-            )
-        self.can = capabilities
 
     def _ask_account(self) -> tuple[Any, ...]:
         """Return a REPORT: counts, mA and µC, in the order of `protocol.REPORT`."""
         answer = self._session.ask(MessageKind.STATUS)
         if len(answer.payload) != protocol.REPORT.size:
-            raise malformed(self._session.name)
+            raise self._malformed()
         fields = protocol.REPORT.unpack(answer.payload)
         strongest_ua, charge_pc, net_pc = fields[4:7]
         return (*fields[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *fields[7:])
 
     def status(self) -> BoardReport:
         """Return the board's report; latch the board if that has what was not sent."""
-        now, before, limits = self._account, self._account_before, self._limits
-        if now is None:
-            now = self._ask_account()
+        now, before, limits = (
+            self._account or self._ask_account(),
+            self._account_before,
+            self._limits,
+        )
         violations, slots = now[3] - before[3], now[1] - before[1]
         largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
         fault = self._line.events.fault
@@ -274,159 +620,97 @@ class LinkDriver(Driver):
         refused = max(0, sum(now[OLD_PACKETS]) - self._refused_before)
         return BoardReport(*(*now[:7], refused))
 
-    # -- sequences ---------------------------------------------------------
-
-    def _send_part(self, proved: ProvedSequence, part: ScanPart) -> None:
-        """Send a sequence, or a part of one, which is due when the part before has begun."""
-        session, now_ns = self._session, self._session.now_ns()
-        if part.first:
-            proved = self._line.later(proved, max(proved.due_ns, now_ns))
-        with session.news:
-            self._flight = SentPart(self._number, proved, part, now_ns)
-            self._sent[self._number] = self._flight
-            self._sent.pop(self._number - 4, None)
-            self._slots_sent += part.slots * proved.times
-            self._again_s = session.now_s() + AGAIN_S
-        try:
-            session.send(MessageKind.SEQUENCE, self._number, part.payload, proved=proved)
-        except SequenceLateError:
-            self._flight = None
-            raise
-
-    def _wait_for_room(self) -> None:
-        session, line = self._session, self._line
-
-        def is_over() -> bool:
-            return self._flight is None or session.fault is not None or line.is_stopped
-
-        with session.news:
-            if not session.wait(is_over, session.answer_s) and self._flight is not None:
-                number = self._flight.number
-                what = f"has not acknowledged sequence {number} within {session.answer_s:g} s"
-                raise line.lost(what)
-            session.raise_fault()
-            line.require_running()
-
-    def _send_again(self) -> None:
-        """Send a sequence without an ACK once more, unless it is too late for it.
-
-        It has the same number: the board recognizes it if only the ACK was lost.
-        """
-        session = self._session
-        # Nothing newer can go out between the look and the write.
-        with self._line.current():
-            with session.news:
-                now_s, flight = session.now_s(), self._flight
-                if flight is None or now_s < self._again_s:
-                    return
-                self._again_s = now_s + AGAIN_S
-                self._repeated.append(flight.number)
-                self._unsafe_refused += 1
-            # If it is late, the next sequence reports that the board is lost.
-            with contextlib.suppress(SequenceLateError):
-                payload, proved = flight.part.payload, flight.proved
-                session.send(MessageKind.SEQUENCE, flight.number, payload, proved=proved)
-
-    def _check_zero(self) -> None:
-        """Latch the board if it delivers slots after it has confirmed a stop; keep its account."""
-        try:
-            slots = self._ask_account()[1]
-            with self._session.news:
-                self._session.wait(lambda: False, AFTER_ZERO_S)
-            self._account = self._ask_account()
-        except BoardError:
-            # It has confirmed zero; what has become of the line since then changes nothing.
-            return
-        if self._account[1] != slots:
-            raise self._line.events.fault("the board delivered pulses after it had confirmed zero")
-
     # -- packets of the board ----------------------------------------------
 
     def _receive(self, message: Message) -> None:
-        """Handle an unrequested packet."""
-        can = self.can
+        """Handle an unrequested packet, with the session's `news` held."""
+        can, session, events, payload = self.can, self._session, self._line.events, message.payload
         if can is not None and can.emergency_switch and message.state & protocol.SWITCH_OPEN:
-            self._session.fail(self._emergency())
+            session.fail(self._emergency())
         match message.kind:
-            case MessageKind.ACK if len(message.payload) == protocol.ACK.size:
-                if sent := self._answered(message):
-                    (board_us,) = protocol.ACK.unpack(message.payload)
-                    session = self._session
+            case MessageKind.ACK if len(payload) == protocol.ACK.size:
+                sent = self._flight
+                if sent is not None and sent.number == message.about:
+                    self._flight = None
+                    (board_us,) = protocol.ACK.unpack(payload)
                     time_ns = session.start_ns(board_us, sent.sent_ns, session.now_ns())
                     if not sent.part.first:
-                        start = SequenceStart(sent.proved.number, time_ns, board_us)
-                        self._line.events.started(start)
+                        events.started(SequenceStart(sent.proved.number, time_ns, board_us))
+                elif message.about not in self._repeated:
+                    session.refuse()
             case MessageKind.NAK:
                 self._refused(message)
             case MessageKind.ALIVE:
-                if can is not None and can.force and len(message.payload) == protocol.ALIVE.size:
-                    (force_mn,) = protocol.ALIVE.unpack(message.payload)
-                    self._line.events.force(force_mn / 1000)
-            case MessageKind.VOLTAGES:
-                self._note_volts(message)
+                if can is not None and can.force and len(payload) == protocol.ALIVE.size:
+                    events.force(protocol.ALIVE.unpack(payload)[0] / 1000)
+            case MessageKind.VOLTAGES if (about := self._sent.get(message.about)) is not None:
+                self._note_volts(about, payload)
             case _:
-                self._session.refuse()
+                session.refuse()
 
-    def _note_volts(self, message: Message) -> None:
-        sent, can = self._sent.get(message.about), self.can
-        if sent is None or can is None:
-            return self._session.refuse()
-        sequence, part = sent.proved.sequence, sent.part
-        decoded = decode_volts(message.payload)
-        if len(decoded) != part.slots or not len(decoded):
-            return None
-        self._volts = [*self._volts, decoded] if part.first else [decoded]
+    def _note_volts(self, sent: SentPart, payload: bytes) -> None:
+        """Report the voltages of a scan with those of its last part; an odd byte is dropped."""
+        sequence, part, events = sent.proved.sequence, sent.part, self._line.events
+        counts = np.frombuffer(payload[: len(payload) // 2 * 2], "<u2")
+        if len(counts) != part.slots or not len(counts):
+            return
+        self._volts = self._volts if part.first else []
+        self._volts.append(np.asarray(counts / np.float32(protocol.VOLT), np.float32))
         volts = np.concatenate(self._volts)
         if len(volts) == sequence.slots == part.first + part.slots:
-            compliance = can.compliance_v
-            if compliance is not None and volts.max() > MOST_COMPLIANCES * compliance:
+            assert self.can is not None
+            highest_v = self.can.compliance_v or np.inf
+            if volts.max() > MOST_COMPLIANCES * highest_v:
                 self._suspicion = (
-                    f"the board measured {volts.max():.0f} V with a source of {compliance:g} V"
+                    f"the board measured {volts.max():.0f} V with a source of {highest_v:g} V"
                 )
-            self._line.events.volts(sequence, volts)
-            lifted = compliance is not None and bool((volts >= OPEN_SHARE * compliance).all())
-            self._line.events.lift(lifted)
-        return None
-
-    def _answered(self, message: Message) -> SentPart | None:
-        """Return the sequence on its way if a packet answers it; count a packet that answers
-        none."""
-        flight = self._flight
-        if flight is not None and flight.number == message.about:
-            self._flight = None
-            return flight
-        if message.about not in self._repeated:
-            self._session.refuse()
-        return None
+            events.volts(sequence, volts)
+            events.lift(bool((volts >= OPEN_SHARE * highest_v).all()))
 
     def _emergency(self) -> EmergencyStopError:
         return EmergencyStopError(
-            f"the emergency switch of the board at {self._session.name} was opened: all electrodes "
+            f"the emergency switch of the board at {self._line.name} was opened: all electrodes "
             "are at zero; close it, then begin again"
         )
 
     def _refused(self, message: Message) -> None:
-        why, rule, words = reason_of(message)
-        session = self._session
+        """Handle a NAK."""
+        session, line = self._session, self._line
+        why, rule, words = _reason_of(message.payload)
         if why == Refusal.EMERGENCY:
             session.fail(self._emergency())
             return
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
             # Our own part of it is sent again; REPORT counts the rest.
             return
-        if self._answered(message) is None:
+        if self._flight is None or self._flight.number != message.about:
+            if message.about not in self._repeated:
+                session.refuse()
             return
-        self._line.events.refused()
+        self._flight = None
+        line.events.refused()
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             self._unsafe_refused += 1
             # Clocks differ: what rose too fast for the board's restarts at zero.
-            lost = self._line.lost(f"refused sequence {message.about} as unsafe: {words}")
+            lost = line.lost(f"refused sequence {message.about} as unsafe: {words}")
             session.fail(lost if rule == Rule.RISE else BoardError(str(lost)))
-        elif why == Refusal.STOPPED and not self._line.is_stopped:
-            lost = self._line.lost("has been stopped or restarted by another program")
+        elif why == Refusal.STOPPED and not line.is_stopped:
+            lost = line.lost("has been stopped or restarted by another program")
             session.fail(BoardError(str(lost)))
         elif why == Refusal.SILENCE:
             slow = session.now_s() - session.paused_at_s < PAUSED_S
             cause = "this computer was too slow" if slow else "check the cable"
-            silence = f"received nothing for {protocol.SILENCE_MS} ms ({cause})"
-            session.fail(self._line.lost(silence))
+            session.fail(line.lost(f"received nothing for {SILENCE_MS} ms ({cause})"))
+
+
+def _reason_of(payload: bytes) -> tuple[int, int, str]:
+    """Return reason, rule and text of a NAK."""
+    if len(payload) != protocol.NAK.size:
+        return 0, Rule.NONE, ""
+    reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(payload)
+    name = next((known.name.lower() for known in Rule if known == rule), "unknown")
+    words = f"rule {rule} ({name})" if rule else "malformed"
+    words += f": {value}, allowed {allowed}" if value or allowed else ""
+    words += f", slot {slot}" if slot != NOTHING else ""
+    words += f", electrode {electrode}" if electrode != NOTHING else ""
+    return reason, rule, words

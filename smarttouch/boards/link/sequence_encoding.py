@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
@@ -24,8 +23,6 @@ from smarttouch.boards.link import (
     STATES,
     SUM,
     digest_of,
-    pack_states,
-    source_of,
 )
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import (
@@ -92,126 +89,125 @@ def encode_scan(
     lists of these; others are written as currents, or as states for a board with one source
     (``switched``). ``measure`` requests voltages.
     """
-    recharge = sequence.recharge_ua
-    if switched and recharge is not None:
-        raise BoardError(
-            "a recharge phase needs a source for each electrode, and this board has one for all: "
-            "leave it out"
+    parts: list[ScanPart] = []
+    waiting, columns = [(0, sequence.slots)], _columns(sequence, switched, image)
+    while waiting:
+        start, end = waiting.pop()
+        payload, middle = (
+            _payload(sequence, columns, start, end, times, measure),
+            (start + end) // 2,
         )
-    intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
-    shapes, shape = _shapes(sequence)
-    kind, first, pairs = _kinds(sequence, switched, image)
-    rows = _rows(sequence, switched)
-    # Each sum stands alone.
-    cuts = (np.diff(kind) != 0) | (np.diff(shape) != 0) | (kind[1:] == SUM)
-
-    def payload(start: int, end: int) -> bytes:
-        flags = GOES_ON * (start > 0) | MORE * (end < sequence.slots) | MEASURE * measure
-        tail = b""
-        if recharge is not None and end == sequence.slots:
-            flags |= RECHARGE
-            tail = sequence.recharge_us.to_bytes(2, "little") + recharge.astype("<i2").tobytes()
-        head = (sequence.period_us, times, intensity, flags, len(shapes) // 4)
-        data = [SEQUENCE.pack(*head), shapes, tail]
-        starts = [start, *(np.flatnonzero(cuts[start : end - 1]) + start + 1).tolist(), end]
-        for at, until in itertools.pairwise(starts if end > start else []):
-            body = pairs[first[at] : first[until]] if kind[at] < CURRENTS else rows[at:until]
-            if len(body) > _U16_MAX:
-                raise BoardError(
-                    f"{len(body)} slots or points of one kind are above the limit of {_U16_MAX}: "
-                    "scan fewer points"
-                )
-            data += [GROUP.pack(kind[at], shape[at], len(body)), body.tobytes()]
-        return b"".join(data)
-
-    try:
-        return _in_parts(payload, 0, sequence.slots, times, most_bytes, most_slots)
-    except BoardError:
-        if image is None:
-            raise
-        # One slot may have too many kernels.
-        return encode_scan(sequence, times, measure, switched, None, most_bytes, most_slots)
+        if len(payload) <= most_bytes and end - start <= most_slots:
+            parts.append(ScanPart(payload, start, end - start))
+        elif end - start > 1 and times == 1:
+            waiting += [(middle, end), (start, middle)]
+        elif image is not None:
+            # One slot may have too many kernels.
+            return encode_scan(sequence, times, measure, switched, None, most_bytes, most_slots)
+        elif end - start > 1:
+            raise BoardError(
+                f"{end} slots are more than this board takes at once ({most_slots} slots, "
+                f"{most_bytes} bytes), and what is sent in parts is not repeated by the board: "
+                "send it once each period"
+            )
+        else:
+            raise BoardError(
+                f"a sequence of {len(payload)} bytes is above the board's limit of {most_bytes}: "
+                "scan fewer points at once"
+            )
+    return parts
 
 
-def _in_parts(
-    encode: Callable[[int, int], bytes],
-    start: int,
-    end: int,
-    times: int,
-    most_bytes: int,
-    most_slots: int,
-) -> list[ScanPart]:
-    """Return slots as one part if there is room for it, else each half of them so."""
-    payload, middle = encode(start, end), (start + end) // 2
-    if len(payload) <= most_bytes and end - start <= most_slots:
-        return [ScanPart(payload, start, end - start)]
-    if end - start <= 1:
-        raise BoardError(
-            f"a sequence of {len(payload)} bytes is above the board's limit of {most_bytes}: "
-            "scan fewer points at once"
-        )
-    if times > 1:
-        raise BoardError(
-            f"{end} slots are more than this board takes at once ({most_slots} slots, "
-            f"{most_bytes} bytes), and what is sent in parts is not repeated by the board: send it "
-            "once each period"
-        )
-    halves = (start, middle), (middle, end)
-    return [
-        part for half in halves for part in _in_parts(encode, *half, times, most_bytes, most_slots)
-    ]
+class _Columns(NamedTuple):
+    """Slots in the forms that go into payloads."""
+
+    shapes: bytes  # table of pulse shapes
+    shape: NDArray[np.intp]  # (S,) place in it
+    kind: NDArray[np.intp]  # (S,) kind of group
+    first: NDArray[np.intp]  # (S + 1,) where the list of each slot begins in ``pairs``
+    pairs: NDArray[np.uint16]  # (N, 2) kernels and amplitudes
+    rows: NDArray[np.int16] | NDArray[np.uint8]  # site and currents, or site, source and states
 
 
-def _shapes(sequence: ScanSequence) -> tuple[bytes, NDArray[np.intp]]:
-    """Return the table of a sequence's pulse shapes, and each slot's place in it, (S,)."""
+def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) -> _Columns:
     times_us = sequence.width_us.astype(np.uint32) << 16 | sequence.discharge_us
-    shapes, index = times_us[:1], np.zeros(len(times_us), np.intp)
+    shapes, shape = times_us[:1], np.zeros(len(times_us), np.intp)
     if (times_us != shapes).any():
-        shapes, index = np.unique(times_us, return_inverse=True)
+        shapes, shape = np.unique(times_us, return_inverse=True)
     if len(shapes) > _MOST_SHAPES:
         raise BoardError(
             f"{len(shapes)} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
             "choose fewer pulse widths"
         )
-    return (shapes >> 16 | shapes << 16).astype("<u4").tobytes(), index
-
-
-def _kinds(
-    sequence: ScanSequence, switched: bool, image: KernelImage | None
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.uint16]]:
-    """Return the kind of each slot, (S,), and the lists of kernels: where each slot's begins, and
-    all their kernels and amplitudes. Slots are lists if a board makes just the proved currents of
-    them."""
-    kind, slots = np.full(sequence.slots, STATES if switched else CURRENTS), sequence.slots
-    nothing, lists = (kind, kind, np.zeros((0, 2), np.uint16)), sequence.sums
-    if switched or image is None or not slots or not isinstance(lists, KernelLists):
-        return nothing
-    first, kernel, amplitude = lists.first, lists.kernel, lists.amplitude
-    # Other types and sizes would wrap around on the wire.
+    site, current_ua, lists = (
+        sequence.site[:, None].astype("<u2"),
+        sequence.current_ua,
+        sequence.sums,
+    )
+    if switched:
+        rows = _switched_rows(site, current_ua)
+    else:
+        rows = np.concatenate([site.view("<i2"), current_ua.astype("<i2", copy=False)], axis=1)
+    kind = np.full(sequence.slots, STATES if switched else CURRENTS)
+    first, pairs = kind, np.zeros((0, 2), np.uint16)
     if (
-        lists.table is not image.table
-        or first.dtype != np.intp
-        or [kernel.dtype, amplitude.dtype] != [np.dtype(np.uint16)] * 2
-        or (len(first), first[0], first[-1]) != (slots + 1, 0, len(kernel))
-        or len(kernel) != len(amplitude)
-        or (counts := np.diff(first)).min() < 1
-        or kernel.max() >= len(lists.table.weights)
-    ):
-        return nothing
-    same = (lists.site == sequence.site) & (lists.current_ua == sequence.current_ua).all(axis=1)
-    same &= np.maximum.reduceat(kernel, first[:-1]) < image.count
-    # At most what the board adds up in 32 bits.
-    same &= np.add.reduceat(amplitude, first[:-1], dtype=np.int64) <= FULL
-    kind[same] = np.where(counts == 1, POINTS, SUM)[same]
-    return kind, first, np.array([kernel, amplitude], "<u2").T
+        image is not None and not switched and sequence.slots and isinstance(lists, KernelLists)
+        and lists.table is image.table
+        # Other types and sizes would wrap around on the wire.
+        and lists.first.dtype == np.intp
+        and [lists.kernel.dtype, lists.amplitude.dtype] == [np.dtype(np.uint16)] * 2
+        and (len(lists.first), lists.first[0]) == (sequence.slots + 1, 0)
+        and len(lists.kernel) == len(lists.amplitude) == lists.first[-1]
+        and (counts := np.diff(lists.first)).min() >= 1
+        and lists.kernel.max() < len(lists.table.weights)
+    ):  # fmt: skip
+        first, pairs = lists.first, np.array([lists.kernel, lists.amplitude], "<u2").T
+        # Slots are lists if a board makes just the proved currents of them, in its 32 bits.
+        same = (lists.site == sequence.site) & (lists.current_ua == current_ua).all(axis=1)
+        same &= (np.maximum.reduceat(lists.kernel, first[:-1]) < image.count) & (counts <= FULL)
+        same &= np.add.reduceat(lists.amplitude, first[:-1], dtype=np.int64) <= FULL
+        kind[same] = np.where(counts == 1, POINTS, SUM)[same]
+    table = (shapes >> 16 | shapes << 16).astype("<u4").tobytes()
+    return _Columns(table, shape, kind, first, pairs, rows)
 
 
-def _rows(sequence: ScanSequence, switched: bool) -> NDArray[np.int16] | NDArray[np.uint8]:
-    """Return each slot's site and currents, or site, source and states, a row each."""
-    site, current_ua = sequence.site[:, None].astype("<u2"), sequence.current_ua
-    if not switched:
-        return np.concatenate([site.view("<i2"), current_ua.astype("<i2", copy=False)], axis=1)
-    source = source_of(current_ua)[:, None].view(np.uint8)
-    states = np.frombuffer(pack_states(np.sign(current_ua)), np.uint8)
-    columns = [site.view(np.uint8), source, states.reshape(len(site), -(-current_ua.shape[1] // 4))]
-    return np.concatenate(columns, axis=1)
+def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> NDArray[np.uint8]:
+    """Return site, current of the one source, and states of each slot."""
+    source_ua = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
+    strongest = int(source_ua.max(initial=0))
+    if strongest > _U16_MAX:
+        raise BoardError(
+            f"a slot asks {strongest / 1000:.1f} mA of one source, the protocol carries at most "
+            f"{_U16_MAX / 1000:.1f} mA: lower the currents",
+            slot=int(source_ua.argmax()),
+        )
+    bits = np.stack([current_ua > 0, current_ua < 0], axis=-1)
+    states = np.packbits(
+        bits.reshape(len(site), 2 * current_ua.shape[1]), axis=1, bitorder="little"
+    )
+    source = source_ua.astype("<u2")[:, None]
+    return np.concatenate([site.view(np.uint8), source.view(np.uint8), states], axis=1)
+
+
+def _payload(
+    sequence: ScanSequence, columns: _Columns, start: int, end: int, times: int, measure: bool
+) -> bytes:
+    """Return some slots as a payload; the recharge phase goes with the last one."""
+    shapes, shape, kind, first, pairs, rows = columns
+    flags = GOES_ON * (start > 0) | MORE * (end < sequence.slots) | MEASURE * measure
+    tail = b""
+    if sequence.recharge_ua is not None and end == sequence.slots:
+        flags |= RECHARGE
+        tail = sequence.recharge_us.to_bytes(2, "little")
+        tail += sequence.recharge_ua.astype("<i2").tobytes()
+    intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
+    head = SEQUENCE.pack(sequence.period_us, times, intensity, flags, len(shapes) // 4)
+    data, starts = [head, shapes, tail], np.arange(start, end)
+    # Each sum stands alone.
+    cuts = (np.diff(kind[start:end]) != 0) | (np.diff(shape[start:end]) != 0)
+    cuts |= kind[start + 1 : end] == SUM
+    bounds = [start, *starts[1:][cuts].tolist(), end] if end > start else []
+    for at, until in itertools.pairwise(bounds):
+        body = pairs[first[at] : first[until]] if kind[at] < CURRENTS else rows[at:until]
+        data += [GROUP.pack(kind[at], shape[at], len(body)), body.tobytes()]
+    return b"".join(data)

@@ -13,8 +13,7 @@ from cobs import cobs
 from smarttouch.base.clock import LATE_NS
 from smarttouch.boards.board import Board
 from smarttouch.boards.link import HALF
-from smarttouch.boards.link.link_driver import LinkDriver
-from smarttouch.boards.link.session import LinkSession
+from smarttouch.boards.link.link_driver import LinkDriver, LinkSession
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import BoardSession

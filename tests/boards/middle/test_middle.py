@@ -15,7 +15,8 @@ from cobs import cobs
 from smarttouch.base.errors import BoardError, EmergencyStopError, LineLostError
 from smarttouch.base.wire.framing import frame_packet
 from smarttouch.boards import link as protocol
-from smarttouch.boards.link import ALIVE_MS, LATE_MS, SILENCE_MS, MessageKind, encode_volts
+from smarttouch.boards.link import ALIVE_MS, LATE_MS, SILENCE_MS, MessageKind
+from smarttouch.emulator.link_packets import encode_volts
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ...support.checks import raises
