@@ -258,7 +258,7 @@ def scale(
     With the resistor in place of the finger, devices test --electrode N --current-ma 1 makes the
     pulses.
     """
-    from smarttouch.boards.kits.current_scale import measured_scale
+    from smarttouch.boards.kits import measured_scale
     from smarttouch.running.display import open_display
 
     before_ua = open_display(url, profile).board.driver.ua_per_count

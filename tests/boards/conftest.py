@@ -148,7 +148,7 @@ def port(monkeypatch):
     """Return the port that is opened next."""
     port = KajimotoPort()
     monkeypatch.setattr("smarttouch.boards.line.open_port", lambda *_: port)
-    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
     return port
 
 
@@ -235,7 +235,7 @@ class Hosted:
     """A board behind a line with faults, to which anodic points can be sent."""
 
     def __init__(self, kind, start_emulator, start_firmware, start_cortex_m3, folder, monkeypatch):
-        monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
         # An eTactileKit may have another firmware than the usual one, a link board one in C, on
         # this machine or a Cortex-M3.

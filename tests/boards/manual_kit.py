@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from smarttouch.base.clock import LATE_NS
+from smarttouch.boards import kits
 from smarttouch.boards.board import Board
-from smarttouch.boards.kits import current_scale, etactilekit_line
+from smarttouch.boards.kits import etactilekit_line
 from smarttouch.boards.kits.etactilekit import ETactileKitDriver
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
@@ -128,7 +129,7 @@ class ManualKit:
         )
         self.port = ManualPort(self.board, self.clock, **line)
         self.driver = ETactileKitDriver("told", limits, firmware=firmware if named else None)
-        patch.setattr(current_scale, "BOOT_S", 0.0)
+        patch.setattr(kits, "BOOT_S", 0.0)
         patch.setattr(etactilekit_line, "WatchedPort", lambda port, _: port)
         self.line = Board(self.driver, limits, clock=self.clock)._line
         self.host = self.line._board

@@ -189,7 +189,7 @@ class Opening(threading.Thread):
 
 @pytest.mark.parametrize("kind", ["kajimoto61", "etactilekit", "link"])
 def test_halting_ends_the_wait_for_a_board_that_does_not_answer(monkeypatch, deaf_port, kind):
-    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 600.0)
+    monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 600.0)
     monkeypatch.setattr("smarttouch.boards.link.link_driver.ANSWER_S", 600.0)
     board = make_board(f"{kind}:{deaf_port}", KIT_LIMITS, OUTPUT)
     assert isinstance(Opening(board).halted(), BoardStoppedError)

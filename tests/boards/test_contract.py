@@ -169,7 +169,7 @@ class OneAgainstAll(Contract):
 
     @pytest.fixture(autouse=True)
     def _no_boot(self, monkeypatch):
-        monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
 
     @pytest.fixture(autouse=True)
     def _keep_sent(self, monkeypatch):

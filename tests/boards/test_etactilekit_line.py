@@ -11,20 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError, SilentBoardError
-from smarttouch.boards.kits.current_scale import scale_of
-from smarttouch.boards.kits.etactilekit import ETactileKitDriver
+from smarttouch.boards.kits import scale_of
+from smarttouch.boards.kits.etactilekit import ETactileKitDriver, ScanLock
 from smarttouch.boards.kits.etactilekit_line import (
     GO,
     LOAD,
     PING,
     QUIET,
     READINGS,
-    ScanLock,
     Settings,
     Span,
-    payload,
-    settings_commands,
-    settings_of,
+    encode_pattern,
     zero_anywhere,
 )
 from smarttouch.boards.open import make_board
@@ -250,14 +247,14 @@ def heights(*counts):
 
 
 def test_wiring_puts_each_electrode_on_its_output():
-    pattern = payload(anodic(1000), np.array([5, 3, 0, 1]), SCALE, FOUR)
+    _, pattern = encode_pattern(anodic(1000), np.array([5, 3, 0, 1]), SCALE, FOUR)
     assert pattern == heights(0, 0, 0, 100, 0, 0)
 
 
 @given(levels=st.lists(st.integers(0, 5000), min_size=4, max_size=4))
 def test_no_byte_of_a_pattern_looks_like_a_command(levels):
     for site, level in enumerate(levels):
-        data = payload(anodic(level, sites=(site,)), WIRING, SCALE, FOUR)
+        _, data = encode_pattern(anodic(level, sites=(site,)), WIRING, SCALE, FOUR)
         assert max(data) < 0xF4
         counts = np.frombuffer(data, "<u2")
         assert counts.max() <= 500
@@ -281,15 +278,15 @@ def test_what_it_has_only_one_of_or_not_at_all_is_refused(wrong, attributes):
     else:
         sequence = replace(sequence, discharge_us=np.full(2, 244, np.uint16))
     with raises(BoardError, **attributes):
-        settings_of(sequence)
+        encode_pattern(sequence, WIRING, SCALE, FOUR)
 
 
 @given(data=st.data())
 def test_a_lost_byte_never_brings_more_current_than_was_asked_for(data):
     """Of any message, behind any whole one, and with the messages after it."""
-    pattern = payload(anodic(2200, (1, 3)), WIRING, SCALE, FOUR)
+    _, pattern = encode_pattern(anodic(2200, (1, 3)), WIRING, SCALE, FOUR)
     messages = [
-        settings_commands(Settings(100, 50, 50, True), 10) + PING,
+        Settings(100, 50, 50, True).commands(10) + PING,
         LOAD + pattern + PING,
         READINGS + GO + PING,
         READINGS + QUIET + PING,
@@ -320,7 +317,7 @@ def test_a_lost_byte_never_brings_more_current_than_was_asked_for(data):
 
 OUTPUTS = 4
 HEIGHTS = bytes([200, 0] * OUTPUTS)
-COMMANDS = settings_commands(Settings(100, 50, 100, anodic=True), 10) + LOAD + HEIGHTS + GO
+COMMANDS = Settings(100, 50, 100, anodic=True).commands(10) + LOAD + HEIGHTS + GO
 RUNNING = bytes([0xFC, OUTPUTS]) + COMMANDS
 ZERO = zero_anywhere(OUTPUTS)
 PLACES = [*sample(range(len(ZERO) - 40), 16), *range(len(ZERO) - 40, len(ZERO))]

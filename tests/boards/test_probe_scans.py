@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError
-from smarttouch.boards.kits.current_scale import BAND, NOMINAL_UA, measured_scale
+from smarttouch.boards.kits import BAND, NOMINAL_UA, measured_scale
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import judge, measure_by_probes, one_each, probe_sequences
 from smarttouch.boards.reports import Capabilities
@@ -52,7 +52,7 @@ def counts_of(kind, board, current_ua, limits):
     data = board.driver.encode(sequence)
     if kind == "kajimoto61":
         return 16 * data[2]
-    return int(np.frombuffer(data, "<u2")[1])
+    return int(np.frombuffer(data[1], "<u2")[1])
 
 
 @given(ratio=st.floats(1 - BAND, 1 + BAND), kind=st.sampled_from(KINDS), part=st.floats(0, 1))

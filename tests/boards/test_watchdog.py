@@ -10,7 +10,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 import tty
 from pathlib import Path
 
@@ -18,10 +17,11 @@ import pytest
 import serial
 from serial import rfc2217
 
+from smarttouch.base.clock import now_ns
 from smarttouch.base.errors import BoardError
 from smarttouch.base.wire.port import open_port
-from smarttouch.boards.kits import watchdog, watched_port
-from smarttouch.boards.kits.watched_port import WatchedPort
+from smarttouch.boards.kits import etactilekit_line, watchdog
+from smarttouch.boards.kits.etactilekit_line import WatchedPort
 
 from ..support.checks import raises
 from .fresh import until
@@ -69,7 +69,7 @@ def port(board):
 
 HOST = """
 import sys, time
-from smarttouch.boards.kits.watched_port import WatchedPort
+from smarttouch.boards.kits.etactilekit_line import WatchedPort
 from smarttouch.base.wire.port import open_port
 port = WatchedPort(open_port(sys.argv[1]), bytes.fromhex(sys.argv[2]))
 port.arm()
@@ -110,7 +110,7 @@ def test_a_host_that_stood_still_writes_nothing_any_more(board, port, monkeypatc
     """Neither once its watchdog has ended, nor a moment before that may have happened."""
     port.arm()
     if stale:
-        monkeypatch.setattr("smarttouch.boards.kits.watchdog.SILENCE_S", 0.0)
+        monkeypatch.setattr(etactilekit_line, "STALE_NS", 0)
     monkeypatch.setattr(port, "_send_beat", lambda: None)
     if not stale:
         until(lambda: port.at_zero)
@@ -145,10 +145,7 @@ def test_a_program_that_was_suspended_writes_nothing_any_more(board, port, monke
     port.arm()
     port.write(b"pattern")
     # Only this clock counts while the computer is suspended.
-    read = time.clock_gettime
-    monkeypatch.setattr(
-        time, "clock_gettime", lambda clock: read(clock) + 5.0 * (clock == time.CLOCK_BOOTTIME)
-    )
+    monkeypatch.setattr(etactilekit_line, "now_ns", lambda: now_ns() + 5 * 10**9)
     with pytest.raises(serial.SerialException):
         port.write(b"another")
     port.close()
@@ -158,16 +155,16 @@ def test_a_program_that_was_suspended_writes_nothing_any_more(board, port, monke
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, signal.SIGTERM])
 def test_signals_do_not_end_it(board, port, number):
     port.arm()
-    status = Path(f"/proc/{port.process_id}/status")
+    status = Path(f"/proc/{port._process.pid}/status")
 
     def ignored():
         return int(status.read_text().partition("SigIgn:")[2].split()[0], 16)
 
     until(lambda: ignored() >> (number - 1) & 1)
-    os.kill(port.process_id, number)
+    os.kill(port._process.pid, number)
     port.write(b"x")
     assert board.read(1) == b"x"
-    assert os.getsid(port.process_id) == port.process_id
+    assert os.getsid(port._process.pid) == port._process.pid
     port.close()
     assert board.read() == TWICE
 
@@ -178,7 +175,7 @@ def test_where_it_is_killed_this_program_writes_zero(board, port, ignored):
     before = signal.signal(signal.SIGCHLD, signal.SIG_IGN if ignored else signal.SIG_DFL)
     try:
         port.arm()
-        os.kill(port.process_id, signal.SIGKILL)
+        os.kill(port._process.pid, signal.SIGKILL)
         # Without a call: the heartbeat finds out.
         assert board.read(len(ZERO)) == ZERO
         assert not port.at_zero
@@ -194,7 +191,7 @@ def test_a_port_that_cannot_be_watched_is_refused_and_free(board, monkeypatch, u
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
     if url == "no process":
-        monkeypatch.setattr(watched_port.subprocess, "Popen", refuse)
+        monkeypatch.setattr(etactilekit_line.subprocess, "Popen", refuse)
     port = rfc2217.Serial() if url == "rfc2217" else open_port(url if ":" in url else board.name)
     with raises(BoardError):
         WatchedPort(port, ZERO)

@@ -151,7 +151,7 @@ def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
 
 @pytest.mark.realtime
 def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkeypatch):
-    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
     events = ("event=0 open 5", "event=0 short 9")
     _, port, _ = start_emulator(32, "etactilekit", *events)
     shown = done(run(f"contact --board etactilekit:{port} --output mine.toml"))

@@ -33,7 +33,7 @@ def kit(request, start_emulator):
 @pytest.fixture(autouse=True)
 def _no_boot(monkeypatch):
     """Emulators need no time to boot: drivers in this process do not wait for it."""
-    monkeypatch.setattr("smarttouch.boards.kits.current_scale.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
 
 
 def on(*names):

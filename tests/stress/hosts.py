@@ -32,7 +32,7 @@ from smarttouch.base.errors import (
     SequenceLateError,
     SmartTouchError,
 )
-from smarttouch.boards.kits import current_scale
+from smarttouch.boards import kits
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.device_lines import PtyLine
@@ -283,7 +283,7 @@ def stopped_run(kind, action, from_thread, at_s):
 def run(kind, how, count):
     """Return what so many runs found."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-    current_scale.BOOT_S = 0.0
+    kits.BOOT_S = 0.0
     draw = random.Random(f"{kind} {how}")
     found = []
     with threadpool_limits(1):

@@ -1,1 +1,117 @@
-"""Drivers of published kits, which check nothing and acknowledge little."""
+"""Published kits, which check nothing and acknowledge little: their current scale, and sequences
+for their single source.
+
+A measured scale may differ from the board's nominal one by 30 %. That covers how boards of one kind
+differ, and excludes mistakes: boards of the family lie a factor of 1.77 or more apart, peak to peak
+for peak is a factor of 2, and mA for µA one of 1,000.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import BoardError
+from smarttouch.profile.device import Output
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
+
+BOOT_S = 1.0  # boot time of a kit that resets when its port is opened
+BAND = 0.3  # accepted deviation from the nominal scale, up and down
+NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
+"""Current per count of each board's converter; the kajimoto61's 4096 are 10 mA."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Measured and nominal current per count, µA."""
+
+    measured_ua: float
+    nominal_ua: float
+
+    def most_counts(
+        self, limits: SafetyLimits, width_us: float, counts_each: int = 1
+    ) -> NDArray[np.int64]:
+        """Return the most steps of ``counts_each`` counts, (E,) int64, that keep current and charge
+        of pulses of up to ``width_us`` within the limits by either scale."""
+        most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
+        step_ua = counts_each * max(self.measured_ua, self.nominal_ua)
+        # A limit that is a whole number of steps survives the division.
+        return np.asarray(np.floor(most_ua / step_ua + 1e-9), np.int64)
+
+
+def scale_of(kind: str, measured_ua: float | None) -> Scale:
+    """Return the scale of a kind of board; raise if a measured one is out of band."""
+    nominal_ua = NOMINAL_UA[kind]
+    if measured_ua is None:
+        return Scale(nominal_ua, nominal_ua)
+    if not in_band(measured_ua / nominal_ua):
+        raise BoardError(
+            f"output.ua_per_count = {measured_ua:g} is {measured_ua / nominal_ua:.3g} times the "
+            f"{nominal_ua:.4g} µA of a {kind} board, and boards differ by {100 * BAND:.0f} % at "
+            "most: check profile and unit, and measure it again (smarttouch calibrate scale)"
+        )
+    return Scale(measured_ua, nominal_ua)
+
+
+def require_kit(kind: str, port: str, output: Output | None, profile: str) -> Scale:
+    """Return the scale of a kit; raise BoardError unless it has a port and a fitting profile."""
+    if not port:
+        raise BoardError(f"{kind}: needs a port, for example {kind}:/dev/ttyUSB0")
+    if output is not None and output.kind != "one-against-all":
+        raise BoardError(
+            f"a {kind} board is one-against-all, the profile needs {output.kind}: use the profile "
+            f"{profile}"
+        )
+    return scale_of(kind, None if output is None else output.ua_per_count)
+
+
+def in_band(ratio: float) -> bool:
+    return abs(ratio - 1) <= BAND + 1e-9
+
+
+def measured_scale(
+    kind: str, before_ua: float | None, volts: float, ohm: float, current_ma: float
+) -> tuple[float, float | None]:
+    """Return the ratio of measured to nominal current, from the voltage across a resistor, and the
+    board's scale by it, µA per count; None if the board has no scale. Raise if out of band."""
+    for what, value in (("volts", volts), ("ohm", ohm), ("current_ma", current_ma)):
+        if not 0 < value < math.inf:
+            raise BoardError(f"{what} {value:g} must be above 0 and finite")
+    ratio = 1000 * volts / ohm / current_ma
+    if not in_band(ratio):
+        raise BoardError(
+            f"{volts:g} V across {ohm:g} ohm are {ratio:.3g} times the nominal {current_ma:g} mA, "
+            f"and boards differ by {100 * BAND:.0f} % at most: check units, connections, the "
+            "resistor, and which board this is"
+        )
+    scale_ua = None if before_ua is None else before_ua * ratio
+    if scale_ua is not None and kind in NOMINAL_UA:
+        # The band is around the nominal scale, also where the profile has a measured one.
+        scale_of(kind, float(f"{scale_ua:.4g}"))
+    return ratio, scale_ua
+
+
+def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Return the electrode that each slot drives alone, (S,), and its current, (S,) µA, positive
+    cathodic; raise BoardError if a slot is anything else, or an electrode has two."""
+    current = sequence.current_ua.astype(np.int64)
+    electrode = sequence.site.astype(np.intp)
+    rows = np.arange(sequence.slots)
+    alone_ua = current[rows, electrode]
+    others = current * np.sign(alone_ua)[:, None]
+    others[rows, electrode] = 0
+    wrong = (others > 0).any(axis=1) | (np.abs(current).max(axis=1, initial=0) > np.abs(alone_ua))
+    if wrong.any():
+        raise BoardError(
+            f"slot {int(wrong.argmax())} is no pattern of one electrode against all others, and "
+            "this board can make no other: use its own profile",
+            slot=int(wrong.argmax()),
+        )
+    if len(np.unique(electrode)) != len(electrode):
+        raise BoardError(
+            f"{len(electrode)} slots share {len(np.unique(electrode))} electrodes: this board "
+            "drives each once in a scan"
+        )
+    return electrode, alone_ua

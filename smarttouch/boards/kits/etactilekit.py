@@ -10,6 +10,7 @@ the first measured pulse, or on a slow line), a pattern stays for longer than a 
 scanned once or twice, and the report has that range.
 """
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -24,25 +25,20 @@ from smarttouch.base.errors import (
     choice_of,
 )
 from smarttouch.boards.driver import Driver
-from smarttouch.boards.kits.current_scale import one_against_all, require_kit
+from smarttouch.boards.kits import one_against_all, require_kit
 from smarttouch.boards.kits.etactilekit_line import (
-    COMPLIANCE_V,
-    DUMMY_KOHM,
     GO,
+    KEPT_MS,
     LARGEST,
     LOAD,
     QUIET,
     SHORTEST_US,
-    VOLTS_PER_COUNT,
     ETactileKitLine,
-    ScanLock,
+    Readings,
     Settings,
     Span,
-    payload,
-    settings_commands,
-    settings_of,
+    encode_pattern,
 )
-from smarttouch.boards.kits.watched_port import KEPT_MS
 from smarttouch.boards.line import Line
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.device import Output
@@ -52,14 +48,89 @@ from smarttouch.stimulation.scan_sequence import ScanSequence, ScanTiming
 FIRMWARES = ("71adee2", "newest")  # by their first commits in the repository
 NEWEST_ZERO_MS = 520.0  # newest firmware: ends its scan 500 ms after the host's last byte
 IDLE_S = 0.1  # time without a sequence after which the pattern on the board becomes zeros
+VOLTS_PER_COUNT = 0.0893
+DUMMY_KOHM = 66.0  # load fitted in parallel with the skin; it takes V / 66 kΩ of the current
+COMPLIANCE_V = 300.0  # limit of its switches (HV513), the largest voltage of a reading
 OPEN_SHARE = 0.95  # of the voltage without a finger: if all slots reach it, it is lifted
 
 LOW, HIGH = 4, 12  # readings below 4 had no pulse, from 12 on they had one: .3 and 1 V
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
 WIDE_NS = 1_000_000  # above this uncertainty of a start, a query is sent in mid-scan
 KEEP_NS = 100_000_000  # longest silence to the newest firmware
+TOLERANCE = 200e-6  # of the ratio of two free-running clocks, each within 100 ppm
+WIDEST = 0.25  # part of a period: a scan's start with a larger uncertainty counts as unknown
 
-Readings = NDArray[np.uint16]
+
+class ScanLock:
+    """Bounds on the start of each scan of a board, learned from brackets.
+
+    A bracket says that a scan started after one moment and before another. Both are certain,
+    however late the host woke up. So are the bounds on the scans after it, as the board's period
+    is known within the tolerance of two clocks.
+
+    Attributes
+    ----------
+    period_ns : int
+        Period of the scans.
+    last : Span or None
+        Start of the scan of the last bracket, which has number 0; None if it is not known.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self.period_ns: int = period_ns
+        self.last: Span | None = None
+
+    def scan(self, number: int) -> Span:
+        """Return when a scan starts; ``last`` must be known."""
+        assert self.last is not None
+        away_ns = number * self.period_ns
+        unsure_ns = math.ceil(abs(away_ns) * TOLERANCE)
+        return Span(self.last.early + away_ns - unsure_ns, self.last.late + away_ns + unsure_ns)
+
+    def first_after(self, time_ns: int) -> int:
+        """Return the number of the first scan that certainly starts after a moment."""
+        number = self._near(time_ns) - 1
+        while self.scan(number).early <= time_ns:
+            number += 1
+        return number
+
+    def starts(self, begin: Span, end: Span) -> tuple[int, int]:
+        """Return the least and the largest number of scans that started between two events."""
+        if self.last is None:
+            least = max(0, end.early - begin.late) / self.period_ns * (1 - TOLERANCE)
+            possible = max(0, end.late - begin.early) / self.period_ns * (1 + TOLERANCE)
+            return math.floor(least), math.floor(possible) + 1
+        first, last = self._near(begin.early) - 1, self._near(end.late) + 1
+        scans = [self.scan(number) for number in range(first, last + 1)]
+        return (
+            sum(scan.early >= begin.late and scan.late <= end.early for scan in scans),
+            sum(scan.late > begin.early and scan.early < end.late for scan in scans),
+        )
+
+    def learn(self, bracket: Span) -> None:
+        """Take a bracket in which a scan started; one that is too wide is ignored."""
+        if self.last is None:
+            if bracket.late - bracket.early <= WIDEST * self.period_ns:
+                self.last = bracket
+            return
+        near = self._near((bracket.early + bracket.late) // 2)
+        scans = [self.scan(number) for number in (near - 1, near, near + 1)]
+        spans = [Span(max(s.early, bracket.early), min(s.late, bracket.late)) for s in scans]
+        possible = [span for span in spans if span.early <= span.late]
+        if len(possible) <= 1:
+            # One that contradicts the bounds: the board was restarted, or stood still.
+            self.last = possible[0] if possible else None
+
+    def check(self, time_ns: int) -> None:
+        """Forget the scans if their starts have become too uncertain by now."""
+        if self.last is not None:
+            scan = self.scan(self._near(time_ns))
+            if scan.late - scan.early > WIDEST * self.period_ns:
+                self.last = None
+
+    def _near(self, time_ns: int) -> int:
+        assert self.last is not None
+        return round((time_ns - (self.last.early + self.last.late) / 2) / self.period_ns)
 
 
 @dataclass
@@ -142,7 +213,10 @@ class ETactileKitDriver(Driver):
             if not line.reopened:
                 self._kit = ETactileKitLine(line, self._outputs)
             capacity = self._kit.connect(str(self.port))
-            self._give_up()
+            shown, self._before = self._shown, None
+            if shown is not None:
+                # Scans that may have run before the lost board came back at zero.
+                self._report_scans(shown, Span(shown.since.late, line.now_ns()))
             self._begin()
             self._put_at_zero()
             self._away = False
@@ -193,17 +267,9 @@ class ETactileKitDriver(Driver):
     def check(self, proved: ProvedSequence) -> None:
         self.encode(proved.sequence)
 
-    def encode(self, sequence: ScanSequence) -> bytes:
-        """Return the bytes of a sequence; raise BoardError if the board cannot make it."""
-        settings = settings_of(sequence)
-        busy_us = settings.scan_us(self._outputs)
-        if sequence.slots and 1000 * busy_us > 0.97 * settings.period_ns:
-            # Its parser would never run again.
-            raise BoardError(
-                f"a scan of {self._outputs} outputs takes {busy_us} µs, which does not fit "
-                f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate"
-            )
-        return payload(sequence, self._wiring, self._scale, self._limits)
+    def encode(self, sequence: ScanSequence) -> tuple[Settings, bytes]:
+        """Return settings and bytes of a sequence; raise BoardError if the board cannot make it."""
+        return encode_pattern(sequence, self._wiring, self._scale, self._limits)
 
     def write(self, proved: ProvedSequence) -> None:
         line = self._kit.line
@@ -226,7 +292,7 @@ class ETactileKitDriver(Driver):
     def _perform(self, proved: ProvedSequence) -> None:
         """Scan a sequence as often as requested, or until a newer one waits."""
         line, sequence = self._kit.line, proved.sequence
-        pattern = self.encode(sequence)
+        settings, pattern = self.encode(sequence)
         if not sequence.slots or pattern == self._nothing:
             line.events.delivered(proved, 0)
             for _ in range(proved.times):
@@ -235,7 +301,7 @@ class ETactileKitDriver(Driver):
                     return
             return
         with self._kit.lock:
-            if not self._show(proved, pattern):
+            if not self._show(proved, settings, pattern):
                 line.events.refused()
                 return
         line.events.delivered(proved, 0)
@@ -244,9 +310,9 @@ class ETactileKitDriver(Driver):
             if self._shown is not None:
                 self._stop_pulses()
 
-    def _show(self, proved: ProvedSequence, pattern: bytes) -> bool:
+    def _show(self, proved: ProvedSequence, settings: Settings, pattern: bytes) -> bool:
         """Enable a sequence's pulses; return whether the board has done so."""
-        line, settings = self._kit.line, settings_of(proved.sequence)
+        line = self._kit.line
         if settings != self._settings and not self._set(settings):
             return False
         if pattern != self._on_board and not self._load(pattern):
@@ -270,7 +336,7 @@ class ETactileKitDriver(Driver):
         between_hz = max(1, min(settings.rate_hz, before_hz, 800_000 // longest))
         self._on_board, self._settings, self._before = b"", None, None
         self._lock = ScanLock(settings.period_ns)
-        for commands in (LOAD + self._nothing, settings_commands(settings, between_hz)):
+        for commands in (LOAD + self._nothing, settings.commands(between_hz)):
             if self._kit.exchange(commands) is None:
                 return False
         if settings.rate_hz != before_hz:
@@ -291,11 +357,9 @@ class ETactileKitDriver(Driver):
     def _ask(self, body: bytes, *, drives: ProvedSequence | None = None) -> Span | None:
         """Send commands and update the scan lock by the readings; return the time of execution."""
         before, self._before = self._before, None
-        answer = self._kit.exchange(body, ask=True, drives=drives)
-        if answer is None:
+        if (answer := self._kit.exchange(body, ask=True, drives=drives)) is None:
             return None
         span, readings = answer
-        assert readings is not None
         # An answer during a scan takes as long as the scan.
         took_ns = span.late - span.early
         self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
@@ -338,18 +402,28 @@ class ETactileKitDriver(Driver):
         return now_ns if now_ns + answer_ns < following.early else following.late + MARGIN_NS
 
     def _hold(self, proved: ProvedSequence) -> None:
-        """Wait until the requested number of scans of the shown pattern is over."""
-        line, shown = self._kit.line, self._shown
+        """Wait until the requested number of scans of the shown pattern is over, and query when
+        that is useful: to locate scans, or to keep the board awake."""
+        line, shown, lock = self._kit.line, self._shown, self._lock
         asked_ns = now_ns = line.now_ns()
         # From another thread, zero may end it.
         while shown is not None and shown is self._shown:
-            over_ns = self._over_ns(shown.since, 1 if line.has_newer() else proved.times)
+            times = 1 if line.has_newer() else proved.times
+            if lock.last is None:
+                ask_ns = now_ns + POLL_NS
+                last_ns = shown.since.late + times * lock.period_ns * 1001 // 1000
+            else:
+                ask_ns = asked_ns + KEEP_NS
+                coming = lock.scan(lock.first_after(now_ns))
+                if coming.late - coming.early > WIDE_NS:
+                    ask_ns = min(ask_ns, (coming.early + coming.late) // 2)
+                last_ns = lock.scan(lock.first_after(shown.since.late) + times - 1).late
+            over_ns = last_ns + self._scan_ns() + MARGIN_NS
             if now_ns >= over_ns:
                 self._wait(self._between_scans(now_ns))
                 return
-            ask_ns = self._worth_asking(now_ns, asked_ns)
             # A newer sequence may come meanwhile.
-            until_ns = min(over_ns, ask_ns, now_ns + self._lock.period_ns)
+            until_ns = min(over_ns, ask_ns, now_ns + lock.period_ns)
             self._wait(until_ns)
             now_ns = line.now_ns()
             if until_ns == ask_ns:
@@ -365,24 +439,6 @@ class ETactileKitDriver(Driver):
             shown.is_seen = True
             if scan is not None and scan.late >= shown.since.early:
                 shown.since = Span(scan.early - 1, scan.early - 1)
-
-    def _worth_asking(self, now_ns: int, asked_ns: int) -> int:
-        """Return when the next query is useful: to locate scans, or to keep the board awake."""
-        if self._lock.last is None:
-            return now_ns + POLL_NS
-        coming = self._lock.scan(self._lock.first_after(now_ns))
-        if coming.late - coming.early > WIDE_NS:
-            return min(asked_ns + KEEP_NS, (coming.early + coming.late) // 2)
-        return asked_ns + KEEP_NS
-
-    def _over_ns(self, since: Span, times: int) -> int:
-        """Return when so many scans after an event are certainly over."""
-        lock = self._lock
-        if lock.last is None:
-            start_ns = since.late + times * lock.period_ns * 1001 // 1000
-        else:
-            start_ns = lock.scan(lock.first_after(since.late) + times - 1).late
-        return start_ns + self._scan_ns() + MARGIN_NS
 
     def _scan_ns(self) -> int:
         """Return the duration of a scan."""
@@ -400,13 +456,6 @@ class ETactileKitDriver(Driver):
             if shown is not None:
                 self._report_scans(shown, stopped or Span(begun_ns, self._stopped_ns))
 
-    def _give_up(self) -> None:
-        """Report the scans that may have run before a lost board came back at zero."""
-        shown, self._shown = self._shown, None
-        self._before = None
-        if shown is not None:
-            self._report_scans(shown, Span(shown.since.late, self._kit.line.now_ns()))
-
     def _report_scans(self, shown: ShownPattern, end: Span) -> None:
         """Report the scans of a pattern and its voltages; latch the board if others pulsed."""
         sequence, events = shown.proved.sequence, self._kit.line.events
@@ -423,7 +472,12 @@ class ETactileKitDriver(Driver):
                 # Weaker pulses were measured before: the board's timing has changed.
                 self._lock.last, least = None, 0
             if least:
-                self._report_volts(sequence, current_ua, readings)
+                volts = (readings * VOLTS_PER_COUNT).astype(np.float32)
+                events.volts(sequence, volts)
+                if volts.any():
+                    # Without a finger all current takes the load beside the skin.
+                    alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
+                    events.lift(bool((volts >= OPEN_SHARE * alone_v).all()))
         events.delivered(shown.proved, least, most=max(least, largest))
         pulsed[self._wiring[sequence.site]] = False
         if pulsed.any():
@@ -434,13 +488,3 @@ class ETactileKitDriver(Driver):
     def _wait(self, until_ns: int) -> None:
         if until_ns > self._kit.line.now_ns():
             self._kit.line.wait_until(until_ns)
-
-    def _report_volts(
-        self, sequence: ScanSequence, current_ua: NDArray[np.int64], readings: Readings
-    ) -> None:
-        events, volts = self._kit.line.events, (readings * VOLTS_PER_COUNT).astype(np.float32)
-        events.volts(sequence, volts)
-        if volts.any():
-            # Without a finger all current takes the load beside the skin.
-            alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
-            events.lift(bool((volts >= OPEN_SHARE * alone_v).all()))

@@ -1,4 +1,4 @@
-"""The line to an eTactileKit: commands, dialogues, recovery from lost bytes, and its scans' times.
+"""The line to an eTactileKit: its watchdog, commands, dialogues and recovery from lost bytes.
 
 On the wire (native USB, or TCP port 8080; little endian, no framing, no checksum)::
 
@@ -22,19 +22,25 @@ smaller, never larger. Not guarded: a *doubled* byte (USB and TCP make none).
 """
 
 import contextlib
-import math
+import socket
+import subprocess
+import sys
 import threading
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
+import serial
 from numpy.typing import NDArray
+from serial.urlhandler import protocol_socket
 
+from smarttouch.base.clock import now_ns
 from smarttouch.base.errors import BoardError, OtherDeviceError, SilentBoardError
+from smarttouch.base.posix import HAS_POSIX, prioritized
 from smarttouch.base.wire.port import LINE_ERRORS, Port, reason
-from smarttouch.boards.kits import current_scale
-from smarttouch.boards.kits.current_scale import Scale, one_against_all
-from smarttouch.boards.kits.watched_port import WatchedPort, require_watchdog
+from smarttouch.boards import kits
+from smarttouch.boards.kits import Scale, one_against_all, watchdog
 from smarttouch.boards.line import Line
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -44,6 +50,9 @@ LARGEST = 1000
 cap 4095 counts, which are 41 mA."""
 FIRST_COMMAND = 0xF4
 SHORTEST_US = 7  # shortest pulse: switching on and off takes 6.6 µs
+LONGEST_LOAD = 0.97  # largest part of a period that a scan may take
+
+Readings = NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
@@ -63,51 +72,62 @@ class Settings:
     def scan_us(self, outputs: int, slot_extra_us: int = 10) -> int:
         return outputs * (self.width_us + self.discharge_us + slot_extra_us)
 
+    def commands(self, between_hz: int) -> bytes:
+        """Return the commands of the settings, twice, each followed by zeros: were a word's first
+        byte lost, they would make it zero, not a longer pulse. At ``between_hz`` scans of the old
+        and of the new pulses fit."""
+        once = (
+            QUIET + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
+            + b"\xf6" + between_hz.to_bytes(2, "little") + _END
+            + bytes([0xFD, self.anodic]) + _END
+            + b"\xfa" + self.width_us.to_bytes(2, "little") + _END
+            + bytes([0xF7, self.discharge_us]) + _END
+        )  # fmt: skip
+        return once * 2 + (b"\xf6" + self.rate_hz.to_bytes(2, "little") + _END) * 2
 
-def settings_of(sequence: ScanSequence) -> Settings:
-    """Return the settings of a sequence; raise BoardError if its slots need several polarities or
-    widths, or a time that is out of reach."""
-    _, current_ua = one_against_all(sequence)
+
+def encode_pattern(
+    sequence: ScanSequence, wiring: NDArray[np.intp], scale: Scale, limits: SafetyLimits
+) -> tuple[Settings, bytes]:
+    """Return the settings of a sequence and its pattern: the height of each output in counts, of
+    which neither rounding nor a scale that is wrong passes the limits; raise BoardError if its
+    slots need several polarities or widths, or a time that is out of reach."""
+    electrode, current_ua = one_against_all(sequence)
     if len(np.unique(np.sign(current_ua))) > 1:
         raise BoardError(
             "some slots are anodic, some cathodic, and this board has one polarity for all: "
             "send them as two sequences"
         )
+    width_us = int(sequence.width_us.max(initial=0))
     if sequence.slots and np.ptp(sequence.width_us):
         raise BoardError(
-            f"slots of {int(sequence.width_us.min())} to {int(sequence.width_us.max())} µs in "
-            "one sequence, and this board has one pulse width for all"
+            f"slots of {int(sequence.width_us.min())} to {width_us} µs in one sequence, and this "
+            "board has one pulse width for all"
         )
-    width = int(sequence.width_us.max(initial=0))
-    if sequence.slots and width < SHORTEST_US:
-        raise BoardError(f"pulses of {width} µs are too short: at least {SHORTEST_US} µs")
-    discharge = int(sequence.discharge_us.max(initial=0))
-    if discharge >= FIRST_COMMAND:
-        raise BoardError(f"a discharge of {discharge} µs is too long: at most {FIRST_COMMAND - 1}")
-    rate_hz = max(1, round(1e6 / sequence.period_us))
-    return Settings(width, discharge, rate_hz, bool((current_ua < 0).any()))
-
-
-def payload(
-    sequence: ScanSequence, wiring: NDArray[np.intp], scale: Scale, limits: SafetyLimits
-) -> bytes:
-    """Return the pattern of a sequence: the height of each output in counts, of which neither
-    rounding nor a scale that is wrong passes the limits."""
-    electrode, current_ua = one_against_all(sequence)
-    most_counts = scale.most_counts(limits, sequence.width_us.max(initial=0))
-    nearest = np.rint(np.abs(current_ua) / scale.measured_ua)
-    counts = np.minimum(np.minimum(nearest, most_counts[electrode]), LARGEST).astype(np.uint16)
+    if sequence.slots and width_us < SHORTEST_US:
+        raise BoardError(f"pulses of {width_us} µs are too short: at least {SHORTEST_US} µs")
+    rest_us = int(sequence.discharge_us.max(initial=0))
+    if rest_us >= FIRST_COMMAND:
+        raise BoardError(f"a discharge of {rest_us} µs is too long: at most {FIRST_COMMAND - 1}")
+    rate_hz, outputs = max(1, round(1e6 / sequence.period_us)), int(wiring.max()) + 1
+    settings = Settings(width_us, rest_us, rate_hz, bool((current_ua < 0).any()))
+    busy_us = settings.scan_us(outputs)
+    if sequence.slots and 1000 * busy_us > LONGEST_LOAD * settings.period_ns:
+        # Its parser would never run again.
+        raise BoardError(
+            f"a scan of {outputs} outputs takes {busy_us} µs, which does not fit "
+            f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate"
+        )
+    most = np.minimum(scale.most_counts(limits, width_us), LARGEST)[electrode]
+    counts = np.minimum(np.rint(np.abs(current_ua) / scale.measured_ua), most).astype(np.uint16)
     # A byte that looks like a command would be one, if that before it were lost.
     low = counts & 0xFF
     counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0).astype(np.uint16)
-    heights = np.zeros(wiring.max() + 1, "<u2")
+    heights = np.zeros(outputs, "<u2")
     heights[wiring[electrode]] = counts
-    return heights.tobytes()
+    return settings, heights.tobytes()
 
 
-VOLTS_PER_COUNT = 0.0893
-DUMMY_KOHM = 66.0  # load fitted in parallel with the skin; it takes V / 66 kΩ of the current
-COMPLIANCE_V = 300.0  # limit of its switches (HV513), the largest voltage of a reading
 ZEROS = bytes(2 * 255 + 4)  # padding longer than the rest of any command
 PING, CHIPS, READINGS = b"\xf4", b"\xf5", b"\xff"
 NO_SENSE = b"\xf9\0\0\xf8\0\0"
@@ -119,8 +139,6 @@ AT_REST = (
 """Puts every published firmware at zero: no electrodes, no sense pulses, no height (or mode 0), the
 shortest pulses, ten scans a second. No other known board takes a byte of it for a query or a
 pattern."""
-
-
 QUIET = b"\xfb\x02\xfb\x02"  # stops all pulses from the next scan on
 LOAD = b"\xfb\x02\xfe"  # before a pattern, which is loaded while nothing flows
 GO = b"\xfb\0"  # starts its pulses from the next scan on
@@ -136,104 +154,12 @@ def zero_anywhere(outputs: int) -> bytes:
     return bytes(2 * outputs + 4) + NO_SENSE + b"\xfb\x02\x02\x02\xfe" + bytes(2 * outputs)
 
 
-def settings_commands(settings: Settings, between_hz: int) -> bytes:
-    """Return the commands of the settings, twice, each followed by zeros: were a word's first
-    byte lost, they would make it zero, not a longer pulse. At ``between_hz`` scans of the old and
-    of the new pulses fit."""
-    once = (
-        QUIET + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
-        + b"\xf6" + between_hz.to_bytes(2, "little") + _END
-        + bytes([0xFD, settings.anodic]) + _END
-        + b"\xfa" + settings.width_us.to_bytes(2, "little") + _END
-        + bytes([0xF7, settings.discharge_us]) + _END
-    )  # fmt: skip
-    return once * 2 + (b"\xf6" + settings.rate_hz.to_bytes(2, "little") + _END) * 2
-
-
-TOLERANCE = 200e-6  # of the ratio of two free-running clocks, each within 100 ppm
-WIDEST = 0.25  # part of a period: a scan's start with a larger uncertainty counts as unknown
-
-
 @dataclass(frozen=True)
 class Span:
     """Earliest and latest possible time of an event, ns."""
 
     early: int
     late: int
-
-
-class ScanLock:
-    """Bounds on the start of each scan of a board, learned from brackets.
-
-    A bracket says that a scan started after one moment and before another. Both are certain,
-    however late the host woke up. So are the bounds on the scans after it, as the board's period
-    is known within the tolerance of two clocks.
-
-    Attributes
-    ----------
-    period_ns : int
-        Period of the scans.
-    last : Span or None
-        Start of the scan of the last bracket, which has number 0; None if it is not known.
-    """
-
-    def __init__(self, period_ns: int) -> None:
-        self.period_ns: int = period_ns
-        self.last: Span | None = None
-
-    def scan(self, number: int) -> Span:
-        """Return when a scan starts; ``last`` must be known."""
-        assert self.last is not None
-        away_ns = number * self.period_ns
-        unsure_ns = math.ceil(abs(away_ns) * TOLERANCE)
-        return Span(self.last.early + away_ns - unsure_ns, self.last.late + away_ns + unsure_ns)
-
-    def first_after(self, time_ns: int) -> int:
-        """Return the number of the first scan that certainly starts after a moment."""
-        number = self._near(time_ns) - 1
-        while self.scan(number).early <= time_ns:
-            number += 1
-        return number
-
-    def starts(self, begin: Span, end: Span) -> tuple[int, int]:
-        """Return the least and the largest number of scans that started between two events."""
-        if self.last is None:
-            least = max(0, end.early - begin.late) / self.period_ns * (1 - TOLERANCE)
-            possible = max(0, end.late - begin.early) / self.period_ns * (1 + TOLERANCE)
-            return math.floor(least), math.floor(possible) + 1
-        first, last = self._near(begin.early) - 1, self._near(end.late) + 1
-        scans = [self.scan(number) for number in range(first, last + 1)]
-        return (
-            sum(scan.early >= begin.late and scan.late <= end.early for scan in scans),
-            sum(scan.late > begin.early and scan.early < end.late for scan in scans),
-        )
-
-    def learn(self, bracket: Span) -> None:
-        """Take a bracket in which a scan started; one that is too wide is ignored."""
-        if self.last is None:
-            if bracket.late - bracket.early <= WIDEST * self.period_ns:
-                self.last = bracket
-            return
-        near = self._near((bracket.early + bracket.late) // 2)
-        scans = [self.scan(number) for number in (near - 1, near, near + 1)]
-        spans = [Span(max(s.early, bracket.early), min(s.late, bracket.late)) for s in scans]
-        possible = [span for span in spans if span.early <= span.late]
-        if not possible:
-            # It contradicts the bounds: the board was restarted, or stood still.
-            self.last = None
-        elif len(possible) == 1:
-            self.last = possible[0]
-
-    def check(self, time_ns: int) -> None:
-        """Forget the scans if their starts have become too uncertain by now."""
-        if self.last is not None:
-            scan = self.scan(self._near(time_ns))
-            if scan.late - scan.early > WIDEST * self.period_ns:
-                self.last = None
-
-    def _near(self, time_ns: int) -> int:
-        assert self.last is not None
-        return round((time_ns - (self.last.early + self.last.late) / 2) / self.period_ns)
 
 
 ECHO_S = 0.1
@@ -258,14 +184,18 @@ class ETactileKitLine:
         self.zero: bytes = zero_anywhere(outputs)
         self.lock: AbstractContextManager[bool] = threading.RLock()
         self._echo = bytes([outputs])
-        self._losses = self._chips = 0
+        self._losses, self._chips = 0, b""
         self._watched: WatchedPort | None = None
 
     def connect(self, name: str) -> int:
         """Open the port, put any firmware at zero, and return its number of outputs. Another device
         than before gets nothing but a question."""
         line, is_known = self.line, self._is_known
-        require_watchdog()
+        if not HAS_POSIX:
+            raise BoardError(
+                "this board goes on with its last pattern if its program hangs, and the watchdog "
+                "that would put it at zero needs Linux or macOS: use simulated: here"
+            )
         line.connect(name, self._watch)
         if line.reopened and not is_known:
             self._recognize()
@@ -273,7 +203,7 @@ class ETactileKitLine:
             line.write(self.zero)
         else:
             # Only a reset takes the time to boot.
-            line.pause(current_scale.BOOT_S)
+            line.pause(kits.BOOT_S)
         capacity = self._identify()
         self._arm()
         return capacity
@@ -307,68 +237,61 @@ class ETactileKitLine:
 
     # -- detection -----------------------------------------------------------
 
+    def _answers(
+        self, query: bytes, *attempts: tuple[bytes, float], then: tuple[bytes, ...] = ()
+    ) -> Iterator[bytes]:
+        """Yield the first byte of each answer to a query. Each attempt begins with bytes and a
+        pause, which lead the parser to the start of a command."""
+        for data, pause_s in attempts:
+            self.line.write(data)
+            self.line.pause(pause_s)
+            for command in then:
+                self.line.write(command)
+            yield self.line.ask(query, 1, CHIPS_S)
+
     def _identify(self) -> int:
-        chips = self._chips = self._wake()
-        capacity = 8 * chips
+        """Put the board at zero and its parser at the start of a command; return its number of
+        outputs, after its number of electrodes was set."""
+        line = self.line
+        # An earlier host may have left half a pattern, which any byte but zero would complete as a
+        # current. What zeros do not end, a silence does.
+        answers = self._answers(CHIPS, (ZEROS, 0.01), (ZEROS, FORGETS_S), then=AT_REST)
+        if not (answer := next(filter(None, answers), b"")):
+            raise SilentBoardError(
+                f"the board at {line.name} does not answer as an eTactileKit does: check that it "
+                "is on, and switch it off and on"
+            )
+        self._chips = answer
+        capacity = 8 * answer[0]
         if self.outputs > capacity:
             raise BoardError(
-                f"the eTactileKit at {self.line.name} has {capacity} outputs, the profile needs "
+                f"the eTactileKit at {line.name} has {capacity} outputs, the profile needs "
                 f"{self.outputs}: use the profile of this board"
             )
-        self._require_echo(chips)
-        # No sense pulses: the guard of every change relies on that.
-        self.line.write(QUIET + NO_SENSE + bytes([0xFC, self.outputs]) + PING)
-        if self.line.read(1, ECHO_S) != self._echo:
-            raise self.line.lost("does not echo its number of electrodes")
-        return capacity
-
-    def _wake(self) -> int:
-        """Put the board at zero and its parser at the start of a command; return its number of
-        chips."""
-        for pause_s in (0.01, FORGETS_S):
-            # An earlier host may have left half a pattern, which any byte but zero would complete
-            # as a current. What zeros do not end, a silence does.
-            self.line.write(ZEROS)
-            self.line.pause(pause_s)
+        # Its number of electrodes is zero. The answer to the second byte shows whether the first
+        # was a query.
+        if b"\0" + answer not in (line.ask(PING + CHIPS, 2, CHIPS_S) for _ in range(LOOKS)):
             for command in AT_REST:
-                self.line.write(command)
-            self.line.discard_input()
-            self.line.write(CHIPS)
-            if answer := self.line.read(1, CHIPS_S):
-                return answer[0]
-        raise SilentBoardError(
-            f"the board at {self.line.name} does not answer as an eTactileKit does: check that "
-            "it is on, and switch it off and on"
-        )
-
-    def _require_echo(self, chips: int) -> None:
-        """Raise unless the firmware echoes; its number of electrodes is zero meanwhile."""
-        for _ in range(LOOKS):
-            self.line.discard_input()
-            # The answer to the second byte shows whether the first was a query.
-            self.line.write(PING + CHIPS)
-            if self.line.read(1, CHIPS_S) == b"\0" and self.line.read(1, CHIPS_S) == bytes([chips]):
-                return
-        for command in AT_REST:
-            self.line.write(command)
-        raise BoardError(
-            f"the eTactileKit at {self.line.name} does not echo: its firmware is older than commit "
-            "71adee2, or damaged: flash the newest one of the kit's repository, "
-            "aid-lab-org/eTactileKit"
-        )
+                line.write(command)
+            raise BoardError(
+                f"the eTactileKit at {line.name} does not echo: its firmware is older than commit "
+                "71adee2, or damaged: flash the newest one of the kit's repository, "
+                "aid-lab-org/eTactileKit"
+            )
+        # No sense pulses: the guard of every change relies on that.
+        electrodes = bytes([0xFC, self.outputs])
+        if line.ask(QUIET + NO_SENSE + electrodes + PING, 1, ECHO_S) != self._echo:
+            raise line.lost("does not echo its number of electrodes")
+        return capacity
 
     def _recognize(self) -> None:
         """Ask a device that has come back whether it is the same board, where USB does not tell."""
         # No zeros before the query: another device might act on them.
-        for pause_s in (0.0, FORGETS_S):
-            self.line.pause(pause_s)
-            self.line.discard_input()
-            self.line.write(CHIPS)
-            if received := self.line.read(1, CHIPS_S):
-                # A longer answer is another device's; zero waits only briefly for that.
-                received += self.line.read(1, MORE_S)
-                break
-        if received != bytes([self._chips]):
+        answers = self._answers(CHIPS, (b"", 0.0), (b"", FORGETS_S))
+        if received := next(filter(None, answers), b""):
+            # A longer answer is another device's; zero waits only briefly for that.
+            received += self.line.read(1, MORE_S)
+        if received != self._chips:
             raise OtherDeviceError(
                 f"what is at {self.line.name} now does not answer as that board did: nothing but "
                 "this question was sent"
@@ -378,24 +301,19 @@ class ETactileKitLine:
 
     def exchange(
         self, body: bytes, *, ask: bool = False, drives: ProvedSequence | None = None
-    ) -> tuple[Span, NDArray[np.uint16] | None] | None:
+    ) -> tuple[Span, Readings] | None:
         """Send commands and wait until they are executed; return the span in which that was and, if
         asked for, the readings (N,) before them in the board's order. If the answer is wrong, lead
         the parser to the start of a command and return None. Commands that start the pulses of a
         sequence come with it, in ``drives``."""
-        data = READINGS * ask + body + PING
-        expected = 2 * self.outputs * ask + 1
-        # A late answer must not be taken for this one's.
-        self.line.discard_input()
-        begun_ns = self.line.now_ns()
-        self.line.write(data, drives)
-        answer = self.line.read(expected, ECHO_S)
+        expected, begun_ns = 2 * self.outputs * ask + 1, self.line.now_ns()
+        answer = self.line.ask(READINGS * ask + body + PING, expected, ECHO_S, drives)
         span = Span(begun_ns, self.line.now_ns())
         if len(answer) != expected or answer[-1:] != self._echo:
             self._resync()
             return None
         self._losses = 0
-        return span, np.frombuffer(answer[:-1], "<u2") if ask else None
+        return span, np.frombuffer(answer[:-1], "<u2")
 
     def _resync(self) -> None:
         """Resynchronize the board's parser to the start of a command; nothing flows meanwhile."""
@@ -406,13 +324,141 @@ class ETactileKitLine:
                 f"{self.line.name}, so it cannot be driven safely: use another cable and port, or "
                 "flash the newest firmware of the kit's repository, aid-lab-org/eTactileKit"
             )
-        # Zeros complete any half pattern, and are no commands; if not, silence does.
-        for zeros, pause_s in ((ZEROS, 0.01), (b"", FORGETS_S)):
-            self.line.write(zeros)
-            self.line.pause(pause_s)
-            self.line.discard_input()
-            self.line.write(QUIET + bytes(4) + PING)
-            # The answer may only be late, and a silence would cost far more.
-            if self.line.read(1, CHIPS_S) == self._echo:
+        # Zeros complete any half pattern, and are no commands; if not, silence does. The answer may
+        # only be late, and a silence would cost far more.
+        query = QUIET + bytes(4) + PING
+        if self._echo not in self._answers(query, (ZEROS, 0.01), (b"", FORGETS_S)):
+            raise self.line.lost("does not answer any more")
+
+
+BEAT_S = 0.02
+ENDS_WITHIN_S = 1.5  # of the watchdog; zero for 253 outputs takes .4 s in small pieces
+KEPT_MS = 100.0  # longest time from the end or hang of this program to the first byte of zero
+STALE_NS = int(0.8e9 * watchdog.SILENCE_S)
+"""Silence after which this program writes nothing more: no byte of it follows the zero of its
+watchdog, which waits longer."""
+COMMAND = [sys.executable, "-I", "-S", watchdog.__file__]
+"""Of the watchdog; isolated: no user setting or package can keep it from starting."""
+
+
+class WatchedPort:
+    """Serial port or TCP connection that a `watchdog` puts at zero when this program is gone.
+
+    It writes nothing once the watchdog has ended or may have run out of patience. POSIX only (tried
+    on Linux).
+    """
+
+    def __init__(self, port: Port, zero: bytes) -> None:
+        self.timeout: float | None = port.timeout
+        self._port, self._zero = port, zero
+        self._closing = threading.Event()
+        self._beaten_ns: int | None = None  # time of the last heartbeat
+        self._beating = threading.Thread(target=self._beat, name="watchdog heartbeat", daemon=True)
+        self._control, control = socket.socketpair()
+        try:
+            with control:
+                if not isinstance(port, (serial.Serial, protocol_socket.Serial)):
+                    raise ValueError("it needs a serial device or tcp://HOST:PORT")
+                ends = (int(port.fileno()), control.fileno())
+                self._process = subprocess.Popen(
+                    [*COMMAND, *map(str, ends), zero.hex()], stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd="/", pass_fds=ends,
+                    start_new_session=True,
+                )  # fmt: skip
+        except (OSError, ValueError) as error:
+            self._control.close()
+            port.close()
+            raise BoardError(
+                f"the watchdog of the board cannot be started ({reason(error)}), and without it "
+                "the board would go on when this program ends"
+            ) from None
+
+    @property
+    def at_zero(self) -> bool:
+        """Whether the watchdog has ended and put the board at zero."""
+        return self._process.poll() in (watchdog.GONE, watchdog.SILENT)
+
+    def arm(self) -> None:
+        """Let the watchdog put the board at zero from now on."""
+        if self._beaten_ns is None:
+            self._send_beat()
+            self._beating.start()
+
+    def write(self, data: bytes) -> int:
+        """Write bytes; raise SerialException if the watchdog has ended or may write zero now.
+
+        Where this program stood still just before the bytes went out, they may have followed the
+        zero of the watchdog: then zero follows them at once.
+        """
+        self._require_beat()
+        self._port.write(data)
+        try:
+            self._require_beat()
+        except serial.SerialException:
+            # Twice, as the first may end a command that was cut.
+            self._port.write(2 * self._zero)
+            raise
+        return len(data)
+
+    def _require_beat(self) -> None:
+        if self._beaten_ns is None:
+            return
+        if self._is_stale() or self._process.poll() is not None:
+            self._end()
+            raise serial.SerialException(
+                "this program stood still, so its watchdog put the board at zero"
+                if self.at_zero
+                else "its watchdog has ended"
+            )
+
+    def read(self, count: int = 1) -> bytes:
+        """Return as many bytes as come within ``timeout``, at most ``count``."""
+        self._port.timeout = self.timeout
+        return bytes(self._port.read(count))
+
+    def reset_input_buffer(self) -> None:
+        """Drop all input from the board."""
+        self._port.reset_input_buffer()
+
+    def close(self) -> None:
+        """Put the board at zero by the watchdog, end it, and close the port."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
+        if self._beating.ident:
+            self._beating.join()
+        self._end()
+        with contextlib.suppress(*LINE_ERRORS):
+            self._port.close()
+
+    def _end(self) -> None:
+        """Let the watchdog put the board at zero and end; put it at zero here if it could not."""
+        self._control.close()
+        try:
+            self._process.wait(ENDS_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._beaten_ns is not None and not self.at_zero:
+            with contextlib.suppress(*LINE_ERRORS):
+                self._port.write(self._zero)
+
+    @prioritized()
+    def _beat(self) -> None:
+        # Where it is stale, the watchdog may be writing zero already.
+        while not self._closing.wait(BEAT_S) and not self._is_stale():
+            try:
+                self._send_beat()
+            except OSError:
+                # It is gone; if it was killed, the board is not at zero yet.
+                self._end()
                 return
-        raise self.line.lost("does not answer any more")
+
+    def _send_beat(self) -> None:
+        beaten_ns = now_ns()
+        self._control.sendall(b".")
+        self._beaten_ns = beaten_ns
+
+    def _is_stale(self) -> bool:
+        # By a clock that also counts while the computer is suspended, where the system has one.
+        return now_ns() - (self._beaten_ns or 0) > STALE_NS

@@ -24,9 +24,9 @@ from typing import ClassVar
 import numpy as np
 
 from smarttouch.base.errors import BoardError, LineLostError
+from smarttouch.boards import kits
 from smarttouch.boards.driver import Driver
-from smarttouch.boards.kits import current_scale
-from smarttouch.boards.kits.current_scale import one_against_all, require_kit
+from smarttouch.boards.kits import one_against_all, require_kit
 from smarttouch.boards.line import Line
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.device import Output
@@ -80,7 +80,7 @@ class Kajimoto61Driver(Driver):
                 "again"
             )
         line.connect(str(self.port))
-        line.pause(current_scale.BOOT_S)
+        line.pause(kits.BOOT_S)
         line.discard_input()
         self.zero()
         # This board sends nothing unrequested; an eTactileKit takes FF for a query and answers.

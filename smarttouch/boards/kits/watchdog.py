@@ -7,7 +7,7 @@ and ends.
 
 It runs in a session of its own (Ctrl-C, a closed terminal and a kill of the program's process group
 do not reach it), and imports only the standard library, so that it starts within some 20 ms. The
-program's side is `watched_port`.
+program's side is `WatchedPort` in etactilekit_line.
 
 The command line has the file descriptors of port and ``control``, and the zero command in hex.
 Every byte from ``control`` is a heartbeat. Without the first one nothing is written: the device at
