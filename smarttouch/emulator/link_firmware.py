@@ -398,10 +398,9 @@ class LinkFirmware(Firmware):
         outputs, room = protocol.OUTPUTS.index(self._output), self._room
         head = protocol.CAPABILITIES.pack(
             self._electrodes, outputs, able, MAX_CURRENT_UA, room.slots, protocol.SILENCE_MS,
-            round(self._skin.compliance_v),
+            round(self._skin.compliance_v), room.kernel_bytes, room.packet_bytes, room.kernels,
         )  # fmt: skip
-        keeping = protocol.KEEPING.pack(room.kernel_bytes, room.packet_bytes, room.kernels)
-        return head + keeping + NAME.encode()
+        return head + NAME.encode()
 
     def _report(self) -> bytes:
         books, second = self.books, self._second

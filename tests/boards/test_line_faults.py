@@ -377,8 +377,8 @@ def test_without_usb_numbers_another_gets_nothing_but_a_question(hosted, strange
 
 @pytest.mark.parametrize("hosted", ["link"], indirect=True)
 def test_a_link_board_that_reports_another_identity_gets_no_sequence(hosted, stranger):
-    said = protocol.CAPABILITIES.pack(8, 0, 0, 5000, 100, 120, 0)
-    said += protocol.KEEPING.pack(0, 1 << 20, 0) + b"another firmware"
+    said = protocol.CAPABILITIES.pack(8, 0, 0, 5000, 100, 120, 0, 0, 1 << 20, 0)
+    said += b"another firmware"
 
     def answer(heard):
         (hello,) = (decode(each) for each in Deframer().feed(heard))

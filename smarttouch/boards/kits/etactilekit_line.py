@@ -190,18 +190,19 @@ class ETactileKitLine:
     def connect(self, name: str) -> int:
         """Open the port, put any firmware at zero, and return its number of outputs. Another device
         than before gets nothing but a question."""
-        line, is_known = self.line, self._is_known
+        line = self.line
         if not HAS_POSIX:
             raise BoardError(
                 "this board goes on with its last pattern if its program hangs, and the watchdog "
                 "that would put it at zero needs Linux or macOS: use simulated: here"
             )
         line.connect(name, self._watch)
-        if line.reopened and not is_known:
-            self._recognize()
+        if line.reopened:
+            if line.identity is None:
+                self._recognize()
             self._arm()
             line.write(self.zero)
-        else:
+        if line.identity is not None or not line.reopened:
             # Only a reset takes the time to boot.
             line.pause(kits.BOOT_S)
         capacity = self._identify()
@@ -213,19 +214,8 @@ class ETactileKitLine:
         """Whether the watchdog has put the board at zero."""
         return self._watched is not None and self._watched.at_zero
 
-    @property
-    def _is_known(self) -> bool:
-        """Whether it is the same board as before, by its USB numbers."""
-        return self.line.reopened and self.line.identity is not None
-
     def _watch(self, port: Port) -> Port:
-        """Return the port, shared with a watchdog; the same board, which is back, gets zero."""
-        if self._is_known:
-            with contextlib.suppress(*LINE_ERRORS):
-                port.write(self.zero)
         self._watched = WatchedPort(port, self.zero)
-        if self._is_known:
-            self._arm()
         return self._watched
 
     def _arm(self) -> None:
@@ -390,21 +380,18 @@ class WatchedPort:
         Where this program stood still just before the bytes went out, they may have followed the
         zero of the watchdog: then zero follows them at once.
         """
-        self._require_beat()
+        self._require_beat(b"")
         self._port.write(data)
-        try:
-            self._require_beat()
-        except serial.SerialException:
-            # Twice, as the first may end a command that was cut.
-            self._port.write(2 * self._zero)
-            raise
+        # Twice, as the first may end a command that was cut.
+        self._require_beat(2 * self._zero)
         return len(data)
 
-    def _require_beat(self) -> None:
+    def _require_beat(self, or_write: bytes) -> None:
         if self._beaten_ns is None:
             return
         if self._is_stale() or self._process.poll() is not None:
             self._end()
+            self._port.write(or_write)
             raise serial.SerialException(
                 "this program stood still, so its watchdog put the board at zero"
                 if self.at_zero

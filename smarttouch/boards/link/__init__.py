@@ -34,9 +34,10 @@ HALF = 2**32 - 1  # the host's half of a session; the board's is above it
 Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 
-CAPABILITIES = struct.Struct("<HBBHHHH")
+CAPABILITIES = struct.Struct("<HBBHHHHIIH")
+"""Outputs, their kind, features, µA, slots, ms to zero, compliance V; room for kernels, largest
+packet and most kernels. Then the firmware's name."""
 ALIVE = struct.Struct("<h")
-KEEPING = struct.Struct("<IIH")  # after CAPABILITIES: room in bytes, packet bytes, most kernels
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
 """Least period µs, total µA, width µs, full µA, rounding µA, full µs, ramp ms, session s, session
 µC, duty %, 0, width of a full pulse µs; then of each electrode u16 µA, u16 felt µA, u32 pC."""

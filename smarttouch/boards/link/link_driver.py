@@ -23,28 +23,8 @@ from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer
 from smarttouch.boards import link as protocol
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
-from smarttouch.boards.link import (
-    ANSWERS,
-    HALF,
-    NOTHING,
-    SILENCE_MS,
-    VERSION,
-    Feature,
-    Message,
-    MessageKind,
-    Refusal,
-    Rule,
-    decode,
-    digest_of,
-    draw_half,
-    encode,
-)
-from smarttouch.boards.link.sequence_encoding import (
-    KernelImage,
-    ScanPart,
-    encode_limits,
-    encode_scan,
-)
+from smarttouch.boards.link import HALF, VERSION, Message, MessageKind, Refusal, Rule
+from smarttouch.boards.link import sequence_encoding as encoding
 from smarttouch.boards.reports import BoardReport, Capabilities, SequenceStart
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
@@ -88,7 +68,7 @@ class LinkSession:
     now_s: Callable[[], float] = staticmethod(time.monotonic)  # clock of all timeouts here
 
     def __init__(
-        self, receive: Callable[[Message], None], draw: Callable[[], int] = draw_half
+        self, receive: Callable[[Message], None], draw: Callable[[], int] = protocol.draw_half
     ) -> None:
         # Longest wait for an answer, and longest silence of the board in a session.
         self.answer_s: float = ANSWER_S
@@ -161,7 +141,7 @@ class LinkSession:
     ) -> Message:
         """Send a query until it is answered; raise SilentBoardError if it is not, within
         `answer_s` if no time is given."""
-        kind, first = ANSWERS[question], self.sent + 1
+        kind, first = protocol.ANSWERS[question], self.sent + 1
         deadline_s = self.now_s() + (self.answer_s if within_s is None else within_s)
 
         def is_answered() -> bool:
@@ -194,10 +174,10 @@ class LinkSession:
         if self.sent == LAST_NUMBER:
             raise LineLostError(f"the session of {LAST_NUMBER} packets is over")
         self.sent += 1
-        if kind in ANSWERS:
-            self._asked[self.sent] = ANSWERS[kind]
+        if kind in protocol.ANSWERS:
+            self._asked[self.sent] = protocol.ANSWERS[kind]
         session = self.number & HALF if kind == MessageKind.HELLO else self.number
-        return encode(kind, session, self.sent, self._taken, about, payload)
+        return protocol.encode(kind, session, self.sent, self._taken, about, payload)
 
     def send(
         self,
@@ -219,7 +199,7 @@ class LinkSession:
             self.fail(lost)
             raise self.fault or lost from None
         before_s, self.written_s = self.written_s, self.now_s()
-        if self.written_s - before_s > SILENCE_MS / 1000:
+        if self.written_s - before_s > protocol.SILENCE_MS / 1000:
             self.paused_at_s = self.written_s
 
     def _put(self, packet: bytes, proved: ProvedSequence | None) -> None:
@@ -261,8 +241,8 @@ class LinkSession:
         """Process bytes from the board; return the packets of the session among them. Others are
         counted: those that are old, of another session, or answers to what was not asked."""
         taken = []
-        for message in map(decode, self._deframer.feed(data)):
-            kind, is_answer = message.kind, message.kind in ANSWERS.values()
+        for message in map(protocol.decode, self._deframer.feed(data)):
+            kind, is_answer = message.kind, message.kind in protocol.ANSWERS.values()
             with self.news:
                 if kind == MessageKind.CAPABILITIES:
                     accepted = self._accept_offer(message)
@@ -315,7 +295,7 @@ class SentPart(NamedTuple):
 
     number: int
     proved: ProvedSequence
-    part: ScanPart
+    part: encoding.ScanPart
     sent_ns: int
 
 
@@ -351,7 +331,7 @@ class LinkDriver(Driver):
         """Sequences refused as unsafe since then, and those sent again: they may count twice."""
         self._suspicion = ""  # fault found in what the board says, until the board is latched
         self._table: KernelTable | None = None
-        self._image: KernelImage | None = None
+        self._image: encoding.KernelImage | None = None
         self._sent: dict[int, SentPart] = {}  # the last of them, by their numbers
         self._volts: list[NDArray[np.float32]] = []  # voltages of the parts of a scan so far
 
@@ -364,7 +344,7 @@ class LinkDriver(Driver):
         self._suspicion = ""
         self._session.open(line)
         self._session.begin(self._take_offer)
-        limited = self._session.ask(MessageKind.LIMITS, encode_limits(self._limits))
+        limited = self._session.ask(MessageKind.LIMITS, encoding.encode_limits(self._limits))
         if limited.payload != b"\1":
             raise self._malformed()
         self._give_kernels()
@@ -385,7 +365,7 @@ class LinkDriver(Driver):
         assert can is not None
         room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
         switched, image = can.output != "weighted", self._image
-        for part in encode_scan(
+        for part in encoding.encode_scan(
             proved.sequence, proved.times, can.measures, switched, image, room, can.max_slots
         ):
             self._number += 1
@@ -510,24 +490,25 @@ class LinkDriver(Driver):
                 f"the board at {name} speaks link version {answer.version}, this program "
                 f"{VERSION}: bring both to the same"
             )
-        head, size = protocol.CAPABILITIES, protocol.CAPABILITIES.size
-        end = size + protocol.KEEPING.size
+        end = protocol.CAPABILITIES.size
         if len(answer.payload) < end:
             raise self._malformed()
-        electrodes, kind, able, current_ua, slots, zero_ms, volts = head.unpack_from(answer.payload)
+        electrodes, kind, able, current_ua, slots, zero_ms, volts, room, packet, kernels = (
+            protocol.CAPABILITIES.unpack_from(answer.payload)
+        )
         if kind >= len(protocol.OUTPUTS):
             raise BoardError(f"the board at {name} has outputs of unknown kind {kind}")
-        room, packet, kernels = protocol.KEEPING.unpack_from(answer.payload, size)
-        keeps = bool(able & Feature.KERNELS)
+        can_do = protocol.Feature
+        keeps = bool(able & can_do.KERNELS)
         can = Capabilities(
             electrodes=electrodes, output=protocol.OUTPUTS[kind], max_current_ma=current_ua / 1000,
             max_slots=slots, time_to_zero_ms=zero_ms,
             firmware=answer.payload[end:].decode("utf-8", "replace"),
-            measures=bool(able & Feature.VOLTAGE), force=bool(able & Feature.FORCE),
+            measures=bool(able & can_do.VOLTAGE), force=bool(able & can_do.FORCE),
             compliance_v=float(volts) or None,
             # A recharge phase needs a source for each electrode.
-            recharges=bool(able & Feature.RECHARGE) and protocol.OUTPUTS[kind] == "weighted",
-            emergency_switch=bool(able & Feature.EMERGENCY), kernel_bytes=keeps * room,
+            recharges=bool(able & can_do.RECHARGE) and protocol.OUTPUTS[kind] == "weighted",
+            emergency_switch=bool(able & can_do.EMERGENCY), kernel_bytes=keeps * room,
             most_kernels=keeps * kernels, packet_bytes=packet,
         )  # fmt: skip
         if can.emergency_switch and answer.state & protocol.SWITCH_OPEN:
@@ -559,7 +540,7 @@ class LinkDriver(Driver):
         can, self._image = self.can, None
         if self._table is None or can is None or not can.kernel_bytes or not can.packet_bytes:
             return
-        image = KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
+        image = encoding.KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
         piece = min(_PIECE, can.packet_bytes - OVERHEAD - protocol.KERNELS.size)
         at, furthest, data, idle = 0, 0, b"", 0
         # What it keeps already is not sent again; a board that keeps nothing is lost.
@@ -570,7 +551,7 @@ class LinkDriver(Driver):
                 raise self._malformed()
             identity, stored, whole, proof = protocol.KEPT.unpack(answer)
             if identity == image.identity and whole:
-                if proof != digest_of(image.data, self._session.number):
+                if proof != protocol.digest_of(image.data, self._session.number):
                     raise self._line.events.fault(
                         f"the board at {self._line.name} holds other kernels than those sent"
                     )
@@ -700,7 +681,7 @@ class LinkDriver(Driver):
         elif why == Refusal.SILENCE:
             slow = session.now_s() - session.paused_at_s < PAUSED_S
             cause = "this computer was too slow" if slow else "check the cable"
-            session.fail(line.lost(f"received nothing for {SILENCE_MS} ms ({cause})"))
+            session.fail(line.lost(f"received nothing for {protocol.SILENCE_MS} ms ({cause})"))
 
 
 def _reason_of(payload: bytes) -> tuple[int, int, str]:
@@ -711,6 +692,6 @@ def _reason_of(payload: bytes) -> tuple[int, int, str]:
     name = next((known.name.lower() for known in Rule if known == rule), "unknown")
     words = f"rule {rule} ({name})" if rule else "malformed"
     words += f": {value}, allowed {allowed}" if value or allowed else ""
-    words += f", slot {slot}" if slot != NOTHING else ""
-    words += f", electrode {electrode}" if electrode != NOTHING else ""
+    words += f", slot {slot}" if slot != protocol.NOTHING else ""
+    words += f", electrode {electrode}" if electrode != protocol.NOTHING else ""
     return reason, rule, words

@@ -9,21 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
-from smarttouch.boards.link import (
-    CURRENTS,
-    FULL,
-    GOES_ON,
-    GROUP,
-    LIMITS,
-    MEASURE,
-    MORE,
-    POINTS,
-    RECHARGE,
-    SEQUENCE,
-    STATES,
-    SUM,
-    digest_of,
-)
+from smarttouch.boards import link as protocol
+from smarttouch.boards.link import CURRENTS, FULL, POINTS, STATES, SUM
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import (
     KernelLists,
@@ -48,13 +35,13 @@ class KernelImage:
     def of(cls, table: KernelTable, room: int, most: int) -> Self:
         """Return as many kernels as there is room for, in bytes and in number."""
         data, count = kept_kernels(table.weights, table.site, room, most)
-        return cls(table, count, data, digest_of(data))
+        return cls(table, count, data, protocol.digest_of(data))
 
 
 def encode_limits(limits: SafetyLimits) -> bytes:
     """Return the payload of LIMITS: nothing in it allows more than the limits do."""
     part, duty_whole = limits.duty_ratio
-    head = LIMITS.pack(
+    head = protocol.LIMITS.pack(
         limits.period_us, limits.total_ua, limits.pulse_whole_us, math.ceil(limits.full_ua),
         math.ceil(limits.rounding_ua), 0,
         math.ceil(limits.ramp_ns / 1e6), min(_U16_MAX, math.ceil(limits.session_s)),
@@ -194,14 +181,15 @@ def _payload(
 ) -> bytes:
     """Return some slots as a payload; the recharge phase goes with the last one."""
     shapes, shape, kind, first, pairs, rows = columns
-    flags = GOES_ON * (start > 0) | MORE * (end < sequence.slots) | MEASURE * measure
+    flags = protocol.GOES_ON * (start > 0) | protocol.MORE * (end < sequence.slots)
+    flags |= protocol.MEASURE * measure
     tail = b""
     if sequence.recharge_ua is not None and end == sequence.slots:
-        flags |= RECHARGE
+        flags |= protocol.RECHARGE
         tail = sequence.recharge_us.to_bytes(2, "little")
         tail += sequence.recharge_ua.astype("<i2").tobytes()
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
-    head = SEQUENCE.pack(sequence.period_us, times, intensity, flags, len(shapes) // 4)
+    head = protocol.SEQUENCE.pack(sequence.period_us, times, intensity, flags, len(shapes) // 4)
     data, starts = [head, shapes, tail], np.arange(start, end)
     # Each sum stands alone.
     cuts = (np.diff(kind[start:end]) != 0) | (np.diff(shape[start:end]) != 0)
@@ -209,5 +197,5 @@ def _payload(
     bounds = [start, *starts[1:][cuts].tolist(), end] if end > start else []
     for at, until in itertools.pairwise(bounds):
         body = pairs[first[at] : first[until]] if kind[at] < CURRENTS else rows[at:until]
-        data += [GROUP.pack(kind[at], shape[at], len(body)), body.tobytes()]
+        data += [protocol.GROUP.pack(kind[at], shape[at], len(body)), body.tobytes()]
     return b"".join(data)
