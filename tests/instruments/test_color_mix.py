@@ -1,21 +1,13 @@
 """Mixing: each class keeps its own time, is delivered, and gets what it answers."""
 
-import contextlib
-import itertools
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
-from scipy.io import wavfile
 
+import smarttouch
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.errors import ScheduleError
-from smarttouch.base.stopping import StopRequest
-from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.instruments.color_mix import (
     LONGEST_US,
     VIBRATION_US,
@@ -30,18 +22,9 @@ from smarttouch.instruments.color_mix import (
 from smarttouch.instruments.skin_trace import open_trace, split_trace
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.running.config import RunConfig
-from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.loop import Loop
-from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.run_statistics import RunStatistics
-from smarttouch.running.step import Listener, as_listeners
 from smarttouch.stimulation.scan_sequence import ScanTiming
-from smarttouch.views.vibrator import Vibrator
 
 from ..support.checks import numbers_in, raises
-from ..support.full import sample
-from ..support.scans import board_without_finger
 
 ALL = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
 
@@ -200,107 +183,27 @@ ALONE = {
 }
 """What drives one class, and the rate at which it pulses then: RA at every cycle, PC at every
 second one, SAI at half of its full rate under half of the full force."""
-RATE_WITHIN = 0.01
-DRIVE_WITHIN = 0.02
-"""Tolerances of what is recovered from delivered currents; beside one another 0.06, as each
-class's filter lets a little of the other's vibration through."""
-
-
-def drive_of(spec, afferent, profile):
-    answers = split_trace(open_trace(spec), sai_full_n=profile.force.full_n)
-    return float(np.median(answers[afferent].drive[2400:7200]))
-
-
-MIXTURES = [(each,) for each in Afferent] + sample(itertools.combinations(Afferent, 2), 3)
-
-
-@pytest.mark.parametrize("mixed", MIXTURES)
-def test_what_is_mixed_comes_back(mixed, profile, bank):
-    got = feel("+".join(ALONE[each][0] for each in mixed), profile, bank)
-    assert set(got) == set(mixed)
-    for each in mixed:
-        spec, rate_hz = ALONE[each]
-        assert got[each].rate_hz == pytest.approx(rate_hz, rel=RATE_WITHIN)
-        within = DRIVE_WITHIN if len(mixed) == 1 else 0.06
-        assert np.median(got[each].drive) == pytest.approx(
-            drive_of(spec, each, profile), abs=within
-        )
-
-
-def test_a_vibrator_plays_as_pc_answers_and_pc_gets_no_pulses(profile, bank, tmp_path):
-    path = tmp_path / "pc.wav"
-    spec = "+".join(spec for spec, _ in ALONE.values())
-    got = feel(spec, profile, bank, vibrator=Vibrator(path))
-    assert set(got) == {Afferent.RA, Afferent.SAI}
-    assert got[Afferent.RA].rate_hz == pytest.approx(30, rel=RATE_WITHIN)
-    rate_hz, wave = wavfile.read(path)
-    lasting = wave[int(0.7 * rate_hz) : int(1.7 * rate_hz)].astype(float) / np.iinfo(wave.dtype).max
-    assert np.abs(np.fft.rfft(lasting)).argmax() == 250
-    drive = drive_of(ALONE[Afferent.PC][0], Afferent.PC, profile)
-    assert np.sqrt(2) * lasting.std() == pytest.approx(LEVEL * drive, abs=0.06 * LEVEL)
-
-
 LEVEL = 0.25
 """Of the strongest: net current leaves PC its 125 Hz."""
-RISEN_S = 0.55
-"""By then intensity has risen."""
 
 
-@dataclass
-class Got:
-    """Pulses of one class since intensity has risen: when, and drives as at full intensity."""
-
-    time_s: NDArray[np.float64]
-    drive: NDArray[np.float32]
-
-    @property
-    def rate_hz(self):
-        return (len(self.time_s) - 1) / np.ptp(self.time_s)
-
-
-def feel(spec, profile, bank, seconds=2.0, vibrator=None, **options):
-    """Return what each class got, by afferent class."""
-    trace = open_trace(spec, seconds)
-    vibrated = vibrator is not None
-    mixture = mix_colors(trace, profile, bank, vibrated=vibrated, **options)
-    sensor = ColorSource(spec, profile, mixture, force_n=2 * profile.force.full_n)
-    began_s = {}
-
-    def watch(sent):
-        began_s[sent.number] = sent.step.sequence.time_ns / 1e9
-
-    board = board_without_finger(profile, SimulatedDriver)
-    if vibrated:
-        vibrator.prepare(None)
-    with board, contextlib.closing(vibrator or Listener()):
-        Loop(
-            sensor,
-            Pipeline(profile, bank, RunConfig(mode=mixture.mode, scan="points"), vibrated=vibrated),
-            board,
-            stop=StopRequest(),
-            statistics=RunStatistics(),
-            listeners=as_listeners([watch, *([vibrator] if vibrated else [])]),
-            controls=Controls(ControlState(mixture.mode, LEVEL)),
-            clock=SimulatedClock(),
-        ).run()
-        numbers, _, current_ua = board.driver.take_pulses()
-        assert board.report().violations == 0
-    time_s = np.array([began_s[number] for number in numbers.tolist()])
-    risen = time_s > RISEN_S
-    time_s, current = time_s[risen], current_ua[risen].astype(np.float32) / LEVEL
-    # The likeliest kernel of each pulse: a cosine of 1 but for whole microamperes.
-    classes, count = sorted(bank.weights), len(profile.electrodes)
-    kernels = np.concatenate([bank.kernels(each) for each in classes])
-    size = np.linalg.norm(kernels, axis=1)
-    along = current @ (kernels / np.where(size > 0, size, np.inf)[:, None]).T
-    best, strength = along.argmax(axis=1), along.max(axis=1)
-    assert (strength / np.linalg.norm(current, axis=1)).min(initial=1) > 0.999
-    afferent, site = np.array(classes)[best // count], best % count
-    # The activation that leads to such a current; below 0 where weaker than the threshold.
-    level = strength / size[best] / (profile.full_ma[site] * 1000)
-    faintest = (profile.threshold_ma / profile.full_ma)[site]
-    drive = (level - faintest) / (1 - faintest)
-    return {
-        each: Got(np.unique(time_s[afferent == each]), drive[afferent == each])
-        for each in Afferent if (afferent == each).any()
-    }  # fmt: skip
+@pytest.mark.parametrize("classes", [[each] for each in Afferent] + [list(Afferent)])
+def test_what_is_mixed_is_sent_at_the_rate_and_drive_of_each_class(classes, profile):
+    source = open_vibration("+".join(ALONE[each][0] for each in classes), profile)
+    steps = [
+        step
+        for step in smarttouch.steps(source, profile, intensity=LEVEL, **source.settings)
+        if step.sequence.intensity == LEVEL and step.sequence.slots
+    ]
+    for afferent in Afferent:
+        sent = [step for step in steps if step.tactile.activation[afferent].any()]
+        assert bool(sent) == (afferent in classes)
+        if sent:
+            spec, rate_hz = ALONE[afferent]
+            time_s = np.array([step.sequence.time_ns for step in sent]) / 1e9
+            assert (len(sent) - 1) / np.ptp(time_s) == pytest.approx(rate_hz, rel=0.01)
+            drive = np.median([step.tactile.activation[afferent].max() for step in sent])
+            answer = split_trace(open_trace(spec), sai_full_n=profile.force.full_n)[afferent]
+            # Each filter lets a little of the other class's vibration through.
+            within = 0.02 if len(classes) == 1 else 0.06
+            assert drive == pytest.approx(np.median(answer.drive[2400:7200]), abs=within)

@@ -1,12 +1,12 @@
 """Pulses that are asked for, and delivered: how often, where, and when not."""
 
 import math
+from itertools import count, takewhile
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from PIL import Image
 from websockets.exceptions import ConnectionClosed
 
 from smarttouch.base.afferent import Afferent, Mode
@@ -21,16 +21,16 @@ from smarttouch.instruments.electric_mouse import (
     TexturePicture,
     open_texture_source,
 )
-from smarttouch.instruments.hand_motion import START_S, HandMotion, SweepMotion, strokes_over
+from smarttouch.instruments.hand_motion import START_S, HandMotion, SweepMotion
 from smarttouch.instruments.relief import open_texture
+from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 
 from ..support.checks import numbers_in, raises
-from ..support.full import WHOLE, sample
 from ..support.runs import until
 from ..views.conftest import running
 from ..views.test_window import connect, receive
-from .conftest import FELT, feel, object_file, path_motion, stroke, touch
+from .conftest import object_file
 
 GRATING = open_texture("grating:4mm")
 
@@ -50,41 +50,38 @@ class Played(HandMotion):
         return next(self._places, None)
 
 
-def pulses(source, step_us=10_000):
+def frames_of(source):
+    """Read a source to its end, 100 times a second."""
+    return list(takewhile(bool, (source.read(10_000_000 * k) for k in count())))
+
+
+def pulses(source):
     """Read a source to its end; return what it asked of its class, (frames, E)."""
-    asked, time_ns = [], 0
-    while (frame := source.read(time_ns)) is not None:
-        asked.append(frame.activation[source.mode.afferents[0]])
-        time_ns += 1000 * step_us
-    return np.array(asked)
+    return np.array([each.activation[source.mode.afferents[0]] for each in frames_of(source)])
 
 
-@pytest.mark.parametrize(("speed", "want_hz"), sample([(80, 20), (40, 10)]))
-def test_each_electrode_pulses_spatial_frequency_times_speed(mouse, mouse_bank, speed, want_hz):
-    pulses_hz, _ = stroke(GRATING, speed, mouse, mouse_bank)
-    assert pulses_hz == pytest.approx([want_hz] * 64)
-
-
-def test_up_to_the_bound_and_not_beyond(brief, mouse_bank):
-    texture = open_texture("grating:4mm,10deg")
-    share = math.cos(math.radians(10))
-    fine, source = stroke(texture, 180, brief, mouse_bank, length_mm=100)
-    assert fine.mean() == pytest.approx(45 * share, rel=0.01)
-    assert source.notes == []
-    too_fast, source = stroke(texture, 280, brief, mouse_bank, length_mm=100)
-    assert 30 < too_fast.mean() < 50.5
-    left_out, most_hz = numbers_in(source.notes[0])
-    assert left_out > 0
-    assert most_hz == 50
+@pytest.mark.parametrize(("speed", "want_hz"), [(40, 10), (80, 20), (180, 45), (280, None)])
+def test_each_electrode_pulses_spatial_frequency_times_speed_up_to_a_bound(mouse, speed, want_hz):
+    source = MouseSource(GRATING, SweepMotion(speed, (90.0, 0.0)), mouse, press_n=1.0)
+    begin, seconds = round(100 * START_S), 90 / speed
+    pulses_hz = pulses(source)[begin : begin + round(100 * seconds) + 1].sum(axis=0) / seconds
+    if want_hz is not None:
+        assert pulses_hz == pytest.approx([want_hz] * 64, abs=1.01 / seconds)
+        assert source.notes == []
+    else:
+        assert 30 < pulses_hz.mean() < 50.5
+        left_out, most_hz = numbers_in(source.notes[0])
+        assert left_out > 0
+        assert most_hz == 50
 
 
 WAYS = [("right", "disc"), ("to and fro", "disc"), ("left", "cross"), ("bent", "cross"),
         ("circle", "disc")]  # fmt: skip
 
 
-@pytest.mark.parametrize(("way", "kind"), WAYS if WHOLE else WAYS[3:4])
-def test_an_object_stays_put_while_the_hand_moves(tmp_path, brief, mouse_bank, kind, way):
-    """Put together from delivered pulses its middle is where it is, to half a frame of the way."""
+@pytest.mark.parametrize(("way", "kind"), WAYS)
+def test_an_object_stays_put_while_the_hand_moves(tmp_path, mouse, kind, way):
+    """Pulses come where its ink is, all over it, whatever way the hand goes."""
     time_s = np.linspace(0, 2, 201)
     turn = math.pi * time_s
     x, y = {
@@ -95,19 +92,20 @@ def test_an_object_stays_put_while_the_hand_moves(tmp_path, brief, mouse_bank, k
         "to and fro": (40 + 14 * np.sin(2 * turn), 19 + time_s),
     }[way]
     texture = open_texture(str(object_file(tmp_path / "o.png", kind)))
-    felt, _ = touch(texture, path_motion(tmp_path, time_s, x, y), brief, mouse_bank)
-    drawn = 255 - felt.drawing.picture((20.0, 0.0), (400, 400), 0.1).astype(float)
-    rows, columns = np.mgrid[:400, :400] * 0.1 + 0.05
-    middle = np.array([(columns * drawn).sum(), (rows * drawn).sum()]) / drawn.sum()
-    assert np.hypot(*(middle - 20.0)) < 0.4
-    # And nothing is felt where it is not: a pulse comes a frame late at most, 0.9 mm at that speed.
+    motion = Played(np.column_stack([x, y]).tolist())
+    places = np.concatenate([
+        (frame.pose.x_mm, frame.pose.y_mm) + mouse.electrodes.position_mm[frame.activation[0] > 0]
+        for frame in frames_of(MouseSource(texture, motion, mouse, press_n=1.0))
+    ])  # fmt: skip
+    assert len(places) > 50
+    size_mm = 10 if kind == "disc" else 14
+    assert (places.min(axis=0) + places.max(axis=0)) / 2 == pytest.approx([40, 20], abs=0.7)
+    assert np.ptp(places, axis=0) == pytest.approx([size_mm, size_mm], abs=2.5)
+    # A pulse comes a frame late at most, 0.9 mm at that speed.
     ink = 255 - texture.draw(0, 0, (400, 800), 0.1)
-    column, row = (felt.place_mm[felt.answer > FELT] * 10).astype(int).T
-    near = [
-        ink[max(0, r - 9) : r + 10, c - 9 : c + 10].max() for c, r in zip(column, row, strict=True)
-    ]
+    near = [ink[max(0, r - 9) : r + 10, c - 9 : c + 10].max()
+            for c, r in (places * 10).astype(int)]  # fmt: skip
     assert min(near) == 255
-    assert len(near) > 50
 
 
 def test_at_rest_nothing_is_felt(mouse):
@@ -182,15 +180,6 @@ def test_the_contents_of_a_frame(mouse):
     np.testing.assert_array_equal(frames[1].image, GRATING.draw(-5.0, -7.0, shape, 0.25))
 
 
-def test_without_contact_nothing_flows(tmp_path, mouse, mouse_bank):
-    motion = path_motion(tmp_path, [0, 1], [0, 40], [0, 0])
-    motion.knows_force, motion.force_n = True, 0.05
-    source = MouseSource(GRATING, motion, mouse)
-    touched = feel(source, mouse, mouse_bank)
-    assert touched.tally.slots == 0
-    assert touched.tally.frames > 100 * (START_S + 1)
-
-
 @pytest.mark.parametrize(("options", "allowed"), [
     *(({"rate_hz": each}, (10, 200)) for each in (5, 201)),
     *(({"mode": each}, ("RA", "SAI", "PC")) for each in (Mode.NATURAL, Mode.COLOR)),
@@ -231,27 +220,8 @@ def test_jitter_on_a_slow_motion_is_no_motion_back():
     assert x[-1] > 9.7
 
 
-def test_the_sheet_shows_both(mouse, mouse_bank, tmp_path):
-    """A cross, stroked over and back, and what came of it."""
-    texture = open_texture(str(object_file(tmp_path / "o.png", "cross", (40, 20), (20.0, 10.0))))
-    options = strokes_over(texture.size_mm, mouse.electrodes.extent_mm)
-    origin = options.pop("origin_mm")
-    motion = SweepMotion(60.0, **options)
-    motion.origin_mm = origin
-    touched, _ = touch(texture, motion, mouse, mouse_bank)
-    touched.drawing.save(tmp_path / "felt.png")
-    sheet = 255.0 - np.asarray(Image.open(tmp_path / "felt.png").convert("L"), float)
-    half = (sheet.shape[0] - 24) // 2
-    above, below = sheet[52:half], sheet[52 + half : 2 * half]
-    assert above.shape == below.shape
-    assert np.corrcoef(above.ravel(), below.ravel())[0, 1] > 0.8
-    path = tmp_path / "none" / "felt.png"
-    with raises(SmartTouchError, names="file", value=path):
-        touched.drawing.save(path)
-
-
-def test_a_run_without_pulses_is_an_error(mouse, mouse_bank, tmp_path):
-    empty = TexturePicture(mouse, mouse_bank, (Afferent.RA,), open_texture("grating:4mm"))
+def test_a_run_without_pulses_is_an_error(mouse, tmp_path):
+    empty = TexturePicture(mouse, load_bank(mouse), (Afferent.RA,), open_texture("grating:4mm"))
     empty.deliver(np.zeros(0, np.uint32), np.zeros(0, np.float32), np.zeros((0, 64), np.int16))
     assert (empty.picture((0.0, 0.0), (20, 20), 1.0) == 255).all()
     with raises(SmartTouchError):

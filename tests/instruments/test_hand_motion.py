@@ -166,48 +166,35 @@ def device(monkeypatch, tmp_path):
     return kind
 
 
-def await_mm(motion, wanted):
-    until(lambda: motion.read(0) == pytest.approx(wanted))
-
-
-def test_counts_become_millimeters(device):
+def test_counts_become_millimeters_until_the_mouse_is_pulled_out(device):
     with open_motion("evdev:", cpi=508) as motion:
         assert motion.read(0) == (0, 0)
         device.latest.play((2, 0, 10), (2, 1, -4), (0, 0, 0), (2, 8, 50), (1, 272, 1), (2, 0, 10))
-        await_mm(motion, (1.0, -0.2))
+        until(lambda: motion.read(0) == pytest.approx((1.0, -0.2)))
         assert motion.resolution_mm == pytest.approx(0.05)
         assert not motion.knows_force
+        assert motion.notes == []
+        device.latest.play((0, 3, 0), (0, 3, 0), (2, 1, 404))
+        until(lambda: motion.read(0) == pytest.approx((1.0, 20.0)))
+        assert len(motion.notes) == 1, "events were lost, said once"
+        device.latest.pull_out()
+        with raises(SourceLostError, value=device.place):
+            until(lambda: motion.read(0) is None)
     assert device.latest.closed
 
 
-def test_lost_events_are_reported_once(device):
-    with open_motion("evdev:") as motion:
-        motion.read(0)
-        device.latest.play((0, 3, 0), (0, 3, 0), (2, 1, 800))
-        await_mm(motion, (0, 25.4))
-        assert len(motion.notes) == 1
-
-
-def test_a_mouse_that_is_pulled_out_ends_the_run(device):
-    with open_motion("evdev:") as motion:
-        device.latest.pull_out()
-        motion._thread.join(10)
-        with raises(SourceLostError, value=device.place):
-            motion.read(0)
-
-
 def test_the_first_mouse_is_found_among_others(device, monkeypatch):
-    kinds = {"/dev/input/event10": (0, 1), "/dev/input/event2": (8,), "/dev/input/event3": (0, 1)}
-
     class Several(device):
         def __init__(self, path, readonly=False):
             super().__init__(path, readonly)
-            self.moves = kinds[path]
+            self.moves = (8,) if path == "event2" else (0, 1)
 
     monkeypatch.setattr(sys.modules["evdev"], "InputDevice", Several)
-    monkeypatch.setattr(sys.modules["evdev"], "list_devices", lambda: list(kinds))
-    with open_motion("evdev:") as motion:
-        assert motion._path == "/dev/input/event3"
+    monkeypatch.setattr(
+        sys.modules["evdev"], "list_devices", lambda: ["event10", "event2", "event3"]
+    )
+    open_motion("evdev:").close()
+    assert Several.latest.path == "event3"
 
 
 @pytest.mark.parametrize("error", [PermissionError(13, "no"), OSError(25, "Inappropriate")])
