@@ -336,20 +336,18 @@ class AnswerTable:
 
 def read_table(
     path: Path,
-    # x, y, standard: columns of comparison, success and standard; the last need not be there. The
-    # interval of the comparison (`comparison_interval`) and the words answered (`response`) are
-    # used if there are such columns.
+    # x, y: columns of comparison and success. The `standard`, the interval of the comparison
+    # (`comparison_interval`) and the words answered (`response`) are used if there are such columns
     x: str = "comparison",
     y: str = "success",
-    standard: str = "standard",
 ) -> AnswerTable:
     """Read comparisons and answers, see `parse_cells`.
 
     An answer is 1, true, yes, correct or their contraries; an empty cell is none.
     """
     table = parse_cells(read_bytes(path, ExperimentError), path)
-    for option, name in (("x", x), ("y", y), ("standard", standard)):
-        if name not in table.head and name != "standard":
+    for option, name in (("x", x), ("y", y)):
+        if name not in table.head:
             raise ExperimentError(
                 f"{path} has no column {name!r} for {option}: choose {' or '.join(table.head)}"
             )
@@ -360,7 +358,7 @@ def read_table(
     if not table.lines:
         raise ExperimentError(f"{path} has no trials below its first line: give one that has")
     rows = np.array([
-        (number(line, standard), table.number(line, x), table.success(line, y),
+        (number(line, "standard"), table.number(line, x), table.success(line, y),
          number(line, "comparison_interval"))
         for line in range(len(table.lines))
     ])  # fmt: skip

@@ -117,17 +117,6 @@ ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 _DRAWN_PX = 400
 
 
-def parse_letters(text: str | None, fewest: int = 2) -> str:
-    """Return the letters that ``ABC`` names, each once, of A to Z; the alphabet if None."""
-    letters = ALPHABET if text is None else "".join(dict.fromkeys(text.upper().replace(",", "")))
-    strange = [letter for letter in letters if letter not in ALPHABET]
-    if strange or len(letters) < fewest:
-        raise ExperimentError(
-            f"letters {text!r} must be {fewest} or more letters from A to Z, as in AEIOU"
-        )
-    return letters
-
-
 def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
     """Return the activation, (E,) float32, 0 or 1, that draws a letter as large as the array.
 

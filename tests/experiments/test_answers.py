@@ -199,12 +199,10 @@ def test_others(tmp_path, text, comparison, success):
 
 
 def test_columns_by_name(tmp_path):
-    path = saved(tmp_path, "hz,key_resp.corr,base\n33,1,30\n50,0,45\n40,None,30\n")
-    table = read_table(path, x="hz", y="key_resp.corr", standard="base")
+    path = saved(tmp_path, "hz,key_resp.corr,standard\n33,1,30\n50,0,45\n40,None,30\n")
+    table = read_table(path, x="hz", y="key_resp.corr")
     assert [each.comparison.tolist() for each in table.answers] == [[33, 40], [50]]
     assert table.answers[0].answered == 1
-    with raises(ExperimentError, names="standard", value="first"):
-        read_table(path, x="hz", y="key_resp.corr", standard="first")
 
 
 @pytest.mark.parametrize(("responses", "alternatives"), [

@@ -156,15 +156,6 @@ def test_a_start_of_another_device_or_with_other_limits_is_refused(tmp_path):
         file_to_calibrate("contact", "line-7", "electric-mouse", mine)
 
 
-def test_an_output_that_is_no_profile_is_kept(tmp_path):
-    mine = tmp_path / "mine.toml"
-    mine.write_text("what was there")
-    for overwrite in (False, True):
-        with raises(ProfileError, value=mine):
-            file_to_calibrate("force", None, "electric-mouse", mine, overwrite)
-    assert mine.read_text() == "what was there"
-
-
 def test_what_another_has_written_meanwhile_is_kept(tmp_path):
     mine = tmp_path / "mine.toml"
     calibrated("force", "force.curve", [0.0, 1e-6], mine)

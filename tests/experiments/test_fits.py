@@ -26,7 +26,6 @@ MODELS = [
     Model(), Model(guess=0.5), Model(guess=0.0, at=0.75), Model(guess="free"),
     Model(guess=0.04, logarithmic=False),
 ]  # fmt: skip
-STIMULUS = 30 * 2 ** (np.arange(-9, 10, 2) / 9)
 
 
 def counts_of(stimulus, n, k):
@@ -52,14 +51,6 @@ def test_any_answers_give_estimates_in_their_intervals_that_rise_with_the_share(
     assert ((low <= value) & (value <= high) & np.isfinite(value)).all()
 
 
-@given(data(), st.sampled_from([1e-3, 0.3, 250.0]))
-def test_unit_is_of_no_account_on_a_logarithmic_axis(counts, factor):
-    one = fit(counts, Model())
-    other = fit(counts._replace(stimulus=counts.stimulus * factor), Model())
-    assert other.bounded(0.5).value == pytest.approx(factor * one.bounded(0.5).value, rel=1e-6)
-    assert other(counts.stimulus * factor) == pytest.approx(one(counts.stimulus), abs=1e-6)
-
-
 def test_two_points_by_hand():
     """Quantiles of 1/4 and 3/4 are -+ z: the middle lies between, the spread is 1 / z."""
     z = norm.ppf(0.75)
@@ -82,16 +73,6 @@ def test_what_nothing_at_all_says_is_the_guess():
     assert model.probability(x, parameters)[0, 0] == 0.13
     counts = counts_of([0, 1, 2, 4, 8], [40] * 5, [8, 8, 22, 38, 40])
     assert fit(counts, model).parameters.guess[0] == pytest.approx(0.2, abs=0.04)
-
-
-def test_intervals_shrink_with_trials():
-    share = Subject(36.0, 0.25).probability(STIMULUS)
-    few, many = (
-        fit(counts_of(STIMULUS, np.full(10, n), np.round(n * share)), Model()).bounded(0.75)
-        for n in (10, 160)
-    )
-    # Sixteen times the trials, a quarter of the interval.
-    assert 3 < (few.high - few.low) / (many.high - many.low) < 5.5
 
 
 def test_an_interval_without_an_end():
@@ -172,16 +153,6 @@ def test_beyond_the_range():
     assert found.fit.bounded(0.75).value > 60
     low = of_counts([5, 6, 7, 8, 10], [60] * 5, [40, 44, 50, 55, 60])
     assert "below 5" in verdict(low).verdict
-
-
-def test_separated_answers_are_reported():
-    sharp = session(lambda each, n: each.comparison > 30)
-    found = judge_answers(sharp, usual_model([sharp]))
-    assert found.verdict is None
-    low, high = ratio_pairs([30.0])[4][1], ratio_pairs([30.0])[5][1]
-    assert found.threshold.high - found.threshold.low > 0.6 * (high - low)
-    # All curves with their middle between the two fit alike.
-    assert low < found.fit.bounded(0.5).value < high
 
 
 def test_one_sided_and_of_two_intervals_are_tested_against_guessing():

@@ -16,14 +16,11 @@ from smarttouch.experiments.observers import (
     Nerve,
     SimulatedObserver,
     believable_hz,
-    make_observer,
 )
-from smarttouch.experiments.trials import Setup
 from smarttouch.physiology.finger import Finger
 
 from ..support.checks import raises
 from ..support.full import sample
-from .simulated import read_rows, sit
 
 RA, SAI, PC = Afferent
 MIDDLE = 27
@@ -95,12 +92,6 @@ def share(count, ask, wanted):
 
 
 class TestNerve:
-    def test_ra_mode_reaches_no_pc(self, finger, train):
-        response = Nerve(finger).of(train(30))
-        assert response.hz == pytest.approx(30)
-        assert response.ratio == 0
-        assert response.per_slot == pytest.approx(1, abs=0.1)
-
     def test_silence_has_no_frequency_and_no_place(self, finger, train):
         for interval in (NOTHING, train(50, level=0.01)):
             response = Nerve(finger).of(interval)
@@ -195,16 +186,3 @@ def test_a_blind_subject_answers_anything():
     counts = [answers.count(each) for each in "ABCD"]
     assert min(counts) > 150
     assert max(counts) < 250
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["detection", "localization"])
-def test_the_model_sits_every_experiment(profile, bank, tmp_path, name):
-    setup = Setup(profile, repetitions=2, train_s=0.1)
-    path = tmp_path / "rows.csv"
-    sat = sit(name, setup, bank, path, make_observer("model", profile, 1))
-    rows = read_rows(path)
-    assert sat.over
-    assert all(row["response"] for row in rows)
-    easy = sorted(rows, key=lambda row: abs(row["comparison"]))[-2:]
-    assert all(row["response"] == row["target"] for row in easy)

@@ -12,7 +12,6 @@ from smarttouch.experiments.findings import judge_answers
 from smarttouch.experiments.procedures import (
     RATIOS,
     constant_stimuli,
-    interleave,
     quest_plus,
     ratio_pairs,
     weighted_staircase,
@@ -87,25 +86,6 @@ def test_no_answer_is_the_same_again_but_not_for_ever():
 @pytest.mark.parametrize("answer", [True, False])
 def test_ends_where_the_range_does(answer):
     assert len(ask_all(weighted_staircase(1.5, 1.0, 2.0, 0.1), lambda _: answer)) < 12
-
-
-def test_interleaved_mixes_them_all():
-    count = iter(range(1000))
-    shown = ask_all(
-        interleave(
-            [
-                weighted_staircase(1.6 * hz, hz, 2 * hz, 0.05, hz, most_trials=30, seed=3)
-                for hz in (15.0, 30.0, 45.0)
-            ],
-            3,
-        ),
-        lambda _: next(count) % 4 != 3,
-    )
-    assert all(each.standard == (15.0, 30.0, 45.0)[each.index] for each in shown)
-    order = [each.index for each in shown]
-    assert set(order) == {0, 1, 2}
-    # Not one after the other.
-    assert sum(np.diff(order) != 0) > 20
 
 
 def test_intervals_are_balanced():

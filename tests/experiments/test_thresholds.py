@@ -163,22 +163,6 @@ def test_only_comfort_is_another_limit_while_it_is_measured(name):
         assert getattr(limits, field) == getattr(usual, field), field
 
 
-def test_a_ramp_that_cannot_be_slower_leaves_less_to_reach(profile, changed):
-    slow = changed(profile, {"limits.ramp_s": 10.0})
-    measuring = measuring_profile(slow)
-    assert measuring.limits.ramp_s == 10.0
-    assert measuring.full_ma.max() == pytest.approx(slow.full_ma.max(), abs=1e-3)
-
-
-def test_single_electrodes_keep_their_own_limit(profile, changed, begun):
-    own = [2.45] * 64
-    own[5] = 2.4
-    limited = changed(profile, {"limits.electrode_ma": own})
-    display = display_of(limited)
-    run(display, limited, silent(limited), [5], begun())
-    assert max(level_of(each) for each in display.board.driver.sequences) == 2.4
-
-
 def test_an_interrupted_session_goes_on_where_it_was(profile, begun):
     first, stop = begun(), StopRequest()
 

@@ -55,7 +55,8 @@ def test_trains_have_the_asked_frequency_to_the_microsecond(profile, take):
     """Ten comparisons with a standard; times and pulses by the board's account."""
     observer = Perfect()
     sat, rows = take(observer, {"repetitions": 1, "standards": "60", "train_s": 0.27})
-    assert len(rows) == len(observer.felt) == 10
+    assert rows == sat.rows
+    assert [row["thisN"] for row in rows] == list(range(10))
     for row, (_, intervals) in zip(rows, observer.felt, strict=True):
         order = (row["comparison"], row["standard"])
         for hz, felt in zip(order if row["comparison_interval"] == 1 else order[::-1], intervals,
@@ -67,9 +68,18 @@ def test_trains_have_the_asked_frequency_to_the_microsecond(profile, take):
             assert strongest == pytest.approx(profile.full_ma[27], abs=0.005)
             assert felt.width_us == pytest.approx(200)
             assert felt.time_s[0] == 0
+        assert row["response"] == row["target"]
+        assert row["success"] == (row["comparison"] > row["standard"])
+        about = row["experiment"], row["participant"], row["session"], row["procedure"]
+        assert about == ("frequency-RA", "p1", "s1", "constant")
+        assert (row["unit"], row["level"], row["rt"]) == ("Hz", 1.0, 0.0)
     assert sat.figures["emulator_violations"] == 0
     assert sat.source.notes == []
     assert not [words for words in sat.events("trial") if "again" in words]
+    (asked,), (answered,) = sat.events("trial 1:"), sat.events("response 1:")
+    where = {1: "first", 2: "second"}[rows[0]["comparison_interval"]]
+    assert all(each in asked for each in ("60 Hz", f"{rows[0]['comparison']:g} Hz", where))
+    assert all(each in answered for each in (rows[0]["response"], "0.00 s"))
 
 
 def test_before_a_trial_intensity_is_there_and_between_intervals_silence(profile, take):
@@ -295,7 +305,6 @@ def test_a_board_that_cannot_keep_a_frequency_is_noted(changed, profile, tmp_pat
     assert sent_hz < 200
 
 
-SHORT = {"repetitions": 1, "standards": "30", "train_s": 0.15}
 MOUSE = load_profile("electric-mouse")
 SHOWN = "standard", "comparison", "comparison_interval", "thisN", "success"
 
@@ -340,25 +349,6 @@ def test_stopped_and_killed_sessions_have_each_trial_once(
             parts.write_bytes(lines[: last + min(cut, len(lines) - last - 1)])
     assert respond(parts, answers, procedure=procedure)
     assert shown(read_rows(parts)) == shown(read_rows(whole))
-
-
-def test_rows_hold_what_was_shown_and_answered(profile, bank, tmp_path):
-    path = tmp_path / "rows.csv"
-    sat = sit("frequency", Setup(profile, **SHORT), bank, path, Perfect())
-    rows = read_rows(path)
-    assert rows == sat.rows
-    assert [row["thisN"] for row in rows] == list(range(10))
-    for row in rows:
-        assert row["response"] == row["target"]
-        assert row["success"] == (row["comparison"] > row["standard"])
-        about = row["experiment"], row["participant"], row["session"], row["procedure"]
-        assert about == ("frequency-RA", "p1", "s1", "constant")
-        assert (row["unit"], row["level"], row["rt"]) == ("Hz", 1.0, 0.0)
-    row = rows[0]
-    where = {1: "first", 2: "second"}[row["comparison_interval"]]
-    (asked,), (answered,) = sat.events("trial 1:"), sat.events("response 1:")
-    assert all(each in asked for each in ("30 Hz", f"{row['comparison']:g} Hz", where))
-    assert all(each in answered for each in (row["response"], "0.00 s"))
 
 
 @pytest.mark.parametrize("other", [{"standards": "45"}, {"standards": "30", "trials": 4}])

@@ -127,14 +127,6 @@ def test_charge_rises_linearly_with_width(cathodic):
     assert np.all(np.diff(thresholds) < 0)
 
 
-@pytest.mark.parametrize(
-    ("depth_mm", "source"), sample([(0.7, disc_mv_per_ma), (1.4, point_mv_per_ma)])
-)
-def test_flat_fiber_prefers_the_cathode(depth_mm, source):
-    cathodic, anodic = polarities(flat(depth_mm, source, 131), Fiber(end="through"))
-    assert 3 < anodic / cathodic < 6
-
-
 @pytest.mark.parametrize(("source", "geometry"), sample([
     (disc_mv_per_ma, {}), (point_mv_per_ma, {}), (disc_mv_per_ma, TRUNK),
 ], 3))  # fmt: skip
@@ -225,19 +217,6 @@ def test_a_bare_terminal_prefers_the_anode_as_much_as_was_measured():
     )
     by_drive = drive.max(axis=(1, 2))
     assert 1 / by_drive == pytest.approx([cathodic, anodic], rel=0.05)
-
-
-def test_a_fit_finds_the_weights_again():
-    """Thresholds made of a driving function give that driving function back."""
-    true = load_driving("trunk", "through", 200.0)
-    random = np.random.default_rng(2)
-    like = replace(FIBERS["trunk"], end="through")
-    basis = np.array([under_a_disc(like, d, b, 8.0) for d in (0.5, 1.0, 2.0) for b in (0, 1, 2)])
-    potentials = random.normal(size=(120, len(basis))) @ basis
-    thresholds = 1 / true.drive(potentials[..., None])[..., 0].max(axis=1)
-    found = fiber_fit.fit(like, 200.0, potentials, thresholds)
-    drive = found.drive(potentials[..., None])[..., 0].max(axis=1)
-    assert fiber_fit.threshold_error(drive, thresholds).tenth < 0.01
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 4), st.floats(0.1, 10))

@@ -6,8 +6,7 @@ import re
 import shutil
 import socket
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -34,16 +33,6 @@ for line in sys.stdin:
         key = api.readKeyWithTimeout(value)
         print(json.dumps(key if key is None else api.expandKeyCode(key)), flush=True)
 """
-
-
-def wait_until(holds: Callable[[], bool], timeout_s: float) -> bool:
-    """Wait until something holds; return whether it does."""
-    end_s = time.monotonic() + timeout_s
-    while not holds():
-        if time.monotonic() > end_s:
-            return False
-        time.sleep(0.002)
-    return True
 
 
 def require_brltty():

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import ExperimentError, ReadingError, SafetyError
+from smarttouch.base.errors import ExperimentError, ReadingError
 from smarttouch.imaging.array_window import usual_speed_mm_s
 from smarttouch.imaging.line_picture import PIXELS_PER_PITCH, LinePicture
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.finger import Finger
-from smarttouch.profile import Profile, load_profile
+from smarttouch.profile import load_profile
 from smarttouch.reading.legibility import (
     DeliveredLine,
     LineDelivery,
@@ -21,12 +21,10 @@ from smarttouch.reading.legibility import (
     deliver_lines,
     deliver_pulses,
     letter_sequences,
-    letter_templates,
-    letters_on_finger,
     normalize,
     read_at_nerve,
 )
-from smarttouch.reading.letter_shapes import ALPHABET, Shapes, draw_letter, parse_letters
+from smarttouch.reading.letter_shapes import ALPHABET, Shapes, draw_letter
 from smarttouch.reading.line_source import LineMotion
 from smarttouch.sources.source_contract import Pose
 from smarttouch.stimulation.scan_sequence import SlotPolicy
@@ -53,13 +51,6 @@ def test_masked_electrodes_draw_nothing(profile, changed):
 def test_a_line_array_has_no_letters():
     with raises(ExperimentError, names="profile", value=1, allowed=4):
         draw_letter("A", load_profile("line-8"))
-
-
-@pytest.mark.parametrize("text", ["A", "", "A1", "Ä,B"])
-def test_what_is_no_list_of_letters(text):
-    assert parse_letters("a,e,A,u") == "AEU"
-    with raises(ExperimentError, names="letters", value=text):
-        parse_letters(text)
 
 
 GRADED = Tone(0.0, 1.0, prepared=True)
@@ -131,14 +122,6 @@ def test_many_points_in_a_slot_are_felt_as_they_are_one_by_one(way, make_line):
     assert not np.array_equal(at_once, by_points)
 
 
-def test_nothing_unsafe_is_delivered(way, make_line, reading):
-    """The board of a measurement is behind the same gate as any other."""
-    limits = reading.limits.model_copy(update={"current_ma": 0.5})
-    too_much = Profile.model_construct(**(dict(reading) | {"limits": limits}))
-    with pytest.raises(SafetyError):
-        deliver_pulses(make_line(), LineDelivery(too_much, way.bank, way.tone, way.motion))
-
-
 def test_plain_shapes_are_on_or_off_and_graded_ones_are_not():
     ink = np.linspace(0, 1, 11).astype(np.float32)
     plain, graded = ink.copy(), ink.copy()
@@ -193,12 +176,6 @@ def shown():
     """A profile, and its letters L and T in RA mode."""
     profile = load_profile("smarttouch-4x4")
     return profile, letter_sequences("LT", profile, load_bank(profile), Mode.RA)
-
-
-def respond(shown, seed):
-    profile, letters = shown
-    finger = Finger(profile, seed, "paper")
-    return letters_on_finger(finger, letters, Mode.RA.afferents, letter_templates(profile))
 
 
 def test_a_letter_is_given_at_full_comfort(shown):

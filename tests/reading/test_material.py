@@ -11,7 +11,7 @@ from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille_lines import Braille
-from smarttouch.reading.letter_shapes import Shapes, thin
+from smarttouch.reading.letter_shapes import Shapes
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions
 
@@ -60,16 +60,6 @@ def test_nothing_is_too_short_to_be_felt(source_of, reading, words):
     assert (line.image < 128).any()
 
 
-def test_optics_and_their_registration_play_no_part(profile):
-    optics = profile.optics.model_copy(
-        update={"rotation_deg": 30.0, "offset_x_mm": 1.0, "offset_y_mm": 2.0, "flat_field": "x",
-                "homography": (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)}
-    )  # fmt: skip
-    odd = profile_for_reading(profile.model_copy(update={"optics": optics}))
-    assert odd.optics == profile_for_reading(profile).optics
-    assert odd.optics.field_height_mm == pytest.approx(profile.electrodes.extent_mm[1])
-
-
 def test_few_rows_are_reported_and_fewer_are_refused(source_of, notes):
     four = profile_for_reading(load_profile("smarttouch-4x4"))
     assert list(Shapes().lines(source_of("text:hi"), four))
@@ -114,14 +104,6 @@ def test_paragraphs_are_put_together_across_pages(source_of):
         "Some words that are divided by a line, and more of them follow on the next page.",
         "Another paragraph of it which fills all of its lines and ends.",
     ]
-
-
-def test_thinning_keeps_a_hole_open():
-    ring = np.full((64, 64), 255, np.uint8)
-    ring[8:56, 8:56] = 0
-    ring[26:38, 26:38] = 255
-    assert thin(ring)[32, 32] == 255
-    assert thin(np.full((64, 64), 255, np.uint8)).min() == 255
 
 
 def test_words_and_cells_are_distinguished(tmp_path, reading):

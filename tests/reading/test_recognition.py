@@ -15,7 +15,6 @@ from PIL import Image, ImageDraw, ImageFont
 from smarttouch.base.errors import ReadingError
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import prepare_text, print_text
-from smarttouch.reading import recognition
 from smarttouch.reading.legibility import character_error_rate
 from smarttouch.reading.recognition import (
     BLOCK,
@@ -222,31 +221,14 @@ def test_a_turn_after_which_less_is_recognized_is_not_kept():
     np.testing.assert_array_equal(prepared.page.grey, page.grey)
 
 
-@pytest.fixture
-def strips_read(monkeypatch):
-    """Return the numbers of strips that Tesseract was given, of which it is not sure."""
-    counts = []
-
-    def reads(strips, _languages):
-        counts.append(len(strips))
-        return [("scrawl", 0.3) for _ in strips]
-
-    monkeypatch.setattr(recognition, "recognize_lines", reads)
-    return counts
-
-
-def test_only_what_is_not_known_is_recognized(strips_read):
-    page = prepare_text("x\ny\nz")
+def test_only_what_is_not_known_is_recognized_and_doubts_are_reported(program):
+    page, notes = prepare_text("x\ny\nz"), []
     assert list(recognized_lines(page, OPTIONS, pytest.fail)) == [(0, "x"), (1, "y"), (2, "z")]
-    page = replace(page, words=(), known={0: ("one", 0.9), 1: ("two", 0.9)})
-    lines = recognized_lines(page, OPTIONS, lambda _: None)
+    # Tesseract is given one strip, of which it is not sure.
+    program("cat > /dev/null; cat TABLE", [row("scrawl", confidence=30)])
+    page = replace(page, words=(), known={0: ("one", 0.3), 1: ("two", 0.3)})
+    lines = recognized_lines(page, OPTIONS, notes.append)
     assert list(lines) == [(0, "one"), (1, "two"), (2, "scrawl")]
-    assert strips_read == [1]
-
-
-def test_what_is_hardly_recognized_is_reported(strips_read):
-    notes = []
-    list(recognized_lines(replace(prepare_text("x"), words=()), OPTIONS, notes.append))
     (note,) = notes
     assert "30%" in note
     assert "eng" in note

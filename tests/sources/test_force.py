@@ -100,16 +100,6 @@ def test_no_text_crashes_and_a_reading_after_it_is_found(pieces, value):
     assert readings.feed(f"Reading: {value!r} g\r\n".encode()) == [value]
 
 
-@given(st.lists(st.integers(-(2**23), 2**23), min_size=1, max_size=30), st.integers(1, 9))
-def test_lines_in_any_pieces(values, size):
-    data = b"cut 99\r\n" + b"".join(b"%d\r\n" % value for value in values)
-    readings, came = TextReadings(), []
-    for start in range(0, len(data), size):
-        came += readings.feed(data[start : start + size])
-    assert came == values
-    assert readings.garbled == 0
-
-
 @pytest.mark.parametrize(("text", "came", "garbled", "last"), [
     # The first line may have lost its start.
     (b"345\n12345\n", [12345], 0, ""),

@@ -211,69 +211,54 @@ def test_a_text_file_is_printed():
         assert shown.url == "page:notes.txt"
 
 
-class Contract(SourceContract):
-    """The contract of a source of a URL."""
+def page_url(folder):
+    grey = np.full((80, 200), 255, np.uint8)
+    grey[30:50, 20:180:10] = 0
+    Image.fromarray(grey).save(folder / "page.png")
+    return f"page:{folder / 'page.png'}"
 
-    url = ""
-    unpaced = width_mm = fps = None
+
+def folder_url(folder):
+    for number in range(40):
+        Image.fromarray(np.full((48, 64), 5 * number, np.uint8)).save(folder / f"{number}.png")
+    return f"frames:{folder}"
+
+
+def video_url(folder):
+    images = [np.full((48, 64), 5 * number) for number in range(40)]
+    return f"video:{write_clip(folder / 'clip.avi', images)}"
+
+
+RECORDING = Path(__file__).parents[1] / "running/goldens/ra.mcap"
+
+
+class TestUrls(SourceContract):
+    """The contract of each kind of source that ends."""
+
+    @pytest.fixture(autouse=True, params=[
+        (page_url, {"page_width_mm": 20.0}), (lambda _: "text:a word", {}),
+        (folder_url, {"unpaced": True}), (folder_url, {"fps": 200.0}),
+        (video_url, {"unpaced": True}), (lambda _: f"recording:{RECORDING}", {}),
+    ])  # fmt: skip
+    def _kind(self, request, tmp_path):
+        make_url, self.options = request.param
+        self.url = make_url(tmp_path)
 
     def make(self, profile):
-        options = {"unpaced": self.unpaced, "page_width_mm": self.width_mm, "fps": self.fps}
-        return open_source(self.url, profile, **options)
+        return open_source(self.url, profile, **self.options)
 
 
-class TestPage(Contract):
-    width_mm = 20.0
-
-    @pytest.fixture(autouse=True)
-    def _page(self, tmp_path):
-        grey = np.full((80, 200), 255, np.uint8)
-        grey[30:50, 20:180:10] = 0
-        Image.fromarray(grey).save(tmp_path / "page.png")
-        self.url = f"page:{tmp_path / 'page.png'}"
-
-
-class TestText(Contract):
-    url = "text:a word"
-
-
-class TestUnpacedFolder(Contract):
-    unpaced = True
-
-    @pytest.fixture(autouse=True)
-    def _folder(self, tmp_path):
-        for number in range(40):
-            grey = np.full((48, 64), 5 * number, np.uint8)
-            Image.fromarray(grey).save(tmp_path / f"{number}.png")
-        self.url = f"frames:{tmp_path}"
-
-
-class TestPacedFolder(TestUnpacedFolder):
-    unpaced, fps = None, 200.0
-
-
-class TestUnpacedVideo(Contract):
-    unpaced = True
-
-    @pytest.fixture(autouse=True)
-    def _video(self, tmp_path):
-        images = [np.full((48, 64), 5 * number) for number in range(40)]
-        self.url = f"video:{write_clip(tmp_path / 'clip.avi', images)}"
-
-
-class TestSerialArray(Contract):
+class TestSerialArray(SourceContract):
     ends = False
 
     @pytest.fixture(autouse=True)
     def _device(self, make_device):
-        device = make_device(
+        self.device = make_device(
             lambda number: encode_frame(number, 0, np.full((8, 8), number % 256, np.uint8))
         )
-        self.url = f"serial-array:{device.line.name}"
+
+    def make(self, profile):
+        return open_source(f"serial-array:{self.device.line.name}", profile)
 
     def pause(self):
         time.sleep(0.005)
-
-
-class TestRecording(Contract):
-    url = f"recording:{Path(__file__).parents[1] / 'running/goldens/ra.mcap'}"

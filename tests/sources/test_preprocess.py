@@ -210,18 +210,6 @@ def test_broken_pixels_show_what_those_around_do(patch, field):
     assert image[:, 33:].max() < 30
 
 
-@given(rows=st.integers(1, 12), columns=st.integers(1, 12), seed=st.integers(0, 2**32 - 1))
-def test_any_field_is_read_back_as_it_was_written(tmp_path_factory, rows, columns, seed):
-    random = np.random.default_rng(seed)
-    dark = random.uniform(0, 60, (rows, columns)).astype(np.float32)
-    gain = random.uniform(0.5, 3, (rows, columns)).astype(np.float32)
-    path = tmp_path_factory.mktemp("field") / "f.npz"
-    path.write_bytes(FlatField(dark, gain).to_bytes())
-    again = FlatField.load(path)
-    assert (again.dark == dark).all()
-    assert (again.gain == gain).all()
-
-
 @pytest.mark.parametrize("content", [None, b"", b"garbage" * 50])
 def test_a_file_that_is_none(tmp_path, content):
     path = tmp_path / "f.npz"

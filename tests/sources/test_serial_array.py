@@ -42,17 +42,15 @@ def parse(data):
     return decode(packet)
 
 
-@given(NUMBER, NUMBER, IMAGE.flatmap(lambda shape: arrays(np.uint8, shape)))
-def test_frames_come_back(number, time_us, image):
+@given(
+    NUMBER, NUMBER, IMAGE.flatmap(lambda shape: arrays(np.uint8, shape)),
+    st.none() | st.integers(NO_READING + 1, 2**31 - 1),
+)  # fmt: skip
+def test_frames_and_readings_come_back(number, time_us, image, reading):
     frame = parse(encode_frame(number, time_us, image))
     assert isinstance(frame, ArrayFrame)
-    assert (frame.number, frame.time_us) == (number, time_us)
-    assert frame.image.dtype == np.uint8
+    assert (frame.number, frame.time_us, frame.image.dtype) == (number, time_us, np.uint8)
     np.testing.assert_array_equal(frame.image, image)
-
-
-@given(NUMBER, NUMBER, st.none() | st.integers(NO_READING + 1, 2**31 - 1))
-def test_readings_come_back(number, time_us, reading):
     expected = CellReading(number, time_us, reading)
     assert parse(encode_force(number, time_us, reading)) == expected
 

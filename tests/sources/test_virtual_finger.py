@@ -140,12 +140,6 @@ def test_a_page_is_read_again_and_again(profile):
         assert twice.read(2 * round_ns) is None
 
 
-@pytest.mark.parametrize("passes", [-1, 10_001])
-def test_passes_are_counted(profile, passes):
-    with raises(SourceError, names="passes", value=passes, allowed=(0, 10_000)):
-        open_source(f"text:i?passes={passes}", profile)
-
-
 def test_a_blank_page_is_read_in_strips(profile):
     path = reading_path(Page(np.full((300, 400), 255, np.uint8), 0.1), profile, 40)
     assert len(path.lines) == 6
@@ -212,10 +206,13 @@ def test_a_tall_line_takes_several_sweeps(profile):
     assert all(a.bottom_mm == pytest.approx(b.top_mm) for a, b in itertools.pairwise(path.lines))
 
 
-@pytest.mark.parametrize("speed", [0, -1, 501, math.nan, math.inf])
-def test_impossible_speeds(profile, speed):
-    with raises(SourceError, names="speed_mm_s", value=speed):
-        reading_path(print_text("x"), profile, speed)
+@pytest.mark.parametrize(("option", "value"), [
+    *(("speed_mm_s", each) for each in (0, -1, 501, math.nan, math.inf)),
+    ("passes", -1), ("passes", 10_001),
+])  # fmt: skip
+def test_impossible_options(profile, option, value):
+    with raises(SourceError, names=option, value=value):
+        open_source("text:x", profile, **{option: value})
 
 
 def test_recorded_path(tmp_path):
