@@ -59,13 +59,6 @@ class Registration:
             image = average
         return image
 
-    def sample(self, ink: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the mean of ``ink`` (0 to 255) under each electrode, (E,) in [0, 1]."""
-        pixel, share = self.apertures
-        # Row after row, so that the same frame has the same mean to the bit everywhere.
-        means: NDArray[np.float32] = np.add.reduce(ink.reshape(-1).take(pixel) * share, axis=0)
-        return means
-
 
 def _whole(side: float) -> int:
     """Return the next whole number, ignoring rounding errors."""

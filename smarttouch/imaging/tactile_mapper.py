@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
@@ -116,7 +115,6 @@ class NaturalDrive:
 
 FAINTEST_INK = 0.15  # fraction of ink in a cell below which its electrode is not active
 FULLEST_INK = 0.5  # fraction of ink in a cell from which its electrode is fully active
-_NOTHING, _FULL = np.zeros((), np.float32), np.ones((), np.float32)
 
 
 @dataclass(frozen=True)
@@ -128,24 +126,6 @@ class Tone:
     fullest: float = FULLEST_INK
     prepared: bool = False  # whether frames are ink on pure white already: nothing is thresholded
 
-    @cached_property
-    def _line(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        steepness = 1 / (self.fullest - self.faintest)
-        return np.array(self.faintest, np.float32), np.array(steepness, np.float32)
-
-    def apply(self, ink: NDArray[np.float32]) -> None:
-        """Turn the ink under each electrode into activation, in place."""
-        if self.fullest > self.faintest:
-            faintest, steepness = self._line
-            ink -= faintest
-            ink *= steepness
-            # On a few numbers, quicker than np.clip, and than with numbers that are no arrays.
-            np.maximum(ink, _NOTHING, out=ink)
-            np.minimum(ink, _FULL, out=ink)
-        else:
-            # A cell that is just so full, but for what a sum of single precision leaves over.
-            np.greater_equal(ink, self.faintest - 1e-4, out=ink, casting="unsafe")
-
 
 class TactileMapper:
     """Maps frames to tactile images by a profile's array and optics."""
@@ -155,7 +135,11 @@ class TactileMapper:
     ) -> None:
         self._profile = profile
         self._light_on_dark = light_on_dark
-        self._tone = tone or Tone()
+        self._tone = tone = tone or Tone()
+        # On a few numbers, arrays are quicker than plain numbers, and than np.clip.
+        self._faintest = np.array(tone.faintest, np.float32)
+        steepness = 1 / (tone.fullest - tone.faintest) if tone.fullest > tone.faintest else math.inf
+        self._steepness, self._none, self._full = np.array((steepness, 0, 1), np.float32)[:, None]
         self._natural = NaturalDrive(len(profile.electrodes))
         self._prepare((profile.optics.sensor_rows, profile.optics.sensor_columns))
 
@@ -186,11 +170,18 @@ class TactileMapper:
             inked = np.asarray(cv2.bitwise_not(reduced, dst=self._inverted), np.uint8)
         else:
             inked = self._binarizer.ink(reduced, frame.time_ns, touching)
-        # As `Registration.sample`, without another call a frame.
+        # Row after row, so that the same frame has the same mean to the bit everywhere.
         pixel, share = registration.apertures
         ink: NDArray[np.float32] = np.add.reduce(inked.reshape(-1).take(pixel) * share, axis=0)
         activation = np.zeros((len(Afferent), len(ink)), np.float32)
-        self._tone.apply(ink)
+        if self._tone.fullest > self._tone.faintest:
+            ink -= self._faintest
+            ink *= self._steepness
+            np.maximum(ink, self._none, out=ink)
+            np.minimum(ink, self._full, out=ink)
+        else:
+            # A cell that is just so full, but for what a sum of single precision leaves over.
+            np.greater_equal(ink, self._tone.faintest - 1e-4, out=ink, casting="unsafe")
         if mode is Mode.NATURAL:
             self._natural.drive(activation, ink, frame.time_ns, touching)
         else:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from skimage.morphology import skeletonize
 
+from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ExperimentError, ReadingError, SmartTouchError
 from smarttouch.imaging.array_window import (
     FEWEST_ROWS,
@@ -17,13 +18,14 @@ from smarttouch.imaging.array_window import (
     rows_of,
     usual_speed_mm_s,
 )
-from smarttouch.imaging.registration import PIXELS_PER_CELL, Registration
-from smarttouch.imaging.tactile_mapper import Tone
+from smarttouch.imaging.registration import PIXELS_PER_CELL
+from smarttouch.imaging.tactile_mapper import TactileMapper, Tone
 from smarttouch.pages.prepared_page import PreparedPage
 from smarttouch.profile import Profile
 from smarttouch.reading.line_source import LineMotion, TouchLine
 from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import Note, recognized_lines
+from smarttouch.sources.source_contract import Frame
 
 ENOUGH_ROWS = 8
 """Sufficient rows: on 4 half of the characters are lost, on 8 hardly one in a hundred."""
@@ -136,8 +138,7 @@ def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
     top, left = (shape[0] - size[1]) // 2, (shape[1] - size[0]) // 2
     fitted = cut.resize(size, Image.Resampling.BOX)
     image[top : top + size[1], left : left + size[0]] = np.asarray(fitted)
-    ink = 255 - thin(image)
-    activation = Registration(profile.electrodes, window.optics, shape).sample(ink)
-    _DRAWN.apply(activation)
-    activation[list(profile.output.masked)] = 0
-    return activation
+    frame = Frame(thin(image), 0, force_n=profile.force.full_n)
+    drawn = TactileMapper(window, tone=_DRAWN).map(frame, Mode.RA).activation[Afferent.RA]
+    drawn[list(profile.output.masked)] = 0
+    return np.asarray(drawn, np.float32)

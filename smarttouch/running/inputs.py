@@ -5,6 +5,8 @@ import threading
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import SmartTouchError, choice_of, require_within
 from smarttouch.base.events import (
@@ -147,7 +149,14 @@ class Inputs:
         current = source.read(time_ns)
         if current is None:
             return None
-        current = checked_input(current, source, self.pipeline.electrodes)
+        image = current.image if isinstance(current, Frame) else None
+        if (
+            type(image) is not np.ndarray
+            or image.dtype != np.uint8
+            or image.ndim != 2
+            or not image.size
+        ):
+            current = checked_input(current, source, self.pipeline.electrodes)
         self.statistics.seen += current.number != self._last_seen
         self._last_seen = current.number
         force_n = self.force_n(current, time_ns)

@@ -14,12 +14,18 @@ def changed(profile, **optics):
     return profile.optics.model_copy(update=optics)
 
 
+def felt(registration, ink):
+    """Return the mean of ink, 0 to 255, under each electrode, (E,) in [0, 1]."""
+    pixel, share = registration.apertures
+    return (ink.ravel()[pixel] * share).sum(axis=0)
+
+
 def test_exact_area_mean_on_the_plain_grid(profile):
     rng = np.random.default_rng(0)
     ink = rng.integers(0, 2, (64, 64), np.uint8) * 255
     registration = Registration(profile.electrodes, profile.optics, (64, 64))
     expected = ink.reshape(8, 8, 8, 8).mean(axis=(1, 3)).ravel() / 255
-    assert registration.sample(ink) == pytest.approx(expected, abs=1e-5)
+    assert felt(registration, ink) == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("name", list_profiles())
@@ -28,7 +34,7 @@ def test_every_electrode_of_every_profile_is_in_the_field(name):
     shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
     registration = Registration(profile.electrodes, profile.optics, shape)
     full = np.full(registration.working_shape, 255, np.uint8)
-    assert registration.sample(full) == pytest.approx(np.ones(len(profile.electrodes)), abs=1e-3)
+    assert felt(registration, full) == pytest.approx(np.ones(len(profile.electrodes)), abs=1e-3)
 
 
 def test_rotation_and_offset(profile):
@@ -36,12 +42,12 @@ def test_rotation_and_offset(profile):
     ink = np.zeros((64, 64), np.uint8)
     ink[28:36, 56:64] = 255
     turned = Registration(profile.electrodes, changed(profile, rotation_deg=-90.0), (64, 64))
-    row, _ = np.divmod(int(turned.sample(ink).argmax()), 8)
+    row, _ = np.divmod(int(felt(turned, ink).argmax()), 8)
     assert row == 7
     moved = Registration(profile.electrodes, changed(profile, offset_x_mm=0.625), (64, 64))
     plain = Registration(profile.electrodes, profile.optics, (64, 64))
-    assert moved.sample(ink).reshape(8, 8)[:, 6] == pytest.approx(
-        plain.sample(ink).reshape(8, 8)[:, 7], abs=1e-5
+    assert felt(moved, ink).reshape(8, 8)[:, 6] == pytest.approx(
+        felt(plain, ink).reshape(8, 8)[:, 7], abs=1e-5
     )
 
 
@@ -74,7 +80,7 @@ def test_an_upright_homography_is_field_rotation_and_offset(name, shape):
     by_matrix = Registration(profile.electrodes, flat(optics, **wrong), shape)
     assert by_matrix.working_shape == plain.working_shape
     ink = np.random.default_rng(1).integers(0, 2, plain.working_shape, np.uint8) * 255
-    assert by_matrix.sample(ink) == pytest.approx(plain.sample(ink), abs=0.01)
+    assert felt(by_matrix, ink) == pytest.approx(felt(plain, ink), abs=0.01)
 
 
 def test_each_cell_is_a_quadrilateral_to_a_tilted_camera(profile):
@@ -84,7 +90,7 @@ def test_each_cell_is_a_quadrilateral_to_a_tilted_camera(profile):
     matrix = np.array([[9.5, 1.2, 31.0], [-0.8, 9.9, 29.0], [0.012, -0.03, 1.0]])
     optics = changed(profile, homography=tuple(matrix.ravel()))
     ink = np.random.default_rng(2).integers(0, 2, (64, 64), np.uint8) * 255
-    found = Registration(profile.electrodes, optics, (64, 64)).sample(ink)
+    found = felt(Registration(profile.electrodes, optics, (64, 64)), ink)
     fine = np.kron(ink, np.ones((16, 16), np.uint8))
     half = np.array(profile.electrodes.cell_mm) / 2
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
@@ -124,4 +130,4 @@ def test_each_working_pixel_is_the_mean_of_its_part(profile, rows, columns):
 def test_outside_the_field_is_paper(profile):
     far = changed(profile, offset_x_mm=100.0)
     registration = Registration(profile.electrodes, far, (64, 64))
-    assert not registration.sample(np.full((64, 64), 255, np.uint8)).any()
+    assert not felt(registration, np.full((64, 64), 255, np.uint8)).any()

@@ -24,7 +24,7 @@ from smarttouch.reading.legibility import (
     normalize,
     read_at_nerve,
 )
-from smarttouch.reading.letter_shapes import ALPHABET, Shapes, draw_letter
+from smarttouch.reading.letter_shapes import ALPHABET, draw_letter
 from smarttouch.reading.line_source import LineMotion
 from smarttouch.sources.source_contract import Pose
 from smarttouch.stimulation.scan_sequence import SlotPolicy
@@ -120,15 +120,6 @@ def test_many_points_in_a_slot_are_felt_as_they_are_one_by_one(way, make_line):
     # Plans may fall short of the fullest activation by 4 %, which is 8 % above the threshold.
     assert np.abs(at_once - by_points).max() < 0.12
     assert not np.array_equal(at_once, by_points)
-
-
-def test_plain_shapes_are_on_or_off_and_graded_ones_are_not():
-    ink = np.linspace(0, 1, 11).astype(np.float32)
-    plain, graded = ink.copy(), ink.copy()
-    Shapes().tone.apply(plain)
-    Shapes(graded=True).tone.apply(graded)
-    assert plain.tolist() == [0.0] * 3 + [1.0] * 8
-    np.testing.assert_allclose(graded, ink)
 
 
 @pytest.fixture(scope="module")
