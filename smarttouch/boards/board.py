@@ -31,6 +31,7 @@ from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
 from smarttouch.boards.probe_scans import measure_by_probes
 from smarttouch.boards.reports import (
+    LONGEST_REPEAT,
     BoardReport,
     Capabilities,
     HostStatistics,
@@ -50,6 +51,7 @@ __all__ = ["Board", "BoardReport", "Capabilities"]
 FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock
 PROBES = 10  # attempts at a measuring scan: on a busy computer its reading may be lost
 ENDS_WITHIN_S = 3.0  # of the sender thread
+QUEUED_S = 0.5  # time, beside four periods, after which a queued sequence is replaced
 RESTARTS = 3  # attempts to restart a board after its line was lost
 _MOST_VOLTS = 64
 
@@ -76,6 +78,8 @@ class Board:
         Whether a finger may be on it.
     claimed_time : bool
         Whether the gate takes the time that sequences state: for boards without a finger.
+    simulated_time : bool
+        Whether time also passes only as they state it, without waiting.
 
     Attributes
     ----------
@@ -112,6 +116,7 @@ class Board:
         late_ns: int = LATE_NS,
         on_a_finger: bool = True,
         claimed_time: bool = False,
+        simulated_time: bool = False,
     ) -> None:
         if output is not None and output.wiring is not None and not driver.takes_wiring:
             raise BoardError(
@@ -121,6 +126,7 @@ class Board:
         self.driver = driver
         self.on_a_finger: bool = on_a_finger
         self.announced: bool = on_a_finger or not claimed_time
+        self.simulated_time: bool = simulated_time and not self.announced
         self._claimed_time = claimed_time
         self.acknowledged: int = 0
         self.refused: int = 0
@@ -227,7 +233,8 @@ class Board:
         with self._news:
             self._waiting, self._failure, self._busy = None, None, False
         self._ready, self._is_lost, self._ending = True, False, threading.Event()
-        if self.driver.queued or self.driver.idle_s:
+        # By simulated time nothing is due between sequences.
+        if not self.simulated_time:
             self._sender = threading.Thread(
                 target=self._serve, args=(self._ending,), name="board sender", daemon=True
             )
@@ -370,9 +377,11 @@ class Board:
         BoardError
             If the board is closed, of another size, or gone.
         """
-        self._require_own("sending")
-        self._line.require_running()
-        now_ns = self.clock.now_ns()
+        if not self._opened or self._opened_by != os.getpid():
+            self._require_own("sending")
+        if self._stopped.is_set():
+            self._line.require_running()
+        now_ns, can = self.clock.now_ns(), self.capabilities
         due_ns = due_ns if due_ns is not None and self.announced else now_ns
         if due_ns - now_ns > FARTHEST_NS:
             raise BoardError(
@@ -380,16 +389,18 @@ class Board:
                 f"{FARTHEST_NS / 1e9:g} s are possible: give a time of the board's clock "
                 "(board.clock.now_ns())"
             )
-        self.capabilities.require(sequence, times)
+        if isinstance(times, int | np.integer) and times > LONGEST_REPEAT:
+            raise BoardError(f"{times} repetitions are not possible: at most {LONGEST_REPEAT}")
+        if sequence.recharge_ua is not None and not can.recharges:
+            raise BoardError(
+                "the sequence ends with a recharge phase, and this board makes none: leave it out"
+            )
         proved = self._gate.prove(
             sequence, times, number=self._number + 1, due_ns=due_ns, late_ns=self._late_ns
         )
         try:
-            if self.clock.now_ns() > proved.write_before_ns:
-                raise self._line.late()
             self._number = proved.number
-            if self.driver.queued:
-                self.driver.check(proved)
+            if can.host_timed:
                 self._queue(proved)
             else:
                 if self._failure is not None:
@@ -417,20 +428,13 @@ class Board:
     def _note_written(self, proved: ProvedSequence) -> None:
         """Count a sequence whose bytes have just been written, with the line's lock held."""
         self._gate.note(proved)
-        if not (self._claimed_time or self.driver.reports_starts):
-            passes = 1 if self.driver.queued else proved.times
+        can = self.capabilities
+        if not (self._claimed_time or can.acknowledges):
+            passes = 1 if can.host_timed else proved.times
             self._over_s = time.monotonic() + passes * proved.sequence.period_us / 1e6
-        if not self.driver.reports_delivery:
-            self._count(proved, proved.times)
-
-    def _count(self, proved: ProvedSequence, scans: int, most: int | None = None) -> None:
-        with self._news:
-            again = proved.number == self._counted
-            if again and not self.driver.reports_delivery:
-                return
-            self._counted = proved.number
-            self._statistics.add(proved.sequence, scans, again, most)
-            self.acknowledged += not again
+        # What was written in parts counts once.
+        if not (can.acknowledges or can.host_timed or proved.number == self._counted):
+            self._line.delivered(proved, proved.times)
 
     def allowed_level(self, time_ns: int) -> float:
         """Return the strength, in [0, 1], to plan for a sequence that states a time."""
@@ -467,7 +471,7 @@ class Board:
             )
         # A stop may come while the driver asks its device.
         with contextlib.suppress(BoardStoppedError):
-            while time.monotonic() < deadline_s and self.driver.is_busy():
+            while time.monotonic() < deadline_s and self.report().is_busy:
                 self._line.pause(0.002)
         self._stopped.wait(max(0.0, min(deadline_s, self._over_s) - time.monotonic()))
 
@@ -487,9 +491,7 @@ class Board:
 
     def _queue(self, proved: ProvedSequence) -> None:
         """Let the sender thread write a sequence; a newer one replaces one that waits."""
-        patience_s = self.driver.waits_s
-        if patience_s:
-            patience_s += 4e-6 * proved.sequence.period_us
+        patience_s = QUEUED_S + 4e-6 * proved.sequence.period_us
         with self._news:
             self._news.wait_for(lambda: self._is_over or self._waiting is None, patience_s)
             self._raise_failure()
@@ -501,7 +503,7 @@ class Board:
     @prioritized()
     def _serve(self, ending: threading.Event) -> None:
         """Write queued sequences, and let the driver do what it does between them."""
-        wait_s: float | None = self.driver.idle_s or None
+        wait_s: float | None = 0.0
         proved: ProvedSequence | None = None
 
         def is_over() -> bool:
@@ -518,11 +520,10 @@ class Board:
                 self._busy = proved is not None
                 self._news.notify_all()
             try:
-                wait_s = self.driver.idle_s or None
-                if proved is None:
-                    wait_s = self.driver.idle()
-                else:
+                wait_s = 0.0
+                if proved is not None:
                     self.driver.write(proved)
+                wait_s = self.driver.idle()
             except SequenceLateError as late:
                 # The next `send` reports it and restarts at zero.
                 with self._news:
@@ -546,7 +547,7 @@ class Board:
             if self._failure is None or isinstance(self._failure, SequenceLateError):
                 self._failure = fault
             self._news.notify_all()
-        if fault is not error:
+        if not isinstance(fault, LineLostError):
             # Its pattern would be shown on with nobody to end it.
             with contextlib.suppress(BoardError):
                 self._line._put_at_zero()
@@ -618,11 +619,6 @@ class Board:
         while self._volts:
             volts.append(self._volts.popleft())
         return volts
-
-    @property
-    def simulated_time(self) -> bool:
-        """Whether its time is simulated, without waiting."""
-        return not self.announced and self.driver.simulated_time
 
     @property
     def net_charge_pc(self) -> NDArray[np.int64]:

@@ -6,9 +6,13 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from smarttouch.base.errors import (
     BoardClosedError,
     BoardError,
+    BoardFaultError,
     BoardStoppedError,
     LineLostError,
     SafetyError,
@@ -26,8 +30,9 @@ from smarttouch.base.wire.port import (
     reopen_port,
     write_before,
 )
-from smarttouch.boards.driver import Events
+from smarttouch.boards.reports import SequenceStart
 from smarttouch.stimulation.safety_gate import ProvedSequence
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 if TYPE_CHECKING:
     from smarttouch.boards.board import Board
@@ -38,6 +43,7 @@ PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a who
 WRITE_S = 0.6  # longest time that a stop waits for one write: ports give up after .5 s
 BLOCKED_S = 1.0  # longest time that zero waits for a write that does not end
 RECOVER_S = 3.0  # time to wait for a lost port
+_MOST_STARTS = 256
 
 
 class _Zeroing(threading.local):
@@ -54,8 +60,9 @@ class Line:
 
     Attributes
     ----------
-    events : Events
-        Receives what the driver reports.
+    board : Board
+        The driver counts in its ``refused`` and ``replaced``, sets its ``force_n``, and appends to
+        its ``notes``.
     name : str
         Name of the connected port.
     reopened : bool
@@ -66,11 +73,11 @@ class Line:
     """
 
     def __init__(self, board: "Board") -> None:
-        self.events: Events = Events(board)
         self.name: str = ""
         self.reopened = False
         self.identity: UsbIdentity | None = None
-        self._board, self._gate = board, board._gate
+        self.board: Board = board
+        self._gate = board._gate
         self._port: Port | None = None
         self._stopped = threading.Event()
         # Reentrant: a program's own signal handler may stop while its thread is writing.
@@ -153,22 +160,23 @@ class Line:
             if not self._lock.acquire(timeout=BLOCKED_S if self._zeroing.depth else -1):
                 raise self.lost("is blocked: check the cable")
             try:
-                self.require_running()
+                if self._stopped.is_set():
+                    self.require_running()
                 if proved is not None:
                     if type(proved) is not ProvedSequence:
-                        kind = type(self._board.driver).__name__
+                        kind = type(self.board.driver).__name__
                         raise BoardError(f"{kind} sends what the gate has not proved")
                     if proved.session != self._gate.session:
                         raise BoardStoppedError("the board was closed before this: begin at zero")
                     permits = self._gate.ramp.permits
-                    if self._board.clock.now_ns() > proved.write_before_ns or not permits(
+                    if self.board.clock.now_ns() > proved.write_before_ns or not permits(
                         proved.strength_ppb, proved.sequence.time_ns
                     ):
                         raise self.late()
                 begun = True
                 yield
                 if proved is not None:
-                    self._board._note_written(proved)
+                    self.board._note_written(proved)
             finally:
                 self._lock.release()
                 if begun and self._stopped.is_set() and not self._zeroing.depth:
@@ -213,7 +221,7 @@ class Line:
             if (data := read_some(port)) is None:
                 note = f"another program reads from {self.name}: close it (ModemManager or a "
                 note += "serial monitor?)"
-                self._board.notes += [note] * (note not in self._board.notes)
+                self.board.notes += [note] * (note not in self.board.notes)
                 # Whatever the port says: this thread may have priority over all others.
                 time.sleep(0.001)
             return data or b""
@@ -237,11 +245,11 @@ class Line:
 
     def now_ns(self) -> int:
         """Return the time by the board's clock."""
-        return self._board.clock.now_ns()
+        return self.board.clock.now_ns()
 
     def wait_until(self, time_ns: int) -> None:
         """Wait until a time of the board's clock; raise if the board is stopped meanwhile."""
-        self._board.clock.wait_until(time_ns, self._stopped)
+        self.board.clock.wait_until(time_ns, self._stopped)
         self.require_running()
 
     def pause(self, seconds: float) -> None:
@@ -260,28 +268,69 @@ class Line:
     def require_running(self) -> None:
         """Raise BoardStoppedError if the board was stopped, but not within `Driver.zero`."""
         if self._stopped.is_set() and not self._zeroing.depth:
-            if self._board._fault_found is not None:
-                raise self._board._fault_found
-            again = "open a new display" if self._board._halted else "open it again"
+            if self.board._fault_found is not None:
+                raise self.board._fault_found
+            again = "open a new display" if self.board._halted else "open it again"
             raise BoardStoppedError(
                 f"the board was stopped, all electrodes are at zero: {again} before sending"
             )
 
     def has_newer(self) -> bool:
         """Return whether a newer sequence waits, which ends the repetitions of this one."""
-        return self._board._waiting is not None
+        return self.board._waiting is not None
 
     def lost(self, what: str) -> LineLostError:
         """Return the error of a lost connection, such as ``lost("does not answer")``."""
-        return LineLostError(f"the board at {self.name} {what}{self._board.driver.aftermath()}")
+        can, then = getattr(self.board, "capabilities", None), ""
+        # A port that is shared with a watchdog tells whether that has put the board at zero.
+        if can is not None and not getattr(self._port, "at_zero", False):
+            then = "; the board goes on with its last pattern: lift the finger, then switch it off"
+            if can.time_to_zero_ms is not None:
+                then = f"; it shorts all electrodes within {can.time_to_zero_ms:g} ms of silence"
+        return LineLostError(f"the board at {self.name} {what}{then}")
 
     def late(self) -> SequenceLateError:
         """Return the error of a sequence that is dropped because it is late."""
-        late_ms = self._board._late_ns // 1_000_000
+        late_ms = self.board._late_ns // 1_000_000
         return SequenceLateError(
             f"this computer was too slow: sequences were over {late_ms} ms late and were skipped, "
             "and intensity restarts at zero"
         )
+
+    # -- what a driver reports, from any thread ------------------------------
+
+    def started(self, proved: ProvedSequence, time_ns: int, board_us: int) -> None:
+        """Report when a sequence began on a device that acknowledges them, by `now_ns` and by the
+        device's own clock, µs."""
+        board, starts = self.board, self.board._starts
+        with board._news:
+            starts[proved.number] = SequenceStart(proved.number, time_ns, board_us)
+            if len(starts) > _MOST_STARTS:
+                del starts[next(iter(starts))]
+            board.acknowledged += 1
+
+    def delivered(self, proved: ProvedSequence, scans: int, most: int | None = None) -> None:
+        """Report that so many more passes of a sequence were made, or at least that and at most
+        ``most``, where the host times them."""
+        board = self.board
+        with board._news:
+            again = proved.number == board._counted
+            board._counted = proved.number
+            board._statistics.add(proved.sequence, scans, again, most)
+            board.acknowledged += not again
+
+    def measured(
+        self, sequence: ScanSequence, volts: NDArray[np.float32], lifted: bool | None = None
+    ) -> None:
+        """Report the voltage that each slot of a delivered sequence needed, (S,) V, and whether
+        that is the voltage where nothing touches the electrodes; None if it does not tell."""
+        board = self.board
+        board._volts.append((sequence, volts))
+        board.lifted = board.lifted if lifted is None else lifted
+
+    def fault(self, reason: str) -> BoardFaultError:
+        """Put the board at zero for good, record its fault, and return the error to raise."""
+        return self.board._latch(reason)
 
     # -- for the board -----------------------------------------------------
 
@@ -294,6 +343,6 @@ class Line:
     def _put_at_zero(self) -> None:
         self._zeroing.depth += 1
         try:
-            self._board.driver.zero()
+            self.board.driver.zero()
         finally:
             self._zeroing.depth -= 1

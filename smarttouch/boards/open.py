@@ -30,7 +30,7 @@ BOARDS = Registry(
 _WITHOUT_FINGER: dict[str, dict[str, Any]] = {
     "emulator": {"on_a_finger": False},
     "memory": {"on_a_finger": False, "claimed_time": True},
-    "simulated": {"on_a_finger": False, "claimed_time": True},
+    "simulated": {"on_a_finger": False, "claimed_time": True, "simulated_time": True},
 }
 """Boards that no finger can be on. All others, those of other packages included, may have a finger
 on them and keep the machine's clock."""

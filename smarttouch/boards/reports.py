@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from platformdirs import user_state_path
 
-from smarttouch.base.errors import BoardError
 from smarttouch.base.files import make_folder, write_bytes
 from smarttouch.stimulation.recharge import ChargeBalance
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -32,7 +31,11 @@ class Capabilities:
     """Longest time from the host's silence to zero current; None if it has no limit."""
     firmware: str
     polarities: tuple[Polarity, ...] = ("anodic", "cathodic")
-    acknowledges: bool = True
+    acknowledges: bool = False
+    """Whether it reports when each sequence begins."""
+    host_timed: bool = False
+    """Whether this program times its passes: `Driver.write` lasts as long as they do, and reports
+    each. The board's sender thread calls it; a newer sequence replaces one that waits."""
     measures: bool = False
     """Whether it measures the voltage of each slot."""
     force: bool = False
@@ -53,15 +56,6 @@ class Capabilities:
     """Largest packet that it takes, before it is encoded, if that has a limit."""
     kept_ms: float | None = None
     """Longest time from the end of this program to zero, if a watchdog process ensures that."""
-
-    def require(self, sequence: ScanSequence, times: int) -> None:
-        """Raise BoardError unless the board can deliver what the gate allows of a sequence."""
-        if sequence.recharge_ua is not None and not self.recharges:
-            raise BoardError(
-                "the sequence ends with a recharge phase, and this board makes none: leave it out"
-            )
-        if isinstance(times, (int, np.integer)) and times > LONGEST_REPEAT:
-            raise BoardError(f"{times} repetitions are not possible: at most {LONGEST_REPEAT}")
 
     def describe(self) -> list[tuple[str, str]]:
         """Return the capabilities as names and values, for display."""
@@ -118,6 +112,10 @@ class BoardReport:
     """Largest charge left on an electrode: after a discharge; in a host's report, of all pulses."""
     refused_packets: int = 0
     """Number of packets refused by the board, as old or of another session."""
+    is_busy: bool = False
+    """Whether the board still has sequences to deliver."""
+    refused_by_host: int = 0
+    """Number of packets from the board that were old, of another session, or not requested."""
     by: Literal["board", "host"] = "board"
     """Author of the report; a host reports what was scanned as far as it can know."""
     most_pulses: int | None = None

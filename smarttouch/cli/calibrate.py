@@ -261,7 +261,7 @@ def scale(
     from smarttouch.boards.kits import measured_scale
     from smarttouch.running.display import open_display
 
-    before_ua = open_display(url, profile).board.driver.ua_per_count
+    before_ua = getattr(open_display(url, profile).board.driver, "ua_per_count", None)
     ratio, scale_ua = measured_scale(url.partition(":")[0], before_ua, volts, ohm, current_ma)
     typer.echo(f"{1000 * volts / ohm:.3f} mA flowed, {ratio:.3f} of nominal.")
     if scale_ua is not None:

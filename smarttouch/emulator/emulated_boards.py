@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -100,8 +100,6 @@ class SimulatedDriver(LinkDriver):
     host are those of ``emulator:``, but time is simulated: a sequence begins when its time stamp
     says, or at the end of the one before, and is over as soon as it has been computed."""
 
-    simulated_time: ClassVar[bool] = True
-    idle_s: ClassVar[float] = 0.0
     room: Room = Room()  # what the board has room for
     _session: _DirectSession
 
@@ -155,7 +153,7 @@ class SimulatedDriver(LinkDriver):
         if session.fault is not None:
             raise session.fault
         if self._suspicion:
-            raise self._line.events.fault(self._suspicion)
+            raise self._line.fault(self._suspicion)
 
     def _start_ns(self, stamp_ns: int) -> int:
         """Return when a sequence with a time stamp begins."""

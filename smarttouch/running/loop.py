@@ -189,7 +189,7 @@ class Loop:
             for listener in listeners
             if type(listener).step is not Listener.step
         ]
-        says_starts = board.driver.reports_starts and not board.simulated_time
+        says_starts = board.capabilities.acknowledges and not board.simulated_time
         self._phase = PhaseLock(board, statistics) if says_starts else None
         self._clock = clock or board.clock
         self.is_simulated: bool = isinstance(self._clock, SimulatedClock)

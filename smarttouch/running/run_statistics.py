@@ -185,7 +185,7 @@ class RunStatistics:
             "late_frames": self.late,
             "without_force_or_image": self.blind,
             "replaced": board.replaced,
-            "packets_refused_by_host": board.driver.refused_packets,
+            "packets_refused_by_host": report and report.refused_by_host,
             "packets_refused_by_board": report and report.refused_packets,
             "dropped_late": board.dropped_late,
             "restarts": self.restarts,

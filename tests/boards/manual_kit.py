@@ -132,14 +132,14 @@ class ManualKit:
         patch.setattr(kits, "BOOT_S", 0.0)
         patch.setattr(etactilekit_line, "WatchedPort", lambda port, _: port)
         self.line = Board(self.driver, limits, clock=self.clock)._line
-        self.host = self.line._board
+        self.host = self.line.board
 
         def connect(name, wrap):
             self.line.name, self.line._port = name, wrap(self.port)
 
         self.line.connect, self.line.pause = connect, self.clock.sleep
         if opened:
-            self.driver.open(self.line, limits)
+            self.host.capabilities = self.driver.open(self.line, limits)
 
     def run(self, jobs):
         """Let the driver write jobs: when they come by its clock, sequence, times."""

@@ -32,6 +32,7 @@ class Unlined(Driver):
     something just before current flows."""
 
     opened = 0
+    can = Capabilities(4, "weighted", 5.0, 8, time_to_zero_ms=0.0, firmware="plain")
 
     def __init__(self, before=lambda: None):
         self.before, self.did = before, []
@@ -39,7 +40,7 @@ class Unlined(Driver):
     def open(self, line, limits):
         self.opened += 1
         self.line = line
-        return Capabilities(4, "weighted", 5.0, 8, time_to_zero_ms=0.0, firmware="plain")
+        return self.can
 
     def write(self, proved):
         with self.line.current(proved):
@@ -126,8 +127,8 @@ def test_a_stop_that_is_interrupted_while_it_waits_still_ends_in_zero(monkeypatc
         assert "zero" in board.driver.did
 
 
-@pytest.mark.parametrize("queued", [False, True])
-def test_a_driver_that_breaks_is_put_at_zero(monkeypatch, make_sequence, queued):
+@pytest.mark.parametrize("host_timed", [False, True])
+def test_a_driver_that_breaks_is_put_at_zero(monkeypatch, make_sequence, host_timed):
     """Whose sender thread it breaks in says so at the next call."""
     broken = RuntimeError("the driver broke")
 
@@ -135,7 +136,7 @@ def test_a_driver_that_breaks_is_put_at_zero(monkeypatch, make_sequence, queued)
         raise broken
 
     monkeypatch.setattr(Unlined, "write", write)
-    monkeypatch.setattr(Unlined, "queued", queued)
+    monkeypatch.setattr(Unlined, "can", replace(Unlined.can, host_timed=host_timed))
 
     def drive(board):
         with board:

@@ -14,6 +14,7 @@ from smarttouch.boards.line import Line
 from smarttouch.boards.link import Rule
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import probe_sequences
+from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
@@ -121,8 +122,9 @@ class Contract(DriverContract):
 
     def board(self, driver, limits):
         return Board(
-            driver, limits, self.output, on_a_finger=False, claimed_time=True, late_ns=LATE_NS
-        )
+            driver, limits, self.output, on_a_finger=False, claimed_time=True, late_ns=LATE_NS,
+            simulated_time=type(driver) is SimulatedDriver,
+        )  # fmt: skip
 
     @pytest.fixture(autouse=True)
     def _in_time(self):

@@ -194,4 +194,4 @@ def test_a_scan_that_is_too_long_for_its_period_never_leaves(monkeypatch):
     """8 outputs of 160 µs are more than 1 ms; their parser would stand still for ever."""
     kit = ManualKit(monkeypatch, LIMITS)
     with raises(BoardError, value=1000, allowed=1280):
-        kit.driver.check(proved(replace(pulses(1000, [1]), period_us=1000)))
+        kit.driver.write(proved(replace(pulses(1000, [1]), period_us=1000)))

@@ -1,6 +1,7 @@
 """A sequence more than 100 ms late never reaches a board, and the next begins at zero."""
 
 import threading
+from dataclasses import replace
 
 import pytest
 
@@ -173,12 +174,12 @@ def test_what_got_lost_is_sent_again_only_while_there_is_time(monkeypatch):
 class Lost(MemoryDriver):
     """A driver whose board is too late, and whose line is lost before anybody hears of that."""
 
-    queued, idle_s, opened = True, 0.01, 0
+    opened = 0
 
     def open(self, line, limits):
         self.opened += 1
         self.was_late = threading.Event()
-        return super().open(line, limits)
+        return replace(super().open(line, limits), host_timed=True)
 
     def write(self, proved):
         self.was_late.set()
@@ -187,6 +188,7 @@ class Lost(MemoryDriver):
     def idle(self):
         if self.was_late.is_set() and self.opened == 1:
             raise self._line.lost("was pulled out")
+        return 0.01
 
 
 def test_a_line_that_is_lost_after_a_late_sequence_is_connected_again():

@@ -212,7 +212,8 @@ def test_what_a_small_board_delivers_is_what_a_large_one_does(make_limits, seed)
     none = {name: getattr(scans[0], name)[:0] for name in fields}
     for kind in (SimulatedDriver, SmallDriver):
         limits = make_limits()
-        with Board(kind("", limits), limits, on_a_finger=False, claimed_time=True) as board:
+        own = {"on_a_finger": False, "claimed_time": True, "simulated_time": True}
+        with Board(kind("", limits), limits, **own) as board:
             board.keep_kernels(table)
             board.send(replace(scans[0], sums=None, time_ns=0, intensity=0, **none))
             numbers = [board.send(scan) for scan in scans]

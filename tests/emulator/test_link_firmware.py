@@ -208,6 +208,6 @@ def test_a_host_takes_no_table_of_the_same_size_for_its_own():
         driver._session = SimpleNamespace(
             number=5, ask=lambda *_, kept=kept: SimpleNamespace(payload=kept)
         )
-        driver._line = SimpleNamespace(name="board", events=SimpleNamespace(fault=BoardFaultError))
+        driver._line = SimpleNamespace(name="board", fault=BoardFaultError)
         with raises(BoardFaultError, names="kernels"):
             driver.store_kernels(TABLE)

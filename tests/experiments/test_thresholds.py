@@ -84,15 +84,10 @@ def silent(profile):
     return [SimulatedSubject(1e3, 1e4, guess=0)] * len(profile.electrodes)
 
 
-class Unpaced(MemoryDriver):
-    """A board that takes sequences as soon as they are made: nothing is waited for."""
-
-    simulated_time = True
-
-
-def display_of(profile, kind=Unpaced):
+def display_of(profile, kind=MemoryDriver):
+    """Return a board that takes sequences as soon as they are made: nothing is waited for."""
     measuring = measuring_profile(profile)
-    return Display(board_without_finger(measuring, kind), measuring)
+    return Display(board_without_finger(measuring, kind, simulated_time=True), measuring)
 
 
 def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **options):
@@ -198,7 +193,7 @@ def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, begun):
     assert not progress.found
 
 
-class Losing(Unpaced):
+class Losing(MemoryDriver):
     """A board that is lost, and back, at these sends."""
 
     at = ()

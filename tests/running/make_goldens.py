@@ -129,8 +129,6 @@ class Script(Controls):
 class GoldenDriver(MemoryDriver):
     """A board in memory that can be lost once; where it matters it measures skin that dries out."""
 
-    simulated_time = True
-
     def __init__(self, golden, *given):
         super().__init__(*given)
         self.timing, self._lost_at = golden.timing, golden.lost_at
@@ -148,13 +146,13 @@ class GoldenDriver(MemoryDriver):
         if proved.sequence.slots and self._measures:
             kohm = 1.0 + 0.1 * len(self.sequences)
             volts = np.abs(proved.sequence.current_ua).max(axis=1) * kohm / 1000
-            self._line.events.volts(proved.sequence, volts.astype(np.float32))
+            self._line.measured(proved.sequence, volts.astype(np.float32))
 
 
 def make(golden, path):
     """Record one."""
     profile = load_profile(golden.profile)
-    board = board_without_finger(profile, partial(GoldenDriver, golden))
+    board = board_without_finger(profile, partial(GoldenDriver, golden), simulated_time=True)
     config = RunConfig(
         **{"scan": "points", "subject": "nobody", "note": "a golden of the tests"}
         | golden.settings, mode=golden.mode, seconds=golden.seconds,

@@ -92,10 +92,6 @@ class Watched(MemoryDriver):
     def close(self):
         self.calls.append("close")
 
-    def is_busy(self):
-        self.calls.append("drain")
-        return False
-
 
 @pytest.fixture
 def board(profile):
@@ -140,7 +136,7 @@ def test_frames_are_asked_for_at_absolute_deadlines(play, board):
     assert run.clock.deadlines == [i * PERIOD_NS for i in range(51)]
     assert sensor.times == run.clock.deadlines[:50]
     assert len(board.driver.sequences) == run.statistics.frames == 50
-    assert board.driver.calls == ["open", "drain", "zero", "close"]
+    assert board.driver.calls == ["open", "zero", "close"]
 
 
 def test_a_late_loop_moves_its_schedule_and_never_hurries(play):
@@ -389,8 +385,10 @@ def test_a_board_stopped_by_nobody_who_may_is_a_fault(play, board):
 def test_priority_is_for_boards_whose_time_passes(
     profile, play, monkeypatch, on_a_finger, simulated_time
 ):
-    kind = type("Own", (Watched,), {"simulated_time": bool(simulated_time)})
-    board = board_without_finger(profile, kind, clock=FakeClock(), on_a_finger=bool(on_a_finger))
+    board = board_without_finger(
+        profile, Watched, clock=FakeClock(), on_a_finger=bool(on_a_finger),
+        simulated_time=bool(simulated_time),
+    )  # fmt: skip
     taken = []
 
     @contextmanager

@@ -69,7 +69,7 @@ class Pressed(MemoryDriver):
 
     def open(self, line, limits):
         if self.force_n is not None:
-            line.events.force(self.force_n)
+            line.board.force_n = self.force_n
         return replace(super().open(line, limits), force=self.force_n is not None)
 
 

@@ -53,7 +53,8 @@ def test_a_simulated_board(blind, taken, monkeypatch):
     wider = replace(LIMITS, current_ma=4.0, full_ma=4.0)
     vars(wider)[watch.OF_PROFILE] = Bounds.of_limits(LIMITS)
     driver = SimulatedDriver("", wider)
-    with Board(driver, wider, on_a_finger=False, claimed_time=True) as board:
+    own = {"on_a_finger": False, "claimed_time": True, "simulated_time": True}
+    with Board(driver, wider, **own) as board:
         board.send(SILENT)
         board.send(sequence(pair(3500)))
         blind.take()

@@ -211,7 +211,8 @@ class TestNever(Drivers):
 
 class TestUncounted(Drivers):
     class kind(Device):
-        reports_delivery = True
+        def open(self, line, limits):
+            return replace(super().open(line, limits), acknowledges=True)
 
 
 class Sources(SourceContract):

@@ -156,10 +156,6 @@ class ETactileKitDriver(Driver):
 
     default_profile: ClassVar[str] = "etactilekit-32"
     takes_wiring: ClassVar[bool] = True
-    queued: ClassVar[bool] = True
-    reports_delivery: ClassVar[bool] = True
-    waits_s: ClassVar[float] = 0.5
-    idle_s: ClassVar[float] = IDLE_S
     timing: ScanTiming = ScanTiming(
         slot_extra_us=10, every_electrode=True, own_widths=False, whole_hz=True, load=0.9
     )
@@ -201,6 +197,7 @@ class ETactileKitDriver(Driver):
         self._before: tuple[int, Readings] | None = None
         self._answer_ns = 0  # how long recent answers took
         self._stopped_ns = self._free_ns = 0
+        self._is_fresh = True  # whether a sequence has just been scanned
         self._seen_ua = 10**6  # the weakest pattern that was measured
 
     # -- opening and closing -----------------------------------------------
@@ -237,6 +234,7 @@ class ETactileKitDriver(Driver):
             kept_ms=KEPT_MS,
             firmware=f"{named}, {capacity} outputs",
             measures=True,
+            host_timed=True,
             compliance_v=COMPLIANCE_V,
             load_kohm=DUMMY_KOHM,
         )
@@ -257,22 +255,14 @@ class ETactileKitDriver(Driver):
         if not (self._load(self._nothing) or self._load(self._nothing)):
             raise self._kit.line.lost("does not confirm a pattern of zeros")
 
-    def aftermath(self) -> str:
-        if self._kit.is_at_zero:
-            return ""
-        return "; the board goes on with its last pattern: lift the finger, then switch it off"
-
     # -- sequences ---------------------------------------------------------
-
-    def check(self, proved: ProvedSequence) -> None:
-        self.encode(proved.sequence)
 
     def encode(self, sequence: ScanSequence) -> tuple[Settings, bytes]:
         """Return settings and bytes of a sequence; raise BoardError if the board cannot make it."""
         return encode_pattern(sequence, self._wiring, self._scale, self._limits)
 
     def write(self, proved: ProvedSequence) -> None:
-        line = self._kit.line
+        line, self._is_fresh = self._kit.line, True
         # A sequence that waited for its turn is not late.
         proved = line.later(proved, max(proved.due_ns, self._free_ns))
         try:
@@ -285,7 +275,10 @@ class ETactileKitDriver(Driver):
         self._free_ns = line.now_ns()
 
     def idle(self) -> float | None:
-        """Load a pattern of zeros while no sequence comes."""
+        """Load a pattern of zeros once no sequence has come for a while."""
+        if self._is_fresh:
+            self._is_fresh = False
+            return IDLE_S
         self.zero()
         return None
 
@@ -294,7 +287,7 @@ class ETactileKitDriver(Driver):
         line, sequence = self._kit.line, proved.sequence
         settings, pattern = self.encode(sequence)
         if not sequence.slots or pattern == self._nothing:
-            line.events.delivered(proved, 0)
+            line.delivered(proved, 0)
             for _ in range(proved.times):
                 self._wait(line.now_ns() + 1000 * sequence.period_us)
                 if line.has_newer():
@@ -302,9 +295,9 @@ class ETactileKitDriver(Driver):
             return
         with self._kit.lock:
             if not self._show(proved, settings, pattern):
-                line.events.refused()
+                line.board.refused += 1
                 return
-        line.events.delivered(proved, 0)
+        line.delivered(proved, 0)
         self._hold(proved)
         with self._kit.lock:
             if self._shown is not None:
@@ -458,7 +451,7 @@ class ETactileKitDriver(Driver):
 
     def _report_scans(self, shown: ShownPattern, end: Span) -> None:
         """Report the scans of a pattern and its voltages; latch the board if others pulsed."""
-        sequence, events = shown.proved.sequence, self._kit.line.events
+        sequence, line = shown.proved.sequence, self._kit.line
         least, largest = self._lock.starts(shown.since, end)
         pulsed = np.zeros(self._outputs, bool)
         if self._before is not None:
@@ -472,18 +465,16 @@ class ETactileKitDriver(Driver):
                 # Weaker pulses were measured before: the board's timing has changed.
                 self._lock.last, least = None, 0
             if least:
-                volts = (readings * VOLTS_PER_COUNT).astype(np.float32)
-                events.volts(sequence, volts)
+                volts, lifted = (readings * VOLTS_PER_COUNT).astype(np.float32), None
                 if volts.any():
                     # Without a finger all current takes the load beside the skin.
                     alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
-                    events.lift(bool((volts >= OPEN_SHARE * alone_v).all()))
-        events.delivered(shown.proved, least, most=max(least, largest))
+                    lifted = bool((volts >= OPEN_SHARE * alone_v).all())
+                line.measured(sequence, volts, lifted)
+        line.delivered(shown.proved, least, most=max(least, largest))
         pulsed[self._wiring[sequence.site]] = False
         if pulsed.any():
-            raise events.fault(
-                f"output {pulsed.argmax()} pulsed, and its pattern has no pulse there"
-            )
+            raise line.fault(f"output {pulsed.argmax()} pulsed, and its pattern has no pulse there")
 
     def _wait(self, until_ns: int) -> None:
         if until_ns > self._kit.line.now_ns():

@@ -47,8 +47,6 @@ class Kajimoto61Driver(Driver):
     """Kit of 61 electrodes: ``kajimoto61:PORT``."""
 
     default_profile: ClassVar[str] = "kajimoto-61"
-    queued: ClassVar[bool] = True
-    reports_delivery: ClassVar[bool] = True
     timing: ScanTiming = ScanTiming(
         width_us=WIDTH_US, discharge_us=REST_US, slot_extra_us=8, scan_us=700, in_index_order=True,
         own_widths=False, load=1 / 1.1,
@@ -97,7 +95,7 @@ class Kajimoto61Driver(Driver):
             time_to_zero_ms=13.0,
             firmware="kajimoto61 (it does not tell its version)",
             polarities=("anodic",),
-            acknowledges=False,
+            host_timed=True,
         )
 
     def zero(self) -> None:
@@ -106,9 +104,6 @@ class Kajimoto61Driver(Driver):
         self._line.pause(0.02)
         self._line.write(ZERO)
         self._line.discard_input()
-
-    def check(self, proved: ProvedSequence) -> None:
-        self.encode(proved.sequence)
 
     def encode(self, sequence: ScanSequence) -> bytes:
         """Return the bytes of a sequence; raise BoardError if the board cannot make it."""
@@ -153,7 +148,7 @@ class Kajimoto61Driver(Driver):
                 line.wait_until(next_ns)
             if line.has_newer():
                 if scan == 0:
-                    line.events.replaced()
+                    line.board.replaced += 1
                 break
             sent_ns = line.now_ns()
             proved = line.later(proved, next_ns)
@@ -161,9 +156,9 @@ class Kajimoto61Driver(Driver):
                 line.write(packet, proved)
             except LineLostError:
                 # The scan may have been made.
-                line.events.delivered(proved, 0, most=1)
+                line.delivered(proved, 0, most=1)
                 raise
-            line.events.delivered(proved, 1)
+            line.delivered(proved, 1)
             self._note_skipped((sent_ns - next_ns) // period_ns, sent_ns)
             # After a late packet the grid moves, as catching up would exceed the proved rate; the
             # part of a period that is caught up lies within the board's own margin.
@@ -175,7 +170,7 @@ class Kajimoto61Driver(Driver):
         """Count scans for which this computer was too slow; tell the user once a minute."""
         self._skipped += max(0, scans)
         if self._skipped and now_ns >= self._note_ns:
-            self._line.events.note(
+            self._line.board.notes.append(
                 f"this computer was too slow: {self._skipped} sequences were skipped"
             )
             self._skipped, self._note_ns = 0, now_ns + 60_000_000_000

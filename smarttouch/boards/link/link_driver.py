@@ -5,6 +5,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
 from smarttouch.boards.link import HALF, VERSION, Message, MessageKind, Refusal, Rule
 from smarttouch.boards.link import sequence_encoding as encoding
-from smarttouch.boards.reports import BoardReport, Capabilities, SequenceStart
+from smarttouch.boards.reports import BoardReport, Capabilities
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable
@@ -304,10 +305,7 @@ class LinkDriver(Driver):
     pyserial knows."""
 
     keeps_kernels: ClassVar[bool] = True
-    reports_delivery: ClassVar[bool] = True
-    reports_starts: ClassVar[bool] = True
     _line: Line
-    idle_s: ClassVar[float] = HEARTBEAT_S / 4
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         if not port:
@@ -426,7 +424,7 @@ class LinkDriver(Driver):
             # It has confirmed zero; what has become of the line since then changes nothing.
             return
         if self._account[1] != slots:
-            raise self._line.events.fault("the board delivered pulses after it had confirmed zero")
+            raise self._line.fault("the board delivered pulses after it had confirmed zero")
 
     def close(self) -> None:
         session = self._session
@@ -440,9 +438,9 @@ class LinkDriver(Driver):
         one is due."""
         session = self._session
         if session.fault is not None:
-            return None
+            raise session.fault
         if self._suspicion:
-            fault = self._line.events.fault(self._suspicion)
+            fault = self._line.fault(self._suspicion)
             session.fail(fault)
             raise fault
         # Nothing newer can go out between the look and the write.
@@ -465,19 +463,6 @@ class LinkDriver(Driver):
             session.send(MessageKind.HEARTBEAT)
         # Nothing is due soon after a packet.
         return max(HEARTBEAT_S / 4, session.written_s + HEARTBEAT_S * 2 / 3 - now_s)
-
-    def is_busy(self) -> bool:
-        return bool(self._ask_account()[7])
-
-    def aftermath(self) -> str:
-        if self.can is None:
-            return ""
-        return f"; it shorts all electrodes within {self.can.time_to_zero_ms:g} ms of silence"
-
-    @property
-    def refused_packets(self) -> int:
-        """Number of packets from the board that were old, of another session, or not requested."""
-        return self._session.refused
 
     # -- the session ---------------------------------------------------------
 
@@ -509,7 +494,7 @@ class LinkDriver(Driver):
             # A recharge phase needs a source for each electrode.
             recharges=bool(able & can_do.RECHARGE) and protocol.OUTPUTS[kind] == "weighted",
             emergency_switch=bool(able & can_do.EMERGENCY), kernel_bytes=keeps * room,
-            most_kernels=keeps * kernels, packet_bytes=packet,
+            most_kernels=keeps * kernels, packet_bytes=packet, acknowledges=True,
         )  # fmt: skip
         if can.emergency_switch and answer.state & protocol.SWITCH_OPEN:
             raise EmergencyStopError(
@@ -552,7 +537,7 @@ class LinkDriver(Driver):
             identity, stored, whole, proof = protocol.KEPT.unpack(answer)
             if identity == image.identity and whole:
                 if proof != protocol.digest_of(image.data, self._session.number):
-                    raise self._line.events.fault(
+                    raise self._line.fault(
                         f"the board at {self._line.name} holds other kernels than those sent"
                     )
                 self._image = image
@@ -586,7 +571,7 @@ class LinkDriver(Driver):
         )
         violations, slots = now[3] - before[3], now[1] - before[1]
         largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
-        fault = self._line.events.fault
+        fault = self._line.fault
         if violations > self._unsafe_refused:
             raise fault(
                 f"the board counted {violations} violations of its own rules, and refused "
@@ -599,13 +584,16 @@ class LinkDriver(Driver):
                 f"the board delivered {now[4]:g} mA, above the {largest_ma:g} mA that may be sent"
             )
         refused = max(0, sum(now[OLD_PACKETS]) - self._refused_before)
-        return BoardReport(*(*now[:7], refused))
+        return replace(
+            BoardReport(*now[:7]), is_busy=bool(now[7]), refused_packets=refused,
+            refused_by_host=self._session.refused,
+        )  # fmt: skip
 
     # -- packets of the board ----------------------------------------------
 
     def _receive(self, message: Message) -> None:
         """Handle an unrequested packet, with the session's `news` held."""
-        can, session, events, payload = self.can, self._session, self._line.events, message.payload
+        can, session, line, payload = self.can, self._session, self._line, message.payload
         if can is not None and can.emergency_switch and message.state & protocol.SWITCH_OPEN:
             session.fail(self._emergency())
         match message.kind:
@@ -616,14 +604,14 @@ class LinkDriver(Driver):
                     (board_us,) = protocol.ACK.unpack(payload)
                     time_ns = session.start_ns(board_us, sent.sent_ns, session.now_ns())
                     if not sent.part.first:
-                        events.started(SequenceStart(sent.proved.number, time_ns, board_us))
+                        line.started(sent.proved, time_ns, board_us)
                 elif message.about not in self._repeated:
                     session.refuse()
             case MessageKind.NAK:
                 self._refused(message)
             case MessageKind.ALIVE:
                 if can is not None and can.force and len(payload) == protocol.ALIVE.size:
-                    events.force(protocol.ALIVE.unpack(payload)[0] / 1000)
+                    line.board.force_n = protocol.ALIVE.unpack(payload)[0] / 1000
             case MessageKind.VOLTAGES if (about := self._sent.get(message.about)) is not None:
                 self._note_volts(about, payload)
             case _:
@@ -631,7 +619,7 @@ class LinkDriver(Driver):
 
     def _note_volts(self, sent: SentPart, payload: bytes) -> None:
         """Report the voltages of a scan with those of its last part; an odd byte is dropped."""
-        sequence, part, events = sent.proved.sequence, sent.part, self._line.events
+        sequence, part = sent.proved.sequence, sent.part
         counts = np.frombuffer(payload[: len(payload) // 2 * 2], "<u2")
         if len(counts) != part.slots or not len(counts):
             return
@@ -645,8 +633,8 @@ class LinkDriver(Driver):
                 self._suspicion = (
                     f"the board measured {volts.max():.0f} V with a source of {highest_v:g} V"
                 )
-            events.volts(sequence, volts)
-            events.lift(bool((volts >= OPEN_SHARE * highest_v).all()))
+            lifted = bool((volts >= OPEN_SHARE * highest_v).all())
+            self._line.measured(sequence, volts, lifted)
 
     def _emergency(self) -> EmergencyStopError:
         return EmergencyStopError(
@@ -669,7 +657,7 @@ class LinkDriver(Driver):
                 session.refuse()
             return
         self._flight = None
-        line.events.refused()
+        line.board.refused += 1
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             self._unsafe_refused += 1
             # Clocks differ: what rose too fast for the board's restarts at zero.

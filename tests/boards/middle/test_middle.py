@@ -221,7 +221,7 @@ def test_a_lost_packet_is_made_up_for_without_delivering_twice(world, board, los
     for _ in range(3):
         send(board)
     assert (board.acknowledged, world.books.slots) == (3, 3)
-    assert (board.driver.refused_packets, board.report().refused_packets) == (0, 0)
+    assert (board.report().refused_by_host, board.report().refused_packets) == (0, 0)
 
 
 def test_starts_are_by_the_boards_clock_however_late_an_answer_comes(world, board):
@@ -273,7 +273,7 @@ def say(world, kind, about, payload=b""):
 def test_what_answers_nothing_is_counted_and_has_no_effect(world, board, kind, payload):
     send(board)
     say(world, kind, 77, payload)
-    assert (board.driver.refused_packets, board.acknowledged, board.refused) == (1, 1, 0)
+    assert (board.report().refused_by_host, board.acknowledged, board.refused) == (1, 1, 0)
     assert board.take_volts()[1:] == []
     send(board)
     assert world.books.slots == 2
@@ -283,9 +283,9 @@ def test_a_second_acknowledgment_is_counted_unless_it_was_sent_twice(world, boar
     lose(world, "to_host", MessageKind.ACK)
     send(board, 2)
     say(world, MessageKind.ACK, 1, bytes(8))
-    assert (board.driver.refused_packets, board.acknowledged) == (0, 2)
+    assert (board.report().refused_by_host, board.acknowledged) == (0, 2)
     say(world, MessageKind.ACK, 2, bytes(8))
-    assert (board.driver.refused_packets, board.acknowledged) == (1, 2)
+    assert (board.report().refused_by_host, board.acknowledged) == (1, 2)
 
 
 def test_what_the_board_refused_before_is_not_of_this_run(world, board):
