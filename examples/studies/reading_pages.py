@@ -26,13 +26,19 @@ from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.imaging.line_picture import LinePicture
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.spikes import (
+    FIELD_MM,
+    SpikeModel,
+    delivered_spikes,
+    ignore_nan,
+    response_quality,
+)
 from smarttouch.profile import Profile, load_profile
 from smarttouch.reading.legibility import (
     DeliveredLine,
     LineDelivery,
     character_error_rate,
     deliver_pulses,
-    read_at_nerve,
     read_pictures,
 )
 from smarttouch.reading.letter_shapes import Shapes, shape_line
@@ -41,6 +47,7 @@ from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import recognized_lines
 from smarttouch.running.config import RunConfig
 
+Counts, Values = NDArray[np.intp], NDArray[np.float32]
 ANATOMIES = ("paper", "branched")
 TUNED, HELD_OUT = (1, 2), 101
 """Seeds of the fingers on which a setting is chosen, and first of those that judge it."""
@@ -130,6 +137,29 @@ def step_by_spikes(values: NDArray[np.float32]) -> float:
     return float(columns[1] - columns[0]) / lag
 
 
+FULL_QUANTILE = 0.99  # of the spikes around electrodes: what counts as full
+
+
+def spikes_of(lines: Sequence[DeliveredLine], finger: Finger) -> Iterator[dict[int, Counts]]:
+    """Yield the spikes of each afferent, (A,), at each pose of each line."""
+    model, silent = SpikeModel(finger), np.zeros(len(finger.classes), np.intp)
+    for line in lines:
+        periods = dict.fromkeys(line.poses, round(1e6 / finger.profile.pulse.rate_hz))
+        slots = line.numbers, line.width_us, line.current_ua
+        spikes = delivered_spikes(finger, *slots, periods, model=model)
+        yield {number: spikes.get(number, silent) for number in line.poses}
+
+
+def shown_by(lines: Sequence[dict[int, Counts]], finger: Finger) -> list[list[Values]]:
+    """Return the spikes around each electrode, (E,) in [0, 1], of all classes, relative to nearly
+    the most that any electrode has."""
+    away_mm = finger.receptor_mm[:, None] - finger.profile.electrodes.position_mm
+    field = np.exp(-(away_mm**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
+    felt = [[counts @ field for counts in line.values()] for line in lines]
+    full = max(np.quantile([each.max() for line in felt for each in line], FULL_QUANTILE), 1e-9)
+    return [[np.clip(each / full, 0, 1).astype(np.float32) for each in line] for line in felt]
+
+
 @dataclass(frozen=True)
 class PageRow:
     """What one finger reads of one page."""
@@ -148,12 +178,20 @@ def read_page(page: str, anatomy: str, seed: int, setting: Setting) -> PageRow:
     """Return what each observer reads of a page by the spikes of one finger."""
     lines, truth = delivered(page, setting)
     with threadpool_limits(limits=1, user_api="blas"):
-        found = read_at_nerve(lines, Finger(profile(), seed, anatomy), Mode.RA.afferents)
+        finger = Finger(profile(), seed, anatomy)
+        spikes = list(spikes_of(lines, finger))
+        seen = shown_by(spikes, finger)
+    qualities = [
+        response_quality(finger, counts, line.meant[number], Mode.RA.afferents)
+        for line, each in zip(lines, spikes, strict=True)
+        for number, counts in each.items()
+        if number in line.answers
+    ]
     random = np.random.default_rng(seed)
 
     def rate(places_mm: Sequence[NDArray[np.float64]]) -> float:
         pictures = []
-        for line, shown, x_mm in zip(lines, found.shown, places_mm, strict=True):
+        for line, shown, x_mm in zip(lines, seen, places_mm, strict=True):
             longest_mm = max(line.length_mm, float(x_mm.max()) + 10)
             picture = LinePicture(profile().electrodes, longest_mm)
             for x, values in zip(x_mm, shown, strict=True):
@@ -167,7 +205,7 @@ def read_page(page: str, anatomy: str, seed: int, setting: Setting) -> PageRow:
         off = [each + spread * random.standard_normal(len(each)) for each in true_mm]
         errors[f"off by {spread:g} mm"] = rate(off)
     guessed = []
-    for x_mm, shown in zip(true_mm, found.shown, strict=True):
+    for x_mm, shown in zip(true_mm, seen, strict=True):
         # The finger rests until the point that marks a line's start is gone.
         moving = x_mm > x_mm[0]
         step_mm = step_by_spikes(np.array(shown)[moving])
@@ -175,7 +213,8 @@ def read_page(page: str, anatomy: str, seed: int, setting: Setting) -> PageRow:
     errors[OBSERVERS[1]] = rate(guessed)
     return PageRow(
         Path(page).name, anatomy, seed, setting, errors,
-        found.silent_points, found.wrong_class, found.misplaced,
+        *(ignore_nan(fmean, (getattr(quality, name) for quality in qualities))
+          for name in ("silent_points", "wrong_class", "misplaced")),
     )  # fmt: skip
 
 

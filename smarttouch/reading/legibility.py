@@ -2,15 +2,13 @@
 
 import math
 import unicodedata
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import fmean
 from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ReadingError, import_extra
@@ -21,12 +19,9 @@ from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import (
-    FIELD_MM,
     ResponseQuality,
     SlotCurrents,
     SpikeModel,
-    delivered_spikes,
-    ignore_nan,
     response_map,
     response_quality,
 )
@@ -157,68 +152,6 @@ def deliver_lines(lines: Sequence[TouchLine], reading: LineDelivery) -> Iterator
     # A process takes longer to start than one line to deliver.
     work = Parallel(n_jobs=-1 if len(lines) > 1 else 1, return_as="generator", max_nbytes=None)
     yield from work(delayed(deliver_pulses)(line, reading) for line in lines)
-
-
-_FULL_QUANTILE = 0.99
-
-
-@dataclass(frozen=True, eq=False)
-class NerveReading:
-    """Lines as one finger responded to them, and means of `ResponseQuality` over the sequences that
-    had slots, each by itself; NaN if none of these fired.
-    """
-
-    pictures: list[LinePicture]
-    shown: list[list[NDArray[np.float32]]]  # (E,) in [0, 1] for each pose of each line
-    silent_points: float
-    wrong_class: float
-    misplaced: float
-
-
-def read_at_nerve(
-    lines: Sequence[DeliveredLine], finger: Finger, wanted: Collection[Afferent]
-) -> NerveReading:
-    """Return the response of a finger to delivered lines that were meant for some classes.
-
-    Each electrode has the spikes of the receptors around it, of all classes, relative to nearly the
-    most that any electrode has.
-    """
-    profile = finger.profile
-    places = profile.electrodes.position_mm
-    away = finger.receptor_mm[:, None] - places
-    field = np.exp(-(away**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
-    silent = np.zeros(len(field), np.intp)
-    qualities, model = [], SpikeModel(finger)
-    values: list[list[NDArray[np.float32]]] = []
-    for line in lines:
-        periods = dict.fromkeys(line.poses, round(1e6 / profile.pulse.rate_hz))
-        slots = line.numbers, line.width_us, line.current_ua
-        # Products are small: a second thread would only wait.
-        with threadpool_limits(limits=1, user_api="blas"):
-            spikes = delivered_spikes(finger, *slots, periods, model=model)
-        counts = {number: spikes.get(number, silent) for number in line.poses}
-        values.append([count @ field for count in counts.values()])
-        qualities += [
-            response_quality(finger, counts[number], line.meant[number], wanted)
-            for number in line.poses
-            if number in line.answers
-        ]
-    full = float(
-        np.quantile([picture.max() for line in values for picture in line], _FULL_QUANTILE)
-    )
-    pictures = [LinePicture(profile.electrodes, line.length_mm) for line in lines]
-    shown = [
-        [np.clip(picture / max(full, 1e-9), 0, 1).astype(np.float32) for picture in line]
-        for line in values
-    ]
-    for line, picture, those in zip(lines, pictures, shown, strict=True):
-        for pose, spikes in zip(line.poses.values(), those, strict=True):
-            picture.add(pose.x_mm, spikes)
-    measures = (
-        ignore_nan(fmean, (getattr(quality, name) for quality in qualities))
-        for name in ("silent_points", "wrong_class", "misplaced")
-    )
-    return NerveReading(pictures, shown, *measures)
 
 
 _LINE_PIXELS = 56  # height of delivered lines for recognition: ascender to descender

@@ -9,24 +9,20 @@ import pytest
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ExperimentError, ReadingError
 from smarttouch.imaging.array_window import usual_speed_mm_s
-from smarttouch.imaging.line_picture import PIXELS_PER_PITCH, LinePicture
+from smarttouch.imaging.line_picture import PIXELS_PER_PITCH
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import load_bank
-from smarttouch.physiology.finger import Finger
 from smarttouch.profile import load_profile
 from smarttouch.reading.legibility import (
-    DeliveredLine,
     LineDelivery,
     character_error_rate,
     deliver_lines,
     deliver_pulses,
     letter_sequences,
     normalize,
-    read_at_nerve,
 )
 from smarttouch.reading.letter_shapes import ALPHABET, draw_letter
 from smarttouch.reading.line_source import LineMotion
-from smarttouch.sources.source_contract import Pose
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 
 from ..support.checks import raises
@@ -120,46 +116,6 @@ def test_many_points_in_a_slot_are_felt_as_they_are_one_by_one(way, make_line):
     # Plans may fall short of the fullest activation by 4 %, which is 8 % above the threshold.
     assert np.abs(at_once - by_points).max() < 0.12
     assert not np.array_equal(at_once, by_points)
-
-
-@pytest.fixture(scope="module")
-def delivered():
-    """Return a line of which one electrode's kernel is delivered halfway, and nothing elsewhere."""
-    profile = load_profile("smarttouch-4x4")
-    kernel = load_bank(profile).kernels(Afferent.RA)[5] * profile.full_ma[5] * 1000
-    answer = np.zeros(16, np.float32)
-    answer[5] = 1
-    line = DeliveredLine(
-        LinePicture(profile.electrodes, 20.0), 20.0,
-        {1: Pose(4.0, 0.0), 2: Pose(10.0, 0.0), 3: Pose(16.0, 0.0)},
-        dict.fromkeys((1, 2, 3), answer > 0), {2: answer},
-        np.array([2], np.uint32), np.array([200], np.float32),
-        np.round(kernel)[None].astype(np.int16),
-    )  # fmt: skip
-    return profile, line
-
-
-def test_what_is_felt_lies_around_the_electrode_that_was_delivered(delivered):
-    profile, line = delivered
-    found = read_at_nerve([line], Finger(profile, 1, "paper"), [Afferent.RA])
-    (picture,) = found.pictures
-    x_mm = profile.electrodes.position_mm[5, 0] + np.array([4.0, 10.0, 16.0])
-    y_mm = np.full(3, profile.electrodes.position_mm[5, 1] + profile.electrodes.extent_mm[1] / 2)
-    first, middle, last = picture.at(x_mm, y_mm)
-    assert middle > max(first, last)
-    assert found.silent_points == 0
-    assert 0 <= found.wrong_class <= 1
-
-
-def test_a_line_that_is_never_delivered_is_not_felt(delivered):
-    profile, line = delivered
-    nothing = replace(
-        line, answers={}, numbers=line.numbers[:0], width_us=line.width_us[:0],
-        current_ua=line.current_ua[:0],
-    )  # fmt: skip
-    found = read_at_nerve([nothing], Finger(profile, 1, "paper"), [Afferent.RA])
-    assert not found.pictures[0].values().any()
-    assert np.isnan(found.silent_points)
 
 
 @pytest.fixture(scope="module")
