@@ -3,6 +3,7 @@
 import contextlib
 import math
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.special import ndtr
@@ -10,7 +11,6 @@ from scipy.special import ndtr
 from smarttouch.base.stopping import StopRequest
 from smarttouch.experiments.answers import COLUMNS, Answers, parse_cells
 from smarttouch.experiments.experiment_session import open_experiment
-from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls
@@ -103,49 +103,40 @@ class SimulatedSubject:
     slope: float = 0.1
     guess: float = 0.005
     lapse: float = 0.03
-    look_s: float = 0.5
     reaction_s: float = 0.35
     drift: float = 0.0
     seed: int = 0
 
-    def __post_init__(self) -> None:
-        self._random = np.random.default_rng(self.seed)
-        self._minutes = 0.0
-        self._felt = False
-        self._key_in_s: float | None = None
-        self._look_in_s = 0.0
+    def __post_init__(self):
+        self._random, self._minutes = np.random.default_rng(self.seed), 0.0
         self._forget()
 
-    def presses(self, level_ma: float, seconds: float) -> bool:
+    def _forget(self):
+        self._sought_ma = [self.threshold_ma, self.comfort_ma]
+        self._key_in_s, self._look_in_s = math.inf, self._random.uniform(0, 0.5)
+
+    def presses(self, level_ma, seconds):
         """Simulate a step of rising current; return whether a key is pressed."""
         self._minutes += seconds / 60
         if level_ma == 0:
             self._forget()
-            return False
-        if self._key_in_s is not None:
+        elif self._key_in_s < math.inf:
             self._key_in_s -= seconds
-            if self._key_in_s > 0:
-                return False
-            self._key_in_s = None
-            self._felt = not self._felt
-            return True
-        self._look_in_s -= seconds
-        if self._look_in_s <= 0:
-            self._look_in_s += self.look_s
-            if self._finds(level_ma, self.comfort_ma if self._felt else self.threshold_ma):
-                self._key_in_s = self.reaction_s * math.exp(0.25 * self._random.standard_normal())
+            if self._key_in_s <= 0:
+                self._key_in_s = math.inf
+                self._sought_ma.reverse()
+                return True
+        else:
+            self._look_in_s -= seconds
+            if self._look_in_s <= 0:
+                self._look_in_s += 0.5
+                middle_ma = self._sought_ma[0] * (1 + self.drift * self._minutes)
+                found = float(ndtr(math.log(level_ma / middle_ma) / self.slope))
+                chance = self.guess + (1 - self.guess - self.lapse) * found
+                if self._random.random() < chance:
+                    jitter = math.exp(0.25 * self._random.standard_normal())
+                    self._key_in_s = self.reaction_s * jitter
         return False
-
-    def _forget(self) -> None:
-        self._felt = False
-        self._key_in_s = None
-        self._look_in_s = self._random.uniform(0, self.look_s)
-
-    def _finds(self, level_ma: float, middle_ma: float) -> bool:
-        middle_ma *= 1 + self.drift * self._minutes
-        above = math.log(level_ma / middle_ma) / self.slope if level_ma else -math.inf
-        chance = self.guess + (1 - self.guess - self.lapse) * float(ndtr(above))
-        return bool(self._random.random() < chance)
 
 
 @dataclass
@@ -171,16 +162,8 @@ class Silent:
         return None
 
 
-@dataclass
-class Sat:
-    """Result of a run."""
-
-    source: TrialSource
-    rows: list
-    over: bool
-    resumed: int
-    told: list
-    figures: dict
+class Sat(SimpleNamespace):
+    """Result of a run: its source, rows, figures, and the time and words of each event."""
 
     def events(self, start):
         """Return the events that begin so."""
@@ -215,5 +198,4 @@ def sit(
             load_kernels=lambda _profile: bank,
             controls=Controls if controls is None else lambda _state, _modes: controls,
         ).run()
-        return Sat(source, sitting.file.rows, sitting.over, sitting.resumed, told,
-                   statistics.figures)  # fmt: skip
+        return Sat(source=source, rows=sitting.file.rows, told=told, figures=statistics.figures)

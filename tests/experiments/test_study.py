@@ -142,9 +142,3 @@ def test_a_missing_scheduler_is_an_error(monkeypatch):
         on_cluster("tcp://127.0.0.1:1"),
     ):
         pass
-
-
-def test_missing_dask_is_an_error(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with raises(SmartTouchError, names="extra"), on_cluster("tcp://a:1"):
-        pass

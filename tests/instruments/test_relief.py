@@ -104,15 +104,6 @@ def test_an_area_is_felt_all_over(tmp_path):
     assert len(crests(texture, (20, 27), (0.4, 0), 100)) == 0
 
 
-def test_a_stroke_is_felt_across_and_along(tmp_path):
-    texture = open_texture(str(object_file(tmp_path / "o.png", "cross")))
-    along = crests(texture, (20, 19.5), (0.4, 0), 100)
-    assert along[:, 0] == pytest.approx([34, 36, 38, 40, 42, 44, 46], abs=0.8)
-    across = crests(texture, (36, 5), (0, 0.1), 300)
-    # Three millimeters are wider than a grain, and narrower than two.
-    assert across[:, 1] == pytest.approx([19.6], abs=0.2)
-
-
 @pytest.mark.parametrize("angle", [45, 75])
 def test_a_ridge_passed_obliquely_is_one_ridge(tmp_path, angle):
     path = grating_file(tmp_path / "g.png", angle, "faint", noise=5)

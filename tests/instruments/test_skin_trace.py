@@ -4,7 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
@@ -188,17 +188,6 @@ def test_any_trace_gives_drives_from_0_to_1_and_spikes_within_it(moved, pressed,
         assert np.isfinite(answer.rate_hz).all()
         assert (np.diff(answer.spike_s) > 0).all()
         assert ((answer.spike_s >= 0) & (answer.spike_s < trace.duration_s)).all()
-
-
-@settings(max_examples=20)
-@given(st.integers(0, 99), st.floats(1.05, 5))
-def test_more_of_the_same_drives_no_class_less(seed, factor):
-    moved = np.random.default_rng(seed).normal(0, 4, 1200)
-    trace = Trace(moved, np.full_like(moved, 0.2))
-    more = Trace(trace.displacement_um * factor, trace.force_n * factor)
-    before, after = split_trace(trace), split_trace(more)
-    for afferent in Afferent:
-        assert (after[afferent].drive >= before[afferent].drive - 1e-9).all()
 
 
 def test_a_force_at_which_sai_is_full_before_it_answers_is_refused():

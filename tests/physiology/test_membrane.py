@@ -182,14 +182,6 @@ def test_potentials_add_up_and_a_constant_counts_for_nothing(fiber, end, width_u
     assert driving.drive(one + 7) == pytest.approx(driving.drive(one), abs=1e-9)
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_a_fiber_that_runs_through_has_no_direction(seed):
-    driving = load_driving("fingertip", "through", 200.0)
-    potential = np.random.default_rng(seed).normal(size=(1, 50, 1))
-    forth, back = driving.drive(potential), driving.drive(potential[:, ::-1])
-    assert forth[:, ::-1] == pytest.approx(back, abs=1e-9)
-
-
 @pytest.mark.parametrize(("fiber", "end"), [each for each in OFFERED if each[0] != "mrg"])
 @pytest.mark.parametrize("width_us", sample([150.0, 100.0, 200.0], 3))
 def test_thresholds_of_the_cable_under_a_disc(fiber, end, width_us):

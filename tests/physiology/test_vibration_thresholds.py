@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.physiology.vibration_thresholds import best_hz, sensitivity, threshold_um
@@ -55,9 +53,3 @@ def test_levels_are_those_of_the_sources():
     assert db(threshold_um(Afferent.SAI, 0)) == pytest.approx(28)
     # What comes out for RA: several micrometers.
     assert 5 < threshold_um(Afferent.RA, 30) < 8
-
-
-@given(st.floats(1e-3, 1e5), st.sampled_from(Afferent))
-def test_no_frequency_is_answered_better_than_the_best(frequency, afferent):
-    assert 0 <= sensitivity(afferent, frequency) <= 1
-    assert threshold_um(afferent, frequency) >= threshold_um(afferent, best_hz(afferent))

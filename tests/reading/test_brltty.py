@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import ReadingError, SourceError
+from smarttouch.base.errors import SourceError
 from smarttouch.braille.cells import dots_to_cells
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille_lines import cell_layout
@@ -24,7 +24,6 @@ from smarttouch.reading.brltty import (
     parse_message,
 )
 
-from ..support.checks import raises
 from ..support.full import WHOLE
 from ..support.runs import until
 from .real_brltty import Brltty, cells_of, free_port, require_brltty
@@ -230,11 +229,6 @@ def test_updates_that_were_never_read_are_counted(finger):
 def test_what_cannot_be_opened(address, options):
     with pytest.raises(SourceError, match=re.escape(address) if not options else None):
         BrailleDisplaySource(address, PROFILE, **options)
-
-
-def test_an_array_too_small_for_cells():
-    with raises(ReadingError, names="profile"):
-        BrailleDisplaySource("1", load_profile("line-7"))
 
 
 ROUTE = 1 << 16

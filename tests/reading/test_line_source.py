@@ -5,16 +5,12 @@ import threading
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from smarttouch.base.errors import ReadingError
 from smarttouch.imaging.array_window import (
     pixel_pitch_mm,
-    profile_for_reading,
     reading_force_n,
 )
-from smarttouch.profile import load_profile
 from smarttouch.reading.line_source import (
     AHEAD,
     BEHIND,
@@ -223,20 +219,6 @@ def test_notes_are_told_when_they_arise(source_of, make_line):
     source.read(7)
     source.read(8)
     assert [(note.time_ns, note.text) for note in told] == [(7, "page 1 is doubtful")]
-
-
-@given(speed=st.floats(1, 500), keys=st.lists(st.sampled_from(["right", "left", "r", " ", ""])))
-def test_whatever_is_pressed_it_stays_on_the_text(speed, keys):
-    lines = [TouchLine(np.full((8, 40), 255, np.uint8), -4.0, 24.0) for _ in range(3)]
-    profile = profile_for_reading(load_profile("electric-mouse"))
-    with ReadingSource("x", profile, iter(lines), LineMotion(speed)) as source:
-        source.line(3, wait=True)
-        for step, key in enumerate(keys):
-            source.keys.get(key, lambda: None)()
-            frame = source.read(step * 50 * MS)
-            if frame is None:
-                break
-            assert -4.0 <= frame.pose.x_mm <= 24.0
 
 
 @pytest.mark.parametrize("value", [-1.0, math.nan, 1e9])

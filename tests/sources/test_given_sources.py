@@ -6,9 +6,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given as hypothetical
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 import smarttouch
@@ -47,26 +44,13 @@ def test_what_is_certain_is_converted(image, gray):
     np.testing.assert_array_equal(made, gray)
 
 
-@hypothetical(
-    arrays.arrays(
-        st.one_of(arrays.scalar_dtypes(), st.just(np.dtype(bool))),
-        arrays.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=6),
-    ),
-    st.booleans(),
-)
-def test_any_array_is_an_image_or_one_sentence(array, turned):
-    array = array.T[..., ::-1] if turned and array.ndim else array
-    made, words = None, ""
-    try:
-        made = gray_image(array, "mine:")
-    except SourceError as error:
-        words = str(error)
-    assert (made is None) == bool(words)
-    assert "\n" not in words
-    if made is not None:
-        assert made.dtype == np.uint8
-        assert made.shape == array.shape[:2]
-        assert made.size
+@pytest.mark.parametrize("image", [
+    np.uint8(3), GRAY[0], GRAY[:0], np.zeros((2, 2, 2), np.uint8), np.zeros((1, 2, 2, 3), np.uint8),
+    GRAY.astype(float), GRAY.astype(np.int64), np.full((2, 2), "a"),
+])  # fmt: skip
+def test_what_is_not_certain_is_one_sentence(image):
+    with raises(SourceError, names="mine:"):
+        gray_image(image, "mine:")
 
 
 @pytest.mark.parametrize(

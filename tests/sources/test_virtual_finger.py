@@ -223,18 +223,6 @@ def test_recorded_path(tmp_path):
     assert (pose.x_mm, pose.y_mm, force) == (5, 2, 0.5)
     assert pose.angle_rad == pytest.approx(math.pi / 4)
     assert path.duration_s == 1
-
-
-@pytest.mark.parametrize(("text", "value"), [
-    (None, "path.csv"),
-    ("a,b\n", ("a", "b")),
-    (HEADER + "0,0,0,0,0\n", 1),
-    (HEADER + "0,0,0,0,0\n0,0,0,0,0\n", 3),
-])  # fmt: skip
-def test_bad_recorded_paths(tmp_path, text, value):
-    file = tmp_path / "path.csv"
-    if text is not None:
-        file.write_text(text)
-    with raises(SourceError, value=value) as caught:
+    file.write_text("a,b\n")
+    with raises(SourceError, names="path.csv", value=("a", "b")):
         recorded_path(file)
-    assert str(file) in str(caught.value)
