@@ -12,7 +12,7 @@ import pytest
 
 from firmware.tests.build import built
 from firmware.tests.rig import encode_lists
-from smarttouch.boards.link import MessageKind, encode
+from smarttouch.boards.link import Message, MessageKind, encode
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
@@ -28,7 +28,8 @@ def packets(sequence, image):
     """Return the bytes of a sequence on the wire, as currents and as lists of kernels."""
     payloads = (encode_lists(sequence, 1, True, False, each, 1 << 24) for each in (None, image))
     return [
-        len(encode(MessageKind.SEQUENCE, 1 << 63 | 1 << 31, 1, 1, 1, each)) for each in payloads
+        len(encode(Message(MessageKind.SEQUENCE, 1, 1 << 63 | 1 << 31, 1, 1, each)))
+        for each in payloads
     ]
 
 

@@ -67,7 +67,8 @@ class BoardSession:
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the board's next packet of the session."""
         self._said += 1
-        return encode(kind, self.number, self._said, self._taken, about, payload, self.state)
+        message = Message(kind, self._said, self.number, self._taken, about, payload, self.state)
+        return encode(message)
 
     def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
         """Return the next ALIVE; its echo dates what the host has received."""
@@ -90,9 +91,8 @@ class BoardSession:
                 self._count_strangers()
             self._hellos[half] = hello.number, count + 1
         session = self._challenge << 32 | half
-        return encode(
-            MessageKind.CAPABILITIES, session, 0, 0, hello.number, capabilities, self.state
-        )
+        kind = MessageKind.CAPABILITIES
+        return encode(Message(kind, 0, session, 0, hello.number, capabilities, self.state))
 
     def would_begin(self, begin: Message) -> bool:
         """Return whether a BEGIN may open a session."""
@@ -101,7 +101,8 @@ class BoardSession:
 
     def refuse_begin(self, begin: Message, payload: bytes) -> bytes:
         """Return the NAK of a BEGIN that changes nothing."""
-        return encode(MessageKind.NAK, begin.session, 0, 0, begin.number, payload, self.state)
+        kind = MessageKind.NAK
+        return encode(Message(kind, 0, begin.session, 0, begin.number, payload, self.state))
 
     def begin(self, begin: Message) -> None:
         """Open the session of a BEGIN that may."""

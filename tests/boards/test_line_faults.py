@@ -26,7 +26,7 @@ from smarttouch.base.errors import (
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards import link as protocol
 from smarttouch.boards.kits.etactilekit_line import zero_anywhere
-from smarttouch.boards.link import MessageKind, decode, encode
+from smarttouch.boards.link import Message, MessageKind, decode, encode
 from smarttouch.emulator.firmware import read_state
 
 from ..support.checks import assert_says, raises
@@ -383,7 +383,7 @@ def test_a_link_board_that_reports_another_identity_gets_no_sequence(hosted, str
     def answer(heard):
         (hello,) = (decode(each) for each in Deframer().feed(heard))
         session = hello.session | 1 << 32
-        return encode(MessageKind.CAPABILITIES, session, 1, 0, hello.number, said)
+        return encode(Message(MessageKind.CAPABILITIES, 1, session, 0, hello.number, said))
 
     assert kinds(replaced(hosted, stranger, answer)) == [MessageKind.HELLO]
 

@@ -20,7 +20,14 @@ from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer, WirePacket
 from smarttouch.boards import link as protocol
 from smarttouch.boards.board import Board
-from smarttouch.boards.link import WHOLE_HEAD_BYTES, MessageKind, decode, decode_head, encode
+from smarttouch.boards.link import (
+    WHOLE_HEAD_BYTES,
+    Message,
+    MessageKind,
+    decode,
+    decode_head,
+    encode,
+)
 from smarttouch.boards.link.link_driver import SILENCE_S, LinkSession
 from smarttouch.boards.link.sequence_encoding import encode_scan
 from smarttouch.emulator.emulated_boards import SimulatedDriver
@@ -81,7 +88,7 @@ def test_an_endless_packet_does_not_fill_the_memory():
         list(deframer.feed(b"\x01" * 2**20))
     assert len(deframer._waiting) <= LARGEST_PACKET * 1.1
     assert list(deframer.feed(b"\0")) == []
-    assert len(list(deframer.feed(encode(MessageKind.STOP, 1, 1)))) == 1
+    assert len(list(deframer.feed(encode(Message(MessageKind.STOP, 1, 1))))) == 1
 
 
 @given(current=currents, seed=st.integers(0, 9), shapes=st.integers(1, 3), measure=st.booleans())
@@ -99,13 +106,13 @@ def test_the_bytes_are_those_of_a_plain_encoder(current, seed, shapes, measure):
         plain += struct.pack("<BBH", 2, used.index(each), len(rows)) + b"".join(rows)
     assert sequence_payload("weighted", 9000, width, rest, site, current, 3, measure) == plain
     body = struct.pack("<BBIBQII", protocol.VERSION, MessageKind.SEQUENCE, 7, 0, 5, 6, 4) + plain
-    packet = encode(MessageKind.SEQUENCE, 5, 7, 6, 4, plain)
+    packet = encode(Message(MessageKind.SEQUENCE, 7, 5, 6, 4, plain))
     assert cobs.decode(packet[:-1]) == body + struct.pack("<I", zlib.crc32(body))
 
 
 @given(payload=st.binary(max_size=600), cut=st.integers(0, 700), session=st.integers(0, 2**64 - 1))
 def test_the_head_of_a_packet_is_known_before_its_end(payload, cut, session):
-    data = encode(MessageKind.SEQUENCE, session, 258, 0, 7, payload)
+    data = encode(Message(MessageKind.SEQUENCE, 258, session, 0, 7, payload))
     deframer = Deframer()
     list(deframer.feed(data[: min(cut, len(data) - 1)]))
     assert deframer.waiting == min(cut, len(data) - 1)
@@ -151,7 +158,7 @@ class Reads:
         if piece == SAYS:
             self.number += 1
             session, payload = self.packets.number, protocol.ALIVE.pack(0)
-            return encode(MessageKind.ALIVE, session, self.number, payload=payload)
+            return encode(Message(MessageKind.ALIVE, self.number, session, payload=payload))
         return piece if isinstance(piece, bytes) else b""
 
     def lost(self, what):

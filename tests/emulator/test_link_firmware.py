@@ -123,7 +123,7 @@ def test_what_is_no_sign_of_life(rig, noise):
     rig.live(50)
     played = {
         "heartbeat": beat,
-        "hello": encode(MessageKind.HELLO, rig.host.number & HALF, 1),
+        "hello": encode(Message(MessageKind.HELLO, 1, rig.host.number & HALF)),
         "garbage": b"\x07garbage",
         "half a stop": b"\0" + rig.host.encode(MessageKind.STOP)[:-2],
         "half anew": b"\0" + rig.host.encode(MessageKind.SEQUENCE, 2, bytes(range(1, 60)))[:-2],

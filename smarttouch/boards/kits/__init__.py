@@ -7,7 +7,6 @@ for peak is a factor of 2, and mA for µA one of 1,000.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,40 +22,22 @@ NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
 """Current per count of each board's converter; the kajimoto61's 4096 are 10 mA."""
 
 
-@dataclass(frozen=True)
-class Scale:
-    """Measured and nominal current per count, µA."""
-
-    measured_ua: float
-    nominal_ua: float
-
-    def most_counts(
-        self, limits: SafetyLimits, width_us: float, counts_each: int = 1
-    ) -> NDArray[np.int64]:
-        """Return the most steps of ``counts_each`` counts, (E,) int64, that keep current and charge
-        of pulses of up to ``width_us`` within the limits by either scale."""
-        most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
-        step_ua = counts_each * max(self.measured_ua, self.nominal_ua)
-        # A limit that is a whole number of steps survives the division.
-        return np.asarray(np.floor(most_ua / step_ua + 1e-9), np.int64)
-
-
-def scale_of(kind: str, measured_ua: float | None) -> Scale:
-    """Return the scale of a kind of board; raise if a measured one is out of band."""
+def scale_of(kind: str, measured_ua: float | None) -> float:
+    """Return the current per count of a kind of board, µA; raise if a measured one is out of
+    band."""
     nominal_ua = NOMINAL_UA[kind]
-    if measured_ua is None:
-        return Scale(nominal_ua, nominal_ua)
-    if not in_band(measured_ua / nominal_ua):
+    if measured_ua is not None and not in_band(measured_ua / nominal_ua):
         raise BoardError(
             f"output.ua_per_count = {measured_ua:g} is {measured_ua / nominal_ua:.3g} times the "
             f"{nominal_ua:.4g} µA of a {kind} board, and boards differ by {100 * BAND:.0f} % at "
             "most: check profile and unit, and measure it again (smarttouch calibrate scale)"
         )
-    return Scale(measured_ua, nominal_ua)
+    return nominal_ua if measured_ua is None else measured_ua
 
 
-def require_kit(kind: str, port: str, output: Output | None, profile: str) -> Scale:
-    """Return the scale of a kit; raise BoardError unless it has a port and a fitting profile."""
+def require_kit(kind: str, port: str, output: Output | None, profile: str) -> float:
+    """Return the current scale of a kit; raise BoardError unless it has a port and a fitting
+    profile."""
     if not port:
         raise BoardError(f"{kind}: needs a port, for example {kind}:/dev/ttyUSB0")
     if output is not None and output.kind != "one-against-all":
@@ -65,6 +46,18 @@ def require_kit(kind: str, port: str, output: Output | None, profile: str) -> Sc
             f"{profile}"
         )
     return scale_of(kind, None if output is None else output.ua_per_count)
+
+
+def steps_of(
+    kind: str, scale_ua: float, limits: SafetyLimits, width_us: float, level_ua: NDArray[np.int64],
+    electrode: NDArray[np.intp], counts: int = 1,
+) -> NDArray[np.int64]:  # fmt: skip
+    """Return levels of electrodes, (S,) µA, as whole steps of so many counts. Neither rounding nor
+    a wrong scale passes the limits of current, and of charge at a pulse width."""
+    most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
+    # A limit that is a whole number of steps survives the division.
+    most = np.floor(most_ua / (counts * max(scale_ua, NOMINAL_UA[kind])) + 1e-9)[electrode]
+    return np.minimum(np.rint(level_ua / (counts * scale_ua)), most).astype(np.int64)
 
 
 def in_band(ratio: float) -> bool:

@@ -172,9 +172,8 @@ class ETactileKitDriver(Driver):
         if firmware is not None:
             firmware = choice_of("?firmware", firmware, FIRMWARES, BoardError)
         self._firmware = firmware
-        self._scale = require_kit("etactilekit", port, output, self.default_profile)
+        self.ua_per_count: float = require_kit("etactilekit", port, output, self.default_profile)
         self.port = port
-        self.ua_per_count = self._scale.measured_ua
         wiring = None if output is None else output.wiring
         self._wiring = np.arange(limits.electrodes) if wiring is None else np.asarray(wiring)
         self._outputs = int(self._wiring.max()) + 1
@@ -228,7 +227,7 @@ class ETactileKitDriver(Driver):
         return Capabilities(
             electrodes=self._limits.electrodes,
             output="one-against-all",
-            max_current_ma=LARGEST * self._scale.measured_ua / 1000,
+            max_current_ma=LARGEST * self.ua_per_count / 1000,
             max_slots=self._limits.electrodes,
             time_to_zero_ms=NEWEST_ZERO_MS if self._firmware == "newest" else None,
             kept_ms=KEPT_MS,
@@ -259,7 +258,7 @@ class ETactileKitDriver(Driver):
 
     def encode(self, sequence: ScanSequence) -> tuple[Settings, bytes]:
         """Return settings and bytes of a sequence; raise BoardError if the board cannot make it."""
-        return encode_pattern(sequence, self._wiring, self._scale, self._limits)
+        return encode_pattern(sequence, self._wiring, self.ua_per_count, self._limits)
 
     def write(self, proved: ProvedSequence) -> None:
         line, self._is_fresh = self._kit.line, True
@@ -348,37 +347,33 @@ class ETactileKitDriver(Driver):
     # -- the scans of the board -----------------------------------------------
 
     def _ask(self, body: bytes, *, drives: ProvedSequence | None = None) -> Span | None:
-        """Send commands and update the scan lock by the readings; return the time of execution."""
-        before, self._before = self._before, None
+        """Send commands; update the scan lock if a scan passed between the readings before and
+        these; return the time of execution."""
+        before, settings, self._before = self._before, self._settings, None
         if (answer := self._kit.exchange(body, ask=True, drives=drives)) is None:
             return None
-        span, readings = answer
+        span, now = answer
+        self._before = span.early, now
         # An answer during a scan takes as long as the scan.
         took_ns = span.late - span.early
         self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
-        if before is not None and self._settings is not None:
-            self._learn(self._settings, *before, span.late, readings)
-        self._before = span.early, readings
+        if before is None or settings is None:
+            return span
+        asked_ns, then = before
+        rises, falls = (then < LOW) & (now >= HIGH), (then >= HIGH) & (now < LOW)
+        if (rises | falls).any():
+            # A pulse whose discharge is short, or one without a width, as in scans without pulses.
+            rest_us = max(0, settings.discharge_us - SHORTEST_US)
+            if self._firmware == "71adee2":
+                # A query during a scan is answered after it: the whole scan has passed.
+                slots, early_ns = self._outputs, asked_ns
+                rest_us += settings.width_us if rises.any() else SHORTEST_US
+            else:
+                # That slot passed between the two queries; its scan began so much earlier.
+                slots = int((rises | falls).argmax())
+                early_ns = asked_ns - 1000 * slots * settings.scan_us(1, 25)
+            self._lock.learn(Span(early_ns, span.late - 1000 * slots * rest_us))
         return span
-
-    def _learn(
-        self, settings: Settings, asked_ns: int, before: Readings, answered_ns: int, now: Readings
-    ) -> None:
-        """Update the scan lock if a scan passed between two readings."""
-        rises, falls = (before < LOW) & (now >= HIGH), (before >= HIGH) & (now < LOW)
-        if not (rises | falls).any():
-            return
-        # A pulse whose discharge is short, or one without a width, as in scans without pulses.
-        rest_us = max(0, settings.discharge_us - SHORTEST_US)
-        if self._firmware == "71adee2":
-            # A query during a scan is answered after it: the whole scan has passed.
-            slot_us = rest_us + (settings.width_us if rises.any() else SHORTEST_US)
-            self._lock.learn(Span(asked_ns, answered_ns - 1000 * self._outputs * slot_us))
-            return
-        # That slot passed between the two queries; its scan began so much earlier.
-        slots = int((rises | falls).argmax())
-        early_ns = asked_ns - 1000 * slots * settings.scan_us(1, 25)
-        self._lock.learn(Span(early_ns, answered_ns - 1000 * slots * rest_us))
 
     def _between_scans(self, now_ns: int) -> int:
         """Return when an answer will come before the next scan can start, ns."""

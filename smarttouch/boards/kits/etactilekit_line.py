@@ -40,7 +40,7 @@ from smarttouch.base.errors import BoardError, OtherDeviceError, SilentBoardErro
 from smarttouch.base.posix import HAS_POSIX, prioritized
 from smarttouch.base.wire.port import LINE_ERRORS, Port, reason
 from smarttouch.boards import kits
-from smarttouch.boards.kits import Scale, one_against_all, watchdog
+from smarttouch.boards.kits import one_against_all, steps_of, watchdog
 from smarttouch.boards.line import Line
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -87,11 +87,10 @@ class Settings:
 
 
 def encode_pattern(
-    sequence: ScanSequence, wiring: NDArray[np.intp], scale: Scale, limits: SafetyLimits
+    sequence: ScanSequence, wiring: NDArray[np.intp], scale_ua: float, limits: SafetyLimits
 ) -> tuple[Settings, bytes]:
-    """Return the settings of a sequence and its pattern: the height of each output in counts, of
-    which neither rounding nor a scale that is wrong passes the limits; raise BoardError if its
-    slots need several polarities or widths, or a time that is out of reach."""
+    """Return the settings of a sequence and its pattern, the height of each output in counts; raise
+    BoardError if its slots need several polarities or widths, or a time that is out of reach."""
     electrode, current_ua = one_against_all(sequence)
     if len(np.unique(np.sign(current_ua))) > 1:
         raise BoardError(
@@ -118,11 +117,12 @@ def encode_pattern(
             f"a scan of {outputs} outputs takes {busy_us} µs, which does not fit "
             f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate"
         )
-    most = np.minimum(scale.most_counts(limits, width_us), LARGEST)[electrode]
-    counts = np.minimum(np.rint(np.abs(current_ua) / scale.measured_ua), most).astype(np.uint16)
+    level_ua = np.abs(current_ua)
+    steps = steps_of("etactilekit", scale_ua, limits, width_us, level_ua, electrode)
+    counts = np.minimum(steps, LARGEST)
     # A byte that looks like a command would be one, if that before it were lost.
     low = counts & 0xFF
-    counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0).astype(np.uint16)
+    counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0)
     heights = np.zeros(outputs, "<u2")
     heights[wiring[electrode]] = counts
     return settings, heights.tobytes()
@@ -197,16 +197,17 @@ class ETactileKitLine:
                 "that would put it at zero needs Linux or macOS: use simulated: here"
             )
         line.connect(name, self._watch)
+        assert self._watched is not None
         if line.reopened:
             if line.identity is None:
                 self._recognize()
-            self._arm()
+            self._watched.arm()
             line.write(self.zero)
         if line.identity is not None or not line.reopened:
             # Only a reset takes the time to boot.
             line.pause(kits.BOOT_S)
         capacity = self._identify()
-        self._arm()
+        self._watched.arm()
         return capacity
 
     @property
@@ -217,13 +218,6 @@ class ETactileKitLine:
     def _watch(self, port: Port) -> Port:
         self._watched = WatchedPort(port, self.zero)
         return self._watched
-
-    def _arm(self) -> None:
-        assert self._watched is not None
-        try:
-            self._watched.arm()
-        except LINE_ERRORS as error:
-            raise self.line.lost(f"has vanished ({reason(error)})") from None
 
     # -- detection -----------------------------------------------------------
 
@@ -371,7 +365,9 @@ class WatchedPort:
     def arm(self) -> None:
         """Let the watchdog put the board at zero from now on."""
         if self._beaten_ns is None:
-            self._send_beat()
+            # If it has ended already, the next write says so.
+            with contextlib.suppress(OSError):
+                self._send_beat()
             self._beating.start()
 
     def write(self, data: bytes) -> int:
@@ -442,9 +438,8 @@ class WatchedPort:
                 return
 
     def _send_beat(self) -> None:
-        beaten_ns = now_ns()
+        self._beaten_ns = now_ns()
         self._control.sendall(b".")
-        self._beaten_ns = beaten_ns
 
     def _is_stale(self) -> bool:
         # By a clock that also counts while the computer is suspended, where the system has one.

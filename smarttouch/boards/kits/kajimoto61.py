@@ -26,7 +26,7 @@ import numpy as np
 from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.boards import kits
 from smarttouch.boards.driver import Driver
-from smarttouch.boards.kits import one_against_all, require_kit
+from smarttouch.boards.kits import one_against_all, require_kit, steps_of
 from smarttouch.boards.line import Line
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.device import Output
@@ -53,17 +53,13 @@ class Kajimoto61Driver(Driver):
     )  # fmt: skip
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
-        self._scale = require_kit("kajimoto61", port, output, self.default_profile)
+        self.ua_per_count: float = require_kit("kajimoto61", port, output, self.default_profile)
         if limits.electrodes != ELECTRODES:
             raise BoardError(
                 f"a kajimoto61 board has {ELECTRODES} electrodes, the profile "
                 f"{limits.electrodes}: use the profile {self.default_profile}"
             )
-        self.port = port
-        self.ua_per_count = self._scale.measured_ua
-        self._step_ua = COUNTS_PER_BYTE * self.ua_per_count
-        most_counts = self._scale.most_counts(limits, WIDTH_US, COUNTS_PER_BYTE)
-        self._largest = np.minimum(LARGEST, most_counts)
+        self.port, self._limits = port, limits
         # When the next packet may go, and the period of the last one; None begins a new grid.
         self._next_ns: int | None = None
         self._skipped, self._note_ns = 0, 0
@@ -90,7 +86,7 @@ class Kajimoto61Driver(Driver):
         return Capabilities(
             electrodes=ELECTRODES,
             output="one-against-all",
-            max_current_ma=LARGEST * self._step_ua / 1000,
+            max_current_ma=LARGEST * COUNTS_PER_BYTE * self.ua_per_count / 1000,
             max_slots=ELECTRODES,
             time_to_zero_ms=13.0,
             firmware="kajimoto61 (it does not tell its version)",
@@ -128,9 +124,11 @@ class Kajimoto61Driver(Driver):
             )
         packet = np.zeros(1 + ELECTRODES, np.uint8)
         packet[0] = STIMULATE
-        # Neither rounding nor a wrong scale may exceed the limit that was proved.
-        steps = np.minimum(np.rint(-current_ua / self._step_ua), self._largest[electrode])
-        packet[1 + electrode] = steps.astype(np.uint8)
+        scale_ua, limits = self.ua_per_count, self._limits
+        steps = steps_of(
+            "kajimoto61", scale_ua, limits, WIDTH_US, -current_ua, electrode, COUNTS_PER_BYTE
+        )
+        packet[1 + electrode] = np.minimum(steps, LARGEST)
         return packet.tobytes()
 
     def write(self, proved: ProvedSequence) -> None:
@@ -159,18 +157,15 @@ class Kajimoto61Driver(Driver):
                 line.delivered(proved, 0, most=1)
                 raise
             line.delivered(proved, 1)
-            self._note_skipped((sent_ns - next_ns) // period_ns, sent_ns)
+            self._skipped += max(0, (sent_ns - next_ns) // period_ns)
+            if self._skipped and sent_ns >= self._note_ns:
+                # Once a minute.
+                line.board.notes.append(
+                    f"this computer was too slow: {self._skipped} sequences were skipped"
+                )
+                self._skipped, self._note_ns = 0, sent_ns + 60_000_000_000
             # After a late packet the grid moves, as catching up would exceed the proved rate; the
             # part of a period that is caught up lies within the board's own margin.
             next_ns = max(next_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
             self._period_ns = period_ns
         self._next_ns = next_ns
-
-    def _note_skipped(self, scans: int, now_ns: int) -> None:
-        """Count scans for which this computer was too slow; tell the user once a minute."""
-        self._skipped += max(0, scans)
-        if self._skipped and now_ns >= self._note_ns:
-            self._line.board.notes.append(
-                f"this computer was too slow: {self._skipped} sequences were skipped"
-            )
-            self._skipped, self._note_ns = 0, now_ns + 60_000_000_000

@@ -167,22 +167,14 @@ class Message:
     heard: int = 0
     about: int = 0
     payload: bytes = b""
-    version: int = VERSION
     state: int = 0
+    version: int = VERSION
 
 
-def encode(
-    kind: MessageKind,
-    session: int,
-    number: int,
-    heard: int = 0,
-    about: int = 0,
-    payload: bytes = b"",
-    state: int = 0,
-) -> bytes:
-    """Return a packet in its wire format."""
-    head = _HEAD.pack(state, session, heard, about)
-    return frame_packet(VERSION, kind, number, head, payload)
+def encode(message: Message) -> bytes:
+    """Return a message as a packet in its wire format."""
+    head = _HEAD.pack(message.state, message.session, message.heard, message.about)
+    return frame_packet(VERSION, message.kind, message.number, head, message.payload)
 
 
 def decode(packet: WirePacket) -> Message:
@@ -191,7 +183,7 @@ def decode(packet: WirePacket) -> Message:
         return Message(packet.kind, packet.number, version=packet.version)
     state, session, heard, about = _HEAD.unpack_from(packet.payload)
     payload = packet.payload[_HEAD.size :]
-    return Message(packet.kind, packet.number, session, heard, about, payload, VERSION, state)
+    return Message(packet.kind, packet.number, session, heard, about, payload, state)
 
 
 def decode_head(head: bytes) -> Message:

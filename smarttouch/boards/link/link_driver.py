@@ -38,16 +38,11 @@ ANSWER_S = 1.0
 ASKED_AGAIN_S = 0.25  # time after which a query is sent again
 PAUSED_S = 1.0  # time for which a pause of this computer explains what the board does
 LAST_NUMBER = 2**32 - 1
-AGAIN_S = 0.04
-"""Time after which a sequence without an ACK is sent again, unless it is too late for it."""
-AFTER_ZERO_S = 0.02
-"""Time after a stop in which the board's count of slots must stand still: a period at 50 Hz."""
-OLD_PACKETS = slice(8, 10)
-"""Places of packets refused as old and as of another session in a board's account."""
-MOST_COMPLIANCES = 2.1
-"""Bound of a slot's voltage: sources of both poles at their limit reach twice the compliance."""
-OPEN_SHARE = 0.97
-"""Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
+AGAIN_S = 0.04  # time after which a sequence without an ACK is sent again
+AFTER_ZERO_S = 0.02  # after a stop, in which no slot may be counted: a period at 50 Hz
+OLD_PACKETS = slice(8, 10)  # refused ones in a board's account: old, and of another session
+MOST_COMPLIANCES = 2.1  # of a slot: sources of both poles reach twice the compliance
+OPEN_SHARE = 0.97  # of the compliance: if all slots reach it, nothing touches the electrodes
 OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
 _PIECE = 1024  # bytes of kernels at once: nothing else can pass while they do
 _IDLE = 3  # times that nothing new may have been kept
@@ -178,7 +173,7 @@ class LinkSession:
         if kind in protocol.ANSWERS:
             self._asked[self.sent] = protocol.ANSWERS[kind]
         session = self.number & HALF if kind == MessageKind.HELLO else self.number
-        return protocol.encode(kind, session, self.sent, self._taken, about, payload)
+        return protocol.encode(Message(kind, self.sent, session, self._taken, about, payload))
 
     def send(
         self,
@@ -205,11 +200,6 @@ class LinkSession:
 
     def _put(self, packet: bytes, proved: ProvedSequence | None) -> None:
         self.line.write(packet, proved)
-
-    def stop_blindly(self) -> None:
-        """Write a STOP to a line that has failed, which may still carry it."""
-        with contextlib.suppress(BoardError):
-            self._put(b"\0" + self.encode(MessageKind.STOP), None)
 
     def fail(self, fault: BoardError) -> None:
         """Keep the first fault for the next call."""
@@ -312,9 +302,7 @@ class LinkDriver(Driver):
             raise BoardError("link: needs a port, for example link:/dev/ttyACM0")
         self.port = port
         self._session: LinkSession = LinkSession(self._receive)
-        self._flight: SentPart | None = None  # without an answer: the board has room for one
-        self._repeated: deque[int] = deque(maxlen=64)
-        """Sequences sent more than once: they may be answered more than once."""
+        self._flight: SentPart | None = None  # without an answer
         self._again_s = 0.0
         self._output, self._limits = output, limits
         self.can: Capabilities | None = None  # of the board, once it has been asked
@@ -368,8 +356,13 @@ class LinkDriver(Driver):
         ):
             self._number += 1
             with session.news:
-                if self._flight is not None:
-                    self._wait_for_room(self._flight.number)
+                # The board has room for one.
+                if (flight := self._flight) is not None and not session.wait(
+                    lambda: not self._flight or session.fault is not None or line.is_stopped,
+                    session.answer_s,
+                ):
+                    unheard = f"sequence {flight.number} within {session.answer_s:g} s"
+                    raise line.lost(f"has not acknowledged {unheard}")
                 if session.fault is not None:
                     raise session.fault
                 line.require_running()
@@ -387,17 +380,6 @@ class LinkDriver(Driver):
                 self._flight = None
                 raise
 
-    def _wait_for_room(self, number: int) -> None:
-        """Wait until the sequence on its way is answered, with the session's `news` held."""
-        session, line = self._session, self._line
-
-        def is_over() -> bool:
-            return self._flight is None or session.fault is not None or line.is_stopped
-
-        if not session.wait(is_over, session.answer_s):
-            what = f"has not acknowledged sequence {number} within {session.answer_s:g} s"
-            raise line.lost(what)
-
     def zero(self) -> None:
         """Stop the board; latch it if it delivers slots after it has confirmed that."""
         session = self._session
@@ -405,10 +387,11 @@ class LinkDriver(Driver):
             session.news.notify_all()
         if not session.begun:
             return
-        if session.fault is not None:
-            session.stop_blindly()
-            return
         try:
+            if session.fault is not None:
+                # A line that has failed may still carry it.
+                session.send(MessageKind.STOP)
+                return
             session.ask(MessageKind.STOP)
         except BoardError:
             # A lost board has been reported, or will be at the next send.
@@ -430,7 +413,8 @@ class LinkDriver(Driver):
         session = self._session
         if session.begun:
             # A board still in its session would refuse the next HELLO; after a stop this is barred.
-            session.stop_blindly()
+            with contextlib.suppress(BoardError):
+                session.send(MessageKind.STOP)
         session.close()
 
     def idle(self) -> float | None:
@@ -444,20 +428,15 @@ class LinkDriver(Driver):
             session.fail(fault)
             raise fault
         # Nothing newer can go out between the look and the write.
-        with self._line.current():
-            with session.news:
-                now_s, flight = session.now_s(), self._flight
-                if flight is not None and now_s < self._again_s:
-                    flight = None
-                if flight is not None:
-                    self._again_s = now_s + AGAIN_S
-                    self._repeated.append(flight.number)
-                    self._unsafe_refused += 1
-            if flight is not None:
+        with self._line.current(), session.news:
+            now_s, flight = session.now_s(), self._flight
+            if flight is not None and now_s >= self._again_s:
+                self._again_s = now_s + AGAIN_S
+                self._unsafe_refused += 1
+                payload, proved = flight.part.payload, flight.proved
                 # If it is late, the next sequence reports that the board is lost. It has the same
                 # number: the board recognizes it if only the ACK was lost.
                 with contextlib.suppress(SequenceLateError):
-                    payload, proved = flight.part.payload, flight.proved
                     session.send(MessageKind.SEQUENCE, flight.number, payload, proved=proved)
         if session.begun and now_s - session.written_s > HEARTBEAT_S:
             session.send(MessageKind.HEARTBEAT)
@@ -497,9 +476,7 @@ class LinkDriver(Driver):
             most_kernels=keeps * kernels, packet_bytes=packet, acknowledges=True,
         )  # fmt: skip
         if can.emergency_switch and answer.state & protocol.SWITCH_OPEN:
-            raise EmergencyStopError(
-                f"the emergency switch of the board at {name} is open: close it, then begin again"
-            )
+            raise self._emergency()
         if before not in (None, can):
             raise OtherDeviceError(f"the board at {name} now is another: only HELLO was sent to it")
         wanted = can.output if self._output is None else self._output.kind
@@ -605,7 +582,7 @@ class LinkDriver(Driver):
                     time_ns = session.start_ns(board_us, sent.sent_ns, session.now_ns())
                     if not sent.part.first:
                         line.started(sent.proved, time_ns, board_us)
-                elif message.about not in self._repeated:
+                else:
                     session.refuse()
             case MessageKind.NAK:
                 self._refused(message)
@@ -638,7 +615,7 @@ class LinkDriver(Driver):
 
     def _emergency(self) -> EmergencyStopError:
         return EmergencyStopError(
-            f"the emergency switch of the board at {self._line.name} was opened: all electrodes "
+            f"the emergency switch of the board at {self._line.name} is open: all electrodes "
             "are at zero; close it, then begin again"
         )
 
@@ -653,8 +630,7 @@ class LinkDriver(Driver):
             # Our own part of it is sent again; REPORT counts the rest.
             return
         if self._flight is None or self._flight.number != message.about:
-            if message.about not in self._repeated:
-                session.refuse()
+            session.refuse()
             return
         self._flight = None
         line.board.refused += 1
