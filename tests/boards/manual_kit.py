@@ -30,8 +30,9 @@ class ManualClock:
         return self.time_ns
 
     def wait_until(self, deadline_ns, stop):
-        late_ns = US * self.random.expovariate(1 / self.late_us) if self.late_us else 0
-        self.time_ns = max(self.time_ns, deadline_ns) + int(late_ns)
+        if deadline_ns > self.time_ns:
+            late_ns = US * self.random.expovariate(1 / self.late_us) if self.late_us else 0
+            self.time_ns = deadline_ns + int(late_ns)
 
     def sleep(self, seconds):
         self.time_ns += int(1e9 * seconds)

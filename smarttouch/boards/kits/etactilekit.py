@@ -190,6 +190,7 @@ class ETactileKitDriver(Driver):
         """Start without knowledge of the board's scans."""
         self._on_board = b""  # pattern of the board; empty if not certain
         self._settings: Settings | None = None  # what it pulses with; None if not certain
+        self._scan_ns = 0  # how long its scans take
         self._lock = ScanLock(1)
         self._shown: ShownPattern | None = None
         # The time of the last query, and its readings.
@@ -288,7 +289,7 @@ class ETactileKitDriver(Driver):
         if not sequence.slots or pattern == self._nothing:
             line.delivered(proved, 0)
             for _ in range(proved.times):
-                self._wait(line.now_ns() + 1000 * sequence.period_us)
+                line.wait_until(line.now_ns() + 1000 * sequence.period_us)
                 if line.has_newer():
                     return
             return
@@ -311,7 +312,7 @@ class ETactileKitDriver(Driver):
             return False
         # Settings and the board's own scans decide when it can begin.
         begin_ns = self._between_scans(line.now_ns())
-        self._wait(begin_ns)
+        line.wait_until(begin_ns)
         if (span := self._ask(GO, drives=line.later(proved, begin_ns))) is None:
             self._on_board = b""
             return False
@@ -333,8 +334,8 @@ class ETactileKitDriver(Driver):
                 return False
         if settings.rate_hz != before_hz:
             # The newest firmware finishes the current period.
-            self._wait(self._kit.line.now_ns() + 10**9 // before_hz + MARGIN_NS)
-        self._settings = settings
+            self._kit.line.wait_until(self._kit.line.now_ns() + 10**9 // before_hz + MARGIN_NS)
+        self._settings, self._scan_ns = settings, 1000 * settings.scan_us(self._outputs)
         return True
 
     def _load(self, pattern: bytes) -> bool:
@@ -381,8 +382,8 @@ class ETactileKitDriver(Driver):
         lock.check(now_ns)
         if lock.last is None:
             # In the newest firmware a scan that began before the stop may still run.
-            return max(now_ns, self._stopped_ns + self._scan_ns())
-        answer_ns = min(3 * self._answer_ns, (lock.period_ns - self._scan_ns()) // 3)
+            return max(now_ns, self._stopped_ns + self._scan_ns)
+        answer_ns = min(3 * self._answer_ns, (lock.period_ns - self._scan_ns) // 3)
         number = lock.first_after(now_ns)
         before, following = lock.scan(number - 1), lock.scan(number)
         if before.late > now_ns:
@@ -406,13 +407,13 @@ class ETactileKitDriver(Driver):
                 if coming.late - coming.early > WIDE_NS:
                     ask_ns = min(ask_ns, (coming.early + coming.late) // 2)
                 last_ns = lock.scan(lock.first_after(shown.since.late) + times - 1).late
-            over_ns = last_ns + self._scan_ns() + MARGIN_NS
+            over_ns = last_ns + self._scan_ns + MARGIN_NS
             if now_ns >= over_ns:
-                self._wait(self._between_scans(now_ns))
+                line.wait_until(self._between_scans(now_ns))
                 return
             # A newer sequence may come meanwhile.
             until_ns = min(over_ns, ask_ns, now_ns + lock.period_ns)
-            self._wait(until_ns)
+            line.wait_until(until_ns)
             now_ns = line.now_ns()
             if until_ns == ask_ns:
                 asked_ns = now_ns
@@ -427,11 +428,6 @@ class ETactileKitDriver(Driver):
             shown.is_seen = True
             if scan is not None and scan.late >= shown.since.early:
                 shown.since = Span(scan.early - 1, scan.early - 1)
-
-    def _scan_ns(self) -> int:
-        """Return the duration of a scan."""
-        assert self._settings is not None
-        return 1000 * self._settings.scan_us(self._outputs)
 
     def _stop_pulses(self) -> None:
         """Stop all pulses, and report the scans of the shown pattern."""
@@ -470,7 +466,3 @@ class ETactileKitDriver(Driver):
         pulsed[self._wiring[sequence.site]] = False
         if pulsed.any():
             raise line.fault(f"output {pulsed.argmax()} pulsed, and its pattern has no pulse there")
-
-    def _wait(self, until_ns: int) -> None:
-        if until_ns > self._kit.line.now_ns():
-            self._kit.line.wait_until(until_ns)

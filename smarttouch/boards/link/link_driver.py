@@ -24,7 +24,7 @@ from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer
 from smarttouch.boards import link as protocol
 from smarttouch.boards.driver import Driver
 from smarttouch.boards.line import Line
-from smarttouch.boards.link import HALF, VERSION, Message, MessageKind, Refusal, Rule
+from smarttouch.boards.link import HALF, VERSION, Feature, Message, MessageKind, Refusal, Rule
 from smarttouch.boards.link import sequence_encoding as encoding
 from smarttouch.boards.reports import BoardReport, Capabilities
 from smarttouch.profile.device import Output
@@ -140,13 +140,12 @@ class LinkSession:
         kind, first = protocol.ANSWERS[question], self.sent + 1
         deadline_s = self.now_s() + (self.answer_s if within_s is None else within_s)
 
-        def is_answered() -> bool:
+        def is_over() -> bool:
             reply = self._answers.get(kind)
             # An answer of another version may name no query.
-            return reply is not None and (reply.about >= first or reply.version != VERSION)
-
-        def is_over() -> bool:
-            return self.fault is not None or is_answered() or self.line.is_stopped
+            if reply is not None and reply.about < first and reply.version == VERSION:
+                del self._answers[kind]
+            return self.fault is not None or kind in self._answers or self.line.is_stopped
 
         while self.now_s() < deadline_s:
             self.send(question, payload=payload)
@@ -156,7 +155,7 @@ class LinkSession:
                 if self.fault is not None:
                     raise self.fault
                 self.line.require_running()
-                if is_answered():
+                if kind in self._answers:
                     return self._answers.pop(kind)
         raise SilentBoardError(
             f"the board at {self.line.name} does not answer: check that it is on and speaks link "
@@ -307,14 +306,11 @@ class LinkDriver(Driver):
         self._output, self._limits = output, limits
         self.can: Capabilities | None = None  # of the board, once it has been asked
         self._number = 0
-        self._account: tuple[Any, ...] | None = None
-        """Account of the board at zero, since it was stopped."""
-        self._account_before: tuple[Any, ...] = ()
-        """Account of the board when it was opened, or opened again after its line was lost."""
-        self._refused_before = 0  # packets that it had refused when it was opened
-        self._slots_sent = 0  # slots sent since then, repetitions included
-        self._unsafe_refused = 0
-        """Sequences refused as unsafe since then, and those sent again: they may count twice."""
+        self._account: tuple[Any, ...] | None = None  # of the board at zero, since it was stopped
+        self._account_before: tuple[Any, ...] = ()  # when it was opened, at first or again
+        self._refused_before = 0  # packets that it had refused when it was opened at first
+        self._slots_sent = 0  # since it was opened, at first or again, repetitions included
+        self._unsafe_refused = 0  # sequences; those sent again may count twice
         self._suspicion = ""  # fault found in what the board says, until the board is latched
         self._table: KernelTable | None = None
         self._image: encoding.KernelImage | None = None
@@ -462,17 +458,16 @@ class LinkDriver(Driver):
         )
         if kind >= len(protocol.OUTPUTS):
             raise BoardError(f"the board at {name} has outputs of unknown kind {kind}")
-        can_do = protocol.Feature
-        keeps = bool(able & can_do.KERNELS)
+        keeps = bool(able & Feature.KERNELS)
         can = Capabilities(
             electrodes=electrodes, output=protocol.OUTPUTS[kind], max_current_ma=current_ua / 1000,
             max_slots=slots, time_to_zero_ms=zero_ms,
             firmware=answer.payload[end:].decode("utf-8", "replace"),
-            measures=bool(able & can_do.VOLTAGE), force=bool(able & can_do.FORCE),
+            measures=bool(able & Feature.VOLTAGE), force=bool(able & Feature.FORCE),
             compliance_v=float(volts) or None,
             # A recharge phase needs a source for each electrode.
-            recharges=bool(able & can_do.RECHARGE) and protocol.OUTPUTS[kind] == "weighted",
-            emergency_switch=bool(able & can_do.EMERGENCY), kernel_bytes=keeps * room,
+            recharges=bool(able & Feature.RECHARGE) and protocol.OUTPUTS[kind] == "weighted",
+            emergency_switch=bool(able & Feature.EMERGENCY), kernel_bytes=keeps * room,
             most_kernels=keeps * kernels, packet_bytes=packet, acknowledges=True,
         )  # fmt: skip
         if can.emergency_switch and answer.state & protocol.SWITCH_OPEN:
@@ -541,11 +536,8 @@ class LinkDriver(Driver):
 
     def status(self) -> BoardReport:
         """Return the board's report; latch the board if that has what was not sent."""
-        now, before, limits = (
-            self._account or self._ask_account(),
-            self._account_before,
-            self._limits,
-        )
+        now, limits = self._account or self._ask_account(), self._limits
+        before = self._account_before
         violations, slots = now[3] - before[3], now[1] - before[1]
         largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
         fault = self._line.fault
@@ -589,8 +581,8 @@ class LinkDriver(Driver):
             case MessageKind.ALIVE:
                 if can is not None and can.force and len(payload) == protocol.ALIVE.size:
                     line.board.force_n = protocol.ALIVE.unpack(payload)[0] / 1000
-            case MessageKind.VOLTAGES if (about := self._sent.get(message.about)) is not None:
-                self._note_volts(about, payload)
+            case MessageKind.VOLTAGES if message.about in self._sent:
+                self._note_volts(self._sent[message.about], payload)
             case _:
                 session.refuse()
 

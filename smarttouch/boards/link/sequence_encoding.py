@@ -80,13 +80,11 @@ def encode_scan(
     waiting, columns = [(0, sequence.slots)], _columns(sequence, switched, image)
     while waiting:
         start, end = waiting.pop()
-        payload, middle = (
-            _payload(sequence, columns, start, end, times, measure),
-            (start + end) // 2,
-        )
+        payload = _payload(sequence, columns, start, end, times, measure)
         if len(payload) <= most_bytes and end - start <= most_slots:
             parts.append(ScanPart(payload, start, end - start))
         elif end - start > 1 and times == 1:
+            middle = (start + end) // 2
             waiting += [(middle, end), (start, middle)]
         elif image is not None:
             # One slot may have too many kernels.
@@ -126,12 +124,9 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
             f"{len(shapes)} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
             "choose fewer pulse widths"
         )
-    site, current_ua, lists = (
-        sequence.site[:, None].astype("<u2"),
-        sequence.current_ua,
-        sequence.sums,
-    )
-    if switched:
+    site, current_ua = sequence.site[:, None].astype("<u2"), sequence.current_ua
+    lists = sequence.sums
+    if switched and sequence.slots:
         rows = _switched_rows(site, current_ua)
     else:
         rows = np.concatenate([site.view("<i2"), current_ua.astype("<i2", copy=False)], axis=1)
@@ -168,10 +163,8 @@ def _switched_rows(site: NDArray[np.uint16], current_ua: NDArray[np.int16]) -> N
             f"{_U16_MAX / 1000:.1f} mA: lower the currents",
             slot=int(source_ua.argmax()),
         )
-    bits = np.stack([current_ua > 0, current_ua < 0], axis=-1)
-    states = np.packbits(
-        bits.reshape(len(site), 2 * current_ua.shape[1]), axis=1, bitorder="little"
-    )
+    bits = np.stack([current_ua > 0, current_ua < 0], axis=-1).reshape(len(site), -1)
+    states = np.packbits(bits, axis=1, bitorder="little")
     source = source_ua.astype("<u2")[:, None]
     return np.concatenate([site.view(np.uint8), source.view(np.uint8), states], axis=1)
 
