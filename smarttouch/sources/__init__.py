@@ -54,7 +54,6 @@ def source_url(name: str) -> str:
     Raises a SourceError for what may be a misspelt kind of source or a missing file.
     """
     kind, colon, rest = name.partition(":")
-    known = SOURCES.names
     # "Note: this" and "3:30 p.m." are words.
     if colon and _KIND.fullmatch(kind) and not (rest[:1].isspace() or kind.isdecimal()):
         return name
@@ -62,6 +61,7 @@ def source_url(name: str) -> str:
     path = named_file(address, SourceError) if file_at(name) is None else Path(name)
     if path is not None:
         return f"{kind_of(path)}:{name}"
+    known = SOURCES.names  # reads what is installed, which takes a while
     if name in known or (len(name) > 3 and get_close_matches(name.lower(), known, 1, 0.8)):
         raise unknown("source", name, known, SourceError)
     return f"text:{name}"

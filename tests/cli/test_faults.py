@@ -12,6 +12,7 @@ from smarttouch.emulator.firmware import read_state
 from smarttouch.running.pipeline import Pipeline
 
 from ..boards.fresh import until
+from ..support.full import sample
 from .conftest import PRESSED
 
 PATIENCE_S = 60
@@ -34,9 +35,9 @@ def ending(host):
     return host.returncode, output, errors
 
 
-@pytest.mark.parametrize(("number", "name"), [
+@pytest.mark.parametrize(("number", "name"), sample([
     (signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP"),
-])  # fmt: skip
+]))  # fmt: skip
 def test_signals_end_in_order(running, number, name):
     host, emulator, books = running
     host.send_signal(number)

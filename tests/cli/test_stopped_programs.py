@@ -13,7 +13,7 @@ from smarttouch.emulator.firmware import read_state
 from smarttouch.running.recording import RecordedRun
 
 from ..boards.fresh import starter, until
-from ..support.full import WHOLE
+from ..support.full import WHOLE, sample
 
 PATIENCE_S = 60
 SOURCE = Path(__file__).with_name("programs.py")
@@ -73,10 +73,10 @@ def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_pa
     assert read_state(books)["slots"] == after["slots"]
 
 
-@pytest.mark.parametrize(("kind", "number"), [
-    ("run", signal.SIGTERM), ("session", signal.SIGHUP), ("thread", signal.SIGTERM),
+@pytest.mark.parametrize(("kind", "number"), sample([
+    ("session", signal.SIGHUP), ("run", signal.SIGTERM), ("thread", signal.SIGTERM),
     ("board", signal.SIGHUP),
-])  # fmt: skip
+]))  # fmt: skip
 def test_a_signal_ends_a_program_at_zero_with_its_recording(start, tmp_path, kind, number):
     process, books = start(kind)
     until(lambda: read_state(books)["slots"] > 50)

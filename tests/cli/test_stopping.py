@@ -13,6 +13,7 @@ from smarttouch.emulator.device_lines import PtyLine
 from smarttouch.emulator.firmware import read_state
 
 from ..boards.fresh import until
+from ..support.full import sample
 from ..support.processes import PROGRAM, Forked
 from .conftest import PRESSED
 
@@ -27,9 +28,9 @@ def deaf():
     os.close(line._master)
 
 
-@pytest.mark.parametrize(("number", "name"), [
-    (signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP"),
-])  # fmt: skip
+@pytest.mark.parametrize(("number", "name"), sample([
+    (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP"), (signal.SIGINT, "Ctrl-C"),
+]))  # fmt: skip
 def test_a_signal_while_a_board_is_being_opened(start_program, deaf, number, name):
     port, written = deaf
     process = start_program("live", "--board", f"link:{port}", "--intensity", "1")

@@ -29,12 +29,14 @@ _SUBREAPER = 36
 _LONGEST = 1 << 20
 _MOST_FILES = 1 << 10
 _IMPORTED = (
-    "smarttouch.boards.kits.etactilekit", "smarttouch.boards.kits.kajimoto61",
+    "scipy.spatial", "smarttouch.boards.kits.etactilekit", "smarttouch.boards.kits.kajimoto61",
+    "smarttouch.boards.link.link_driver", "smarttouch.emulator.__main__",
     "smarttouch.emulator.etactilekit_firmware", "smarttouch.emulator.kajimoto61_firmware",
-    "smarttouch.emulator.link_firmware", "smarttouch.views.terminal_session",
-    "smarttouch.emulator.__main__", "smarttouch.emulator.devices",
-    "smarttouch.running.check_recording", "smarttouch.sources.force",
-    "smarttouch.sources.virtual_finger",
+    "smarttouch.emulator.link_firmware", "smarttouch.experiments.calibration",
+    "smarttouch.reading.braille_lines", "smarttouch.reading.letter_shapes",
+    "smarttouch.running.check_recording",
+    "smarttouch.running.recorder", "smarttouch.sources.virtual_finger",
+    "smarttouch.views.terminal_session", "smarttouch.views.window",
 )  # fmt: skip
 
 
