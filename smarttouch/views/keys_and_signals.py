@@ -1,23 +1,23 @@
-"""Keys and signals of a command in a terminal: it can be stopped at any instant."""
+"""Keys, output and signals of a command in a terminal: it can be stopped at any instant."""
 
+import contextlib
 import functools
 import os
 import select
 import sys
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from smarttouch.base.posix import termios, tty
 from smarttouch.base.stopping import RunStopped, StopRequest
 from smarttouch.boards.shutdown import current_command, running_command
 
-if TYPE_CHECKING:
-    pass
-
 LOST = ""  # key that stands for a terminal that is gone
 JOIN_S = 0.3  # longest time that the end waits for a key that is being handled
+_TURN_S = 0.05  # longest time until something new is drawn
 _before: list[list[Any]] = []  # the terminal's own settings, while they are changed
 
 
@@ -29,47 +29,157 @@ def restore() -> None:
             termios.tcsetattr(sys.stdin, termios.TCSANOW, _before.pop())
 
 
-@contextmanager
-def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
-    """Pass every key to a function, from a thread, until the block ends: arrow keys as ``up``,
-    ``down``, ``left`` and ``right``, a lost terminal as `LOST`."""
-    if termios is None or not sys.stdin.isatty():
-        yield
-        return
-    over = threading.Event()
-    thread = threading.Thread(target=_listen, args=(on_key, over), name="keyboard", daemon=True)
-    _before.append(termios.tcgetattr(sys.stdin))
-    try:
-        # Now, not after pending output, which may never be read.
-        tty.setcbreak(sys.stdin, termios.TCSANOW)
-        thread.start()
-        yield
-    finally:
-        over.set()
-        if thread.ident is not None:
-            thread.join(JOIN_S)
-        restore()
+class Output:
+    """A standard stream to draw on: what a terminal does not take yet waits here.
+
+    A `Terminal` sends it, as much at a time as goes without waiting. Where the system has no such
+    writes, or the stream is no file, it is written at once.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self.number: int | None = None
+        """Descriptor to send by, while a terminal's thread does."""
+        self.waiting = bytearray()
+        self.failure: OSError | None = None
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def open(self) -> None:
+        """Let what is written wait from now on."""
+        if termios is None:
+            return
+        with suppress(OSError, ValueError, AttributeError):
+            self._stream.flush()
+            number = self._stream.fileno()
+            try:
+                # Opened again, it does not wait, and all others who have it open still do.
+                flags = os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK
+                self.number = os.open(os.ttyname(number), flags)
+            except OSError:
+                self.number = os.dup(number)
+
+    def write(self, text: str) -> int:
+        if self.number is not None:
+            self.waiting += text.encode(self._stream.encoding or "utf-8", "backslashreplace")
+        else:
+            waiting = self.waiting.decode(self._stream.encoding or "utf-8") if self.waiting else ""
+            self.waiting.clear()
+            self._stream.write(waiting + text)
+        return len(text)
+
+    def flush(self) -> None:
+        if self.number is None:
+            self._stream.flush()
+
+    def send(self) -> None:
+        """Send what is taken at once."""
+        assert self.number is not None
+        try:
+            # So much a pipe takes at once, too, where it takes anything.
+            del self.waiting[: os.write(self.number, self.waiting[: select.PIPE_BUF])]
+        except BlockingIOError:
+            time.sleep(_TURN_S)
+        except OSError as error:
+            self.failure = self.failure or error
+            self.waiting.clear()
+
+    def close(self) -> None:
+        """Write at once from now on; what nobody took comes first."""
+        number, self.number = self.number, None
+        if number is not None:
+            os.close(number)
 
 
-def _listen(on_key: Callable[[str], None], over: threading.Event) -> None:
-    number = sys.stdin.fileno()
-    while not over.is_set():
-        if not select.select([number], [], [], 0.1)[0]:
-            continue
+class Terminal:
+    """The one thread for a terminal: it hears keys, draws and sends, and waits for no output.
+
+    ``on_key`` gets every key, arrow keys as ``up``, ``down``, ``left`` and ``right``, a lost
+    terminal as `LOST`. ``draw`` is called again and again.
+    """
+
+    def __init__(
+        self,
+        on_key: Callable[[str], None] | None = None,
+        outputs: Sequence[Output] = (),
+        draw: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._on_key, self._outputs, self._draw = on_key, outputs, draw
+        self._over, self._left = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._work, name="terminal", daemon=True)
+
+    def open(self) -> None:
+        """Hear keys, if there is a keyboard, and draw, from now on."""
+        if termios is None or not sys.stdin.isatty():
+            self._on_key = None
+        for output in self._outputs:
+            output.open()
+        if self._on_key is not None:
+            _before.append(termios.tcgetattr(sys.stdin))
+            # Now, not after pending output, which may never be read.
+            tty.setcbreak(sys.stdin, termios.TCSANOW)
+        if self._on_key is not None or self._outputs:
+            self._thread.start()
+
+    def close(self, patience_s: float = 0.0) -> None:
+        """Draw and send the rest, if that is taken in time, and restore the terminal."""
+        self._over.set()
+        if self._thread.ident is not None:
+            self._thread.join(patience_s)
+            self._left.set()
+            self._thread.join(JOIN_S)
+        if self._on_key is not None:
+            restore()
+        for output in self._outputs:
+            output.close()
+
+    def _work(self) -> None:
+        on_key = self._on_key
         try:
-            data = os.read(number, 64)
-        except OSError:
-            data = b""
-        try:
-            for key in _keys(data.decode("utf-8", "replace")):
-                on_key(key)
+            while not self._left.is_set():
+                over = self._over.is_set()
+                self._draw()
+                waiting = [output for output in self._outputs if output.waiting]
+                if over and not waiting:
+                    return
+                keys = [] if on_key is None or over else [sys.stdin.fileno()]
+                numbers = [output.number for output in waiting if output.number is not None]
+                if not keys and not numbers:
+                    self._over.wait(_TURN_S)
+                    continue
+                heard, taken, _ = select.select(keys, numbers, [], _TURN_S)
+                for output in waiting:
+                    if output.number in taken:
+                        output.send()
+                if heard and on_key is not None and not _pass_keys(keys[0], on_key):
+                    on_key = None
         except BaseException:
             # Otherwise this thread dies, and even `q` stops working.
-            on_key(LOST)
+            (on_key or (lambda _key: None))(LOST)
             raise
-        if not data:
-            on_key(LOST)
-            return
+
+
+@contextmanager
+def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
+    """Pass every key to a function, from a thread, until the block ends; see `Terminal`."""
+    terminal = Terminal(on_key)
+    with contextlib.closing(terminal):
+        terminal.open()
+        yield
+
+
+def _pass_keys(number: int, on_key: Callable[[str], None]) -> bool:
+    """Pass on what was pressed; return whether there may be more."""
+    try:
+        data = os.read(number, 64)
+    except OSError:
+        data = b""
+    for key in _keys(data.decode("utf-8", "replace")):
+        on_key(key)
+    if not data:
+        on_key(LOST)
+    return bool(data)
 
 
 def _keys(text: str) -> Iterator[str]:

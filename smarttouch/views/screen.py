@@ -2,14 +2,14 @@
 
 import sys
 import textwrap
-import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cached_property, partial
 from itertools import zip_longest
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import Any, TextIO, cast
 
 import numpy as np
 from rich.cells import cell_len, set_cell_size
@@ -25,6 +25,7 @@ from smarttouch.base.events import Advice, Event
 from smarttouch.running.step import FirstPulse, Listener, RunContext, StepResult
 from smarttouch.views import terminal
 from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, Row, image_rows
+from smarttouch.views.keys_and_signals import Output, Terminal
 
 _REFRESH_S = 0.2
 _LEAST_REST = 20  # time between two redraws, at least so many times what the last one took
@@ -38,39 +39,52 @@ Rows = tuple[tuple[str, str], ...]
 
 
 class Screen(Listener):
-    """Shows a run from a thread of its own, so that no pulse waits for the terminal; and summarizes
-    it. Where nothing can be drawn, or if plain, it prints a line for each event and each new title
-    of the source."""
+    """Shows a run, hears its keys, and summarizes it, in a thread of its own, so that no pulse
+    waits for the terminal, and no key either. Where nothing can be drawn, or if plain, it prints a
+    line for each event and each new title of the source. ``keys_of`` makes what gets the keys."""
 
-    def __init__(self, url: str, keys_help: str = "", plain: bool = False) -> None:
+    def __init__(
+        self,
+        url: str,
+        keys_help: str = "",
+        plain: bool = False,
+        keys_of: Callable[[RunContext], Callable[[str], None]] | None = None,
+    ) -> None:
         super().__init__()
         self._url = url
-        self._console = terminal.console()
+        self._console, self._errors = terminal.console(), terminal.console(stderr=True)
         self._plain = plain or not terminal.draws()
         self._title = ""
         self._early: list[str] | None = []  # lines on what happened before the board was open
         self._latest: StepResult | None = None
         self._pulse: FirstPulse | None = None
         self._event = ""
-        self._keys = keys_help + _KEYS
+        self._keys, self._keys_of = keys_help + _KEYS, keys_of
         self._live: Live | None = None
-        self._acts: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
-        self._thread: threading.Thread | None = None
+        self._acts: SimpleQueue[Callable[[], object]] = SimpleQueue()
+        self._outputs = [Output(self._console.file), Output(self._errors.file)]
+        self._console.file, self._errors.file = (cast(TextIO, each) for each in self._outputs)
+        self._terminal: Terminal | None = None
         self._failure: BaseException | None = None  # of the terminal, raised in the run's thread
+        self._drawn: object = None
+        self._rests_until_s = 0.0
 
     def prepare(self, run: RunContext) -> None:
         self._source, self._profile, self._controls = run.source, run.profile, run.controls
         self._board, self._statistics = run.board, run.statistics
         self._full_ma = float(run.profile.full_ma.max())
-        if self._plain:
-            return
-        # Drawing must not hold the loop up for a whole default interval of 5 ms.
-        self._interval = sys.getswitchinterval()
-        sys.setswitchinterval(0.0005)
-        self._live = Live(
-            console=self._console, get_renderable=self._render, auto_refresh=False, transient=True
-        )
-        self._later(partial(self._live.start, refresh=True))
+        if not self._plain:
+            # Drawing must not hold the loop up for a whole default interval of 5 ms.
+            self._interval = sys.getswitchinterval()
+            sys.setswitchinterval(0.0005)
+            self._live = Live(
+                console=self._console, get_renderable=self._render, auto_refresh=False,
+                transient=True,
+            )  # fmt: skip
+            self._acts.put(partial(self._live.start, refresh=True))
+        on_key = None if self._keys_of is None else self._keys_of(run)
+        self._terminal = Terminal(on_key, self._outputs, self._draw)
+        self._terminal.open()
 
     @cached_property
     def _array(self) -> ArrayPicture:
@@ -100,7 +114,7 @@ class Screen(Listener):
         """Show the newest event; advice stays."""
         self._event = f"{event.time_ns / 1e9:.1f} s: {event}"
         if isinstance(event, Advice):
-            console = terminal.console(stderr=True) if self._live is None else self._console
+            console = self._errors if self._live is None else self._console
             self._later(
                 partial(console.print, str(event), soft_wrap=True, highlight=False, markup=False)
             )
@@ -115,21 +129,19 @@ class Screen(Listener):
 
     def close(self) -> None:
         """Restore the terminal, unless it has stopped reading."""
-        if self._live is not None:
-            self._acts.put(self._live.stop)
+        live, self._live = self._live, None
+        if live is not None:
+            self._acts.put(live.stop)
             sys.setswitchinterval(self._interval)
-        thread, self._thread = self._thread, None
-        if thread is not None:
-            self._acts.put(None)
-            thread.join(_CLOSES_WITHIN_S)
-        self._live = None
+        shown, self._terminal = self._terminal, None
+        if shown is not None:
+            shown.close(_CLOSES_WITHIN_S)
+        else:
+            self._draw()
 
     def _later(self, act: Callable[[], object]) -> None:
         """Let the screen's thread do something, after what it was told before."""
         self._raise_failure()
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._work, name="screen", daemon=True)
-            self._thread.start()
         self._acts.put(act)
 
     def _raise_failure(self) -> None:
@@ -137,27 +149,27 @@ class Screen(Listener):
         if failure is not None:
             raise failure
 
-    def _work(self) -> None:
-        """Print what comes, and redraw what has changed; less often while the machine is busy."""
-        drawn: object = None
-        rest_s = _REFRESH_S
-        while True:
-            live = self._live
-            try:
-                act = self._acts.get(timeout=None if live is None else rest_s)
-            except Empty:
-                assert live is not None
+    def _draw(self) -> None:
+        """Print what has come, and redraw what has changed; less often while the machine is busy,
+        and never ahead of a terminal that takes nothing."""
+        began_s, live = time.monotonic(), self._live
+        try:
+            with suppress(Empty):
+                while True:
+                    self._acts.get_nowait()()
+            ready = not self._outputs[0].waiting and began_s >= self._rests_until_s
+            if live is not None and ready:
                 now = self._latest, self._event, self._console.size, self._controls.state(0)
-                act = live.refresh if now != drawn else lambda: None
-                drawn = now
-            if act is None:
-                return
-            began_s = time.monotonic()
-            try:
-                act()
-            except (OSError, SmartTouchError) as failure:
-                self._failure = self._failure or failure
-            rest_s = max(_REFRESH_S, _LEAST_REST * (time.monotonic() - began_s))
+                if now != self._drawn:
+                    live.refresh()
+                self._drawn, now_s = now, time.monotonic()
+                self._rests_until_s = now_s + max(_REFRESH_S, _LEAST_REST * (now_s - began_s))
+            if (failure := self._outputs[0].failure) is not None:
+                self._outputs[0].failure = None
+                # As it would be told where it is written.
+                raise terminal.write_failure(failure, "standard output")
+        except (OSError, SmartTouchError) as failure:
+            self._failure = self._failure or failure
 
     def _print(self, line: str) -> None:
         self._later(partial(self._print_now, line))

@@ -36,6 +36,13 @@ def _stand_in(match: re.Match[str]) -> str:
     return "␡" if code == 0x7F else "�"
 
 
+def write_failure(error: OSError, name: str) -> Exception:
+    """Return what to raise for a failure of a stream: a broken pipe itself, or one sentence."""
+    if isinstance(error, BrokenPipeError):
+        return error
+    return SmartTouchError(f"cannot write to {name}: {error.strerror}")
+
+
 class PlainStream:
     """Standard stream for plain text, whose failures become one sentence.
 
@@ -70,12 +77,9 @@ class PlainStream:
     def _guarded(self, act: Callable[..., object], *arguments: str) -> None:
         try:
             act(*arguments)
-        except BrokenPipeError:
-            if self._name:
-                raise
         except OSError as error:
             if self._name:
-                raise SmartTouchError(f"cannot write to {self._name}: {error.strerror}") from None
+                raise write_failure(error, self._name) from None
 
 
 def console(*, stderr: bool = False, highlight: bool = True) -> "Console":

@@ -30,7 +30,6 @@ from smarttouch.views.keys_and_signals import (
     by_signal,
     command_stop,
     ending_in_order,
-    keyboard_listener,
 )
 from smarttouch.views.progress import bank_progress
 from smarttouch.views.screen import BlindScreen, Screen
@@ -69,7 +68,7 @@ def run_in_terminal(
     on the screen. A window shows the end until its pages are closed. ``json_file`` gets the figures
     of the run; ``files`` are all that it writes. One that ``draws`` may take longer to its end."""
     stop = command_stop()
-    shown = screen(display.url, keys_help, plain)
+    shown = screen(display.url, keys_help, plain, partial(_keys_of, stop, keys or {}))
     typed = sys.stdin.isatty()
     with contextlib.ExitStack() as closing:
         page = None
@@ -88,7 +87,6 @@ def run_in_terminal(
             listeners=[
                 *([] if page is None else [page]),  # before the screen: it prints its address
                 shown,
-                _Within(partial(_keyboard, stop, keys or {})),
                 *listeners,
                 # Until here, with no board open, a signal ends the program anywhere.
                 _Within(lambda _run: ending_in_order(DRAWN_WITHIN_S if draws else None)),
@@ -158,8 +156,8 @@ class _Within(Listener):
         self._stack.close()
 
 
-def _keyboard(stop: StopRequest, keys: Keys, run: RunContext) -> AbstractContextManager[None]:
-    """Return a context in which keys control a run."""
+def _keys_of(stop: StopRequest, keys: Keys, run: RunContext) -> Callable[[str], None]:
+    """Return what each key does in a run."""
     controls = run.controls
     does: dict[str, Callable[[], None]] = {
         "+": lambda: controls.change_level(STEP),
@@ -177,7 +175,7 @@ def _keyboard(stop: StopRequest, keys: Keys, run: RunContext) -> AbstractContext
         for key_lines in (does, keys):
             key_lines.get(key, lambda: None)()
 
-    return keyboard_listener(on_key)
+    return on_key
 
 
 def describe_recording(path: Path) -> list[tuple[str, str]]:

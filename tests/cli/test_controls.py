@@ -1,11 +1,17 @@
 """A run is steered by keys, and ended by them, by another process, and by losing the terminal."""
 
+import contextlib
 import json
 import os
+import select
+import subprocess
 
 import pytest
 
 from smarttouch.running.recording import RecordedRun
+
+from ..boards.fresh import until
+from ..support.processes import PROGRAM, Forked
 
 RUN = ("live", "--seconds", "60", "--json", "run.json", "--record", "run.mcap")
 
@@ -58,3 +64,34 @@ def test_a_run_ends_in_order(start_at_a_terminal, tmp_path, end):
         os.dup2(os.open(os.devnull, os.O_RDONLY), keys)
     reason = ended(process, tmp_path)["ended"]
     assert reason == ("key Esc" if end == "Esc" else "the terminal is gone")
+
+
+def test_a_stopped_terminal_delays_the_screen_and_neither_the_run_nor_its_keys(tmp_path):
+    """Ctrl-S stops what is drawn; keys and frames go on; Ctrl-Q shows how the run has ended."""
+    ours, terminal = os.openpty()
+    with Forked(
+        [PROGRAM, *RUN], cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=subprocess.PIPE,
+        text=True, env={**os.environ, "TERM": "xterm"},
+    ) as process:  # fmt: skip
+        os.close(terminal)
+        drawn = b""
+        while b"pressure" not in drawn:
+            drawn += os.read(ours, 1 << 16)
+        os.write(ours, b"\x13")
+        while select.select([ours], [], [], 0.5)[0]:
+            os.read(ours, 1 << 16)
+        os.write(ours, b"m")
+        assert not select.select([ours], [], [], 1.0)[0], "something was drawn"
+        os.write(ours, b"q")
+        until(lambda: (tmp_path / "run.json").exists())
+        os.write(ours, b"\x11")
+        shown = b""
+        with contextlib.suppress(OSError):
+            while data := os.read(ours, 1 << 16):
+                shown += data
+        os.close(ours)
+        figures = ended(process, tmp_path)
+    assert b"key q" in shown
+    assert figures["ended"] == "key q"
+    assert "mode SAI" in [words for _, words in RecordedRun(tmp_path / "run.mcap").events]
+    assert figures["frames"] > 25 * figures["seconds"]
