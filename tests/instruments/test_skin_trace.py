@@ -85,20 +85,15 @@ def test_a_line_begins_and_ends_smoothly():
     assert np.abs(np.diff(force)).max() < 0.01
 
 
-@pytest.mark.parametrize(("spec", "value"), [
-    *((spec, spec) for spec in
+@pytest.mark.parametrize(("spec", "seconds", "value"), [
+    *((spec, 1.0, spec) for spec in
       ("tone:30Hz", "tone:30Hz,8mm", "tone:-30Hz,8um", "noise:60-400Hz,3um", "none.csv")),
-    ("tone:30Hz,8um+hum:3", "hum:3"), ("tone:0Hz,8um", 0), ("tone:2000Hz,8um", 2000),
+    ("tone:30Hz,8um+hum:3", 1.0, "hum:3"), ("tone:0Hz,8um", 1.0, 0), ("tone:2000Hz,8um", 1.0, 2000),
+    *(("press:1N", seconds, seconds) for seconds in (0, -1, 601, float("nan"))),
 ])  # fmt: skip
-def test_a_line_that_cannot_be_understood(spec, value):
+def test_a_line_that_cannot_be_understood(spec, seconds, value):
     with raises(SmartTouchError, value=value):
-        open_trace(spec)
-
-
-@pytest.mark.parametrize("seconds", [0, -1, 601, float("nan")])
-def test_impossible_lengths_are_refused(seconds):
-    with raises(SmartTouchError, value=seconds):
-        open_trace("press:1N", seconds)
+        open_trace(spec, seconds)
 
 
 @given(st.text(max_size=40))

@@ -64,13 +64,13 @@ def _nabcc():
 
 
 class Brltty:
-    """BRLTTY with its virtual display, restarted as often as needed.
+    """BRLTTY, restarted as often as needed: ``device`` is as behind its option ``-d``.
 
-    Its device is as behind its option ``-d``. Settings are a file such as ``/etc/brltty.conf``, of
-    which only the device, the screen and BrlAPI's host are replaced.
+    Of its settings, a file such as ``/etc/brltty.conf``, only the device, the screen and BrlAPI's
+    host are replaced.
     """
 
-    def __init__(self, device: str, folder: Path, settings: str = "braille-driver vr\n") -> None:
+    def __init__(self, device: str, folder: Path, settings: str) -> None:
         # BrlAPI's host ":4" is port 4101 + 4.
         self.host = f":{free_port() - 4101}"
         path = folder / "brltty.conf"
@@ -84,17 +84,14 @@ class Brltty:
 
     def start(self) -> None:
         """Start it, without the greeting, which a writing program can crash (BRLTTY 6.5)."""
-        self.process = subprocess.Popen(
-            ["brltty", "-q", "-n", "-E", "-e", "-t", "en-nabcc", *self._options],
-            stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+        command = ["brltty", "-q", "-n", "-E", "-e", "-t", "en-nabcc", *self._options]
+        self.process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
 
     def kill(self) -> None:
         """End it without a chance to say so."""
         if self.process is not None:
             self.process.kill()
             self.process.wait()
-        self.process = None
 
     @contextlib.contextmanager
     def writer(self) -> Iterator["Writer"]:

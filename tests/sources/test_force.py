@@ -52,27 +52,18 @@ def grams(least):
     return lambda number: b"Reading: %d g\r\n" % (least + number % 2)
 
 
-class OfForce(ForceContract):
-    """The contract of a source of force of a URL."""
+class TestSources(ForceContract):
+    """The contract of what a person states, and of a load cell."""
 
-    url = ""
-
-    def make(self, profile):
-        return open_force(self.url, profile)
-
-
-class TestFixed(OfForce):
-    url = "fixed:0.5"
-
-
-class TestLoadCell(OfForce):
-    @pytest.fixture
-    def profile(self, in_grams):
-        return in_grams
+    @pytest.fixture(params=["fixed:0.5", "hx711"])
+    def url(self, request, make_device):
+        if request.param == "hx711":
+            return f"hx711:{make_device(grams(50)).line.name}?baud=115200"
+        return request.param
 
     @pytest.fixture(autouse=True)
-    def _cell(self, make_device):
-        self.url = f"hx711:{make_device(grams(50)).line.name}?baud=115200"
+    def _opened(self, url, in_grams):
+        self.make = lambda _: open_force(url, in_grams)
 
 
 SECOND = 10**9

@@ -121,23 +121,19 @@ def test_a_page_of_unknown_size_has_print_of_a_usual_one(tmp_path, profile, stat
 
 
 def test_a_page_is_read_again_and_again(profile):
-    with (
-        open_source("text:i?speed_mm_s=100", profile) as once,
-        open_source("text:i?speed_mm_s=100&passes=2", profile) as twice,
-        open_source("text:i?speed_mm_s=100&passes=0", profile) as forever,
-    ):
-        assert forever.duration_s is None
-        assert twice.duration_s == pytest.approx(2 * once.duration_s + AGAIN_S)
-        round_ns = round((once.duration_s + AGAIN_S) * 1e9)
-        for time_ns in (100_000_000, 640_000_000):
-            first, later = once.read(time_ns), forever.read(time_ns + 7 * round_ns)
-            assert (later.pose.x_mm, later.force_n) == pytest.approx(
-                (first.pose.x_mm, first.force_n), abs=1e-5
-            )
-        assert forever.read(round_ns - 500_000_000).force_n == 0
-        assert once.read(round_ns) is None
-        assert twice.read(round_ns - 1000).force_n == 0
-        assert twice.read(2 * round_ns) is None
+    once, twice, forever = (
+        open_source("text:i", profile, speed_mm_s=100, passes=passes) for passes in (1, 2, 0)
+    )
+    round_ns = round((once.duration_s + AGAIN_S) * 1e9)
+    assert (twice.duration_s, forever.duration_s) == (2 * once.duration_s + AGAIN_S, None)
+    for time_ns in (100_000_000, 640_000_000):
+        first, later = once.read(time_ns), forever.read(time_ns + 7 * round_ns)
+        assert (later.pose.x_mm, later.force_n) == pytest.approx(
+            (first.pose.x_mm, first.force_n), abs=1e-5
+        )
+    assert forever.read(round_ns - 500_000_000).force_n == 0
+    assert once.read(round_ns) is twice.read(2 * round_ns) is None
+    assert twice.read(round_ns - 1000).force_n == 0
 
 
 def test_a_blank_page_is_read_in_strips(profile):
