@@ -57,20 +57,6 @@ def train(pulse):
 
 
 @pytest.fixture(scope="module")
-def points(pulse):
-    """Return a maker of an interval that scans several sites at 50 Hz."""
-
-    def make(*sites):
-        current = np.tile([pulse(RA, site) for site in sites], (10, 1))
-        time_s = np.repeat(np.arange(10) / 50, len(sites)) + np.tile(
-            np.arange(len(sites)) * 3e-4, 10
-        )
-        return Interval(time_s, np.full(len(time_s), 200, np.float32), current)
-
-    return make
-
-
-@pytest.fixture(scope="module")
 def finger(profile):
     """Return the finger that is simulated where none is asked for."""
     return Finger(profile, 1, "paper")
@@ -99,10 +85,10 @@ class TestNerve:
             assert np.isnan(response.center_mm).all()
         assert Nerve(finger).of(train(50, seconds=0.01)).hz == 0
 
-    def test_places_are_those_of_the_receptors(self, finger, profile, points):
+    def test_places_are_those_of_the_receptors(self, finger, profile, train):
         nerve = Nerve(finger)
         for site in (9, 27, 54):
-            found = nerve.of(points(site)).center_mm
+            found = nerve.of(train(50, site=site)).center_mm
             assert np.linalg.norm(found - profile.electrodes.position_mm[site]) < 1.0
 
 
@@ -156,9 +142,9 @@ class TestTheTasks:
         assert found == pytest.approx(sorted(found), abs=0.1)
         assert found[-1] > 0.9
 
-    def test_sides_are_distinguished_in_two_intervals_or_one(self, observer, points, finger):
+    def test_sides_are_distinguished_in_two_intervals_or_one(self, observer, train, finger):
         subject = observer(seed=8, lapse=0.0)
-        left, right = points(26), points(27)
+        left, right = (train(50, site=site, seconds=0.2) for site in (26, 27))
         at_mm = [Nerve(finger).of(each).center_mm[0] for each in (left, right)]
         truth = float(ndtr((at_mm[1] - at_mm[0]) / (math.sqrt(2) * subject.place_mm)))
         assert truth > 0.6
