@@ -1,7 +1,6 @@
-"""Answers: their CSV file, a row for each trial in PsychoPy's layout, and what is fitted to them.
+"""Answers of an experiment and their CSV file, with one row for each trial in PsychoPy's layout.
 
-Each row is on disk at once. A file is read and continued as it was written, or as a spreadsheet has
-saved it.
+Each row is on disk at once. Files that a spreadsheet has saved can be read and continued.
 """
 
 import csv
@@ -31,29 +30,29 @@ from smarttouch.base.stopping import Closing
 from smarttouch.experiments.psychometric import Array, Counts, Guess, Model
 
 WORDS, NUMBER, OPTIONAL, ANSWER = "words", "number", "optional number", "answer"
-"""Kinds of columns; cells of the last two may be empty."""
+"""Kinds of columns. Cells of the last two kinds may be empty."""
 COLUMNS = {
-    # which repetition of all conditions, which trial of it, trial of all, which condition; from 0
+    # Repetition, trial within the repetition, trial in all, condition; each counts from 0.
     "thisRepN": NUMBER, "thisTrialN": NUMBER, "thisN": NUMBER, "thisIndex": NUMBER,
     "experiment": WORDS, "procedure": WORDS,
     "standard": OPTIONAL,  # empty if there is none
     "comparison": NUMBER,  # level, frequency or distance
     "comparison_interval": OPTIONAL,  # 1 or 2; empty where there are no two intervals
-    "unit": WORDS,  # of standard and comparison: Hz, mA, mm
-    "target": WORDS, "response": WORDS,  # stimulus and response; an empty response is none
-    "success": ANSWER,  # 1 for judged higher, felt, or right, 0 for not; empty if no answer came
-    "rt": OPTIONAL,  # from the end of the stimulus to the answer, s
-    "time_s": NUMBER, "level": NUMBER,  # of the run; amplitude that the user had chosen, 0 to 1
-    "participant": WORDS, "session": WORDS, "date": WORDS,  # when the session began
+    "unit": WORDS,  # of standard and comparison: Hz, mA or mm
+    "target": WORDS, "response": WORDS,  # response is empty if no answer came
+    "success": ANSWER,  # 1 if judged higher, felt or right, else 0; empty if no answer came
+    "rt": OPTIONAL,  # reaction time from the end of the stimulus, s
+    "time_s": NUMBER, "level": NUMBER,  # time in the run; intensity chosen by the user, 0 to 1
+    "participant": WORDS, "session": WORDS, "date": WORDS,  # date: start of the session
     "seed": NUMBER, "frameRate": OPTIONAL, "version": WORDS,
 }  # fmt: skip
 """Kind of each column of an experiment."""
 Value = str | float | None
 Row = dict[str, Value]
-"""Values of a row by their columns."""
+"""Values of a row by column name."""
 
 _BOM = "\N{ZERO WIDTH NO-BREAK SPACE}".encode()
-"""Byte order mark by which spreadsheets detect UTF-8."""
+"""Byte order mark: spreadsheets need it to detect UTF-8."""
 _COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _YES = {"1", "1.0", "true", "yes", "y", "correct"}
 _NO = {"0", "0.0", "false", "no", "n", "incorrect", "wrong"}
@@ -63,14 +62,14 @@ _SPREADSHEET = "a spreadsheet may have changed it: correct it, or delete the lin
 
 @dataclass(frozen=True)
 class Dialect:
-    """How cells, numbers and lines end in a file."""
+    """Separator, decimal sign and line break of a CSV file."""
 
     delimiter: str = ","
     comma: bool = False  # whether numbers have a decimal comma
     line_end: str = "\n"
 
     def line(self, values: Iterable[tuple[str, Value]]) -> bytes:
-        """Return a line of the file, in UTF-8, from columns and their values."""
+        """Return the values of a row as a line in UTF-8."""
         line = io.StringIO(newline="")
         writer = csv.writer(line, delimiter=self.delimiter, lineterminator=self.line_end)
         writer.writerow([self._cell(*value) for value in values])
@@ -84,39 +83,39 @@ class Dialect:
                 raise ExperimentError(f"{column} {value!r} has a line break: leave it out")
             return value
         if not math.isfinite(value):
-            raise ExperimentError(f"{column} is {value}, which no trial can be: give a number")
-        # What comes from numpy would be written with its type's name.
+            raise ExperimentError(f"{column} is {value}: give a finite number")
+        # Convert numpy scalars: their repr names the type.
         text = repr(float(value)) if isinstance(value, float) else str(int(value))
         return text.replace(".", ",") if self.comma else text
 
 
 @dataclass(frozen=True)
 class AnswerCells:
-    """Cells of the lines below the first, by the names of their columns."""
+    """Cells of all lines below the heading, by column name."""
 
     path: Path
     head: tuple[str, ...]
     lines: list[tuple[int, dict[str, str]]]  # number in the file, cells
     dialect: Dialect
-    ended: bool  # whether the last line has its end
-    cut: bool  # whether a last line without an end and with too few cells was left out
+    ended: bool  # whether the last line ends with a line break
+    cut: bool  # whether an incomplete last line was left out
 
     def number(self, line: int, column: str) -> float:
-        """Return the number in a cell of the line of this index."""
+        """Return the number in a cell; ``line`` is an index into `lines`."""
         value = finite(self.lines[line][1][column])
         if math.isnan(value):
             raise self._wrong(line, column, "a number")
         return value
 
     def success(self, line: int, column: str) -> float:
-        """Return 1, 0, or NaN for no answer, of a cell of the line of this index."""
+        """Return 1 or 0 from a cell, or NaN if it is empty; ``line`` is an index into `lines`."""
         word = self.lines[line][1][column].strip().lower()
         if word not in _YES | _NO | _NONE:
             raise self._wrong(line, column, "1 or 0")
         return math.nan if word in _NONE else float(word in _YES)
 
     def rows(self, columns: Mapping[str, str]) -> list[Row]:
-        """Return all lines as rows that this program has written, by the kinds of columns."""
+        """Return all lines as rows, with values of the given kinds."""
         for column in columns:
             if column not in self.head:
                 raise ExperimentError(
@@ -144,10 +143,10 @@ class AnswerCells:
 
 
 def parse_cells(data: bytes, path: Path) -> AnswerCells:
-    """Return the cells in the content of a file.
+    """Parse the content of a CSV file.
 
-    Comma, semicolon or tab separate the cells; between semicolons and tabs a decimal comma is one.
-    Lines end by any line break. A last line without one was cut off if it has too few cells.
+    Cells are separated by comma, semicolon or tab. A decimal comma is allowed unless commas
+    separate. A last line with too few cells and no line break is left out.
     """
     end = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
     first = data.split(b"\n", 1)[0].split(b"\r", 1)[0].decode(errors="replace")
@@ -185,11 +184,11 @@ def parse_cells(data: bytes, path: Path) -> AnswerCells:
 
 
 class AnswerFile(Closing):
-    """CSV file that rows are added to, each on disk before `append` returns.
+    """CSV file to which rows are appended; each is on disk before `append` returns.
 
-    ``about`` is the same in all rows. An existing file is continued in its own dialect if it has
-    the same. Of its content only a line that this program began and could not end is removed. As
-    long as it is open no other run can write to it.
+    ``about`` holds the values that are equal in all rows. An existing file is continued in its own
+    dialect if its rows agree with ``about``. Only an incomplete last line is removed from it. The
+    file is locked against other runs while it is open.
     """
 
     def __init__(
@@ -200,7 +199,7 @@ class AnswerFile(Closing):
         self._about, self._columns = about, columns
         self._dialect = Dialect()
         if path.suffix.lower() != ".csv":
-            raise ExperimentError(f"answers go into a .csv file, not {path}: give such a name")
+            raise ExperimentError(f"{path} is not a .csv file: choose a name that ends in .csv")
         if path.exists():
             require_file(path, ExperimentError, MOST_TABLE_BYTES)
         self._file = open_alone(path, ExperimentError)
@@ -211,7 +210,7 @@ class AnswerFile(Closing):
             raise
 
     def _begin(self, data: bytes) -> None:
-        """Read existing lines, and go to where the next belongs."""
+        """Read existing lines, and find the end of the last complete one."""
         head = _BOM + self._dialect.line((column, column) for column in self._columns)
         if head.startswith(data) and data != head:
             self._write(head, 0)
@@ -226,14 +225,12 @@ class AnswerFile(Closing):
             begun = last != __version__ and __version__.startswith(last)
             del self.rows[len(self.rows) - begun :]
         if begun and not data.startswith(head):
-            raise ExperimentError(
-                f"{self.path} ends in a line that is not whole: complete or delete it"
-            )
+            raise ExperimentError(f"{self.path} ends in an incomplete line: complete or delete it")
         end = data.rfind(b"\n") + 1 if begun else len(data)
         self._write(b"" if cells.ended or begun else self._dialect.line_end.encode(), end)
 
     def append(self, row: Row) -> None:
-        """Add one trial; what identifies the file and the version need not be given."""
+        """Append one trial; the columns of ``about`` and the version are added."""
         row = {**dict.fromkeys(self._columns), "version": __version__, **self._about, **row}
         self._write(
             self._dialect.line((column, row[column]) for column in self._columns), self._end
@@ -245,7 +242,7 @@ class AnswerFile(Closing):
         self._file.close()
 
     def _write(self, data: bytes, at: int) -> None:
-        """Write at a place; what a failed write left beyond it is removed."""
+        """Write at an offset; remove what a failed write left beyond it."""
         try:
             if self._file.seek(0, os.SEEK_END) > at:
                 self._file.truncate(at)
@@ -268,14 +265,14 @@ class AnswerFile(Closing):
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """All trials of one standard, in their order."""
+    """All trials with one standard, in order of presentation."""
 
     standard: float  # standard of the comparison; 0 if there is none
-    comparison: Array  # (N,): in the same unit
-    success: Array  # (N,): 1 judged higher, felt, or right; 0 not; NaN no answer
-    # (N,): of the comparison, 1 or 2; 0 where there are no two intervals
+    comparison: Array  # (N,): in the unit of the standard
+    success: Array  # (N,): 1 if judged higher, felt or right, else 0; NaN without an answer
+    # (N,): interval of the comparison, 1 or 2; 0 if trials have a single interval
     interval: NDArray[np.int64]
-    alternatives: int = 0  # number of alternatives; 0 if *yes* and *no*, or not known
+    alternatives: int = 0  # number of alternatives; 0 for *yes* or *no*, or if unknown
 
     @property
     def presented(self) -> int:
@@ -288,13 +285,13 @@ class Answers:
         return int(np.isfinite(self.success).sum())
 
     def chosen(self) -> tuple[int, int]:
-        """Return the number of answers for the first of two intervals, and for the second."""
+        """Return how often the first and the second interval were chosen."""
         two = np.isfinite(self.success) & (self.interval > 0)
         chosen = np.where(self.success == 1, self.interval, 3 - self.interval)[two]
         return int((chosen == 1).sum()), int((chosen == 2).sum())
 
     def counts(self) -> Counts:
-        """Return trials and successes at each comparison; trials without an answer are left out."""
+        """Return the answered trials and the successes at each comparison."""
         is_answered = np.isfinite(self.success)
         stimulus, which = np.unique(self.comparison[is_answered], return_inverse=True)
         n, k = np.zeros(len(stimulus)), np.zeros(len(stimulus))
@@ -304,13 +301,13 @@ class Answers:
 
 
 def usual_model(
-    all_answers: Sequence[Answers],  # to all standards
-    # if None: with a standard, or comparisons on both sides of 0, *equal*; else one of the
-    # alternatives; else of *felt*, free if some trials showed nothing, and 0 if none did
+    all_answers: Sequence[Answers],  # one for each standard
+    # If None: "equal" if there is a standard or a negative comparison; else 1 / alternatives if
+    # their number is known; else "free" if a comparison is 0, or 0.
     guess: Guess | None = None,
-    at: float | None = None,  # as for `Model`
+    at: float | None = None,  # share of answers at the threshold, see `Model`
 ) -> Model:
-    """Return the model that belongs to the answers of one experiment."""
+    """Return the psychometric model that fits the kind of experiment."""
     stimulus = np.concatenate([answers.comparison for answers in all_answers])
     signed = bool((stimulus < 0).any())
     if guess is None:
@@ -328,22 +325,23 @@ def usual_model(
 class AnswerTable:
     """The answers of one file."""
 
-    name: str  # of the file, without its ending
-    unit: str  # of standards and comparisons, if stated
-    answers: tuple[Answers, ...]  # to each standard, rising
-    cut: bool = False  # whether a last line that is not whole was left out
+    name: str  # name of the file, without suffix
+    unit: str  # of standards and comparisons; empty if unknown
+    answers: tuple[Answers, ...]  # one for each standard, ascending
+    cut: bool = False  # whether an incomplete last line was left out
 
 
 def read_table(
     path: Path,
-    # x, y: columns of comparison and success. The `standard`, the interval of the comparison
-    # (`comparison_interval`) and the words answered (`response`) are used if there are such columns
+    # x, y: columns of comparison and success. Columns `standard`, `comparison_interval` and
+    # `response` are optional.
     x: str = "comparison",
     y: str = "success",
 ) -> AnswerTable:
-    """Read comparisons and answers, see `parse_cells`.
+    """Read comparisons and answers from a CSV file, see `parse_cells`.
 
-    An answer is 1, true, yes, correct or their contraries; an empty cell is none.
+    A success is 1, true, yes or correct; a failure 0, false, no or incorrect. An empty cell means
+    no answer.
     """
     table = parse_cells(read_bytes(path, ExperimentError), path)
     for option, name in (("x", x), ("y", y)):
@@ -356,7 +354,7 @@ def read_table(
         return table.number(line, column) if table.lines[line][1].get(column, "").strip() else 0.0
 
     if not table.lines:
-        raise ExperimentError(f"{path} has no trials below its first line: give one that has")
+        raise ExperimentError(f"{path} has no trials below its heading: give a file with answers")
     rows = np.array([
         (number(line, "standard"), table.number(line, x), table.success(line, y),
          number(line, "comparison_interval"))
@@ -375,7 +373,7 @@ def read_table(
 
 
 def _alternatives(lines: list[dict[str, str]]) -> int:
-    """Return the number of alternatives; 0 if *yes* and *no*, or not known."""
+    """Return the number of alternatives; 0 for *yes* or *no*, or if unknown."""
     if any(cells.get("comparison_interval") for cells in lines):
         return 2
     responses = {cells.get("response", "") for cells in lines}

@@ -1,4 +1,4 @@
-"""What is measured of a device: contact, the line of a load cell; and the profile that keeps it."""
+"""Calibration of contact and of a load cell, and the profile that stores the results."""
 
 import math
 import os
@@ -37,12 +37,12 @@ _LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "sci
 
 
 class ProfileFile:
-    """Edit of ``profile``, a shipped one or a file, to a ``.toml`` file.
+    """Copy of a profile with changed keys, to be written to a ``.toml`` file.
 
-    Everything but the keys that are set stays as it is, comments included. The output may be there
-    already with ``overwrite``; with ``update`` it is what it begins as, and is replaced unless it
-    changes meanwhile. Raises ProfileError if the start is no profile, and CalibrationError if the
-    output may not be written, before anything is measured.
+    ``start`` is a shipped profile or a file. All other keys and comments stay. With ``overwrite``
+    the output may exist. With ``update`` the output itself is edited, unless another program
+    changes it meanwhile. Raises ProfileError if the start is not a profile, and CalibrationError if
+    the output may not be written, both before anything is measured.
     """
 
     def __init__(
@@ -58,18 +58,18 @@ class ProfileFile:
                 f"the new profile {output} must end in .toml: give another --output"
             )
         if not output.absolute().parent.is_dir():
-            raise CalibrationError(f"cannot write {output}: its folder does not exist: make it")
+            raise CalibrationError(f"cannot write {output}: its folder does not exist: create it")
         self._require_free(output)
         if (named := self._table("optics").get("flat_field")) is not None:
             named_path = (source.parent / str(named)).resolve()
             self.set("optics.flat_field", os.path.relpath(named_path, output.absolute().parent))
 
     def beside(self, ending: str) -> Path:
-        """Return the path of a file that belongs to the output."""
+        """Return the output's path with another ending."""
         return self.output.with_name(f"{self.output.stem}.{ending}")
 
     def set(self, key: str, value: Value) -> None:
-        """Change one key, such as ``force.curve``."""
+        """Set one key, such as ``force.curve``."""
         table, _, name = key.partition(".")
         self._table(table)[name] = value if isinstance(value, str | int | float) else in_rows(value)
 
@@ -86,7 +86,7 @@ class ProfileFile:
         self._table("calibrated")[what] = entry
 
     def write(self, others: Mapping[Path, bytes] | None = None) -> Profile:
-        """Write the profile and the files that go with it; return it as it loads."""
+        """Write the profile and the other files; return the profile as loaded from disk."""
         for path in (self.output, *(others or {})):
             self._require_free(path)
         text = tomlkit.dumps(self._document)
@@ -98,7 +98,7 @@ class ProfileFile:
                 f"what was measured is no valid profile, so nothing was written: {message}",
                 electrode=error.electrode,
             ) from None
-        # The profile comes last: the files it names are there before it is.
+        # Write the profile last: the files that it names must exist.
         for path, data in {**(others or {}), self.output: text.encode()}.items():
             write_bytes(path, data, CalibrationError)
         return load_profile(self.output)
@@ -108,33 +108,32 @@ class ProfileFile:
         if self._update and path == self.output:
             if read_text(path, CalibrationError, MOST_TOML_BYTES) != self._text:
                 raise CalibrationError(
-                    f"{path} was changed meanwhile, nothing was written: repeat the command"
+                    f"{path} was changed meanwhile, so nothing was written: repeat the command"
                 )
         elif path.exists() and not self._overwrite:
             raise CalibrationError(f"{path} exists already: give another file, or add --overwrite")
 
     def _table(self, name: str) -> MutableMapping[str, Any]:
         table = self._document[name]
-        # A table, or the proxy of one whose parts are scattered over the file.
+        # tomlkit returns a proxy if the table's parts are scattered over the file.
         assert isinstance(table, MutableMapping)
         return table
 
 
 def file_to_calibrate(
-    part: str,  # calibration
-    # profile that was asked for; where the output is there, one that differs from it in
-    # calibrations only
+    part: str,  # name of the calibration
+    # Profile to begin with; an existing output may differ from it only in calibrations.
     start: str | None,
-    usual: str,  # what a new output begins as where no profile was asked for
+    usual: str,  # profile to begin with if `start` is None
     output: Path,
-    overwrite: bool = False,  # whether the part may be there already
+    overwrite: bool = False,  # whether the part may be replaced
     *,
-    # whether nothing real is measured: added to what was, only with ``overwrite``
+    # whether nothing real is measured; replaces real measurements only with ``overwrite``
     simulated: bool = False,
 ) -> ProfileFile:
-    """Return the profile that a calibration adds its part to, on its way to the output.
+    """Return the profile file to which a calibration adds its part.
 
-    An output that exists is continued: all in it is kept but this part.
+    An existing output is continued: everything except this part is kept.
     """
     if not output.exists():
         return ProfileFile(start or usual, output, overwrite)
@@ -143,26 +142,26 @@ def file_to_calibrate(
     key = None if start is None else difference(file.profile, _begin(profile_path(start))[-1])
     if key is not None:
         raise CalibrationError(
-            f"{output} is there, and differs from {start} in {key}: continue from what is there, "
+            f"{output} exists and differs from {start} in {key}: continue with its own profile, "
             "or give another file to --output"
         )
     if part in file.profile.calibrated and not overwrite:
         raise CalibrationError(
-            f"{output} has its {part} already: --overwrite replaces that and keeps the rest, "
+            f"{output} already has its {part}: --overwrite replaces that and keeps the rest, "
             "--output writes another file"
         )
     notes = file.profile.calibrated
     measured = [name for name in notes if not notes[name].found.startswith("simulated")]
     if simulated and measured and not overwrite:
         raise CalibrationError(
-            f"{output} has its {measured[0]} from a real finger or sensor: write a "
+            f"{output} has its {measured[0]} measured on a real finger or sensor: write a "
             "simulation to another file, or overwrite it"
         )
     return file
 
 
 def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, Profile]:
-    """Return a profile as text, as document and as it loads."""
+    """Return a profile as text, as an editable document and as loaded."""
     table, text = read_toml(path, ProfileError), read_text(path, ProfileError, MOST_TOML_BYTES)
     try:
         document = tomlkit.parse(text)
@@ -172,20 +171,20 @@ def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, Profile]:
 
 
 MOST_BROKEN = 0.5
-"""Largest part of open or shorted electrodes; with more, the finger lies beside the array."""
+"""Largest share of open or shorted electrodes; above it the finger is not on the array."""
 MOST_RESTLESS = 0.5
-"""Largest spread of the median electrode over its median; with more, the finger moved."""
-MOST_LOSSES = 3  # times that a board may be lost while it measures
+"""Largest relative spread of the median electrode; above it the finger moved."""
+MOST_LOSSES = 3  # times that the board may be lost during a measurement
 
 
 @dataclass(frozen=True, eq=False)
 class ContactFound:
     """Contact of each electrode."""
 
-    kohm: NDArray[np.float64]  # (E,): medians; infinite where open
-    # (E,): robust standard deviations; NaN of one measurement, or where open
+    kohm: NDArray[np.float64]  # (E,): median impedance; infinite if open
+    # (E,): robust standard deviation; NaN after a single measurement, or if open
     spread_kohm: NDArray[np.float64]
-    # (E,): result of most measurements; ``unsure`` where they disagree
+    # (E,): majority of the measurements; ``unsure`` without a majority
     condition: tuple[Condition, ...]
     repeats: int
     current_ma: float
@@ -196,11 +195,11 @@ class ContactFound:
         return [i for i, condition in enumerate(self.condition) if condition in ("open", "short")]
 
     def masked(self, profile: Profile) -> list[int]:
-        """Return the electrodes to mask: broken ones, and those that were masked before."""
+        """Return the electrodes to mask: broken ones and those already masked."""
         return sorted({*profile.output.masked, *self.broken})
 
     def impedances(self, profile: Profile) -> list[float]:
-        """Return an impedance for each electrode, kΩ: the median where none was measured."""
+        """Return an impedance for each electrode, kΩ; open ones get the median of the others."""
         touching = np.isfinite(self.kohm) & ~np.isin(np.arange(len(self.kohm)), self.broken)
         typical_kohm = float(np.median(self.kohm[touching]))
         return [float(f"{kohm:.4g}") for kohm in np.where(touching, self.kohm, typical_kohm)]
@@ -224,8 +223,7 @@ class ContactFound:
 def measure_contact(
     opened: Callable[[], AbstractContextManager[Board]], repeats: int
 ) -> list[Impedance]:
-    """Measure repeatedly; a board that is lost meanwhile is opened again, up to `MOST_LOSSES`
-    times."""
+    """Measure repeatedly. A lost board is opened again, at most `MOST_LOSSES` times."""
     impedances: list[Impedance] = []
     losses = 0
     while True:
@@ -241,7 +239,7 @@ def measure_contact(
 
 
 def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
-    """Return the joint result of repeated measurements."""
+    """Combine repeated measurements."""
     if any(impedance.lifted for impedance in measured):
         raise CalibrationError(
             "no electrode touches anything: put the finger on the array, and measure again"
@@ -251,7 +249,7 @@ def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
         _most(impedance) for impedance in zip(*(m.condition for m in measured), strict=True)
     )
     count = len(condition)
-    # A reading without end is as far from the others as one can be: the median still holds.
+    # Infinite readings sort last, so the median stays valid.
     middle = np.sort(kohm, axis=0)[(len(kohm) - 1) // 2 : len(kohm) // 2 + 1].mean(axis=0)
     touching = np.isfinite(kohm).all(axis=0)
     spread = np.full(count, np.nan)
@@ -276,7 +274,7 @@ def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
 
 
 def _most(conditions: Sequence[Condition]) -> Condition:
-    """Return the result of more than half of the measurements."""
+    """Return the majority of the measurements, or ``unsure``."""
     for condition in conditions:
         if 2 * conditions.count(condition) > len(conditions):
             return condition
@@ -285,10 +283,10 @@ def _most(conditions: Sequence[Condition]) -> Condition:
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 FEWEST_READINGS = 5
-MOST_MISSING = 0.5  # largest part of missing readings
-MOST_RESIDUAL = 0.05  # largest rms residual, as a part of full force
-MOST_DRIFT = 0.03  # largest drift, as a part of full force, while one weight lies on the cell
-LEAST_REACH = 0.5  # least heaviest weight, as a part of full force
+MOST_MISSING = 0.5  # largest share of missing readings
+MOST_RESIDUAL = 0.05  # largest rms residual, relative to full force
+MOST_DRIFT = 0.03  # largest drift under one weight, relative to full force
+LEAST_REACH = 0.5  # lower limit of the heaviest weight, relative to full force
 
 
 class Cell(Protocol):
@@ -303,8 +301,8 @@ class Weighing:
 
     grams: float
     reading: float  # median of the raw readings
-    spread: float  # robust standard deviation of single readings
-    drift: float  # from the first half of the readings to the second
+    spread: float  # robust standard deviation of the readings
+    drift: float  # change from the first half of the readings to the second
     count: int  # number of readings
 
     @property
@@ -314,14 +312,14 @@ class Weighing:
 
 @dataclass(frozen=True)
 class ForceFound:
-    """A line from readings to forces, and its errors."""
+    """Line that converts readings to forces, and its errors."""
 
-    curve: tuple[float, float]  # N at a reading of 0, and N for one count
-    full_n: float  # full force, the reference of percentages
+    curve: tuple[float, float]  # intercept, N, and slope, N per count
+    full_n: float  # full force, to which percentages refer
     weighings: tuple[Weighing, ...]
 
     def force_n(self, reading: float) -> float:
-        """Return the force of a reading."""
+        """Return the force for a reading, N."""
         return self.curve[0] + self.curve[1] * reading
 
     @property
@@ -349,13 +347,14 @@ class ForceFound:
 
 
 def weigh_on(url: str, weights: Iterable[float], seconds: float) -> list[Weighing]:
-    """Weigh on a load cell by its URL; each weight, in grams, is taken when it lies on the cell."""
+    """Weigh with the load cell at a URL; take each weight, g, from the iterator once it is on the
+    cell."""
     with open_cell(url) as cell:
         return [weigh(cell, grams, seconds) for grams in weights]
 
 
 def parse_grams(text: str) -> float:
-    """Return a weight, g, as somebody typed it."""
+    """Parse a weight in grams that a user typed."""
     try:
         grams = float(text)
     except ValueError:
@@ -366,7 +365,7 @@ def parse_grams(text: str) -> float:
 
 
 def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
-    """Take readings of one weight."""
+    """Collect readings under one weight."""
     raw = np.asarray(cell.collect(seconds), np.float64)
     good = raw[np.isfinite(raw)]
     if len(good) < FEWEST_READINGS or len(good) < (1 - MOST_MISSING) * len(raw):
@@ -381,13 +380,13 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
 
 
 def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
-    """Fit a line to weighings of three weights or more; residuals are judged by the law's full
+    """Fit a line to weighings of at least three weights. Errors are limited relative to full
     force."""
     grams = np.array([weighing.grams for weighing in weighings])
     reading = np.array([weighing.reading for weighing in weighings])
     _require_weights(grams, law)
     _require_answer(weighings, reading)
-    # Fitted about the mean, as raw counts are large.
+    # Center the readings first: raw counts are large.
     forces = [weighing.force_n for weighing in weighings]
     zero_n, slope_n = np.polynomial.Polynomial.fit(reading, forces, 1).convert().coef
     curve = float(f"{zero_n:.9g}"), float(f"{slope_n:.9g}")

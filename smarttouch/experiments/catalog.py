@@ -1,6 +1,6 @@
-"""Experiments by name or file: the paper's own, and those of users.
+"""Experiments by name or by file: the paper's and those of users.
 
-What fails in a user's file is one sentence."""
+An error in a user's file becomes an ExperimentError with its line."""
 
 import math
 import runpy
@@ -40,30 +40,30 @@ from smarttouch.experiments.trials import (
 
 _MOST_BYTES = 10_000_000
 PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
-"""Standards of PC: those of RA, and the two at which the paper's thresholds change (Fig. 18)."""
-_NARROWEST_RATIO, _START_RATIO = 1.01, 1.6  # comparisons of a staircase: least, and first
+"""Standards for PC: those for RA, and the two at which the paper's thresholds change (Fig. 18)."""
+_NARROWEST_RATIO, _START_RATIO = 1.01, 1.6  # smallest and first ratio of a staircase
 _STEP = 0.03
 """Step of a staircase of frequencies: a quarter of the mechanical threshold of about 20 % is 5 %.
 """
 LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
-"""Levels of the detection experiment, as parts of the profile's threshold (our own choice)."""
+"""Levels of the detection experiment, relative to the profile's threshold (our own choice)."""
 _DETECTION_STEP = 0.05
-_DETECTION_RANGE = (0.3, 3.0)  # range of detection, as parts of the profile's threshold
-SOFTNESSES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)  # compared with 0 (our own choice)
-_FARTHEST = 4  # most steps of distance to each side of a point
+_DETECTION_RANGE = (0.3, 3.0)  # range of levels, relative to the profile's threshold
+SOFTNESSES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)  # each compared with 0 (our own choice)
+_FARTHEST = 4  # largest distance to each side, in electrodes
 _DISCOMFORTS = 5
 _SLOWER = 2.0
-"""Factor by which the rise of current is slower than the profile's ramp, in `discomfort`."""
+"""Factor by which the current rises more slowly than the profile's ramp in `discomfort`."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment: what it asks, and the generator of its trials."""
+    """One experiment: its question and the generator of its trials."""
 
-    about: str  # in one line
+    about: str  # question, in one line
     trials: Callable[[Setup], Trials]
-    procedures: tuple[str, ...] = (CONSTANT,)  # that make sense, the usual one first
-    train_s: float = 0.5  # default length of a train
+    procedures: tuple[str, ...] = (CONSTANT,)  # allowed procedures, the default first
+    train_s: float = 0.5  # default duration of a pulse train
 
 
 def frequency(setup: Setup) -> Trials:
@@ -102,8 +102,8 @@ def frequency(setup: Setup) -> Trials:
 
 
 def _faster(setup: Setup, standards: tuple[float, ...], highest_hz: float) -> Procedure:
-    """Return an adaptive procedure of each standard, mixed at random: the upper threshold is
-    looked for."""
+    """Return randomly interleaved adaptive procedures, one for each standard, for upper
+    thresholds."""
     procedures = []
     for index, standard in enumerate(standards):
         low, high = _NARROWEST_RATIO * standard, min(WIDEST_RATIO * standard, highest_hz)
@@ -124,8 +124,8 @@ def _faster(setup: Setup, standards: tuple[float, ...], highest_hz: float) -> Pr
 def detection(setup: Setup) -> Trials:
     """Ask whether anything is felt.
 
-    A condition is the current of the strongest electrode of the site's kernel, mA; at 0 nothing
-    flows.
+    The comparison is the current of the strongest electrode of the site's kernel, mA. Some trials
+    have none.
     """
     threshold_ma, full_ma = _currents_ma(setup)
     train = setup.train([setup.place], setup.pulse_hz)
@@ -154,17 +154,17 @@ def detection(setup: Setup) -> Trials:
 
 
 def _currents_ma(setup: Setup) -> tuple[float, float]:
-    """Return threshold and comfortable maximum of the site."""
+    """Return the threshold and the comfort level of the site, mA."""
     profile, site = setup.profile, setup.place
     return float(profile.threshold_ma[site]), float(profile.full_ma[site])
 
 
 def discomfort(setup: Setup) -> Trials:
-    """Ask when a current is enough that rises evenly to the strongest of the profile."""
+    """Ask when a steadily rising current, up to the profile's maximum, is enough."""
     slowest_s = _SLOWER * setup.profile.limits.ramp_s
     if setup.train_s is not None and setup.train_s < slowest_s:
         raise ExperimentError(
-            f"a current that reaches discomfort in {setup.train_s:g} s comes too suddenly: let "
+            f"a current that reaches discomfort in {setup.train_s:g} s rises too fast: let "
             f"trains last {slowest_s:g} s or more"
         )
     train = setup.train([setup.place], setup.pulse_hz)
@@ -179,7 +179,8 @@ def discomfort(setup: Setup) -> Trials:
 
 
 def _rising(train: Train, full_ma: float) -> Course:
-    """Rise to a current in the time of a train; return y with the first key, n without."""
+    """Rise to a current over the duration of a train. Return y at the first key, or n without
+    one."""
     steps = round(train.seconds / STEP_S)
     pressed: bool | None = None
     while pressed is None:
@@ -203,7 +204,7 @@ def localization(setup: Setup) -> Trials:
     far_mm = sorted({abs(x_mm) for x_mm in beside if -x_mm in beside})[:_FARTHEST]
     if not far_mm:
         raise ExperimentError(
-            f"site {site} has no neighbors as far left as right: choose one in the middle of a row"
+            f"site {site} does not have neighbors on both sides: choose one in the middle of a row"
         )
 
     def trial(condition: Condition) -> Trial:
@@ -222,11 +223,11 @@ def localization(setup: Setup) -> Trials:
 def softness(setup: Setup) -> Trials:
     """Ask which of two points is softer while the finger moves (paper, Section III-B.2).
 
-    The rate of one follows the finger's force, as on something hard. That of the other does so the
-    less, the larger the comparison: at 1 it is constant.
+    The rate of one follows the finger's force, as on a hard object. The comparison says how much
+    less the rate of the other follows it: at 1 it is constant.
     """
     if setup.afferent is not Afferent.SAI:
-        raise ExperimentError("pressure, hard or soft, is felt through SAI: give --mode SAI")
+        raise ExperimentError("softness is felt through SAI: give --mode SAI")
     setup.notes.append(
         "move the finger up and down in each interval, and give --force: where force is not "
         "measured, all are felt alike"
@@ -262,7 +263,7 @@ CATALOG = {
 
 
 def find_experiment(name: str) -> Experiment:
-    """Return an experiment by its name in the catalog, or by its file."""
+    """Return an experiment by its name in the catalog or by its file."""
     if name in CATALOG:
         return CATALOG[name]
     if name.endswith(".py"):
@@ -284,14 +285,14 @@ def _experiment_of_file(name: str) -> Experiment:
     }
     if len(experiments) != 1:
         raise ExperimentError(
-            f"{name} has {len(experiments) or 'no'} Experiment{'s' * (len(experiments) > 1)}: "
-            "make one, as in experiment = Experiment('what it asks', trials)"
+            f"{name} defines {len(experiments) or 'no'} Experiment{'s' * (len(experiments) > 1)}: "
+            "define one, as in experiment = Experiment('its question', trials)"
         )
     return next(iter(experiments.values()))
 
 
 def trials_of(name: str, setup: Setup) -> tuple[Setup, Trials]:
-    """Return an experiment's trials, and the setup with what was not chosen filled in."""
+    """Return the setup, with missing options filled in, and the experiment's trials."""
     entry = find_experiment(name)
     procedure = setup.procedure or entry.procedures[0]
     if procedure not in entry.procedures:
@@ -304,7 +305,7 @@ def trials_of(name: str, setup: Setup) -> tuple[Setup, Trials]:
 
 
 def _checked(name: str, entry: Experiment, setup: Setup) -> Trials:
-    """Yield the trials of an experiment; what fails in it is an ExperimentError."""
+    """Yield the trials of an experiment; turn exceptions in its code into an ExperimentError."""
     answer = None
     try:
         trials = entry.trials(setup)
@@ -330,7 +331,7 @@ def _checked(name: str, entry: Experiment, setup: Setup) -> Trials:
 
 
 def _failure(name: str, error: Exception) -> ExperimentError:
-    """Return what failed in code outside of this package, with its line, in a sentence."""
+    """Return an error that names the line of the user's code that failed."""
     package_path, line = str(Path(__file__).parents[1]), ""
     if isinstance(error, SyntaxError):
         line = f" in line {error.lineno}"

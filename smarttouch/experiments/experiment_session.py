@@ -17,16 +17,15 @@ from smarttouch.experiments.procedures import LIMITS, middle_and_spread
 from smarttouch.experiments.trial_source import TrialSource
 from smarttouch.experiments.trials import Answer, Setup, Trial, Trials
 
-_SAME = 1e-6  # relative difference by which a condition may change when written and read
+_SAME = 1e-6  # relative error of a condition after it was written and read
 
 
 @dataclass
 class ExperimentSession:
-    """One run of an experiment: the trials that are left, and the file of all answers.
+    """One run of an experiment: the remaining trials and the file of answers.
 
-    The file is all that is remembered: its answers are given again to a fresh experiment of the
-    same options, which leads to the trial that comes next. A trial without its row is presented
-    again.
+    To resume, the answers in the file are sent again to the generator of trials, which is
+    deterministic and so arrives at the next trial. A trial without a row is repeated.
     """
 
     setup: Setup
@@ -34,16 +33,16 @@ class ExperimentSession:
     title: str
     resumed: int  # trials of earlier runs
     _trials: Trials
-    _next: Trial | None  # None if it is over
-    _date: str  # when the session began
+    _next: Trial | None  # None at the end
+    _date: str  # start of the session
 
     @property
     def over(self) -> bool:
-        """Whether there is no next trial."""
+        """Whether all trials are done."""
         return self._next is None
 
     def source(self, observer: Observer | None = None) -> TrialSource:
-        """Return the source of its stimuli; an observer answers in place of a person."""
+        """Return the source of stimuli; an observer, if given, answers in place of a person."""
         setup = self.setup
         source = TrialSource(
             self._recorded(), setup.profile, self.title, done=self.resumed, total=setup.total,
@@ -53,7 +52,7 @@ class ExperimentSession:
         return source
 
     def _recorded(self) -> Trials:
-        """Yield the trials that are left; an answer is on disk before the next one."""
+        """Yield the remaining trials; each answer is on disk before the next trial."""
         while (trial := self._next) is not None:
             answer = yield trial
             self.file.append(self._row(trial, answer))
@@ -73,16 +72,17 @@ class ExperimentSession:
         }  # fmt: skip
 
     def before(self, modeled: bool = False) -> Iterator[str]:
-        """Yield lines that introduce the session, with a modeled participant or another."""
+        """Yield lines that introduce the session; ``modeled`` says if the participant is
+        simulated."""
         total = "" if self.setup.total is None else f" of {self.setup.total}"
         if self.resumed and not self.over:
-            yield f"goes on at trial {self.resumed + 1}{total}: {self.file.path}"
+            yield f"continues at trial {self.resumed + 1}{total}: {self.file.path}"
         yield from self.setup.notes
         if modeled and self._next is not None and self._next.task == "faster":
             yield FITTED
 
     def after(self) -> Iterator[str]:
-        """Yield lines about the answers until now, and the next command."""
+        """Yield lines about the answers so far and the next command."""
         rows, total = self.file.rows, self.setup.total
         successes = [row for row in rows if row["success"]]
         missing = sum(row["success"] is None for row in rows)
@@ -90,7 +90,7 @@ class ExperimentSession:
             f"{len(rows)}{'' if total is None else f' of {total}'} trials"
             + (f" ({self.resumed} in earlier runs)" if self.resumed else "")
             + (f", {missing} of them without an answer" if missing else "")
-            + ("" if self.over else "; the same command goes on there")
+            + ("" if self.over else "; repeat the command to continue")
         )
         if self.setup.procedure == LIMITS:
             if successes:
@@ -106,9 +106,9 @@ class ExperimentSession:
 def open_experiment(
     name: str, setup: Setup, path: Path, participant: str = "", session: str = ""
 ) -> Iterator[ExperimentSession]:
-    """Open the file of an experiment's answers for a block, and go on where it ends.
+    """Open an experiment's file of answers, and continue where it ends.
 
-    ``name`` is that of an experiment, or its file; see `find_experiment`.
+    ``name`` is an experiment or its file, see `find_experiment`.
     """
     setup, trials = trials_of(name, setup)
     trial = next(trials, None)
@@ -121,8 +121,8 @@ def open_experiment(
         for number, row in enumerate(file.rows):
             if trial is None or not _is_same(trial, row):
                 raise ExperimentError(
-                    f"{path}, trial {number + 1}, is not of this experiment: go on with the "
-                    "options it was begun with, remove the file, or give another --output"
+                    f"{path}, trial {number + 1}, is not from this experiment: continue with the "
+                    "options of its first run, remove the file, or give another --output"
                 )
             success = row["success"]
             answer = Answer(str(row["response"]), None if success is None else bool(success))
@@ -141,7 +141,7 @@ def _next(trials: Trials, answer: Answer) -> Trial | None:
 def _is_same(trial: Trial, row: Row) -> bool:
     condition = trial.condition
     pairs = [(condition.standard, row["standard"] or 0.0)]
-    # How far a current will rise is not known beforehand.
+    # The comparison is NaN if the trial itself determines it.
     if not math.isnan(condition.comparison):
         pairs.append((condition.comparison, _number(row)))
     interval = condition.comparison_interval or None
@@ -155,12 +155,12 @@ def _number(row: Row) -> float:
 
 
 def experiment_name(name: str, setup: Setup) -> str:
-    """Return what an experiment is called in its file: its name and the class."""
+    """Return the experiment's name in its file: name and class."""
     return f"{Path(name).stem}-{setup.afferent.name}"
 
 
 def session_name(experiment: str, participant: str, session: str) -> tuple[str, int]:
-    """Return what an experiment's file is called without ending, and the seed of its orders."""
+    """Return the file name of a session, without ending, and the seed of its random orders."""
     for parameter, name in (("participant", participant), ("session", session)):
         if any(not (character.isalnum() or character in "-_.") for character in name):
             raise SmartTouchError(
@@ -171,7 +171,7 @@ def session_name(experiment: str, participant: str, session: str) -> tuple[str, 
 
 
 def numbered(path: Path) -> Path:
-    """Return a file's name with the next number, if there is one of that name."""
+    """Return a free path: the given one, or one with the next number."""
     names = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
     return (
         next(candidate for candidate in names if not candidate.exists()) if path.exists() else path

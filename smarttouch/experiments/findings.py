@@ -1,4 +1,5 @@
-"""Threshold for the answers to one standard, or why there is none; its text and figures."""
+"""Threshold for the answers to one standard, or the reason why there is none; tables and
+figures."""
 
 import math
 from collections.abc import Sequence
@@ -17,11 +18,11 @@ if TYPE_CHECKING:
 
 FEWEST_ANSWERS = 15
 MOST_UNANSWERED = 0.5
-"""Share of trials without an answer above which the answered ones may be a biased choice."""
+"""Largest share of unanswered trials; above it the answered ones may be biased."""
 SAME_INTERVAL = 0.95
-"""Share of answers for the same interval above which answers do not depend on the stimulus."""
-FLAT = 0.02  # significance level of the test against answers independent of the comparison
-_FALLING = -2.58  # trend, in standard deviations, of falling answers: one in two hundred by chance
+"""Largest share of answers for one interval; above it answers do not depend on the stimulus."""
+FLAT = 0.02  # significance level of the test for a dependence on the comparison
+_FALLING = -2.58  # trend, in standard deviations, below which answers fall; by chance 1 in 200
 _CURVE_POINTS = 301
 _BOUNDED = ("threshold", "weber", "middle", "lower", "lower_weber")
 
@@ -32,8 +33,8 @@ class Finding:
 
     answers: Answers
     model: Model
-    fit: Fit | None  # none where there is no function to speak of
-    verdict: str | None = None  # why no threshold can be reported, in one sentence; None if one can
+    fit: Fit | None  # None if no function could be fitted
+    verdict: str | None = None  # reason why there is no threshold; None if there is one
 
     @property
     def standard(self) -> float:
@@ -54,7 +55,7 @@ class Finding:
 
     @cached_property
     def curve(self) -> Array | None:
-        """Stimuli and fitted shares, (2, L); None without a fit."""
+        """Stimuli and fitted shares of successes, (2, L); None without a fit."""
         if self.fit is None:
             return None
         x = self.model.axis(self.counts.stimulus)
@@ -64,19 +65,20 @@ class Finding:
 
     @cached_property
     def threshold(self) -> Bounded | None:
-        """Stimulus at which the model's share of answers is reached."""
+        """Stimulus at which the share of successes equals `Model.share`."""
         return self._at(self.model.level)
 
     @cached_property
     def middle(self) -> Bounded | None:
-        """Stimulus where F is a half: the point of subjective equality, if asymptotes are equal."""
+        """Stimulus at which F is 0.5: the point of subjective equality if the asymptotes are
+        equal."""
         return self._at(0.5)
 
     @cached_property
     def lower(self) -> Bounded | None:
-        """The other threshold, as rarely judged higher as the upper is often.
+        """Lower threshold, at which F is 1 minus its value at the upper threshold.
 
-        None if it lies below all comparisons, or the asymptotes are not equal.
+        None if it lies below all comparisons, or if the asymptotes are not equal.
         """
         if self.model.guess != "equal":
             return None
@@ -85,12 +87,12 @@ class Finding:
 
     @property
     def weber(self) -> Bounded | None:
-        """Upper threshold as a part of the standard, from it (Fig. 16, bottom)."""
+        """Distance of the upper threshold from the standard, relative to it (Fig. 16, bottom)."""
         return self._relative(self.threshold)
 
     @property
     def lower_weber(self) -> Bounded | None:
-        """Lower threshold as a part of the standard, from it; negative."""
+        """Distance of the lower threshold from the standard, relative to it; negative."""
         return self._relative(self.lower)
 
     def _at(self, part: float) -> Bounded | None:
@@ -104,7 +106,7 @@ class Finding:
 
 
 def judge_answers(answers: Answers, model: Model) -> Finding:
-    """Fit the answers to one standard, or give the reason why not."""
+    """Fit the answers to one standard, or state why they determine no threshold."""
 
     def none(why: str, found: Fit | None = None) -> Finding:
         return Finding(answers, model, found, why)
@@ -126,7 +128,7 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
     if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
         if _trend(counts) < _FALLING:
             return none(
-                f"the higher the comparison, the more rarely {sentences}: the keys, or comparison "
+                f"{sentences} less often the higher the comparison: the keys, or comparison "
                 "and standard, are mixed up"
             )
         return none(
@@ -143,7 +145,7 @@ def judge_answers(answers: Answers, model: Model) -> Finding:
 
 
 def _unusable(answers: Answers) -> str | None:
-    """Return the reason why answers cannot be fitted."""
+    """Return the reason why answers cannot be fitted, or None."""
     answered, presented = answers.answered, answers.presented
     if answered < (1 - MOST_UNANSWERED) * presented:
         return f"only {answered} of {presented} trials were answered"
@@ -158,9 +160,9 @@ def _unusable(answers: Answers) -> str | None:
 
 
 def _chance_of_flat(fitted: Fit, share: float) -> float:
-    """Return the probability that the fit gains as much on a constant share by chance.
+    """Return the p value of a likelihood-ratio test of the fit against a constant share.
 
-    Likelihood ratio; chi squared with the two degrees of freedom of threshold and spread.
+    The statistic is chi squared with two degrees of freedom, for threshold and spread.
     """
     n, k = fitted.counts.n, fitted.counts.k
     constant = float(k.sum() * math.log(share) + (n - k).sum() * math.log1p(-share))
@@ -168,10 +170,10 @@ def _chance_of_flat(fitted: Fit, share: float) -> float:
 
 
 def _guessing(answers: Answers, model: Model) -> float:
-    """Return the share of successes by guessing alone.
+    """Return the share of successes of a participant who guesses.
 
-    That is known where a success is to be right. Adaptive procedures keep the share of successes
-    nearly the same, so that the slope itself would be a weak proof.
+    It is known if a success is a right answer; else it is the observed share. The known one is the
+    stronger test: adaptive procedures keep the observed share nearly constant.
     """
     if not isinstance(model.guess, str) and model.guess > 0:
         return model.guess
@@ -189,7 +191,7 @@ def _trend(counts: Counts) -> float:
 
 
 def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
-    """Return the JSON figures of each standard; an end that is not known is null."""
+    """Return the figures of each standard for JSON; an undetermined end is null."""
     return [
         {
             "standard": finding.answers.standard or None,
@@ -209,7 +211,7 @@ def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
 
 
 def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str]]:
-    """Return a heading, and a row of words for each finding that has a threshold."""
+    """Return a heading, and a row of text for each finding with a threshold."""
     share = findings[0].model.share if findings else 0.0
     heading = ["n", f"{share:.0%} at", "spread", "lapse"]
     if compares:
@@ -232,7 +234,7 @@ def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str
 
 
 def in_words(bounds: Bounded | None) -> str:
-    """Return a figure with its interval as text; an end that is not known is an ellipsis."""
+    """Return a value with its interval as text; an undetermined end is an ellipsis."""
     if bounds is None:
         return ""
     low, high = (f"{bound:.3g}" if math.isfinite(bound) else "…" for bound in bounds[1:])
@@ -248,13 +250,13 @@ def _ends(bounds: Bounded | None) -> dict[str, float | None] | None:
 
 
 _TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)  # of comparison / standard
-Series = tuple[AnswerTable, Sequence[Finding]]  # results of one file
+Series = tuple[AnswerTable, Sequence[Finding]]  # one file
 
 
 def discrimination_figure(series: Sequence[Series]) -> "Figure":
-    """Draw shares of answers, a panel for each series with a curve of each standard.
+    """Draw one panel for each series, with a psychometric curve for each standard.
 
-    Where all have a standard, the thresholds of all are drawn below, relative to it.
+    If all findings have standards, thresholds relative to them are drawn below.
     """
     compares = all(finding.standard for _, findings in series for finding in findings)
     figure = new_figure(max(5.2, 4.6 * len(series)), 5.6 if compares else 3.2)
@@ -281,8 +283,8 @@ def discrimination_figure(series: Sequence[Series]) -> "Figure":
 
 
 def _draw_shares(axes: Any, finding: Finding, unit: float, color: str, label: str) -> None:
-    """Draw shares, larger where there are more answers, the curve through them, and the interval
-    of the threshold on it, against stimulus / unit."""
+    """Draw shares as dots sized by the number of answers, the fitted curve, and the interval of the
+    threshold. The abscissa is stimulus / unit."""
     stimulus, n, k = finding.counts
     size = 8 + 2 * np.minimum(n, 10)
     axes.scatter(stimulus / unit, k / n, size, color=[color], label=label, lw=0, zorder=3)
@@ -298,7 +300,7 @@ def _draw_shares(axes: Any, finding: Finding, unit: float, color: str, label: st
 
 
 def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
-    """Draw thresholds as parts of their standards, where there are any."""
+    """Draw thresholds relative to their standards."""
     axes.axhline(0, color=GREY, lw=0.6)
     for index, (table, findings) in enumerate(series):
         color = SERIES_COLORS[index % 6]
@@ -310,7 +312,7 @@ def _draw_thresholds(axes: Any, series: Sequence[Series]) -> None:
             ]
             standard, *bounded = np.array(rows).T
             value, low, high = np.array(bounded) / standard - 1
-            # An end that is not determined lies at the farthest comparison.
+            # Draw an undetermined end at the farthest comparison.
             reach = np.array([value - low, high - value])
             reach = np.where(np.isinf(reach), np.abs(value), reach).tolist()
             axes.errorbar(standard * aside, value, reach, fmt=style, color=color, ms=4, lw=1,

@@ -19,12 +19,13 @@ SLOWEST_HZ, STEP_HZ = 10.0, 5.0  # lowest pulse rate (paper, III-B.1), and its s
 
 
 def raise_to_device_limits(profile: Profile) -> Profile:
-    """Return a profile whose strongest current is the device's limit (paper: 2.0 mA)."""
+    """Return a copy of the profile whose full current is the device's limit (paper: 2.0 mA)."""
     return measuring_profile(profile, spare_ma=len(profile.electrodes) / 2000)
 
 
 class FreeSource(StimulusSource, Listener):
-    """Endless train of pulses at one site, adjusted by keys; a new class or site begins at zero."""
+    """Endless pulse train at one site, adjusted by keys. A new class or site starts at zero
+    intensity."""
 
     keys_help = "← → rate    [ ] site    1 to 9 mark    "
     knows_force = True

@@ -1,14 +1,13 @@
-"""Simulated observers: by spikes, and at random.
+"""Simulated observers that judge spikes or answer at random.
 
-The paper's own explanation of its thresholds (Section III-C) as a model. Pulses fire RA
-and, if they reach deep enough, PC. RA's pulses carry the frequency; but a person who has learned
-from mechanical vibration what a frequency feels like expects ever more PC with it. A train
-with too little PC for its frequency is taken for a slower one.
+The model follows the paper's explanation of its thresholds (Section III-C). Pulses fire RA and, if
+they reach deep enough, PC. RA spikes carry the frequency. People know frequencies from mechanical
+vibration, where the share of PC grows with frequency. So they perceive a train with little PC as
+slower than it is.
 
-What follows: where no PC fires nothing above `ALONE_HZ` is believed; where some do, as in PC
-mode, something above. What is assumed: the form of the soft minimum, and three numbers that fit
-the paper's RA mode, `ALONE_HZ`, `BASE_WEBER` and `SHARPNESS`. That RA mode gives out near 65 Hz is
-put in by the first, and explains nothing.
+Assumptions: the form of the soft minimum, and `ALONE_HZ`, `BASE_WEBER` and `SHARPNESS`, which are
+fitted to the paper's RA mode. The limit of RA mode near 65 Hz is therefore an input, not a
+prediction. The results for PC mode are predictions.
 """
 
 import math
@@ -33,66 +32,65 @@ from smarttouch.profile import Profile
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Pulses delivered in one interval of a trial, as the board reports them."""
+    """Pulses of one interval of a trial, as reported by the board."""
 
-    time_s: NDArray[np.float64]  # (N,) float64, s: of each slot, since the interval began
+    time_s: NDArray[np.float64]  # (N,) float64, s: start of each slot within the interval
     width_us: NDArray[np.float32]  # (N,) float32, µs: duration of each slot
-    current_ua: NDArray[np.int16]  # (N, E) int16, µA: current of each electrode, positive cathodic
+    current_ua: NDArray[np.int16]  # (N, E) int16, µA: positive is cathodic
 
 
 Array = NDArray[np.float64]
 
 BASE_WEBER = 0.125
-"""75 % discrimination threshold where nothing contradicts the pulses' own frequency. Ours: with
-it thresholds stay below the 20 % of the paper up to 45 Hz (Section III-C)."""
+"""Weber fraction at 75 % if the share of PC agrees with the frequency. Our choice: it keeps
+thresholds below the paper's 20 % up to 45 Hz (Section III-C)."""
 ALONE_HZ = 65.0
-"""Highest frequency believed without any PC. Ours: between 60 and 70 Hz, where the paper lets PC
-come in and RA end. On the fingertip both are alike at 40 Hz."""
+"""Highest frequency perceived without PC spikes. Our choice, between 60 and 70 Hz: there, in the
+paper, PC takes over from RA. On the fingertip both are equally sensitive at 40 Hz."""
 SHARPNESS = 3.2
-"""Steepness of the limit of perceived frequency. Ours: with it the threshold at 75 Hz in RA mode
-is 0.68, where the paper has 0.7."""
+"""Exponent of the soft minimum. Our choice: the threshold at 75 Hz in RA mode becomes 0.68; the
+paper has 0.7."""
 
 FITTED = (
     "the simulated participant's sense of frequency was fitted to the paper's RA mode "
     f"({ALONE_HZ:g} Hz, {BASE_WEBER:.1%}, steepness {SHARPNESS:g}): where no PC fires, its "
     "thresholds are no result"
 )
-"""What to know of a modeled participant's answers to frequencies."""
+"""Warning for frequency judgments of a simulated participant."""
 
 
 SPREAD = math.log1p(BASE_WEBER) / float(math.sqrt(2) * ndtri(0.75))
-"""Standard deviation of the logarithm of one perceived frequency."""
+"""Standard deviation of the logarithm of a perceived frequency."""
 
 
 @cache
 def _learned() -> tuple[Array, Array]:
-    """Return frequencies of vibration, and the ratio of PC to RA at each."""
-    # Up to the best frequency of PC: beyond it the ratio falls again.
+    """Return frequencies of vibration, Hz, and the ratio of PC to RA spikes at each."""
+    # Above the best frequency of PC the ratio falls again.
     hz = np.geomspace(ALONE_HZ, best_hz(Afferent.PC), 200)
     return hz, sensitivity(Afferent.PC, hz) / sensitivity(Afferent.RA, hz)
 
 
 def believable_hz(ratio: float) -> float:
-    """Return the highest frequency perceived at a ratio of PC to RA, Hz.
+    """Return the highest frequency perceived at a ratio of PC to RA spikes, Hz.
 
-    It is the frequency of a mechanical vibration to which PC and RA, each of what it answers at its
-    best, answer in that ratio (paper, Fig. 2). No PC at all means that the vibration lies where
-    only RA answers: below `ALONE_HZ`.
+    A mechanical vibration of this frequency evokes the same ratio, with each class relative to its
+    best frequency (paper, Fig. 2). Without PC the result is `ALONE_HZ`.
     """
     hz, ratios = _learned()
     return float(np.interp(ratio, ratios, hz))
 
 
 def perceived_hz(hz: float, ratio: float) -> float:
-    """Return the perceived frequency of a train at a ratio of PC to RA, without noise, Hz.
+    """Return the perceived frequency of a train at a ratio of PC to RA spikes, without noise, Hz.
 
-    It is the soft minimum of the pulses' frequency and of the highest that is believed.
+    It is the soft minimum of the pulse frequency and `believable_hz`.
     """
     limit_hz = believable_hz(ratio)
     return float((hz**-SHARPNESS + limit_hz**-SHARPNESS) ** (-1 / SHARPNESS))
 
 
-_LONGEST_US = 60_000  # longest pause that counts in full: refractory times are shorter
+_LONGEST_US = 60_000  # longest simulated pause: refractory periods are shorter
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +99,7 @@ class Response:
 
     finger: Finger
     fired: NDArray[np.bool_]  # (A, N) bool: whether each afferent fired in each slot
-    time_s: NDArray[np.float64]  # (N,), s: of each slot
+    time_s: NDArray[np.float64]  # (N,), s: start of each slot
 
     @cached_property
     def counts(self) -> NDArray[np.intp]:
@@ -115,7 +113,8 @@ class Response:
 
     @property
     def hz(self) -> float:
-        """Frequency of the RA afferent that fires most, or else the PC; 0 with a spike or none."""
+        """Spike rate of the most active RA afferent, or of PC if no RA fires; 0 below two
+        spikes."""
         for afferent in (Afferent.RA, Afferent.PC):
             class_counts = np.where(self.finger.classes == afferent, self.counts, 0)
             if class_counts.max(initial=0) > 1:
@@ -126,10 +125,9 @@ class Response:
 
     @property
     def ratio(self) -> float:
-        """Ratio of PC to RA spikes, each for its density; infinite where PC alone fires.
+        """Ratio of PC to RA spikes, each divided by the number of afferents of its class.
 
-        Whoever learned from vibration what a frequency feels like had as many afferents of each
-        class as the finger has: a class with few counts for more.
+        Infinite if only PC fires.
         """
         anatomy = self.finger.anatomy
         ra, pc = (
@@ -145,15 +143,14 @@ class Response:
 
     @property
     def center_mm(self) -> NDArray[np.float64]:
-        """Middle of the receptors that fire, (2,) mm; NaN where none does."""
+        """Mean place of the receptors that fire, (2,) mm; NaN if none fires."""
         total = self.counts.sum()
         places = self.finger.receptor_mm.astype(np.float64)
         return np.asarray(self.counts @ places / (total or math.nan))
 
 
 class Nerve:
-    """Afferents of one finger that respond to the intervals of trials; the seed is of the noise
-    from pulse to pulse."""
+    """Afferents of one finger, with random threshold noise from pulse to pulse."""
 
     def __init__(self, finger: Finger, seed: int = 0) -> None:
         self.finger: Finger = finger
@@ -171,27 +168,27 @@ class Nerve:
 
 
 GRATING_LIMIT_MM = 0.94
-"""Finest grooves whose direction a fingertip identifies (Van Boven and Johnson, Neurology 44,
-1994). Ours: places are discriminated as well as grooves, in 75 % of trials."""
+"""Finest grating whose direction a fingertip identifies (Van Boven and Johnson, Neurology 44,
+1994). We assume that positions are discriminated equally well, in 75 % of trials."""
 
 
 class Observer(Protocol):
-    """Observer that answers trials."""
+    """Participant that answers trials in place of a person."""
 
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
     ) -> str | None:
         """Return one of the alternatives, or None for no answer.
 
-        Tasks are ``faster`` and ``softer`` (which interval: 1 or 2), ``felt`` (y or n) and
-        ``side`` (of the second point: l or r).
+        Tasks are ``faster`` and ``softer`` (interval 1 or 2), ``felt`` (y or n) and ``side``
+        (second point left or right: l or r).
         """
         ...
 
 
 @dataclass
 class BlindObserver:
-    """Observer that answers at random, whatever is delivered."""
+    """Observer that answers at random."""
 
     seed: int = 0
 
@@ -201,26 +198,25 @@ class BlindObserver:
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
     ) -> str | None:
-        """Return any of the alternatives."""
+        """Return a random alternative."""
         return alternatives[int(self._random.integers(len(alternatives)))]
 
 
 @dataclass
 class SimulatedObserver:
-    """Observer that judges the spikes of one finger, with noise and a criterion."""
+    """Observer that judges the spikes of one finger."""
 
     finger: Finger
     seed: int = 0
-    # afferents that fire in a slot, on average, where in half of the trials it is felt. Ours: one
-    # that answers every second slot (spikes of a single RA afferent can be felt, Vallbo et al.
-    # 1984).
+    # Mean number of afferents that fire in a slot, felt in half of the trials. Our choice: one
+    # afferent that fires every second slot. Spikes of a single RA afferent can be felt (Vallbo et
+    # al. 1984).
     felt_afferents: float = 0.5
-    slope: float = 0.1  # its standard deviation, in natural logarithms of afferents
-    # guess, lapse: rate of false detections, and rate at which the answer is not what was felt: of
-    # two or more alternatives any one
+    slope: float = 0.1  # standard deviation of the logarithm of `felt_afferents`
+    # guess, lapse: rate of false detections; rate of answers at random
     guess: float = 0.02
     lapse: float = 0.02
-    # standard deviation of a felt place
+    # standard deviation of a perceived position
     place_mm: float = GRATING_LIMIT_MM / (math.sqrt(2) * float(ndtri(0.75)))
 
     def __post_init__(self) -> None:
@@ -258,14 +254,15 @@ class SimulatedObserver:
         return self._larger(perceived, SPREAD)
 
     def _side(self, intervals: Sequence[Interval]) -> str | None:
-        """Return the side of the second point from the first."""
+        """Return l or r: the side on which the second point lies."""
         at_mm = [self._nerve.of(interval).center_mm[0] for interval in intervals]
         if any(math.isnan(x_mm) for x_mm in at_mm):
             return None
         return "l" if self._larger(np.array(at_mm), self.place_mm) == "1" else "r"
 
     def _softer(self, intervals: Sequence[Interval]) -> str | None:
-        """Return where the rate changes least while the finger moves (paper, Section III-B.2)."""
+        """Return the interval whose rate changes least while the finger moves (paper, Section
+        III-B.2)."""
         changes = [float(np.ptp(np.diff(interval.time_s))) for interval in intervals]
         return None if math.isclose(*changes, abs_tol=1e-3) else str(1 + int(np.argmin(changes)))
 
@@ -275,25 +272,24 @@ class SimulatedObserver:
 
 def make_observer(
     kind: str,
-    profile: Profile,  # profile of the finger whose spikes the model judges
-    seed: int,  # of its noise
-    finger: int = 1,  # seed of the model's finger
-    anatomy: str | Path = "paper",  # of the model's finger
+    profile: Profile,  # profile of the simulated finger
+    seed: int,  # seed of the noise
+    finger: int = 1,  # seed of the simulated finger
+    anatomy: str | Path = "paper",  # anatomy of the simulated finger
 ) -> Observer:
-    """Return the observer of a kind: ``model``; or ``random``, for checks."""
+    """Return a ``model`` observer, or a ``random`` one for checks."""
     if kind != "model":
         return BlindObserver(seed)
     return SimulatedObserver(Finger(profile, finger, anatomy), seed)
 
 
 Starts = dict[int, tuple[int, int]]
-"""When each sequence of an interval began, ns, and the discharge after each of its slots, µs; by
-its number."""
+"""Start of each sequence of an interval, ns, and the discharge after each slot, µs, by sequence
+number."""
 
 
 def interval_of(pulses: Pulses, starts: Starts) -> Interval:
-    """Return the pulses that the sequences of one interval delivered, from
-    `SimulatedDriver.take_pulses`."""
+    """Return the pulses of one interval from those of `SimulatedDriver.take_pulses`."""
     number, width_us, current_ua = pulses
     mine = np.isin(number, list(starts))
     number, width_us, current_ua = number[mine], width_us[mine], current_ua[mine]

@@ -1,8 +1,7 @@
-"""Procedures: generators that yield the condition of the next trial, and get its answer.
+"""Procedures: generators that yield the condition of a trial and receive its answer.
 
-The answer is True for a success (judged higher, felt, or right), False, or None where none came.
-The same arguments and answers lead to the same conditions: a session is resumed by giving it the
-same answers again.
+The answer is True for a success (judged higher, felt or right), False, or None if no answer came.
+Procedures are deterministic: a session is resumed by sending the same answers again.
 """
 
 import math
@@ -21,11 +20,11 @@ class Condition:
     """Stimulus of one trial."""
 
     standard: float  # standard; 0 if there is none
-    comparison: float  # NaN where it is the result of the trial
-    # in which interval the comparison comes, 1 or 2; 0 where there are no two intervals
+    comparison: float  # NaN if the trial determines it
+    # interval with the comparison, 1 or 2; 0 if there is a single interval
     comparison_interval: int = 0
-    # repetition, trial, index: PsychoPy's thisRepN, thisTrialN and thisIndex: which repetition of
-    # all conditions, which trial of it, and which of the conditions
+    # repetition, trial, index: PsychoPy's thisRepN, thisTrialN and thisIndex: number of the
+    # repetition, of the trial in it, and of the condition
     repetition: int = 0
     index: int = 0
     trial: int = 0
@@ -38,7 +37,7 @@ ADAPTIVE = (CONSTANT, STAIRCASE, QUESTPLUS)
 
 
 def interleave(procedures: Sequence[Procedure], seed: int = 0) -> Procedure:
-    """Mix trials of several procedures at random, one of each standard for example."""
+    """Interleave the trials of several procedures at random."""
     random = np.random.default_rng([seed, len(procedures)])
     waiting = {index: next(procedure) for index, procedure in enumerate(procedures)}
     while waiting:
@@ -51,27 +50,28 @@ def interleave(procedures: Sequence[Procedure], seed: int = 0) -> Procedure:
 
 
 def middle_and_spread(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:
-    """Return the median, and a robust standard deviation: 1.4826 times the median deviation."""
+    """Return the median and a robust standard deviation: 1.4826 times the median absolute
+    deviation."""
     middle = float(np.median(values))
     return middle, 1.4826 * float(np.median(np.abs(np.asarray(values) - middle)))
 
 
 STANDARDS_HZ = (15.0, 30.0, 45.0, 60.0, 75.0)
 """Standards of the paper's frequency discrimination (Section III.C)."""
-WIDEST_RATIO = 2.0  # comparisons reach from a half to twice the standard (Section III.C)
+WIDEST_RATIO = 2.0  # comparisons are 0.5 to 2 times the standard (Section III.C)
 RATIOS = tuple(WIDEST_RATIO ** (step / 9) for step in range(-9, 10, 2))
-"""Ten steps alike in logarithms and symmetric. 1.0 is not among them: nobody can be right about
-two equal frequencies, and the curve at 1.0 follows from its neighbors on both sides."""
-REPETITIONS = 10  # repetitions of each pair (Section III.C)
+"""Ten ratios, evenly spaced on a logarithmic axis and symmetric about 1. The ratio 1 itself is left
+out: neither answer would be right."""
+REPETITIONS = 10  # trials of each pair (Section III.C)
 
 
 def ratio_pairs(
-    # standards, ratios: each standard is paired with its product with each ratio
+    # Each comparison is a standard times a ratio.
     standards: Sequence[float] = STANDARDS_HZ,
     ratios: Sequence[float] = RATIOS,
     highest: float = math.inf,  # largest comparison, in the unit of the standards
 ) -> list[tuple[float, float]]:
-    """Return standards with their comparisons, to a thousandth; none above `highest`."""
+    """Return pairs of standard and comparison, rounded to 0.001, up to `highest`."""
     pairs = [
         (float(standard), round(standard * ratio, 3))
         for standard in standards
@@ -80,31 +80,31 @@ def ratio_pairs(
     ]
     if not pairs:
         raise ExperimentError(
-            f"no standard and comparison is at or below {highest:g}: give lower standards"
+            f"all standards or comparisons are above {highest:g}: give lower standards"
         )
     return pairs
 
 
 def constant_stimuli(
-    # standards and comparisons; the standard is 0 where there is none
+    # (standard, comparison); the standard is 0 if there is none
     pairs: Sequence[tuple[float, float]],
-    repetitions: int = REPETITIONS,  # of each pair
-    two_intervals: bool = True,  # whether standard and comparison come one after the other
-    seed: int = 0,  # of all orders
+    repetitions: int = REPETITIONS,  # trials of each pair
+    two_intervals: bool = True,  # whether the standard is presented, too
+    seed: int = 0,  # of the random orders
 ) -> Procedure:
-    """Show each pair a fixed number of times, in a new random order each time.
+    """Present each pair a fixed number of times, in a new random order for each repetition.
 
-    In two intervals the comparison comes first in half the trials of each pair, so that who
-    always answers *the first* is right half the time. A trial without an answer comes again at the
-    end, once.
+    With two intervals the comparison comes first in half of the trials of each pair, so that always
+    answering *the first* is right half the time. A trial without an answer is repeated once, at the
+    end.
     """
     if not pairs or repetitions < 1:
         raise ExperimentError(
-            f"{len(pairs)} conditions and {repetitions} repetitions are no experiment: give at "
+            f"{len(pairs)} conditions and {repetitions} repetitions are not enough: give at "
             "least one of each"
         )
     random = np.random.default_rng([seed, len(pairs), repetitions])
-    # The odd repetition, where there is one, is a first for every second pair.
+    # If the number is odd, half of the pairs get one more trial with the comparison first.
     balanced = (np.arange(repetitions) + np.arange(len(pairs))[:, None]) % 2 + 1
     interval = random.permuted(balanced, axis=1) * two_intervals
     plan = [
@@ -128,7 +128,8 @@ def constant_stimuli(
 
 
 def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
-    """Yield 1 and 2, four times each in every eight; 0 where there are no two intervals."""
+    """Yield 1 and 2 in random order, four of each in every eight; always 0 for a single
+    interval."""
     random = np.random.default_rng([seed, 2])
     while True:
         block = [int(interval) for interval in random.permutation([1] * 4 + [2] * 4)][::-1]
@@ -136,29 +137,29 @@ def _intervals(two_intervals: bool, seed: int) -> Iterator[int]:
 
 
 _COARSE_FACTOR, _COARSE_REVERSALS = 2.0, 2
-"""Factor of steps until the second reversal (our own choice)."""
-_REVERSALS = 14  # that end a staircase
+"""Factor by which steps are larger until the second reversal (our own choice)."""
+_REVERSALS = 14  # number of reversals that ends a staircase
 _PINNED_TRIALS = 4
-"""Answers in a row toward the end of the range, after which the threshold lies beyond it."""
+"""Number of consecutive answers at the end of the range that shows a threshold beyond it."""
 
 
 def weighted_staircase(
-    # start, lowest, highest: comparison to begin with, and its range, above 0
+    # start, lowest, highest: first comparison and range of comparisons, above 0
     start: float,
     lowest: float,
     highest: float,
-    step: float,  # down, once it is fine, as a part of the comparison
+    step: float,  # step down after the second reversal, relative to the comparison
     standard: float = 0.0,  # standard; 0 if there is none
-    target: float = 0.75,  # share of successes that is looked for
+    target: float = 0.75,  # share of successes at which the staircase converges
     most_trials: int = 80,
-    two_intervals: bool = True,  # whether standard and comparison come one after the other
-    seed: int = 0,  # of the interval in which the comparison comes
+    two_intervals: bool = True,  # whether the standard is presented, too
+    seed: int = 0,  # of the order of intervals
 ) -> Procedure:
     """Step down after a success, and up after a failure.
 
-    Steps up are target / (1 - target) times as large as steps down, so that it comes to rest
-    where the target share of answers are successes (Kaernbach, Perception & Psychophysics 49,
-    1991, Eq. 1). A trial without an answer is shown again, and counts as one of the most trials.
+    Steps up are target / (1 - target) times as large as steps down, so the staircase converges
+    where the share of successes equals the target (Kaernbach, Perception & Psychophysics 49, 1991,
+    Eq. 1). A trial without an answer is repeated, and counts toward the largest number of trials.
     """
     intervals = _intervals(two_intervals, seed)
 
@@ -185,26 +186,26 @@ def weighted_staircase(
 
 _STIMULI, _THRESHOLDS, _SLOPES = 41, 61, 9
 _LAPSES = (0.0, 0.02, 0.05, 0.1)
-"""Lapse rates of the grid, all equally likely beforehand (our own choice)."""
-_NARROWEST, _WIDEST = 1 / 40, 1.0  # spreads of the grid, in spans of the stimuli
+"""Lapse rates of the grid, with a uniform prior (our own choice)."""
+_NARROWEST, _WIDEST = 1 / 40, 1.0  # spreads of the grid, relative to the range of stimuli
 
 
 def quest_plus(
-    # lowest, highest: range of stimuli and thresholds
+    # lowest, highest: range of stimuli and of thresholds
     lowest: float,
     highest: float,
     guess: float = 0.5,  # share of successes by guessing
     standard: float = 0.0,  # standard; 0 if there is none
     most_trials: int = 60,
-    two_intervals: bool = True,  # whether standard and comparison come one after the other
-    seed: int = 0,  # of the interval in which the comparison comes
+    two_intervals: bool = True,  # whether the standard is presented, too
+    seed: int = 0,  # of the order of intervals
 ) -> Procedure:
-    """Show the stimulus whose answer is expected to say most, on a grid of threshold, slope and
-    lapse (QUEST+, Watson, Journal of Vision 17(3):10, 2017).
+    """Present the stimulus whose answer has the largest expected information, on a grid of
+    threshold, slope and lapse rate (QUEST+, Watson, Journal of Vision 17(3):10, 2017).
 
-    The expected entropy of the posterior is least where the answer's own entropy exceeds most
-    what is expected of it given the parameters: the same stimulus, found without one posterior for
-    each. No answer leaves the posterior as it is, and uses the trial.
+    The expected information is the entropy of the answer minus its expected entropy given the
+    parameters. This equals the expected drop of the posterior's entropy, and needs no posterior for
+    each stimulus. A trial without an answer counts, but does not change the posterior.
     """
     low, high = math.log(lowest), math.log(highest)
     places = np.linspace(low, high, _STIMULI)
@@ -229,14 +230,14 @@ def quest_plus(
 
 
 def _entropy(likely: Array) -> Array:
-    """Return the entropy of an answer, in nats."""
+    """Return the entropy of an answer with this probability of success, in nats."""
     likely = np.clip(likely, 1e-12, 1 - 1e-12)
     return np.asarray(-(likely * np.log(likely) + (1 - likely) * np.log1p(-likely)))
 
 
 def adaptive(
     method: str,  # STAIRCASE or QUESTPLUS
-    # start, step: of a staircase
+    # start, step: first comparison and step of a staircase
     start: float,
     step: float,
     # lowest, highest: range of stimuli

@@ -1,14 +1,10 @@
-"""Psychometric functions: the probability that a stimulus is judged higher, felt, or named; and
-their fit.
+"""Psychometric functions and their fit. ``p = guess + (1 - guess - lapse) F((x - middle) /
+spread)``: F is the cumulative normal, as in the paper, and x a stimulus or its natural logarithm
+(Wichmann and Hill, Perception & Psychophysics 63, 2001, Eq. 1).
 
-``p = guess + (1 - guess - lapse) F((x - middle) / spread)``, F the cumulative normal of the paper,
-x a stimulus or its natural logarithm, as in Wichmann and Hill (Perception & Psychophysics 63, 2001,
-Eq. 1).
-
-One posterior on a grid gives estimates and intervals, as Kuss, Jäkel and Wichmann (Journal of
-Vision 5(5):8, 2005) do with chains. Each function of the grid is weighed by its likelihood, so that
-an estimate is within its interval, and both rise with the share that is asked for. No randomness:
-the same answers give the same fit.
+A posterior on a grid of parameters gives estimates and credible intervals; Kuss, Jäkel and Wichmann
+(Journal of Vision 5(5):8, 2005) sample it by Markov chains instead. The grid is deterministic, each
+estimate lies within its interval, and both increase with the share of successes.
 """
 
 from dataclasses import dataclass
@@ -25,41 +21,42 @@ Array = NDArray[np.float64]
 Guess = float | Literal["equal", "free"]
 
 MOST_LAPSES = 0.1
-"""Largest lapse rate: share of answers independent of the stimulus (our own choice)."""
+"""Largest lapse rate, the share of answers that do not depend on the stimulus (our own choice)."""
 MOST_GUESSES = 0.5
-"""Largest guess rate: share of *felt* without a stimulus, where it is not known beforehand."""
+"""Largest guess rate if it is fitted, the share of *felt* without a stimulus."""
 QUANTILES = (0.5, 0.025, 0.975)
-"""Quantiles of the posterior: the estimate, and the ends of its interval of 95 %."""
+"""Quantiles of the posterior: the estimate and the ends of its 95 % interval."""
 _MIDDLES, _SPREADS, _LAPSES, _GUESSES = 151, 21, 5, 6
 _NARROWEST, _WIDEST = 1 / 40, 1.0
-"""Spreads, in spans of the comparisons; alike in logarithms, all equally likely (our own choice,
-by which intervals of simulated subjects hold 92 to 98 % of thresholds)."""
+"""Spreads relative to the range of comparisons, with a uniform prior on the logarithm. Our own
+choice: with it, intervals contain the thresholds of 92 to 98 % of simulated subjects."""
 _EDGE = 0.05
-"""Part of a span: an interval that ends closer than this to the edge of the grid is unbounded."""
-_NOTHING = 1e-7  # weight of places that a finer grid leaves out
+"""Distance from the edge of the grid, relative to the range, below which an end of an interval is
+unbounded."""
+_NOTHING = 1e-7  # weight below which the finer grid leaves a place out
 
 
 class Counts(NamedTuple):
-    """Number of trials and successes at each comparison."""
+    """Trials and successes at each comparison."""
 
-    stimulus: Array  # (K,): rising
-    # n, k: (K,), answers and successes
+    stimulus: Array  # (K,): ascending
+    # n, k: (K,), numbers of answers and of successes
     n: Array
     k: Array
 
 
 class Parameters(NamedTuple):
-    """Parameters, each one number or (G,) of many functions."""
+    """Parameters of one function, or of G functions, (G,) each."""
 
-    middle: Array  # where F is a half, on the model's axis: a logarithm if that is logarithmic
-    spread: Array  # standard deviation of F on that axis
-    # lapse, guess: shares
+    middle: Array  # x at which F is 0.5
+    spread: Array  # standard deviation of F, in units of x
+    # lapse, guess: rates, 0 to 1
     lapse: Array
     guess: Array
 
 
 class Bounded(NamedTuple):
-    """A figure and its credible interval; an end that is not determined is infinite."""
+    """Estimate with its credible interval; an undetermined end is infinite."""
 
     value: float
     low: float
@@ -68,24 +65,24 @@ class Bounded(NamedTuple):
 
 @dataclass(frozen=True)
 class Model:
-    """A family of psychometric functions, rising with the stimulus."""
+    """Family of psychometric functions that increase with the stimulus."""
 
-    # lower asymptote: known (0.5 of two intervals, 1/m of m letters, 0), equal to the lapses
-    # (*which was higher*, where the comparison is both lower and higher than the standard), or free
-    # up to `MOST_GUESSES` (*felt*, with trials that show nothing)
+    # Lower asymptote: a number if known (0.5 for two intervals, 1/m for m letters, 0); "equal" to
+    # the lapse rate (*which was higher*, with comparisons on both sides of the standard); or "free"
+    # up to `MOST_GUESSES` (*felt*, with trials without a stimulus).
     guess: Guess = "equal"
-    # share of answers that defines the threshold, apart from lapses, and from guesses if these are
-    # free; None: 0.75 where asymptotes are equal (Section III.C of the paper), else halfway between
-    # guess and 1
+    # Share of successes at the threshold, without lapses, and without guesses if these are free.
+    # None means 0.75 if the asymptotes are equal (paper, Section III.C), else halfway between guess
+    # and 1.
     at: float | None = None
-    logarithmic: bool = True  # whether F is one of the stimulus' logarithm
-    most_lapses: float = MOST_LAPSES  # upper bound
+    logarithmic: bool = True  # whether x is the logarithm of the stimulus
+    most_lapses: float = MOST_LAPSES  # upper bound of the lapse rate
 
     def __post_init__(self) -> None:
         floor = 0.0 if isinstance(self.guess, str) else self.guess
         if not 0 <= floor < 1 - 2 * self.most_lapses:
             raise ExperimentError(
-                f"a guess rate of {floor:g} leaves no room for answers: give 0 to below "
+                f"a guess rate of {floor:g} is too high: give 0 to below "
                 f"{1 - 2 * self.most_lapses:g}"
             )
         if self.at is not None and not floor < self.at < 1:
@@ -96,20 +93,21 @@ class Model:
 
     @property
     def level(self) -> float:
-        """F at the threshold."""
+        """Value of F at the threshold."""
         if isinstance(self.guess, str):
             return self.at or (0.75 if self.guess == "equal" else 0.5)
         return 0.5 if self.at is None else (self.at - self.guess) / (1 - self.guess)
 
     @property
     def share(self) -> float:
-        """Share of answers at the threshold, apart from lapses (and guesses, if free)."""
+        """Share of successes at the threshold, without lapses, and without guesses if these are
+        free."""
         if isinstance(self.guess, str):
             return self.level
         return self.guess + (1 - self.guess) * self.level
 
     def axis(self, stimulus: ArrayLike) -> Array:
-        """Return the place of stimuli on the axis; a stimulus of zero may be at minus infinity."""
+        """Return x for stimuli; minus infinity for a stimulus of zero on a logarithmic axis."""
         values = np.asarray(stimulus, np.float64)
         if not self.logarithmic:
             return values
@@ -119,15 +117,15 @@ class Model:
             return np.asarray(np.log(values))
 
     def stimulus(self, position: ArrayLike) -> Array:
-        """Return the stimuli at places on the axis."""
+        """Return the stimuli for values of x."""
         return np.asarray(np.exp(position) if self.logarithmic else position, np.float64)
 
     def place(self, part: float, parameters: Parameters) -> Array:
-        """Return the place on the axis at which F equals the given part of 1."""
+        """Return the x at which F equals ``part``."""
         return np.asarray(parameters.middle + ndtri(part) * parameters.spread)
 
     def probability(self, x: Array, parameters: Parameters) -> Array:
-        """Return the probability of a success, (G, K), at places on the axis, (K,)."""
+        """Return the probability of a success, (G, K), at each x, (K,)."""
         middle, spread, lapse, guess = (
             np.asarray(parameter)[..., None] for parameter in parameters
         )
@@ -135,32 +133,31 @@ class Model:
 
 
 def log_likelihood(likely: Array, n: Array, k: Array) -> Array:
-    """Return the logarithm of the likelihood, (...,), of k successes in n trials, (..., K), that
-    have these probabilities."""
-    # Away from 0 and 1, so that any answer has a finite one.
+    """Return the log likelihood, (...,), of k successes in n trials with probabilities (..., K)."""
+    # Stay away from 0 and 1, so that the logarithm is finite.
     likely = np.clip(likely, 1e-9, 1 - 1e-9)
     return np.asarray(np.log(likely) @ k + np.log1p(-likely) @ (n - k))
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Psychometric functions of a family, weighed by the answers."""
+    """Posterior of the functions of a model, given answers."""
 
     model: Model
-    counts: Counts  # answers it was fitted to
-    ends: tuple[float, float]  # of the comparisons and the standard, on the model's axis
+    counts: Counts  # fitted answers
+    ends: tuple[float, float]  # smallest and largest x of comparisons and standard
     functions: Parameters  # (G,)
-    log_likelihoods: Array  # (G,): of each function, without the binomial coefficients
+    log_likelihoods: Array  # (G,): without the binomial coefficients
 
     @cached_property
     def weights(self) -> Array:
-        """Weights of the functions, (G,), of sum 1."""
+        """Posterior weights of the functions, (G,); their sum is 1."""
         weights = np.exp(self.log_likelihoods - self.log_likelihoods.max())
         return np.asarray(weights / weights.sum())
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Mean of the functions, (1,) each, moved to the median of their threshold."""
+        """Posterior means, (1,) each, shifted so that the threshold is its median."""
         _, spread, lapse, guess = self.functions
         spread = np.exp([self.weights @ np.log(spread)])
         middle = self._quantiles(self.model.level)[0] - ndtri(self.model.level) * spread
@@ -168,7 +165,7 @@ class Fit:
         return Parameters(middle, spread, *others)
 
     def bounded(self, part: float) -> Bounded:
-        """Return the stimulus at which F equals the given part of 1, and its interval."""
+        """Return the stimulus at which F equals ``part``, with its interval."""
         value, low, high = self._quantiles(part)
         first, last = self.ends
         edge = (1 - _EDGE) * (last - first)
@@ -177,11 +174,11 @@ class Fit:
         return Bounded(*self.model.stimulus([value, low, high]).tolist())
 
     def __call__(self, stimulus: Array) -> Array:
-        """Return the predicted shares at stimuli, (K,)."""
+        """Return the predicted shares of successes at stimuli, (K,)."""
         return np.asarray(self.model.probability(self.model.axis(stimulus), self.parameters)[0])
 
     def _quantiles(self, part: float) -> Array:
-        """Return `QUANTILES` of the place at which F equals the given part of 1."""
+        """Return `QUANTILES` of the x at which F equals ``part``."""
         position = self.model.place(part, self.functions)
         order = np.argsort(position)
         below = np.cumsum(self.weights[order]) - self.weights[order] / 2
@@ -189,10 +186,10 @@ class Fit:
 
 
 def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
-    """Weigh psychometric functions by the answers at two comparisons or more.
+    """Fit psychometric functions to answers at two or more comparisons.
 
-    Beforehand all middles up to a span beyond the comparisons, all logarithms of spreads, all
-    lapses and, if they are free, all guesses are equally likely.
+    The priors of middle, logarithm of spread, lapse and free guess are uniform. Middles reach one
+    range of comparisons beyond the outermost.
     """
     x = model.axis(counts.stimulus)
     finite = model.axis([*counts.stimulus, standard or counts.stimulus[-1]])
@@ -201,7 +198,7 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
     span = (last - first) or 1.0
     middles = np.linspace(first - span, last + span, _MIDDLES)
     spreads = np.linspace(np.log(span * _NARROWEST), np.log(span * _WIDEST), _SPREADS)
-    for _ in range(2):  # the second time where the first has found any weight
+    for _ in range(2):  # the second grid is finer, where the first has weight
         functions = _grid(model, middles, np.exp(spreads))
         likely = log_likelihood(model.probability(x, functions), counts.n, counts.k)
         found = Fit(model, counts, (first, last), functions, likely)
@@ -212,14 +209,14 @@ def fit(counts: Counts, model: Model, standard: float = 0.0) -> Fit:
 
 
 def _inner(places: Array, weights: Array) -> Array:
-    """Return as many places where there is any weight."""
+    """Return the same number of places, confined to those with weight."""
     some = np.flatnonzero(weights > _NOTHING)
     low, high = places[max(some[0] - 1, 0)], places[min(some[-1] + 1, len(places) - 1)]
     return np.linspace(low, high, len(places))
 
 
 def _grid(model: Model, middles: Array, spreads: Array) -> Parameters:
-    """Return functions, (G,), with each middle, spread, lapse and guess, in this order."""
+    """Return functions, (G,), for all combinations; the middle varies slowest."""
     lapses = np.linspace(0, model.most_lapses, _LAPSES)
     known = 0.0 if isinstance(model.guess, str) else model.guess
     guesses = np.linspace(0, MOST_GUESSES, _GUESSES) if model.guess == "free" else [known]

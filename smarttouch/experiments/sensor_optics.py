@@ -1,7 +1,5 @@
-"""A sensor's white and dark reference, and the place of the electrodes in its image.
-
-The place is found by a printed target.
-"""
+"""Calibration of an optical sensor: its dark and white reference, and its registration with the
+electrodes by a printed target."""
 
 import time
 from collections.abc import Sequence
@@ -25,13 +23,13 @@ from smarttouch.sources.source_contract import Source
 
 Images = list[NDArray[np.uint8]]
 
-SILENCE_S = 5.0  # longest time without a new image, after which the source has ended
+SILENCE_S = 5.0  # longest wait for a new image
 _LOOK_S = 0.002
 
 
 def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Images:
-    """Return the next images of a source by its URL; with the profile's flat field, or without."""
-    # What lies in files need not be waited for.
+    """Collect images from the source at a URL, with the profile's flat field or without."""
+    # Files need not be read at their frame rate.
     from_file = url.startswith(("frames:", "video:")) and "unpaced" not in url
     seen_by = profile if corrected else uncorrected(profile)
     with open_source(url, seen_by, unpaced=from_file or None) as source:
@@ -39,7 +37,7 @@ def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Ima
 
 
 def collect_images(source: Source, count: int) -> Images:
-    """Return the next images of a source, each once; fewer where it ends before."""
+    """Collect distinct images of a source; fewer if it ends early."""
     images: Images = []
     seen: set[int] = set()
     start = time.perf_counter_ns()
@@ -65,7 +63,7 @@ def collect_images(source: Source, count: int) -> Images:
 
 
 def uncorrected(profile: Profile) -> Profile:
-    """Return a profile whose sensors give raw images, without its flat field."""
+    """Return a copy of the profile without its flat field, for raw images."""
     optics = profile.optics.model_copy(update={"flat_field": None})
     return profile.model_copy(update={"optics": optics})
 
@@ -73,17 +71,16 @@ def uncorrected(profile: Profile) -> Profile:
 _Stack = Sequence[NDArray[np.uint8]]
 
 MOST_UNEVEN = 0.05
-"""Largest unevenness of white after correction; with more, the paper is not blank, or it moved."""
+"""Largest unevenness of white after correction; above it the paper is not blank or moved."""
 
 
 @dataclass(frozen=True, eq=False)
 class OpticsFound:
-    """A flat field, and the figures of the sensor with it."""
+    """Flat field and the unevenness before and after it."""
 
     field: FlatField
-    # uneven_before, uneven_after: standard deviation of blank paper over its mean. After the
-    # correction it is judged on frames that the correction was not made from, if there are two of
-    # each kind or more.
+    # uneven_before, uneven_after: standard deviation of blank paper over its mean. With two or more
+    # frames of each kind, `uneven_after` is measured on frames that were held out.
     uneven_before: float
     uneven_after: float
 
@@ -97,7 +94,7 @@ class OpticsFound:
 
 
 def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
-    """Return the flat field of a sensor from images in the dark and of blank paper."""
+    """Compute a sensor's flat field from images in the dark and of blank paper."""
     field = FlatField.measure(dark, white)
     before = _uneven(mean_image(white) - mean_image(dark), field)
     after = _held_out(dark, white, field)
@@ -110,7 +107,7 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
 
 
 def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
-    """Return the unevenness of paper after a correction made from every other frame only."""
+    """Return the unevenness of held-out frames after a correction made from every second frame."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])
         white = white[1::2]
@@ -127,21 +124,21 @@ Matrix = NDArray[np.floating[Any]]
 Gray = NDArray[np.integer[Any] | np.floating[Any]]
 
 MARKERS = 3  # in a row of the target
-MODULES = 7 * MARKERS - 1  # across the target: 6 for each marker and one between two
-FIELD_SHARE = 1.5  # side of the target, as a part of the field: it need not be laid exactly
-FEWEST_PIXELS = 24  # fewest pixels a side; with fewer, no marker is recognized
-LEAST_CORRELATION = 0.8  # of the image with the target; 0.9 and more where it lies flat
-MOST_OUTSIDE = 0.25  # largest part of the electrodes outside the image
-DOTS_PER_MM = 50  # of the print
+MODULES = 7 * MARKERS - 1  # across the target: 6 for each marker, and one between markers
+FIELD_SHARE = 1.5  # side of the target over the sensor's field: it need not be centered exactly
+FEWEST_PIXELS = 24  # fewest pixels on a side for which markers are recognized
+LEAST_CORRELATION = 0.8  # smallest correlation of image and target; above 0.9 if it lies flat
+MOST_OUTSIDE = 0.25  # largest share of electrodes outside the image
+DOTS_PER_MM = 50  # resolution of the print
 _SIZES_MM = (1.0, 200.0)
 _MARGIN_MM = 8.0
-_WORKING_SIDE = 240  # pixels of the shorter side at which markers are detected
-_MODULE_PX, _QUIET = 12, 2  # pixels of a module in `picture`, and modules of white around it
+_WORKING_SIDE = 240  # shorter side of the image in which markers are detected, pixels
+_MODULE_PX, _QUIET = 12, 2  # pixels of a module in `picture`; modules of white margin
 
 
 @dataclass(frozen=True)
 class PageTarget:
-    """Square of ArUco markers on paper; its middle is laid under the middle of the array."""
+    """Square of ArUco markers on paper, to be centered under the array."""
 
     module_mm: float
 
@@ -151,13 +148,13 @@ class PageTarget:
 
     @property
     def to_mm(self) -> Matrix:
-        """Map, (3, 3), from pixels of `picture` to millimeters around the middle."""
+        """Homography, (3, 3), from pixels of `picture` to millimeters from its middle."""
         scale = self.module_mm / _MODULE_PX
         middle = (MODULES + 2 * _QUIET) / 2 * self.module_mm
         return np.array([[scale, 0, scale / 2 - middle], [0, scale, scale / 2 - middle], [0, 0, 1]])
 
     def draw(self, path: Path) -> None:
-        """Write the target as a PNG file with its resolution."""
+        """Write the target as a PNG file that states its resolution."""
         margin, side = round(_MARGIN_MM * DOTS_PER_MM), round(self.side_mm * DOTS_PER_MM)
         image = Image.new("L", (side + 2 * margin,) * 2, 255)
         image.paste(Image.fromarray(_board().generateImage((side, side))), (margin, margin))
@@ -172,7 +169,7 @@ class PageTarget:
 
 
 def target_for(profile: Profile) -> PageTarget:
-    """Return the target for a sensor, somewhat larger than its field."""
+    """Return a target somewhat larger than the sensor's field."""
     optics = profile.optics
     if min(optics.sensor_columns, optics.sensor_rows) < FEWEST_PIXELS:
         raise CalibrationError(
@@ -194,7 +191,7 @@ def _board() -> Any:
 
 @cache
 def picture() -> NDArray[np.uint8]:
-    """Return the target's gray levels, with some paper around it."""
+    """Return the target's gray levels, with a white margin."""
     printed = _board().generateImage((MODULES * _MODULE_PX,) * 2)
     around = (_QUIET * _MODULE_PX,) * 4
     bordered = cv2.copyMakeBorder(printed, *around, cv2.BORDER_CONSTANT, value=255)
@@ -202,25 +199,25 @@ def picture() -> NDArray[np.uint8]:
 
 
 def apply(homography: Matrix, points: Matrix) -> NDArray[np.float64]:
-    """Return the points, (N, 2), mapped by a homography."""
+    """Map points, (N, 2), by a homography."""
     carried = np.column_stack([points, np.ones(len(points))]) @ homography.T
     return np.asarray(carried[:, :2] / carried[:, 2:])
 
 
 @dataclass(frozen=True, eq=False)
 class RegistrationFound:
-    """A fit, and how well the image agrees with it."""
+    """Registration of a sensor with its array, and the quality of the fit."""
 
-    # (3, 3): millimeters on the page around the middle of what the array covers to pixels
+    # (3, 3): from millimeters on the page, from the middle of the array, to pixels
     homography: NDArray[np.float64]
     shape: tuple[int, int]  # rows and columns of the image
-    electrode_pixel: NDArray[np.float64]  # (E, 2): column and row at which each electrode looks
+    electrode_pixel: NDArray[np.float64]  # (E, 2): column and row under each electrode
     markers: int  # number of markers recognized
-    correlation: float  # of the image with the target there, 1 where they are alike
+    correlation: float  # correlation of image and target; 1 if they are equal
 
     @property
     def outside(self) -> NDArray[np.intp]:
-        """Electrodes whose place is outside the image."""
+        """Electrodes outside the image."""
         rows, columns = self.shape
         x, y = self.electrode_pixel.T
         inside = (x >= -0.5) & (x <= columns - 0.5) & (y >= -0.5) & (y <= rows - 0.5)
@@ -236,8 +233,7 @@ class RegistrationFound:
 
 
 def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> RegistrationFound:
-    """Fit the place on the page of each pixel, from one image (H, W) of the target or a mean of
-    several."""
+    """Fit the map between page and pixels to an image of the target, (H, W)."""
     rows, columns = image.shape
     scale = _WORKING_SIDE / min(rows, columns)
     size = round(columns * scale), round(rows * scale)
@@ -275,10 +271,10 @@ def register(image: NDArray[np.uint8], profile: Profile, target: PageTarget) -> 
 
 
 def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
-    """Return the corners of the markers in an image, (N, 2): in modules of the target, and in
-    pixels; None if there are none."""
+    """Return the corners of detected markers, (N, 2), in modules of the target and in pixels; None
+    without markers."""
     parameters = cv2.aruco.DetectorParameters()
-    # A module is up to 15 pixels wide in an image that was enlarged so much.
+    # A module is up to 15 pixels wide in an enlarged image.
     parameters.adaptiveThreshWinSizeMax = 53
     detector = cv2.aruco.ArucoDetector(_board().getDictionary(), parameters)
     corners, ids, _ = detector.detectMarkers(working)
@@ -291,11 +287,10 @@ def _markers(working: Gray) -> tuple[Matrix, Matrix] | None:
 
 
 def _aligned(working: Gray, modules: Matrix, pixels: Matrix) -> tuple[Matrix, float]:
-    """Return the homography from pixels of `picture` to those of an image, and how well they
-    correlate.
+    """Return the homography from pixels of `picture` to pixels of an image, and their correlation.
 
-    Blur moves the corners of markers, so they are the first guess alone: the whole picture is then
-    laid on the image (Evangelidis and Psarakis 2008, enhanced correlation coefficient).
+    Blur moves the corners of markers, so they only start the fit. It then maximizes the enhanced
+    correlation coefficient of the whole picture (Evangelidis and Psarakis 2008).
     """
     guess, _ = cv2.findHomography((modules + _QUIET) * _MODULE_PX - 0.5, pixels, 0)
     if guess is None:
@@ -308,7 +303,7 @@ def _aligned(working: Gray, modules: Matrix, pixels: Matrix) -> tuple[Matrix, fl
             blurred, working, start, cv2.MOTION_HOMOGRAPHY, ends
         )
     except cv2.error:
-        # It goes astray where nothing fits.
+        # The fit diverges if the image does not show the target.
         return np.eye(3), 0.0
     return np.asarray(fitted, np.float64), float(correlation)
 

@@ -1,4 +1,4 @@
-"""A study: letters on many simulated fingers, from its plan to rows and summary; resumable."""
+"""Resumable study of letters on many simulated fingers: plan, rows and summary."""
 
 import csv
 import hashlib
@@ -41,22 +41,22 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 
 class Study(Table):
-    """A grid: each finger of each anatomy, with each of everything else."""
+    """Plan of a study: all combinations of its lists are run."""
 
     title: str = Field(min_length=1)
-    """What is asked."""
+    """Question of the study."""
     profiles: tuple[str, ...] = Field(default=("electric-mouse",), min_length=1, max_length=100)
     """Names or files of profiles."""
     anatomies: tuple[str, ...] = Field(default=("paper", "branched"), min_length=1, max_length=100)
     """Names or files of anatomies."""
     fingers: int = Field(default=10, ge=1, le=100_000)
-    """Number of fingers of each anatomy, by seeds from 1 on."""
+    """Number of fingers of each anatomy; their seeds count from 1."""
     modes: tuple[Literal["RA", "SAI", "PC", "natural"], ...] = Field(default=("RA",), min_length=1)
-    """Whose receptors."""
+    """Modes: the classes to stimulate."""
     scans: tuple[Literal["points", "auto"], ...] = Field(default=("points",), min_length=1)
-    """How points share slots."""
+    """How points share slots: scan modes."""
     intensities: tuple[float, ...] = Field(default=(1.0,), min_length=1, max_length=100)
-    """Parts of the strongest comfortable current."""
+    """Intensities, relative to the strongest comfortable current."""
     letters: str = Field(default=ALPHABET, min_length=1)
     """Letters shown on the fingers."""
 
@@ -78,19 +78,19 @@ class Study(Table):
 
 
 def load_study(path: Path) -> Study:
-    """Load the plan of a study."""
+    """Load the plan of a study from a TOML file."""
     return load_model(path, Study)
 
 
 Advance = Callable[[int, int], None]
-Letters = Mapping[str, tuple[ScanSequence, NDArray[np.bool_]]]  # slots, electrodes (E,)
+Letters = Mapping[str, tuple[ScanSequence, NDArray[np.bool_]]]  # sequence, targets (E,)
 
 
 @dataclass(frozen=True)
 class Choice:
-    """One choice of everything but the finger."""
+    """One combination of a study, without the finger."""
 
-    # profile, mode, scan: as the study names them
+    # profile, mode, scan: names from the study
     profile: str
     mode: str
     scan: str
@@ -99,9 +99,9 @@ class Choice:
 
 @dataclass(frozen=True)
 class StudyRow:
-    """One finger and one pattern."""
+    """Result of one letter on one finger."""
 
-    # profile, anatomy, finger, mode, scan, intensity: what was chosen; the finger is its seed
+    # profile, anatomy, finger, mode, scan, intensity: the combination; `finger` is a seed
     profile: str
     anatomy: str
     finger: int
@@ -109,18 +109,18 @@ class StudyRow:
     scan: str
     intensity: float
     pattern: str  # the letter
-    read_as: str  # letter that was read of the spikes
-    error: float  # 1 where it was read as another, else 0
-    # silent_points, wrong_class, misplaced: see `ResponseQuality`; NaN without a spike
+    read_as: str  # letter recognized from the spikes
+    error: float  # 1 if `read_as` is another letter, else 0
+    # silent_points, wrong_class, misplaced: see `ResponseQuality`; NaN without spikes
     silent_points: float
     wrong_class: float
     misplaced: float
-    spikes: int  # all spikes of a letter in ten periods
-    # ra, sai, pc: afferents that fired
+    spikes: int  # number of spikes in ten periods
+    # ra, sai, pc: numbers of afferents that fired
     ra: int
     sai: int
     pc: int
-    slots: int  # slots of a period
+    slots: int  # slots per period
     total_ma: float  # mean total current of a slot
 
 
@@ -128,7 +128,7 @@ HEADING = tuple(each.name for each in fields(StudyRow))
 
 
 def as_csv(rows: Iterable[StudyRow]) -> str:
-    """Return rows as CSV with a heading; numbers read back as they were."""
+    """Return rows as CSV with a heading. Numbers keep their full precision."""
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(HEADING)
@@ -137,10 +137,10 @@ def as_csv(rows: Iterable[StudyRow]) -> str:
 
 
 def from_csv(text: str) -> list[StudyRow]:
-    """Return the rows of a CSV text; ValueError if they are not of a study."""
+    """Parse the rows of a CSV text. Raises ValueError if it is not from a study."""
     heading, *lines = csv.reader(io.StringIO(text, newline=""))
     if tuple(heading) != HEADING:
-        raise ValueError("its columns are others")
+        raise ValueError("its columns differ")
     kinds: list[Any] = [column.type for column in fields(StudyRow)]
     return [
         StudyRow(*(kind(cell) for kind, cell in zip(kinds, line, strict=True))) for line in lines
@@ -150,10 +150,10 @@ def from_csv(text: str) -> list[StudyRow]:
 def study_letters(
     study: Study, name: str, profile: Profile, progress: Advance | None = None
 ) -> list[tuple[Choice, Letters]]:
-    """Return the letters as each choice with one of the study's profiles delivers them.
+    """Return the letters as delivered by each combination with one profile.
 
-    `progress` is called with the number of sites of a bank that are designed, and of all, if any
-    have to be.
+    `progress` is called with the numbers of designed sites and of all sites, if a bank must be
+    designed.
     """
     bank = load_bank(profile, progress)
     return [
@@ -175,9 +175,9 @@ def rows_of_letters(
     name: str,
     seed: int,
 ) -> list[StudyRow]:
-    """Return the rows of one finger for all letters in all choices of its profile."""
+    """Return the rows of one finger for all letters and all combinations with its profile."""
     known, rows = letter_templates(profile), []
-    # One finger is one piece of work: the same numbers wherever it is done.
+    # One thread for each finger: the results are equal on every machine.
     with threadpool_limits(limits=1, user_api="blas"):
         finger = Finger(profile, seed, anatomy)
         for choice, letters in shown:
@@ -198,7 +198,7 @@ def rows_of_letters(
     return rows
 
 
-VERSION = 3  # version of the rows, raised when the same study would get others
+VERSION = 3  # increase it when the same study would give other rows
 ROWS_FILE = "rows.csv"
 _PARTS = "parts"
 _MOST_PART_BYTES = 100_000_000
@@ -206,18 +206,18 @@ _MOST_PART_BYTES = 100_000_000
 
 def run_study(
     study: Study,
-    beside: Path,  # folder from which the study names files
-    folder: Path,  # where to; made if missing
-    # designing, progress: called with how many sites of a bank, and fingers, are done, of how many
+    beside: Path,  # folder to which file names in the study are relative
+    folder: Path,  # folder of the results; created if missing
+    # designing, progress: called with the numbers done and in all, of sites and of fingers
     designing: Advance | None = None,
     progress: Advance | None = None,
 ) -> list[StudyRow]:
-    """Run a study, or what is left of it, and return its table, which is also in ``rows.csv``.
+    """Run or resume a study, write ``rows.csv``, and return its rows.
 
-    Rows are by profile, anatomy, finger, choice and letter. The work goes through
-    `joblib.Parallel`: on all cores, or wherever ``joblib.parallel_config`` sends it. Rows of
-    finished fingers are kept in the folder, each finger's in a file of its own, and are used again
-    where all that they depend on is the same.
+    Rows are sorted by profile, anatomy, finger, combination and letter. Fingers run in parallel by
+    `joblib.Parallel`: on all cores, or as set by ``joblib.parallel_config``. The rows of each
+    finished finger are stored in a file of the folder, and used again unless anything that they
+    depend on has changed.
     """
     parts = folder / _PARTS
     try:
@@ -253,13 +253,13 @@ def run_study(
 
 
 def _beside(folder: Path, name: str) -> str | Path:
-    """Return a file that lies beside the study, or the name as it is."""
+    """Return the path of a file next to the study, or else the name unchanged."""
     there = folder / name
     return there if os.path.isfile(there) else name  # noqa: PTH113 (Path raises on long names)
 
 
 def _key(digest: str | None, profile: Profile, anatomy: Anatomy, name: str, seed: int) -> str:
-    """Return a hash of all that the rows of a finger depend on."""
+    """Return a hash of everything that the rows of a finger depend on."""
     models = [model.model_dump_json() for model in (profile, anatomy)]
     return hashlib.sha256(repr([VERSION, digest, name, seed, models]).encode()).hexdigest()
 
@@ -267,7 +267,7 @@ def _key(digest: str | None, profile: Profile, anatomy: Anatomy, name: str, seed
 def _made(
     work: Sequence[Callable[[], list[StudyRow]]],
 ) -> Generator[tuple[int, list[StudyRow]], None, None]:
-    """Yield rows as they are ready, with the index of their work."""
+    """Yield the rows of each task when it is done, with the task's index."""
     many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)
     results = many(delayed(_numbered)(index, task) for index, task in enumerate(work))
     try:
@@ -275,7 +275,7 @@ def _made(
             yield result
     finally:
         with warnings.catch_warnings():
-            # Work under way is discarded on purpose.
+            # joblib warns about unfinished work, which is discarded on purpose.
             warnings.simplefilter("ignore", UserWarning)
             results.close()
 
@@ -285,40 +285,40 @@ def _numbered(index: int, rows: Callable[[], list[StudyRow]]) -> tuple[int, list
 
 
 def _kept(path: Path) -> list[StudyRow] | None:
-    """Return the rows of a finished finger, if its file is whole."""
+    """Return the stored rows of a finger, or None if its file is missing or incomplete."""
     if not path.is_file():
         return None
     try:
         return from_csv(read_text(path, SmartTouchError, _MOST_PART_BYTES))
     except (SmartTouchError, ValueError, TypeError, csv.Error):
-        # It is computed again: slow, not wrong.
+        # Compute it again.
         return None
 
 
 MEASURES = ("error", "silent_points", "wrong_class", "misplaced")
 TABLE_NOTE = (
-    "Medians and middle 90 % of fingers, of means over patterns: read wrongly, silent points, "
-    "spikes of another class, misplaced ones. mA: mean total current of a slot."
+    "Medians and middle 90 % over fingers, of means over letters: misread, silent points, "
+    "spikes of another class, misplaced spikes. mA: mean total current of a slot."
 )
 _CHOSEN = ("profile", "mode", "scan", "intensity")
 
 
 @dataclass(frozen=True)
 class Summed:
-    """One choice on the fingers of one anatomy."""
+    """Results of one combination on all fingers of one anatomy."""
 
     anatomy: str
-    label: str  # what the choice is, where choices of the study differ
-    fingers: dict[str, list[float]]  # mean over patterns of each of `MEASURES`, by finger
+    label: str  # the combination, without what is equal in the whole study
+    fingers: dict[str, list[float]]  # by measure: the mean over letters for each finger
     total_ma: float  # mean total current of a slot
 
     def interval(self, measure: str) -> tuple[float, float, float]:
-        """Return the median over fingers, and the bounds of their middle 90 %."""
+        """Return the median over fingers and the bounds of their middle 90 %."""
         return middle_90(self.fingers[measure])
 
 
 def study_sums(rows: Sequence[StudyRow]) -> list[Summed]:
-    """Return each choice on each anatomy, in the order of the rows."""
+    """Return the results of each combination and anatomy, in the order of the rows."""
     differ = [name for name in _CHOSEN if len({getattr(row, name) for row in rows}) > 1]
     groups: dict[tuple[str, str], dict[int, list[StudyRow]]] = defaultdict(
         lambda: defaultdict(list)
@@ -338,7 +338,7 @@ def study_sums(rows: Sequence[StudyRow]) -> list[Summed]:
 
 
 def study_table(sums: Iterable[Summed]) -> tuple[list[str], list[list[str]]]:
-    """Return a heading, and medians with the middle 90 % of each choice and anatomy in words."""
+    """Return a heading, and a row of text for each combination and anatomy."""
     heading = ["anatomy", "choice", "errors", "silent", "wrong", "misplaced", "mA"]
     rows = [
         [
@@ -365,9 +365,9 @@ _ANSWERS_WITHIN_S = 10
 
 @contextmanager
 def on_cluster(address: str | None) -> Iterator[None]:
-    """Run what is within on the Dask cluster of a scheduler (``tcp://HOST:8786``); here if None.
+    """Run the block on the Dask cluster of a scheduler (``tcp://HOST:8786``), or locally if None.
 
-    Its workers need this version of SmartTouch.
+    The workers need this version of SmartTouch.
     """
     if address is None:
         yield

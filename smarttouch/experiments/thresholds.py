@@ -1,4 +1,4 @@
-"""Threshold and comfort of each electrode of one board on one finger, by a current that rises."""
+"""Detection threshold and comfort level of each electrode, measured by a rising current."""
 
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -26,32 +26,32 @@ from smarttouch.running.runner import Runner
 from smarttouch.running.step import Listener, StepResult
 from smarttouch.stimulation.safety_limits import LONGEST_RAMP_S
 
-RISE_S = 6.0  # time of the first run from zero to the expected threshold
-REACTION_S = 0.35  # reaction time from feeling to the key; the level so long before the key counts
+RISE_S = 6.0  # rise time of the first run from zero to the expected threshold
+REACTION_S = 0.35  # reaction time: the threshold is the level this long before the key
 PAUSE_S = (1.0, 2.0)
-"""Pause at zero before a run, of random length, so that time does not reveal the level."""
-START_SHARE = (0.4, 0.7)  # later runs rise fast to a random part of the threshold found before
-LEAP = 10  # factor by which they rise faster there
-CEILING_S = 1.0  # time at the ceiling before a run is given up
-MOST_APART = 1.4  # largest over smallest threshold of the runs above which more runs are made
+"""Random pause at zero before a run, s: time must not reveal the level."""
+START_SHARE = (0.4, 0.7)  # later runs start slowly from this random share of the last threshold
+LEAP = 10  # factor by which the current rises faster below that start
+CEILING_S = 1.0  # time at the ceiling after which a run ends
+MOST_APART = 1.4  # ratio of largest to smallest threshold above which more runs follow
 EXTRA_RUNS = 2
 HURRIED_S = 0.8
-"""Time after the first key within which a second one is a held key, or a current that hurts."""
-MOST_HURRIED = 2  # times that such runs are repeated before they are accepted
-LEAST_ROOM = 1.05  # least ratio of comfort to threshold that leaves a usable range
+"""Time after the first key within which a second one is hurried: a held key, or pain."""
+MOST_HURRIED = 2  # number of hurried runs that are repeated
+LEAST_ROOM = 1.05  # smallest usable ratio of comfort level to threshold
 STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
-"""Keys that end it at once; the empty one is a terminal that is gone."""
-_SLOWER = 0.98  # part of the largest slope at which a current rises
+"""Keys that end the measurement at once; the empty key means that the terminal is gone."""
+_SLOWER = 0.98  # slope of the current, relative to the largest slope allowed
 _REACTION, _HURRIED, _CEILING = (
     round(each / STEP_S) for each in (REACTION_S, HURRIED_S, CEILING_S)
 )
 
 
 def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
-    """Return a profile that reaches above the comfort of one, up to what its device may give.
+    """Return a copy of a profile whose full currents reach the device's limits.
 
-    Current, charge, pulse, rate, duty, sums and single electrodes stay limited as they are, and
-    so does the rise in mA a second. ``spare_ma`` is left of charge and sums for rounding.
+    All limits of current, charge, pulse, rate and duty stay, and so does the ramp in mA/s.
+    ``spare_ma`` is kept free below the limits of charge and of sums, for rounding.
     """
     full_ma, limits = float(profile.full_ma.max()), profile.limits
     by_charge_ma = 1000 * limits.charge_uc / profile.pulse.width_us
@@ -62,7 +62,7 @@ def measuring_profile(profile: Profile, spare_ma: float = 0.0) -> Profile:
     electrode_ma = limits.electrode_ma or (most_ma,) * len(profile.electrodes)
     ceilings_ma = [_whole_ua(min(most_ma, limit_ma)) for limit_ma in electrode_ma]
     perception = profile.perception.model_dump() | {"comfort_ma": ceilings_ma}
-    # Never faster, where single electrodes keep the ceilings below what was comfortable.
+    # Lower ceilings of single electrodes must not shorten the ramp.
     ramp_s = min(LONGEST_RAMP_S, limits.ramp_s * max(1.0, max(ceilings_ma) / full_ma))
     return Profile.model_validate({
         **profile.model_dump(), "perception": perception,
@@ -78,13 +78,13 @@ def _whole_ua(current_ma: float) -> float:
 class Thresholds:
     """Thresholds of one electrode."""
 
-    # threshold_ma, comfort_ma: medians of the runs. NaN if it was not felt up to the ceiling; the
-    # ceiling where it was never enough.
+    # threshold_ma, comfort_ma: medians of the runs. NaN if nothing was felt up to the ceiling;
+    # comfort_ma is the ceiling if that was not too strong.
     threshold_ma: float
     comfort_ma: float
-    spread: float  # of the runs' thresholds, robust standard deviation over their median
+    spread: float  # robust standard deviation of the runs' thresholds over their median
     runs: int
-    false_presses: int  # keys while no current flowed
+    false_presses: int  # keys pressed without current
 
     @property
     def felt(self) -> bool:
@@ -92,13 +92,13 @@ class Thresholds:
 
     @property
     def usable(self) -> bool:
-        """True if comfort is far enough above the threshold."""
+        """True if the comfort level is far enough above the threshold."""
         return self.felt and self.comfort_ma >= LEAST_ROOM * self.threshold_ma
 
     def __str__(self) -> str:
         if not self.felt:
             return "not felt up to the ceiling"
-        room = "" if self.usable else " (no room between them: not used)"
+        room = "" if self.usable else " (too close together: not used)"
         return (
             f"threshold {self.threshold_ma:.2f} mA, comfortable to {self.comfort_ma:.2f} mA{room}"
         )
@@ -106,14 +106,14 @@ class Thresholds:
 
 @dataclass
 class AscendingLimits:
-    """Ascending limits at one electrode: in each run the first key means *felt*, the second
-    *strong enough*."""
+    """Method of ascending limits at one electrode. In each run the first key means *felt*, the
+    second *strong enough*."""
 
-    ceiling_ma: float  # never exceeded
+    ceiling_ma: float  # largest current
     expected_ma: float  # expected threshold; sets the slope of the current
-    repeats: int = 3  # runs, if they agree
-    fastest_ma_s: float = float("inf")  # the current rises no faster, whatever is expected
-    seed: int | tuple[int, ...] = 0  # of pauses and starts
+    repeats: int = 3  # number of runs, if their thresholds agree
+    fastest_ma_s: float = float("inf")  # largest slope
+    seed: int | tuple[int, ...] = 0  # seed of pauses and starts
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
@@ -121,7 +121,7 @@ class AscendingLimits:
         wanted_ma = min(self.expected_ma, self.ceiling_ma) * STEP_S / RISE_S
         self._step_ma = min(wanted_ma, fastest_ma)
         self._leap_ma = min(LEAP * wanted_ma, fastest_ma)
-        self._runs: list[tuple[float, float]] = []  # threshold and comfort; NaN if not reached
+        self._runs: list[tuple[float, float]] = []  # threshold, comfort level; NaN if not reached
         self._false_presses = self._hurried = 0
 
     def course(self) -> Course:
@@ -148,7 +148,7 @@ class AscendingLimits:
         return not apart or len(thresholds_ma) >= self.repeats + EXTRA_RUNS
 
     def _rise(self) -> Generator[float, bool | None, tuple[float, float] | None]:
-        """Yield the steps of one run from zero; return None if it has to begin again."""
+        """Yield the currents of one run from zero; return None if the run must be repeated."""
         pause, levels, threshold_ma, felt_at = self._draw_pause(), [0.0], math.nan, 0
         share = self._random.uniform(*START_SHARE) if self._runs else 0.0
         start_ma = share * min((run_ma for run_ma, _ in self._runs), default=0.0)
@@ -166,7 +166,7 @@ class AscendingLimits:
             if pressed is None:
                 return None
             if pressed and (steps <= _REACTION or self._is_hurried(steps, felt_at)):
-                # Nobody reacts so fast: such a key was for something else.
+                # A key faster than any reaction answers something else.
                 self._false_presses += steps <= _REACTION
                 return None
             if pressed and felt_at:
@@ -174,11 +174,11 @@ class AscendingLimits:
             if pressed:
                 threshold_ma, felt_at = levels[-1 - _REACTION], steps
             elif steps > _CEILING and levels[-1 - _CEILING] >= self.ceiling_ma:
-                # Levels never fall in a run: it has long been at the ceiling.
+                # Levels never fall within a run, so this one reached the ceiling.
                 return threshold_ma, self.ceiling_ma if felt_at else math.nan
 
     def _is_hurried(self, steps: int, felt_at: int) -> bool:
-        """Return whether a second key is one that is held, or comes too soon; count it."""
+        """Return whether a second key came too soon, and count it."""
         hurried = felt_at > 0 and steps - felt_at < _HURRIED and self._hurried < MOST_HURRIED
         self._hurried += hurried
         return hurried
@@ -197,11 +197,10 @@ _RESULTS = tuple(each.name for each in fields(Thresholds))
 
 
 class Progress(AnswerFile):
-    """Results of a threshold session until now, by electrode, in a file beside the profile to be
-    written, each on disk before `keep` returns.
+    """File with the results of an interrupted threshold session, next to the profile to be written.
 
-    They count only where ``about`` is the same. Until it is closed no other session can continue
-    the same file. Without results the file is removed when it is closed.
+    Each result is on disk before `keep` returns. The file is used only if its ``about`` is the
+    same, and is locked against other sessions. An empty file is removed when it is closed.
     """
 
     def __init__(self, path: Path, about: Mapping[str, Value]) -> None:
@@ -223,13 +222,13 @@ class Progress(AnswerFile):
             )
 
     def close(self) -> None:
-        """Close the file, and remove it if it has no results."""
+        """Close the file; remove it if it is empty."""
         if not self.found:
             self.forget()
         super().close()
 
     def keep(self, site: int, found: Thresholds) -> None:
-        """Add the result of an electrode."""
+        """Append the result of one electrode."""
         values = asdict(found)
         self.append({"electrode": site} | {
             name: None if math.isnan(value) else value for name, value in values.items()
@@ -237,23 +236,23 @@ class Progress(AnswerFile):
         self.found[site] = found
 
     def forget(self) -> None:
-        """Remove the file once the profile has the results."""
+        """Remove the file when the profile contains the results."""
         self.path.unlink(missing_ok=True)
 
 
 def threshold_trials(
-    profile: Profile,  # to be measured
-    board: Board,  # its own largest current counts too, from when it is open
+    profile: Profile,  # profile to measure with
+    board: Board,  # board; its largest current, known once it is open, is a limit, too
     sites: Sequence[int],
-    progress: Progress,  # keeps each electrode once it is done; those that it has are left out
-    say: Callable[[str], None],  # shows a line
+    progress: Progress,  # stores each result; electrodes that it contains are left out
+    say: Callable[[str], None],  # shows a line of text
     *,
-    repeats: int = 3,  # of the rising current
-    seed: int = 0,  # of all that is drawn
+    repeats: int = 3,  # runs of the rising current
+    seed: int = 0,  # seed of all random choices
 ) -> Trials:
-    """Measure one electrode after the other; a second attempt is made if one is implausible."""
+    """Measure one electrode after the other; repeat a measurement once if it is implausible."""
     measuring = measuring_profile(profile)
-    # At two pulses a train begins.
+    # A train needs two pulses.
     setup = Setup(measuring, Afferent.RA, train_s=max(0.8, 2 / measuring.pulse.rate_hz))
     for site in sites:
         if site in progress.found:
@@ -280,13 +279,14 @@ def threshold_trials(
 
 Found = Mapping[int, Thresholds]
 Keys = Callable[[Callable[[str], None]], AbstractContextManager[None]]
-"""Hands every key to a function while a block runs; an empty one is a terminal that is gone."""
+"""Context manager that passes each key to a function; an empty key means that the terminal is
+gone."""
 
 
 def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
-    """Return thresholds and comfortable maxima of all electrodes, mA.
+    """Return thresholds and comfort levels of all electrodes, mA.
 
-    Electrodes not measured, not felt, or without room between the two keep their values.
+    Electrodes without a usable result keep their values.
     """
     usable = {site: site_result for site, site_result in found.items() if site_result.usable}
     if not usable:
@@ -297,7 +297,7 @@ def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
     threshold, comfort = profile.threshold_ma.astype(float), profile.full_ma.astype(float)
     for site, site_result in usable.items():
         threshold[site], comfort[site] = site_result.threshold_ma, site_result.comfort_ma
-    # Down, so that no rounding takes comfort above a limit; what was single precision, to it.
+    # Round down, so that no comfort level exceeds a limit.
     return (
         [round(float(value_ma), 3) for value_ma in threshold],
         [math.floor(1000 * float(value_ma) + 1e-3) / 1000 for value_ma in comfort],
@@ -323,18 +323,18 @@ def sentence(found: Found) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdProcedure:
-    """Measurement of thresholds: its board, its electrodes and its method."""
+    """Measurement of thresholds: board, electrodes and method."""
 
-    start: str  # profile that the file began as
-    file: ProfileFile  # where it goes
+    start: str  # profile with which the file began
+    file: ProfileFile  # profile file for the results
     board_url: str
     sites: Sequence[int]
-    # repeats, seed: see `threshold_trials`
+    # see `threshold_trials`
     repeats: int = 3
     seed: int = 0
 
     def progress(self) -> Progress:
-        """Return the results of an earlier session with the same settings."""
+        """Open the results of an earlier session with the same settings."""
         profile = self.file.profile
         return Progress(
             self.file.beside("thresholds.csv"),
@@ -347,13 +347,13 @@ class ThresholdProcedure:
 
     def measure(
         self,
-        progress: Progress,  # keeps each once it is done
+        progress: Progress,  # stores each result
         keys: Keys,
         say: Callable[[str], None],  # shows a line
         stop: StopRequest,
-        force: str | None = None,  # URL of the finger's force; see `Runner`
+        force: str | None = None,  # URL of the force sensor, see `Runner`
     ) -> None:
-        """Measure electrode after electrode: any key answers, and some end it at once."""
+        """Measure all electrodes. Any key answers; `STOP_KEYS` end the measurement."""
         profile, measuring = self.file.profile, measuring_profile(self.file.profile)
         display = Display(self.board_url, measuring)
         trials = threshold_trials(
@@ -381,15 +381,15 @@ class ThresholdProcedure:
             raise self.stopped(progress)
 
     def stopped(self, progress: Progress) -> CalibrationError:
-        """Return the error of a procedure that was stopped."""
+        """Return the error to raise after a stop."""
         left = len(set(self.sites) - set(progress.found))
         return CalibrationError(
-            f"stopped, all electrodes are off: {left} of {len(self.sites)} electrodes are left, "
-            "the same command goes on there"
+            f"stopped, all electrodes are off: {left} of {len(self.sites)} electrodes remain: "
+            "repeat the command to continue"
         )
 
     def put_down(self, progress: Progress) -> str:
-        """Set the results in the profile's file, not written yet; return them in a sentence."""
+        """Set the results in the profile, without writing it; return a summary sentence."""
         threshold_ma, comfort_ma = filled(self.file.profile, progress.found)
         self.file.set("perception.threshold_ma", threshold_ma)
         self.file.set("perception.comfort_ma", comfort_ma)
@@ -397,7 +397,7 @@ class ThresholdProcedure:
 
 
 class _Prompts(Listener):
-    """Shows a person what is asked or missing, and what the board's user should know."""
+    """Shows questions, missing preconditions and messages of the board."""
 
     def __init__(self, source: TrialSource, say: Callable[[str], None]) -> None:
         super().__init__()

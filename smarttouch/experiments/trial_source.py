@@ -1,4 +1,4 @@
-"""An experiment as a program: the pulses of its trials, and questions in between."""
+"""Program of an experiment: the pulses of its trials, and the questions between them."""
 
 import math
 from collections import deque
@@ -18,21 +18,21 @@ from smarttouch.sources.source_contract import Input, Stimulus
 from smarttouch.stimulation.safety_gate import FIRST_NS, MOST_STEP_NS
 from smarttouch.stimulation.scheduler import rate_share
 
-PAUSE_S = 0.5  # least time between an answer and the next trial
-PATIENCE_S = 10.0  # for the current of a trial, where nobody is there who could press harder
-MOST_SPOILED = 10  # times that one trial's current may be lost
+PAUSE_S = 0.5  # shortest time between an answer and the next trial
+PATIENCE_S = 10.0  # longest wait for a trial's current if the participant is simulated
+MOST_SPOILED = 10  # times that the current of one trial may be lost
 _SPOILED = 0.5
-"""Part of the requested intensity below which current was lost within an interval. A key moves it
-by less; where milliamperes count, nothing may."""
+"""Share of the intensity at the start of an interval below which current counts as lost. One key
+changes it by less. Trials in milliamperes allow no drop."""
 _NUMBERS = ("first", "second")
 
 
 class TrialSource(Program):
-    """Source that presents trial after trial, and sends each answer to their generator.
+    """Source that presents trials and sends each answer to their generator.
 
-    Each begins when the intensity is there that the user has chosen; one whose current is lost
-    within an interval (paused, finger lifted, board gone) is presented again. An observer answers
-    in place of a person.
+    A trial begins when the current has reached the intensity that the user chose. It is repeated if
+    current is lost within an interval: by a pause, a lifted finger or a lost board. An observer, if
+    given, answers in place of a person.
     """
 
     fixed_mode = True
@@ -45,8 +45,8 @@ class TrialSource(Program):
         title: str,
         *,
         done: int = 0,  # trials of earlier runs
-        total: int | None = None,  # trials; None if it depends on the answers
-        gap_s: float = 0.5,  # between two intervals
+        total: int | None = None,  # number of trials; None if it depends on the answers
+        gap_s: float = 0.5,  # pause between two intervals
         answer_s: float = 0.0,  # time limit for an answer; 0 for none
         observer: Observer | None = None,
     ) -> None:
@@ -56,18 +56,18 @@ class TrialSource(Program):
         self._gap_s, self._answer_s, self._observer = gap_s, answer_s or math.inf, observer
         self.patience_s: float = math.inf if observer is None else PATIENCE_S
         self._pressed: deque[tuple[str, int]] = deque()
-        self._starts: list[Starts] | None = None  # of a trial's intervals, while one is shown
-        self._wanted: float | None = None  # newest step of a trial's course
-        self._softness = 1.0  # of the train that is shown
+        self._starts: list[Starts] | None = None  # of the intervals of the current trial
+        self._wanted: float | None = None  # latest current of a trial's course, mA
+        self._softness = 1.0  # softness of the current train
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Keys of all answers."""
+        """Keys of all possible answers."""
         named = "12yn\n\r" + "".join(map(chr, range(ord("A"), ord("Z") + 1)))
         return {key: partial(self.press, key) for key in (*named, "left", "right")}
 
     def press(self, key: str) -> None:
-        """Take a key; from any thread."""
+        """Accept a key, from any thread."""
         self._pressed.append((key, self.time_ns()))
 
     def start(self, run: RunContext) -> None:
@@ -79,7 +79,7 @@ class TrialSource(Program):
             )
 
     def read(self, time_ns: int) -> Input | None:
-        """Return what is shown now, at the rate that the finger's force gives it."""
+        """Return the current stimulus; its rate may follow the finger's force."""
         stimulus = super().read(time_ns)
         if isinstance(stimulus, Stimulus) and stimulus.period_us is not None and self._softness < 1:
             share = rate_share(self.gate, self._softness)
@@ -87,7 +87,7 @@ class TrialSource(Program):
         return stimulus
 
     def step(self, result: StepResult) -> None:
-        """Note how the last stimulus was sent."""
+        """Record how the last stimulus was sent."""
         super().step(result)
         if self._starts is None:
             return
@@ -95,14 +95,14 @@ class TrialSource(Program):
         if sequence.period_us != asked_us and not self.notes:
             self.notes.append(
                 f"pulses were requested at {1e6 / asked_us:.4g} Hz and sent at "
-                f"{sequence.rate_hz:.4g} Hz: this board or so many sites cannot do all frequencies"
+                f"{sequence.rate_hz:.4g} Hz: the board cannot reach this rate with so many sites"
             )
         if self._observer is not None and result.number is not None:
             discharge_us = int(sequence.discharge_us[0]) if sequence.slots else 0
             self._starts[-1][result.number] = (sequence.time_ns, discharge_us)
 
     def note_opening(self) -> None:
-        """Show what is missing for a trial to begin."""
+        """Show what a trial needs to begin."""
         self._say(self._missing)
 
     def program(self) -> None:
@@ -120,7 +120,7 @@ class TrialSource(Program):
                     if spoiled > MOST_SPOILED:
                         raise ExperimentError(
                             f"current was lost {spoiled} times in one trial, and {MOST_SPOILED} "
-                            "times are allowed: check the board's line, and keep the finger on the "
+                            "times are allowed: check the connection, and keep the finger on the "
                             "electrodes"
                         ) from lost
                 finally:
@@ -134,7 +134,7 @@ class TrialSource(Program):
         self.title = f"{self._name}: over"
 
     def _attempt(self, trial: Trial) -> Answer:
-        """Present a trial and ask."""
+        """Present a trial and get its answer."""
         self._say("")
         self.wait(PAUSE_S)
         felt: list[Starts] = []
@@ -150,19 +150,19 @@ class TrialSource(Program):
             self._starts = felt
             self._present(trial, train, train.level, train.seconds)
             self._starts = None
-        # Keys are dropped until the last pulse.
+        # Ignore keys pressed before the last pulse.
         self._pressed.clear()
         return self._ask(trial) if self._observer is None else self._decided(trial, felt)
 
     def _open(self, opened: Callable[[], float]) -> None:
-        """Open a level until nothing is left to open, with a pause without current after it."""
+        """Wait until the ramp has reached a level, then pause without current."""
         try:
             while opened():
                 self._say("")
                 self.wait(PAUSE_S)
         except LevelNotReachedError:
             raise ExperimentError(
-                f"no trial could begin for {self.patience_s:g} s, and nobody is there to "
+                f"no trial could begin for {self.patience_s:g} s, and no participant can "
                 f"{self._missing}: give more --intensity or --force"
             ) from None
 
@@ -178,14 +178,14 @@ class TrialSource(Program):
             self._softness = 1.0
 
     def _attempt_course(self, trial: Trial) -> Answer:
-        """Make the current follow the keys from zero, no faster than the ramp."""
+        """Let the current follow the keys from zero, no faster than the ramp."""
         course, (train,) = trial.course, trial.intervals
         assert course is not None
         if self._observer is not None:
             raise ExperimentError(
-                "nobody is simulated where a current follows the keys: answer at a terminal"
+                "simulated participants cannot steer a current: answer at a terminal"
             )
-        # It rises by itself; only force and the user's level must be there.
+        # The course raises the current itself, so wait only for force and intensity.
         self._open(self._wait_for_force)
         full_ma = float(self._profile.full_ma[train.activation.any(axis=0)].min())
         level, before_ns, due_ns = 0.0, 0, round(STEP_S * 1e9)
@@ -209,7 +209,7 @@ class TrialSource(Program):
                     self._pressed.popleft()
             if self._wanted is None:
                 return None
-            # From zero by the first step that currents take.
+            # The first step starts at zero.
             risen_ns = min(since_ns - before_ns, MOST_STEP_NS) if level else FIRST_NS
             most_level = level + risen_ns / 1e9 / self._profile.limits.ramp_s
             level, before_ns = min(1.0, self._wanted / full_ma, most_level), since_ns
@@ -227,7 +227,7 @@ class TrialSource(Program):
         return replace(answer, reached=shown.current_ma, found=found)
 
     def _wait_for_force(self) -> float:
-        """Wait until a current can follow the keys; return 0."""
+        """Wait until force and intensity are sufficient; return 0."""
 
         def is_ready() -> bool:
             ready = self.gate * self.user_level >= STEADY
@@ -241,7 +241,7 @@ class TrialSource(Program):
         return 0.0
 
     def _decided(self, trial: Trial, felt: list[Starts]) -> Answer:
-        """Return the answer of an observer, who is given all pulses that the board delivered."""
+        """Return the observer's answer to the pulses that the board delivered."""
         driver = self._context.board.driver
         assert self._observer is not None
         assert isinstance(driver, SimulatedDriver)
@@ -254,7 +254,7 @@ class TrialSource(Program):
         return self._answer(trial, response, 0.0)
 
     def _ask(self, trial: Trial) -> Answer:
-        """Wait for a key."""
+        """Ask the question, and wait for a key."""
         self._say(trial.question)
         asked_ns = self.now_ns
 
@@ -282,7 +282,7 @@ class TrialSource(Program):
         return "press firmly, and raise the intensity to the full with +"
 
     def _tell(self, what: str, words: str) -> None:
-        """Emit an event of the current trial."""
+        """Emit an event about the current trial."""
         self.emit(TrialEvent(self.now_ns, f"{what} {self._done + 1}{words}"))
 
     def _say(self, words: str) -> None:

@@ -1,6 +1,6 @@
-"""Trials of experiments: trains of pulses, the question, and the setup that makes them.
+"""Trials of experiments: pulse trains, questions, and the setup that makes them.
 
-An experiment is a generator: it yields a `Trial`, gets its `Answer`, and chooses the next.
+An experiment is a generator that yields a `Trial` and receives its `Answer`.
 """
 
 import math
@@ -24,7 +24,7 @@ from smarttouch.profile.profile import require_driven
 
 FEWEST_PULSES = 2  # fewest pulses that have a frequency
 LONGEST_S = 60.0
-STEP_S = 0.05  # one step of a current that follows the keys
+STEP_S = 0.05  # time step of a current that follows the keys
 
 FIRST_OR_SECOND = {"1": "1", "2": "2", "left": "1", "right": "2"}
 YES_OR_NO = {"y": "y", "n": "n"}
@@ -38,12 +38,12 @@ class Train:
 
     # (3, E) float32, in [0, 1]: one row for each `Afferent`
     activation: NDArray[np.float32]
-    period_us: int  # from pulse to pulse
-    pulses: int  # it ends one period after the last
-    # in [0, 1]: of the strongest comfortable current, on top of what the user wishes
+    period_us: int  # time from pulse to pulse
+    pulses: int  # number of pulses; the train ends one period after the last
+    # in [0, 1]: multiplies the intensity that the user chose
     level: float = 1.0
-    is_blank: bool = False  # whether no current flows, for as long as in the same train
-    softness: float = 1.0  # 1: the rate is constant; 0: it follows the finger's force
+    is_blank: bool = False  # whether the train is silent
+    softness: float = 1.0  # 1: constant rate; 0: the rate follows the finger's force
 
     @property
     def rate_hz(self) -> float:
@@ -55,9 +55,9 @@ class Train:
 
 
 Course = Generator[float, bool | None, Any]
-"""Current of one electrode that follows the keys: for each `STEP_S` it yields the current, mA; it
-gets whether a key was pressed meanwhile, or None where current was lost and it begins to rise from
-zero again; and returns the response or another result."""
+"""Current of one electrode that follows the keys. The generator yields the current, mA, for each
+`STEP_S`. It receives whether a key was pressed, or None if current was lost and rises from zero
+again. It returns the response or another result."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,25 +65,24 @@ class Trial:
     """Stimuli and question of one trial."""
 
     condition: Condition
-    intervals: tuple[Train, ...]  # one after another
-    task: str  # kind of question, for observers: faster, felt, side …
+    intervals: tuple[Train, ...]  # presented one after another
+    task: str  # kind of question for observers, see `Observer`
     question: str
-    unit: str  # of the condition
+    unit: str  # unit of the comparison
     _: KW_ONLY
     answers: Mapping[str, str] = field(default_factory=lambda: YES_OR_NO)  # response by key
-    success: str = "y"  # the response that is a success: judged higher, felt, or right
-    target: str = ""  # the response that is true; empty if none is
-    exact: bool = False  # whether it counts in milliamperes: nothing may lower it, it comes once
-    course: Course | None = None  # sets the level of its only train; every key is an answer then
+    success: str = "y"  # response that counts as a success
+    target: str = ""  # correct response; empty if there is none
+    exact: bool = False  # whether the current in mA counts, so that nothing may lower it
+    course: Course | None = None  # steers the level of the only train; any key is then an answer
 
     @property
     def alternatives(self) -> tuple[str, ...]:
-        """All possible responses."""
         return tuple(dict.fromkeys(self.answers.values()))
 
     @property
     def words(self) -> str:
-        """Stimulus as text, for the report of the run."""
+        """Stimulus as text, for the recording of the run."""
         condition, unit = self.condition, self.unit
         if math.isnan(condition.comparison):
             return "current rises"
@@ -94,22 +93,22 @@ class Trial:
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to a trial."""
+    """Answer of a participant to a trial."""
 
-    response: str  # empty if none came
+    response: str  # empty if no answer came
     success: bool | None  # None if no answer came
-    rt_s: float | None = None  # from the end of the last interval
-    time_s: float = 0.0  # of the run
-    level: float = 1.0  # amplitude that the user had chosen, 0 to 1
-    reached: float | None = None  # current at the answer, where it followed the keys
-    found: Any = None  # what the course of the trial returned
+    rt_s: float | None = None  # reaction time from the end of the last interval
+    time_s: float = 0.0  # time in the run
+    level: float = 1.0  # intensity chosen by the user, 0 to 1
+    reached: float | None = None  # current at the answer, mA, if it followed the keys
+    found: Any = None  # result of the trial's course
 
 
 Trials = Generator[Trial, Answer, None]
 
 
 def ask(procedure: Procedure, trial: Callable[[Condition], Trial]) -> Trials:
-    """Yield the trial of each condition that a procedure chooses."""
+    """Yield a trial for each condition of a procedure, and pass answers back."""
     success: bool | None = None
     while True:
         try:
@@ -121,26 +120,26 @@ def ask(procedure: Procedure, trial: Callable[[Condition], Trial]) -> Trials:
 
 @dataclass
 class Setup:
-    """What an experiment is made for: profile, class and the user's options; it makes trains.
+    """Profile, class and options of an experiment; makes its pulse trains.
 
-    Raises an ExperimentError where an option is out of range.
+    Raises ExperimentError if an option is out of range.
     """
 
     profile: Profile
     afferent: Afferent = Afferent.RA
     _: KW_ONLY
-    procedure: str = ""  # empty: the first that the experiment has
-    standards: str = ""  # frequencies of standards, Hz, as in 15,30
-    repetitions: int | None = None  # of each condition
-    trials: int | None = None  # of each standard, where answers choose the next
-    site: int | None = None  # the middle one if None
-    train_s: float | None = None  # the experiment's own if None
+    procedure: str = ""  # empty: the experiment's default
+    standards: str = ""  # standards, Hz, as in 15,30
+    repetitions: int | None = None  # trials of each condition
+    trials: int | None = None  # trials of each standard, for adaptive procedures
+    site: int | None = None  # None: the middle of the array
+    train_s: float | None = None  # None: the experiment's default
     gap_s: float = 0.5  # between two intervals
     answer_s: float = 10.0  # time limit for an answer; 0 for none
-    rate_hz: float | None = None  # of pulses, where the experiment does not set it
-    seed: int = 0  # of the order of trials
-    total: int | None = field(default=None, init=False)  # trials; None if answers decide it
-    notes: list[str] = field(default_factory=list, init=False)  # for the user
+    rate_hz: float | None = None  # pulse rate, unless the experiment sets it
+    seed: int = 0  # seed of the order of trials
+    total: int | None = field(default=None, init=False)  # of trials; None if answers decide
+    notes: list[str] = field(default_factory=list, init=False)  # messages to the user
 
     def __post_init__(self) -> None:
         for name in ("repetitions", "trials"):
@@ -162,14 +161,14 @@ class Setup:
             standards = [math.nan]
         if not all(0 < standard < 1e6 for standard in standards):
             raise ExperimentError(
-                f"standards {self.standards!r} are not understood: give frequencies in Hz, as in "
+                f"{self.standards!r} is not a list of standards: give frequencies in Hz, as in "
                 "15,30,45"
             )
         self.standards_hz: tuple[float, ...] = tuple(dict.fromkeys(standards))
 
     @property
     def place(self) -> int:
-        """Site of the stimuli: that given, or the driven one nearest to the middle."""
+        """Site of the stimuli: by default the driven electrode nearest to the middle."""
         if self.site is not None:
             return self.site
         driven = self.profile.driven
@@ -178,12 +177,12 @@ class Setup:
 
     @property
     def pulse_hz(self) -> float:
-        """Rate of pulses: that given, or the profile's."""
+        """Pulse rate, Hz: by default the profile's."""
         return self.profile.pulse.rate_hz if self.rate_hz is None else self.rate_hz
 
     def train(self, where: Sequence[int] | NDArray[Any], rate_hz: float) -> Train:
-        """Return a train on some sites, given as whole numbers, or with an activation of each, (E,)
-        of numbers or bool."""
+        """Return a train at sites given by index, or by an array of activation, (E,) float or
+        bool."""
         limit_hz = self.profile.limits.rate_hz
         words = f"{rate_hz:g} Hz, where the profile allows {limit_hz:g} Hz,"
         require_within(ExperimentError, "rate_hz", rate_hz, 0, limit_hz, words, above=True)
@@ -198,8 +197,8 @@ class Setup:
         if isinstance(where, np.ndarray) and where.dtype.kind not in "iu":
             if where.shape != activation[0].shape:
                 raise ExperimentError(
-                    f"an activation of {where.shape} is not for the {activation.shape[1]} sites of "
-                    f"{self.profile.name}: give one for each, or sites by their numbers"
+                    f"activation {where.shape} does not fit the {activation.shape[1]} sites of "
+                    f"{self.profile.name}: give one value for each, or site numbers"
                 )
             activation[self.afferent] = where
         else:
@@ -209,7 +208,7 @@ class Setup:
     def constant(
         self, pairs: Sequence[tuple[float, float]], two_intervals: bool = True
     ) -> Procedure:
-        """Return `constant_stimuli`, as often and in the order that was asked for."""
+        """Return `constant_stimuli` with the options of this setup."""
         repetitions = self.repetitions or REPETITIONS
         self.total = len(pairs) * repetitions
         return constant_stimuli(pairs, repetitions, two_intervals, self.seed)
@@ -224,10 +223,10 @@ def in_two_intervals(
     unit: str,
     **more: Any,
 ) -> Trial:
-    """Return a trial of two intervals: ``own`` is in that of the comparison, which is right.
+    """Return a trial of two intervals, one with ``comparison_train`` and one with ``other``.
 
-    ``task`` is the kind of question for simulated observers, and ``unit`` that of the comparison;
-    ``more`` are other fields of a `Trial`.
+    The interval of the comparison is the correct response. ``task`` is the kind of question for
+    observers, ``unit`` that of the comparison; ``more`` are further fields of `Trial`.
     """
     at = condition.comparison_interval
     return Trial(
