@@ -1,1 +1,1 @@
-"""Currents that reach one afferent class at one site, for single points and for whole frames."""
+"""Kernels: currents that stimulate one afferent class at one site, or at several sites at once."""

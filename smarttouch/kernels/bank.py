@@ -1,4 +1,4 @@
-"""Bank of the kernels of every site and mode of a profile, designed once and stored."""
+"""Kernel bank: the kernels of all sites and modes of a profile, designed once and stored."""
 
 import contextlib
 import hashlib
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from smarttouch.kernels.batch_design import Timed
     from smarttouch.kernels.design_problem import Kernel, KernelKind, Problem
 
-DESIGN_VERSION = 3  # raised when the same problem would get other kernels
-_IN_FILE = {  # name of each column in a file
+DESIGN_VERSION = 3  # increase it when the same problem would get other kernels
+_IN_FILE = {  # names of the columns in a file
     "weights": "weights", "off_target": "worst_other", "worst_class": "worst_class",
     "spill": "own_spill", "gap": "gap", "seconds": "seconds", "receptor": "receptor",
 }  # fmt: skip
@@ -40,7 +40,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class KernelBank:
-    """Kernels of every site of a profile, by class."""
+    """Kernels of all sites of a profile, by class."""
 
     def __repr__(self) -> str:
         kinds = ", ".join(
@@ -48,27 +48,27 @@ class KernelBank:
         )
         return f"KernelBank({kinds})"
 
-    weights: Column  # (E, E) mA per V/mm²: row s is site s, activation 1, sum 0; 0 if masked
-    off_target: Column  # (E,) largest activation of another class, over the target's
-    worst_class: Column  # (E,) int8, the class of that activation
-    spill: Column  # (E,) largest activation of the own class beyond a pitch, over the target's
-    gap: Column  # (E,) largest distance from the optimum; 0 is proven
-    seconds: Column  # (E,) float32, time of each design
-    receptor: Column  # (E, E) float32, V/mm² per mA: AF at the target under r of electrode e
-    # Classes whose kernels are one electrode against all others, by height and exact to the µA.
+    weights: Column  # (E, E) mA per V/mm²: row s is the kernel of site s, with sum 0; 0 if masked
+    off_target: Column  # (E,) largest activation of another class, relative to the target
+    worst_class: Column  # (E,) int8, class with that activation
+    spill: Column  # (E,) largest activation of the same class beyond a pitch, over the target
+    gap: Column  # (E,) largest relative distance from the optimum; 0 if proven optimal
+    seconds: Column  # (E,) float32, design time
+    receptor: Column  # (E, E) float32, V/mm² per mA: AF at the target of site r from electrode e
+    # Classes whose kernels drive one electrode against all others
     discs: tuple[Afferent, ...] = ()
 
     def kernels(self, afferent: Afferent) -> NDArray[np.float32]:
-        """Return the kernels of a mode as fractions of full current, (E, E), zero where masked.
+        """Return the kernels of a mode, (E, E), each scaled to a peak of 1; masked sites are zero.
 
-        Peaks are 1; an impossible mode is a DesignError.
+        Raises DesignError if the board does not offer the mode.
         """
         weights = self._made(afferent)
         peak = np.abs(weights).max(axis=1, keepdims=True)
         return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
 
     def kernel(self, afferent: Afferent, site: int, kind: "KernelKind") -> "Kernel":
-        """Return one kernel; DesignError if the board has no such mode or the site is masked."""
+        """Return one kernel. Raises DesignError if the mode is impossible or the site is masked."""
         from smarttouch.kernels.design_problem import Kernel, masked_site
 
         weights = self._made(afferent)[site]
@@ -91,12 +91,12 @@ class KernelBank:
         width_us: NDArray[np.float32],
         current_ua: NDArray[np.int16],
     ) -> dict[int, NDArray[np.float32]]:
-        """Return the response of the receptors under electrodes to delivered slots, by sequence.
+        """Return the response of the receptors under all electrodes, (E,), to the delivered slots
+        of each sequence.
 
-        Each slot activates by the activating function at the receptors' nodes. A response, (E,) in
-        [0, 1], counts from the detection threshold on, and is 1 at the strongest comfortable pulse;
-        of several classes, and slots, the strongest counts. Slots of one sequence, by ``numbers``
-        (N,), follow each other; ``current_ua`` (N, E) is positive where cathodic.
+        A response is 0 at the detection threshold and 1 at the strongest comfortable pulse. The
+        strongest response of all classes and slots counts. ``numbers``, (N,), holds the sequence
+        number of each slot, in order; ``current_ua``, (N, E), is positive if cathodic.
         """
         from smarttouch.physiology.finger import strength
 
@@ -108,7 +108,7 @@ class KernelBank:
         for afferent in afferents:
             receptor = self.receptor[afferent]
             full = full_ua * (receptor * self.kernels(afferent)).sum(axis=1)
-            # Masked sites have no kernel: there is no response.
+            # Masked sites have no kernel, so their response is 0.
             activation.append(current @ receptor.T / np.where(full > 0, full, np.inf))
         least = profile.threshold_ma / profile.full_ma
         answers = np.clip((np.maximum.reduce(activation) - least) / (1 - least), 0, 1)
@@ -119,8 +119,8 @@ class KernelBank:
     def _made(self, afferent: Afferent) -> NDArray[np.float64]:
         if afferent not in self.weights:
             offered = ", ".join(
-                f"{known.name} (other classes reach {self.off_target[known].max():.2g} of the "
-                f"target, its own elsewhere {self.spill[known].max():.2g})"
+                f"{known.name} (off-target up to {self.off_target[known].max():.2g} of the "
+                f"target, spill up to {self.spill[known].max():.2g})"
                 for known in sorted(self.weights)
             )
             raise DesignError(
@@ -131,12 +131,12 @@ class KernelBank:
 
 
 def _array_problem(profile: Profile) -> dict[str, Any]:
-    """Return what the kernels of a profile depend on, but for masks and limits."""
+    """Return everything that the kernels of a profile depend on, except masks and limits."""
     return {
         "version": DESIGN_VERSION,
-        # What is not given is left out, so that keys that came later change no hash.
+        # Leave out unset keys, so that new keys do not change the hash.
         "array": profile.array.model_dump(exclude_none=True),
-        # Banks of 1.0 hash the layers of skin that it offered.
+        # Version 1.0 had layers of skin, which are part of its hashes.
         "skin": profile.skin.model_dump() | {"layers": ()},
         "output": _by_sources(profile).output.model_dump(
             exclude={"masked", "wiring", "ua_per_count"}
@@ -146,7 +146,7 @@ def _array_problem(profile: Profile) -> dict[str, Any]:
 
 
 def _by_sources(profile: Profile) -> Profile:
-    """Return a profile without impedances where each electrode has a source of its own."""
+    """Return the profile, without impedances if each electrode has its own current source."""
     if profile.output.kind != "weighted":
         return profile
     output = profile.output.model_copy(update={"impedance_kohm": 1.0})
@@ -154,7 +154,7 @@ def _by_sources(profile: Profile) -> Profile:
 
 
 def problem_hash(profile: Profile) -> str:
-    """Return the hash of everything that the kernels of a profile depend on."""
+    """Return a hash of everything that the kernels of a profile depend on."""
     limits, problem = profile.limits, _array_problem(profile)
     if profile.output.kind == "three-state":
         problem["poles"] = "one against its ring or all"
@@ -167,14 +167,14 @@ def problem_hash(profile: Profile) -> str:
 
 
 def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
-    """Return the bank of a profile: shipped, from the user's cache, or designed now, where an
-    interrupted design resumes."""
+    """Return the bank of a profile: shipped, from the user's cache, or designed now. An interrupted
+    design resumes."""
     if (bank := find_bank(profile)) is not None:
         return bank
     cached, known = _cached_bank(profile), _known(profile)
     if known is not None and problem_hash(known[0]) == problem_hash(profile):
         return known[1]
-    # Without a cache the next run designs again; that is slow, not wrong.
+    # Without a cache the next run designs the bank again.
     with contextlib.suppress(OSError):
         make_folder(cached.parent)
     bank = design_bank(profile, progress, _parts(cached, profile))
@@ -205,8 +205,8 @@ def find_bank(profile: Profile) -> KernelBank | None:
 
 
 def _known(profile: Profile) -> tuple[Profile, KernelBank] | None:
-    """Return a profile of the same array in the same skin, and its bank, if one is at hand: it may
-    differ in masks, limits and full currents."""
+    """Return a stored bank for the same array and skin, with its profile. The profile may differ in
+    masks, limits and full currents. None if no bank is stored."""
     if profile.output.kind != "weighted":
         return None
     unmasked = profile.output.model_copy(update={"masked": ()})
@@ -220,7 +220,7 @@ def _known(profile: Profile) -> tuple[Profile, KernelBank] | None:
 
 
 def _parts(path: Path, profile: Profile) -> Path:
-    """Return the folder of partial results, shared by processes with the same design."""
+    """Return the folder for partial results, shared by processes with the same design."""
     return path.with_name(f"{path.stem}-{problem_hash(profile)[:12]}.parts")
 
 
@@ -238,7 +238,7 @@ def shipped_bank(name: str) -> Path:
 def design_bank(
     profile: Profile, progress: Progress | None = None, keep: Path | None = None
 ) -> KernelBank:
-    """Design every mode that the board can make, for every site."""
+    """Design the kernels of all modes that the board offers, for all sites."""
     if profile.kernels.neighbors is not None:
         return design_confined(profile, profile.driven.tolist(), progress, keep)
     from smarttouch.kernels.batch_design import design_sites, design_unless_known, part_of
@@ -261,8 +261,8 @@ def design_bank(
 def design_confined(
     profile: Profile, sites: Sequence[int], progress: Progress | None, keep: Path | None = None
 ) -> KernelBank:
-    """Design kernels of `Kernels.neighbors` electrodes at some sites; those of others are zero, as
-    is what electrodes farther away do to a target."""
+    """Design kernels of `Kernels.neighbors` electrodes for some sites. The kernels of other sites,
+    and the AF at a target from electrodes farther away, are zero."""
     from smarttouch.kernels.batch_design import design_tiles
     from smarttouch.kernels.switched_design import designer, possible_modes
 
@@ -284,7 +284,7 @@ def design_confined(
 
 
 def _enter(columns: dict[str, Any], problem: "Problem", timed: "Sequence[Timed]") -> None:
-    """Store the kernels of a class, and the seconds that each took."""
+    """Store the kernels of a class, with the design times."""
     afferent, kernels = problem.afferent, [kernel for kernel, _ in timed]
     fields: dict[str, tuple[Any, Any]] = {
         "weights": ([kernel.weights for kernel in kernels], np.float64),
@@ -302,7 +302,7 @@ def _enter(columns: dict[str, Any], problem: "Problem", timed: "Sequence[Timed]"
 
 
 def write_bank(path: Path, profile: Profile, bank: KernelBank) -> None:
-    """Write a bank in one atomic step."""
+    """Write a bank atomically."""
     columns = {
         f"{in_file}_{afferent.name}": values
         for name, in_file in _IN_FILE.items()
@@ -320,7 +320,7 @@ def write_bank(path: Path, profile: Profile, bank: KernelBank) -> None:
 
 
 def _read(path: Path, profile: Profile) -> KernelBank | None:
-    """Return the bank in a file if it is for this profile's problem, and complete."""
+    """Return the bank in a file, or None if it is incomplete or for another problem."""
     try:
         with open_file(path, DesignError, MOST_BANK_BYTES) as file:
             arrays = dict(np.load(file, allow_pickle=False))
@@ -336,15 +336,15 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
             return None
         return KernelBank(**columns)
     except Exception:
-        # A damaged archive fails in a dozen ways. It is designed again: that is slow, not wrong.
+        # A damaged archive can raise many errors; design the bank again.
         return None
 
 
 def single_bank(profile: Profile) -> KernelBank:
-    """Return a bank in which each site's kernel is its electrode against all others.
+    """Return a bank in which each kernel is one electrode against all others.
 
-    All are stored under `Afferent.RA`, whichever afferents they reach. The one electrode is anodic
-    where the profile's board can, and the others share its return equally.
+    All kernels are stored as `Afferent.RA`, whatever afferents they reach. The electrode is anodic
+    if the board allows it; the others share the return current equally.
     """
     count = len(profile.electrodes)
     driven = profile.driven

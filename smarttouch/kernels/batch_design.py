@@ -1,10 +1,9 @@
-"""Batch design of kernels: every distinct site, on all cores, with results stored one by one.
+"""Batch design of kernels on all cores, resumable, with each distinct site designed once.
 
-Kernels of large arrays are confined to the electrodes around their sites, tile by tile. A tile is a
-site, the electrodes nearest to it, which alone its kernel drives, and a ring of others, which says
-how far nodes are looked at: farther out such a pattern excites less than within. Sites of alike
-tiles, mirror images too, have one kernel, so that a grid of any size has some 40 to design, where a
-whole bank's time grows with the third power of its electrodes.
+On large arrays a kernel drives only the electrodes near its site. A tile is a site with those
+electrodes and a ring around them, within which nodes are checked: farther out a kernel excites
+less. Sites with equal tiles, or mirrored ones, share a kernel. So a grid of any size needs about 40
+designs, while the time of a complete bank grows with the third power of the number of electrodes.
 """
 
 import contextlib
@@ -39,11 +38,11 @@ Design = Callable[[Problem, int], Kernel]
 Progress = Callable[[int, int], None]
 Timed = tuple[Kernel, float]
 
-_running: set[int] = set()  # threads of this process with a design in progress
+_running: set[int] = set()  # threads that are designing
 
 
 def part_of(progress: Progress | None, index: int, parts: int) -> Progress:
-    """Return the progress callback of one of several parts."""
+    """Return a progress callback for one of several equal parts."""
 
     def advance(done: int, total: int) -> None:
         if progress is not None:
@@ -59,11 +58,11 @@ def design_sites(
     progress: Progress | None = None,
     keep: Path | None = None,
 ) -> list[Timed]:
-    """Return the kernel and seconds of design of each site, with mirror images designed once.
+    """Design a kernel for each site, and return it with its design time.
 
-    The work goes through `joblib.Parallel`: on threads here, as the solver releases the
-    interpreter, or wherever ``joblib.parallel_config`` sends it (a Dask cluster, say). Kernels are
-    stored in the folder `keep` one by one and read from there, so an interrupted design resumes.
+    Mirrored sites are designed once. Sites run in parallel by `joblib.Parallel`: on threads, as the
+    solver releases the interpreter lock, or as set by ``joblib.parallel_config`` (for example a
+    Dask cluster). Each kernel is stored in the folder `keep`, so an interrupted design resumes.
     """
     from joblib import Parallel, delayed
     from threadpoolctl import threadpool_limits
@@ -83,7 +82,7 @@ def design_sites(
     answers = Parallel(n_jobs=-1, prefer="threads", return_as="generator_unordered")(
         delayed(_timed)(design, problem, first) for first in missing
     )
-    # The cores are taken by sites: threads of the linear algebra would only wait for one another.
+    # Sites use all cores, so limit BLAS to one thread.
     with threadpool_limits(limits=1, user_api="blas"):
         try:
             for first, kernel, seconds in answers:
@@ -94,7 +93,7 @@ def design_sites(
                     progress(len(done), len(distinct))
         except BaseException:
             answers.close()
-            # A program that ends while a thread is inside the solver ends in an abort.
+            # Wait for the solver's threads: the process would abort if it ended before.
             while _running:
                 time.sleep(0.02)
             raise
@@ -117,7 +116,7 @@ def _timed(design: Design, problem: Problem, site: int) -> tuple[int, Kernel, fl
 def _moved(problem: Problem, site: int, kernel: Kernel, move: np.ndarray) -> Kernel:
     weights = np.empty_like(kernel.weights)
     weights[move] = kernel.weights
-    # An axon that is mirrored counts its nodes the other way: the fired one shows which (Eq. 11).
+    # Mirroring reverses the nodes of an axon, so find the node with the largest AF (Eq. 11).
     node = kernel.node and int((problem.axon(site) @ weights).argmax())
     return replace(kernel, weights=weights, node=node)
 
@@ -137,8 +136,8 @@ def keep_kernel(keep: Path, problem: Problem, site: int, kernel: Kernel, seconds
         "gap": kernel.gap,
         "seconds": seconds,
     }
-    # Another process may design the same, and remove the folder when it is done; what is not kept
-    # is only designed again.
+    # Another process with the same design may remove the folder. What is not stored is designed
+    # again.
     with contextlib.suppress(OSError):
         keep.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile("w", dir=keep, suffix=".part", delete=False) as half:
@@ -165,18 +164,18 @@ def kept_kernel(keep: Path | None, problem: Problem, site: int) -> Timed | None:
     return (kernel, seconds) if is_complete else None
 
 
-_NOTHING = 1e-9  # part of a kernel's strongest current that is a last bit of the solver's
+_NOTHING = 1e-9  # relative current below which a weight is numerical noise
 _CLEAR = 1 - 1e-6
 
 
 def design_unless_known(
     design: Design, before: Profile, known_kernel: Callable[[Afferent, int, KernelKind], Kernel]
 ) -> Design:
-    """Return a design that gives a site its kernel of another profile where that stays the best:
-    without current at masked electrodes, and either its limits are the same, or the kernel
-    is within the limits and was not held up by those before.
+    """Return a design function that reuses the kernels of another profile if they stay optimal.
+    Such a kernel has no current at masked electrodes.
 
-    An optimum stays optimal over any subset that contains it.
+    Either the limits are equal, or the kernel is within the new limits and was not constrained by
+    the old ones: an optimum stays optimal over any subset that contains it.
     """
 
     def keep_or_design(problem: Problem, site: int) -> Kernel:
@@ -202,7 +201,8 @@ def _same_limits(before: Profile, now: Profile, site: int) -> bool:
 
 
 def _within(weights: Array, site: int, profile: Profile) -> bool:
-    """Return whether a pattern (E,) keeps clear of a profile's limits at a site's full current."""
+    """Return whether a pattern, (E,), stays well below the profile's limits at the site's full
+    current."""
     total, electrode = limits_ma(profile)
     if weights[site] == 0:
         return bool(np.isinf(total) and np.isinf(electrode).all())
@@ -217,16 +217,16 @@ _DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class Tile:
-    """Sites whose surroundings are alike, and these as an array of its own."""
+    """Surroundings of a site as a small array, and all sites with such surroundings."""
 
     profile: Profile  # electrode 0 is the site
-    # Sites, and of each the electrodes (N,) of the array that the tile's stand for
+    # by site: the electrodes (N,) of the array that correspond to those of the tile
     members: dict[int, NDArray[np.intp]] = field(default_factory=dict)
 
 
 def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
-    """Return the tiles of sites with `Kernels.neighbors` driven electrodes each at most, whole
-    rings of equal distance."""
+    """Return the tiles of sites. A tile has complete rings of equal distance, with at most
+    `Kernels.neighbors` driven electrodes."""
     array, neighbors = profile.electrodes, profile.kernels.neighbors or len(profile.electrodes)
     is_driven = np.isin(np.arange(len(array)), profile.driven)
     properties = np.column_stack(own_properties(profile))
@@ -241,7 +241,7 @@ def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
         drives = is_driven[seen] & (away_mm[seen] <= radius_mm)
         keys = []
         for move in moves:
-            # Without negative zeros.
+            # Adding 0 turns negative zeros into positive ones, for the comparison of bytes.
             moved = (apart_mm[seen] @ move.T).round(_DECIMALS) + 0.0
             rows = np.column_stack([away_mm[seen], moved, drives, properties[seen]])
             order = np.lexsort(rows.T[2::-1])
@@ -257,7 +257,8 @@ def tiles_of(profile: Profile, sites: Iterable[int]) -> list[Tile]:
 def _cut(
     profile: Profile, members: NDArray[np.intp], places_mm: Array, drives: NDArray[np.bool_]
 ) -> Profile:
-    """Return the profile of a tile: electrodes (N,) at places (N, 2), of which some are driven."""
+    """Return the profile of a tile: electrodes (N,) at places (N, 2), with a mask of driven ones
+    (N,)."""
     array, felt, limits = profile.electrodes, profile.perception, profile.limits
     shapes = [array.own[index] for index in members] if array.own else None
     layout = FreeLayout(
@@ -293,8 +294,8 @@ def design_tiles(
     progress: Progress | None = None,
     keep: Path | None = None,
 ) -> Iterable[tuple[Afferent, int, NDArray[np.intp], Kernel, float, Array]]:
-    """Yield of each mode and site: electrodes (N,), the kernel of these, the seconds of its design,
-    and the target's activating function by each of them, (N,) V/mm² per mA."""
+    """Yield for each mode and site: electrodes (N,), their kernel, the design time in seconds, and
+    the AF at the target from each electrode, (N,) V/mm² per mA."""
     tiles = tiles_of(profile, sites)
     for index, tile in enumerate(tiles):
         node_rows: dict[Afferent, Array] = {}

@@ -1,4 +1,5 @@
-"""The design problem: AF rows of a kernel's target and of all else, and their symmetries."""
+"""Design problem of a kernel: AF rows of the target and of all other nodes, and symmetries. A row
+holds the AF at one node for 1 mA through each electrode."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -33,11 +34,12 @@ _SQUARE = [
         [[0, -1], [-1, 0]],
     )
 ]
-"""Symmetries of a square; the further ones of a hexagon do not keep the node lattice."""
+"""Symmetries of a square. Other symmetries of a hexagon do not preserve the lattice of nodes."""
 
 
 def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
-    """Return permutations that keep the problem, identity first: e goes to ``permutation[e]``."""
+    """Return permutations of electrodes that preserve the problem, identity first: e maps to
+    ``permutation[e]``."""
     array = profile.electrodes
     moves = []
     kind = _kinds(profile)
@@ -54,8 +56,8 @@ def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
 
 
 def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[np.int_]]:
-    """Return the symmetries of a square, (2, 2) each, that keep the shapes of electrodes, the skin
-    and the targets of some classes, identity first."""
+    """Return the symmetries of a square, (2, 2) each, that preserve electrode shapes, the skin and
+    the targets of some classes, identity first."""
     skin = profile.skin
     kinds = profile.electrodes.kinds
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in kinds)
@@ -70,7 +72,7 @@ def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[
 
 
 def _kinds(profile: Profile) -> NDArray[np.float64]:
-    """Return a number for the shape and size of each electrode, (E,)."""
+    """Return a number that identifies shape and size of each electrode, (E,)."""
     kind = np.zeros(len(profile.electrodes))
     for number, which in enumerate(profile.electrodes.kinds.values()):
         kind[which] = number
@@ -78,7 +80,7 @@ def _kinds(profile: Profile) -> NDArray[np.float64]:
 
 
 def own_properties(profile: Profile) -> list[NDArray[np.float64]]:
-    """Return properties by which an electrode may differ from another, (E,) each."""
+    """Return the properties in which electrodes may differ, (E,) each."""
     limits, properties = profile.limits, [profile.admittance, _kinds(profile)]
     if profile.output.masked:
         properties.append(
@@ -87,13 +89,14 @@ def own_properties(profile: Profile) -> list[NDArray[np.float64]]:
     if limits.electrode_ma is not None:
         properties.append(np.array(limits.electrode_ma))
     if limits.electrode_ma is not None or profile.design_total_ma is not None:
-        # Limits are multiples of a site's full current.
+        # Limits scale with the full current of a site.
         properties.append(np.asarray(profile.full_ma, np.float64))
     return properties
 
 
 def _keeps(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:
-    """Return whether a set of directions is unchanged by a symmetry; an axon has no sense."""
+    """Return whether a symmetry preserves a set of axon directions; opposite directions are
+    equal."""
     moved = axons.copy()
     moved[:, :2] = axons[:, :2] @ matrix.T
     alike = np.abs(moved @ axons.T)
@@ -112,25 +115,25 @@ class Kernel:
 
     __repr__ = one_line
 
-    weights: Array  # (E,) mA per V/mm², positive cathodic, for an AF of 1 at the target
-    off_target: float  # largest activation of another class, over the target's
-    off_target_class: Afferent  # class of that activation
-    spill: float  # largest activation of the own class beyond one pitch, over the target's
-    node: int = 0  # index of the activated node on its axon; 0 is under the electrode
+    weights: Array  # (E,) mA for an AF of 1 V/mm² at the target, positive cathodic
+    off_target: float  # largest activation of another class, relative to the target
+    off_target_class: Afferent  # class with that activation
+    spill: float  # largest activation of the same class beyond one pitch, relative to the target
+    node: int = 0  # index of the target node on its axon; 0 is under the electrode
     kind: KernelKind = "weighted"
-    gap: float = 0.0  # largest relative distance from the optimum; 0 is proven
+    gap: float = 0.0  # largest relative distance from the optimum; 0 if proven optimal
 
     @property
     def peak_normalized(self) -> Array:
-        """Weights with a largest magnitude of 1, as the paper draws them (Fig. 8)."""
+        """Weights scaled to a peak of 1, as in the paper (Fig. 8)."""
         return np.asarray(self.weights / np.abs(self.weights).max())
 
 
-_FIRST_MM = 0.5  # distance of the places at which a design looks first
+_FIRST_MM = 0.5  # spacing of the nodes that a design checks first
 
 
 def _sublattice(grids: list[tuple[tuple[int, int], int]], apart: int) -> NDArray[np.intp]:
-    """Return every so many rows and columns of stacks of lattices, (K,), by index of all."""
+    """Return indices, (K,), of every ``apart``-th row and column in a stack of lattices."""
     starts, start = [], 0
     for (high, wide), count in grids:
         index = np.arange(start, start + count * high * wide).reshape(count, high, wide)
@@ -140,16 +143,16 @@ def _sublattice(grids: list[tuple[tuple[int, int], int]], apart: int) -> NDArray
 
 
 def limits_ma(profile: Profile) -> tuple[float, Array]:
-    """Return limits of all cathodes together and of each electrode, infinite if unlimited."""
+    """Return the limits of total current and of each electrode, (E,), mA; infinite if unlimited."""
     limits, count = profile.limits, len(profile.electrodes)
-    # Sequences hold whole µA: leave every electrode room to be rounded up.
+    # Currents are rounded to whole µA, so leave a margin of 1 µA for each electrode.
     room = count / 1000
     electrode = np.array(limits.electrode_ma or np.full(count, np.inf)) - room
     return (profile.design_total_ma or np.inf) - room, electrode
 
 
 def masked_site(site: int) -> DesignError:
-    """Return the error of a site that has no kernel."""
+    """Return the error for a masked site."""
     return DesignError(
         f"site {site} is masked: its electrode is not driven; choose another, or take it out of "
         "output.masked of the profile",
@@ -158,10 +161,10 @@ def masked_site(site: int) -> DesignError:
 
 
 class Problem:
-    """Rows of one class against others, by default both (Eq. 10 has one, Eq. 16 two), shared by all
-    sites of a profile.
+    """Rows of one class against other classes, by default both (Eq. 10 has one, Eq. 16 two).
 
-    `made` keeps the rows of each class for further problems of the same profile.
+    All sites of a profile share them. `made` caches the rows of each class for other problems of
+    the same profile.
     """
 
     def __init__(
@@ -185,11 +188,11 @@ class Problem:
         for other in nodes.keys() - made.keys():
             made[other] = af_matrix(profile, nodes[other])
         self.target: Array = af_matrix(profile, targets(profile, afferent))
-        """Row of the target of every site, (E, E) V/mm² per mA."""
+        """Rows of the targets of all sites, (E, E) V/mm² per mA."""
         self.other: Array = np.concatenate([made[other] for other in others])
-        """Rows of every node of the other classes, (N, E)."""
+        """Rows of all nodes of the other classes, (N, E)."""
         self.own: Array = made[afferent]
-        """Rows of every node of the own class, (M, E)."""
+        """Rows of all nodes of the target's class, (M, E)."""
         self.other_class: NDArray[np.int8] = np.concatenate(
             [np.full(len(made[other]), other, np.int8) for other in others]
         )
@@ -199,7 +202,7 @@ class Problem:
         own_nodes = nodes[afferent]
         apart = max(1, round(_FIRST_MM / profile.skin.node_spacing_mm))
         self.coarse_other: NDArray[np.intp] = _sublattice(self.grids, apart)
-        """Rows of other classes, and of the own, that lie about `_FIRST_MM` apart."""
+        """Indices of rows that lie about `_FIRST_MM` apart."""
         self.coarse_own: NDArray[np.intp] = _sublattice(
             [(own_nodes.grid, len(own_nodes.direction))], apart
         )
@@ -215,14 +218,14 @@ class Problem:
 
     @property
     def driven(self) -> NDArray[np.intp]:
-        """Electrodes that may carry current, which are the sites that have kernels."""
+        """Electrodes that are not masked; only these sites have kernels."""
         return self.profile.driven
 
     def describe(self, site: int) -> str:
         return f"{self.afferent.name} at site {site} of {self.profile.name or 'this profile'}"
 
     def check_site(self, site: int) -> None:
-        """Raise a DesignError unless the array has such a site, and it is not masked."""
+        """Raise DesignError if the site does not exist or is masked."""
         if not 0 <= site < self.electrodes:
             last = self.electrodes - 1
             message = f"site {site} is out of range: the array has sites 0 to {last}"
@@ -231,7 +234,8 @@ class Problem:
             raise masked_site(site)
 
     def beyond_a_pitch(self, site: int, node: int = 0) -> NDArray[np.bool_]:
-        """Return which own rows are farther than one pitch from a node of a site's axon, (M,)."""
+        """Return which rows of `own` lie farther than one pitch from a node of a site's axon,
+        (M,)."""
         electrodes = self.profile.electrodes
         target_mm = self.axon_mm(site)[node, :2] if node else electrodes.position_mm[site]
         away = np.linalg.norm(self._own_position_mm - target_mm, axis=1)
@@ -242,24 +246,26 @@ class Problem:
         return float(self.profile.full_ma[site])
 
     def axon(self, site: int) -> Array:
-        """Return the rows of the target's own axon, the node under the electrode first."""
+        """Return the rows of the target's axon, the node under the electrode first."""
         sets = along_axon(self.profile, self.afferent, site)
         return np.concatenate([af_matrix(self.profile, one, self.profile.skin) for one in sets])
 
     def axon_mm(self, site: int) -> Array:
-        """Return the places of the nodes of the target's own axon, (K, 3) x, y and depth."""
+        """Return the places of the nodes of the target's axon, (K, 3) mm: x, y and depth."""
         sets = along_axon(self.profile, self.afferent, site)
         return np.concatenate(
             [np.c_[one.position_mm, np.full(len(one.position_mm), one.depth_mm)] for one in sets]
         )
 
     def representative(self, site: int) -> tuple[int, NDArray[np.intp]]:
-        """Return the site that represents this one by symmetry, and the permutation to here."""
+        """Return a symmetric site that represents this one, and the permutation from there to
+        here."""
         moves = [(int(np.flatnonzero(move == site)[0]), move) for move in self.symmetries]
         return min(moves, key=lambda pair: pair[0])
 
     def orbits(self, site: int) -> Array:
-        """Return the patterns that a site's own symmetries allow, (E, O) of 0 and 1, masked 0."""
+        """Return the orbits of electrodes under a site's symmetries, (E, O) of 0 and 1; masked ones
+        are 0."""
         mirrors = np.array([move for move in self.symmetries if move[site] == site])
         _, orbit = np.unique(mirrors.min(axis=0)[self.driven], return_inverse=True)
         patterns = np.zeros((self.electrodes, orbit.max() + 1))
@@ -274,8 +280,8 @@ class Problem:
         kind: KernelKind = "weighted",
         gap: float = 0.0,
     ) -> Kernel:
-        """Return weights scaled to an activation of 1, with their figures; DesignError if they do
-        not activate the target."""
+        """Return a kernel with weights scaled to an activation of 1, and its figures. Raises
+        DesignError if the weights do not activate the target."""
         far = self.beyond_a_pitch(site, node)
         aim = self.target[site] if node == 0 else self.axon(site)[node]
         own_af = float(aim @ weights)
@@ -284,12 +290,13 @@ class Problem:
             raise DesignError(message, electrode=site)
         others = self.other @ weights
         highest = float(others.max())
-        # An optimum often presses two classes alike: let no last bit choose between them.
+        # An optimum often activates two classes equally: rounding errors must not choose between
+        # them.
         alike = others >= highest - _ALIKE * abs(highest)
         whose = int(self.other_class[alike].min())
         spill = max(float((self.own @ weights)[far].max(initial=-np.inf)) / own_af, 0.0)
         scaled = weights / own_af
-        # The last bits of the solver: currents sum to zero.
+        # Remove rounding errors of the solver: currents must sum to zero.
         if kind == "weighted":
             scaled[self.driven] -= scaled[self.driven].mean()
         return Kernel(scaled, highest / own_af, Afferent(whose), spill, node, kind, gap)

@@ -17,23 +17,23 @@ from smarttouch.profile import Profile
 
 @dataclass(frozen=True, eq=False)
 class SiteKernel:
-    """One kernel of a report."""
+    """Kernel of one site in a report."""
 
     afferent: Afferent
     site: int
     kernel: Kernel
-    seconds: float  # time of its design
+    seconds: float  # design time
 
 
-Advance = Callable[[int, int], None]  # given how many sites are done, of how many
+Advance = Callable[[int, int], None]  # called with the numbers of sites done and in all
 
 
 @dataclass(frozen=True)
 class WordTable:
-    """Table of words, with its title above and a note below."""
+    """Table of text with a title and a note."""
 
     title: str
-    heading: list[str]  # empty where columns have no names
+    heading: list[str]  # empty if columns have no names
     rows: list[list[str]]
     note: str
 
@@ -45,13 +45,13 @@ def find_kernels(
     any_node: bool,
     progress: Advance | None,
 ) -> list[SiteKernel]:
-    """Return the kernels of modes at one site or at all, from a bank or designed now.
+    """Return kernels at one site or at all sites, from a bank or designed now.
 
-    With ``any_node`` they are designed over the nodes of each axon, else as the board needs them.
+    With ``any_node`` the best node of each axon is the target, else the node under the electrode.
     """
     sites = profile.driven.tolist() if site is None else [site]
     if not any_node:
-        # One site of a large array is not worth its whole bank.
+        # For a single site do not design a complete bank.
         bank = load_bank(profile, progress) if site is None else find_bank(profile)
         if bank is None and profile.kernels.neighbors is not None:
             bank = design_confined(profile, sites, progress)
@@ -79,7 +79,7 @@ def find_kernels(
 def middle_kernels(
     profile: Profile, kernels: Sequence[SiteKernel]
 ) -> tuple[int, dict[Afferent, Kernel]]:
-    """Return the site nearest to the middle, and its kernel of each class."""
+    """Return the site nearest to the middle, and its kernels by class."""
     sites = sorted({site_kernel.site for site_kernel in kernels})
     away_mm = np.linalg.norm(profile.electrodes.position_mm[sites], axis=1)
     site = sites[int(away_mm.argmin())]
@@ -91,7 +91,7 @@ def middle_kernels(
 
 
 def as_json(profile: Profile, kernels: Sequence[SiteKernel]) -> dict[str, Any]:
-    """Return kernels as a JSON object; weights in mA, positive cathodic."""
+    """Return kernels as a JSON object; positive weights are cathodic."""
     return {
         "profile": profile.name,
         "positive": "cathodic",
@@ -122,7 +122,7 @@ def _one_as_json(profile: Profile, of: SiteKernel) -> dict[str, Any]:
 
 
 def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
-    """Return one row for each site, with what its kernel of each mode reaches."""
+    """Return a table of selectivity, with a row for each site and columns for each mode."""
     modes = sorted({site_kernel.afferent for site_kernel in kernels})
     heading = ["site", "x mm", "y mm"]
     for mode in modes:
@@ -141,7 +141,7 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
             row += [f"{total:.2f}", _gap(kernel.gap)]
     names = " and ".join(mode.name for mode in modes)
     note = (
-        "Worst other and own spill are activations of the target's own: above 1 another class "
+        "Worst other and own spill are relative to the target: above 1 another class or place "
         "fires first."
     )
     return WordTable(
@@ -150,7 +150,7 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
 
 
 def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list[bool]]]:
-    """Return a kernel's weights laid out as its array, and which cell is its own site."""
+    """Return a kernel's weights in the layout of the array, and a mask of the site's cell."""
     kernel, position = of.kernel, profile.electrodes.position_mm
     weights = kernel.peak_normalized
     lines = []

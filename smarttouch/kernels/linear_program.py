@@ -1,10 +1,9 @@
-"""A min–max linear program with few unknowns and very many rows.
+"""Min–max linear program with few unknowns and very many rows.
 
-Only the rows that matter are ever given to the solver: it starts with a few,
-and the worst of those its answer breaks are added until none is broken: of the
-coarse ones first, then of those that were nearly broken when all were looked at
-last, then of all. HiGHS goes on from its last basis, so each round costs a few
-pivots. The answer is verified on all rows, and its optimality by its dual.
+The solver starts with a few rows. Each round adds the worst rows that its answer violates, until it
+violates none. Rounds check the coarse rows first, then the rows that were nearly violated at the
+last complete check, then all rows. HiGHS continues from its last basis, so a round costs a few
+pivots. The final answer satisfies all rows, and its dual proves it optimal.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,11 +19,11 @@ Chooser = Callable[[Array], NDArray[np.intp]]
 Options = dict[str, str | int | float | bool]
 
 _TOLERANCE = 1e-7
-_PRICE = 1e-10  # bound above which duals are not zero
+_PRICE = 1e-10  # magnitude above which a dual counts as nonzero
 _ROWS_AT_ONCE = 60
-_NEAR = 0.02  # distance from their bounds within which rows are looked at before all
+_NEAR = 0.02  # slack below which a row counts as nearly violated
 _MOST_NEAR = 8000
-_BOX = 1e3  # box of the unknowns, which keeps free directions finite in the first rounds
+_BOX = 1e3  # bound of the unknowns: keeps the first rounds finite
 _OPTIONS: Options = {
     "output_flag": False,
     "threads": 1,
@@ -33,19 +32,19 @@ _OPTIONS: Options = {
     "simplex_dual_edge_weight_strategy": 1,
 }
 
-_PATIENCE = 10  # iterations per row and column after which a hot start is taken to cycle
+_PATIENCE = 10  # iterations per row and column after which a hot start is considered to cycle
 _RESCUES: tuple[Options, ...] = (
     {"simplex_dual_edge_weight_strategy": -1},
     {"solver": "ipm", "presolve": "on"},
 )
-"""Solver options to try one after the other, from a cold start, if an answer is not confirmed."""
+"""Solver options for successive cold starts if an answer cannot be verified."""
 
 
 class _SilentHighs(highspy.Highs):
-    """Solver that prints nothing: version 1.16 prints its name before an option can forbid it."""
+    """Solver that prints nothing: version 1.16 prints a banner before options can disable it."""
 
     def __init__(self) -> None:
-        # With types, which the library's own methods have not.
+        # The class's own method has type annotations.
         highspy.Highs.__init__(self)
 
     def enableCallbacks(self) -> None:  # noqa: N802, the name that the library calls
@@ -54,10 +53,11 @@ class _SilentHighs(highspy.Highs):
 
 
 class ProgramRows:
-    """Rows (N, O) of a program, kept as those of all sites: parts (M, E), each over its scale and
-    with the rows chosen of it or all, times the pattern of each unknown, (E, O).
+    """Rows of a program, (N, O), as products that save memory: the rows of all sites, (M, E), times
+    the orbits of one site, (E, O).
 
-    Those at `coarse` (K,) are looked at first, whole rows only where none of them is broken.
+    Each part is an array (M, E), its scale, by which it is divided, and indices of the rows to use,
+    or None for all. Rows at `coarse`, (K,), are checked first.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class ProgramRows:
         return int(self._ends[-1])
 
     def times(self, weights: Array) -> Array:
-        """Return all rows times a pattern (O,), (N,)."""
+        """Return the products, (N,), of all rows with a pattern, (O,)."""
         pattern = self.orbits @ weights
         products = []
         for rows, scale, chosen in self._parts:
@@ -104,18 +104,18 @@ class ProgramRows:
 class LinearProgram:
     """Minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σw = 0.
 
-    Each of the O unknowns stands for `size` electrodes, (O,). Of equally good patterns the cheapest
-    by the first of `ties` is taken, then by the next; each is a price of every unknown's magnitude,
-    (O,). `worst` chooses rows to add from the excess of all rows, (N,); by default those broken.
-    `after` is a program of the same rows whose choice is where this one begins; its t is 0 or more.
+    Each of the O unknowns is the current of `size` electrodes, (O,). Ties between optimal patterns
+    are broken by `ties`, costs of each unknown's magnitude, (O,), in this order. `worst` chooses
+    rows to add by the excess of all rows, (N,); by default all violated ones. `after` is a solved
+    program with the same rows, from whose rows this one starts; its t must not be negative.
     """
 
     def __init__(
         self,
-        rows: ProgramRows,  # (N, O) to be kept small
-        slope: Array,  # (N,) 1 where t is the limit, else 0
-        bound: Array,  # (N,) 0 where t is the limit
-        aims: Array,  # (S, O) to reach 1; a single row is exactly 1
+        rows: ProgramRows,  # (N, O)
+        slope: Array,  # (N,) 1 if t limits the row, else 0
+        bound: Array,  # (N,) 0 if t limits the row
+        aims: Array,  # (S, O) must reach 1; a single row equals 1
         size: Array,
         ties: Sequence[Array],
         worst: Chooser | None = None,
@@ -141,32 +141,34 @@ class LinearProgram:
         exact = 1.0 if len(aims) == 1 else np.inf
         self._add(np.c_[aims, np.zeros(len(aims))], 1.0, np.full(len(aims), exact))
         self._add(np.r_[size, 0.0][None], 0.0, np.zeros(1))
-        # Where each electrode excites most and least is where patterns are held up in the end.
+        # The rows with the extreme values of each column usually become active.
         coarse = rows.coarse_rows
         first = rows.coarse[np.unique(np.r_[coarse.argmax(axis=0), coarse.argmin(axis=0)])]
         self._give(first if after is None else np.flatnonzero(after._given))
 
     def most_selective(self) -> float:
-        """Return the smallest t; infinite if no pattern keeps the rows."""
+        """Return the smallest t; infinite if there is no feasible pattern."""
         answer = self._solve()
         return np.inf if answer is None else float(answer[self._count])
 
     @property
     def pattern(self) -> Array:
-        """Latest pattern, (O,)."""
+        """Pattern of the last solution, (O,)."""
         return np.asarray(self._solver.getSolution().col_value)[: self._count]
 
     @property
     def unique(self) -> bool:
-        """True if no other pattern is as good: every active bound has a nonzero dual."""
+        """True if the optimum is unique: every active bound has a nonzero dual."""
         solution = self._solver.getSolution()
         prices = np.r_[solution.row_dual, solution.col_dual]
         return int((np.abs(prices) > _PRICE).sum()) >= self._columns
 
     def limit(self, reference: Array, factors: Array, total: float | None) -> None:
-        """Bound each magnitude by a factor, (O,), and their total, times the current reference·w.
+        """Bound magnitudes by `factors`, (O,), and their sum by `total`, both times the current
+        reference·w.
 
-        The reference, (O,), is a site's own electrode, say; an infinite factor or None is no bound.
+        The reference, (O,), selects a site's own electrode, for example. Infinite factors and None
+        mean no bound.
         """
         bounded = np.flatnonzero(np.isfinite(factors))
         eye = np.eye(self._count)[bounded]
@@ -180,7 +182,7 @@ class LinearProgram:
             self._add(row[None], -np.inf, np.zeros(1))
 
     def settled(self) -> Array:
-        """Return the most selective pattern, with ties broken, (O,)."""
+        """Return the optimal pattern, (O,), with ties broken."""
         for prices in self._ties:
             if self.unique:
                 break
@@ -188,12 +190,13 @@ class LinearProgram:
             self._add_magnitudes()
             self._cost(np.r_[np.zeros(self._count + 1), prices])
             if self._solve() is None:
-                message = "the solver lost its own answer: loosen the limits a little"
+                message = "the solver lost its own optimum: loosen the limits a little"
                 raise DesignError(message)
         return self.pattern
 
     def _keep_optimum(self) -> None:
-        """Restrict the program to optimal patterns: bounds with a price become equalities."""
+        """Restrict the program to optimal patterns: bounds with a nonzero dual become
+        equalities."""
         solution, model = self._solver.getSolution(), self._solver.getLp()
         duals, reduced = np.asarray(solution.row_dual), np.asarray(solution.col_dual)
         side = np.where(duals > 0, model.row_lower_, model.row_upper_)
@@ -226,7 +229,7 @@ class LinearProgram:
                     return answer
             elif believed and status == highspy.HighsModelStatus.kInfeasible:
                 return None
-            # A hot start can end at a wrong answer, or never: only a cold one is accepted.
+            # A hot start can fail or cycle. Then only a cold start is accepted.
             believed = True
             self._solver.clearSolver()
             rescue = next(rescues, None)
@@ -239,7 +242,7 @@ class LinearProgram:
                 self._solver.setOptionValue(name, value)
 
     def _proven(self, answer: Array) -> bool:
-        """Return whether the duals prove the answer optimal for the rows given."""
+        """Return whether the duals prove the answer optimal for the rows in the solver."""
         solution, model = self._solver.getSolution(), self._solver.getLp()
         duals, reduced = np.asarray(solution.row_dual), np.asarray(solution.col_dual)
         lower, upper = np.asarray(model.row_lower_), np.asarray(model.row_upper_)
@@ -254,7 +257,7 @@ class LinearProgram:
         return abs(value - bound) <= 1e-6 * max(1.0, abs(value))
 
     def _broken(self, weights: Array, worst: float) -> NDArray[np.intp]:
-        """Return rows to add, of the coarse ones as long as one of them is broken."""
+        """Return rows to add: coarse ones as long as any is violated."""
         for some, values in (
             (self._rows.coarse, self._rows.coarse_rows),
             (self._near, self._near_rows),
@@ -275,7 +278,7 @@ class LinearProgram:
         return self._worst_of(chosen, excess)
 
     def _look_near(self, excess: Array) -> None:
-        """Keep the rows that are broken or nearly: they are looked at before all."""
+        """Store the rows that are violated or nearly so; they are checked before all rows."""
         near = np.flatnonzero(excess > -_NEAR)
         if len(near) > _MOST_NEAR:
             near = near[np.argpartition(excess[near], -_MOST_NEAR)[-_MOST_NEAR:]]
@@ -309,7 +312,7 @@ class LinearProgram:
         )
 
     def _add_magnitudes(self) -> None:
-        """Add unknowns that bound the magnitude of each weight, once."""
+        """Add unknowns that bound the magnitudes of the weights; only at the first call."""
         count, columns = self._count, self._columns
         if columns > count + 1:
             return

@@ -1,4 +1,4 @@
-"""Selectivity of the finished currents of slots with several points of one class."""
+"""Selectivity of slots that stimulate one class at several sites."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,27 +18,29 @@ Single = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class FrameFigures:
-    """Figures of one slot; activations are relative to the weakest target's, scaled to level 1."""
+    """Selectivity of one slot. Activations are relative to the weakest target, scaled to level
+    1."""
 
     off_target: float  # largest activation of any other class
-    spill: float  # largest activation of the own class more than a pitch from every target
-    weakest: float  # least activation of a target, over its wish
-    strongest: float  # most activation of a target, over its wish
-    total_ma: float  # of all cathodes together
-    electrode_ma: float  # of the strongest electrode
+    spill: float  # largest activation of the same class more than a pitch from every target
+    weakest: float  # smallest activation of a target, relative to its request
+    strongest: float  # largest activation of a target, relative to its request
+    total_ma: float  # total cathodic current
+    electrode_ma: float  # current of the strongest electrode
 
 
 @dataclass(frozen=True)
 class FrameBounds:
-    """Bounds on the side effects of a slot; impossible ones raise a DesignError.
+    """Bounds on the side effects of a slot.
 
-    0.30 is what a single SAI point reaches on the paper's line array, by its own program. All
-    targets may be weaker together by `uneven`, which saves current.
+    Raises DesignError for impossible values. The default of 0.30 is the off-target of a single SAI
+    point on the paper's line array with the paper's program. All targets together may be weaker by
+    `uneven`, to save current.
     """
 
-    other: float = 0.30  # of `FrameFigures.off_target`
-    spill: float = 0.30  # of `FrameFigures.spill`
-    uneven: float = 0.05  # largest relative deviation of a target from its wish
+    other: float = 0.30  # largest `FrameFigures.off_target`
+    spill: float = 0.30  # largest `FrameFigures.spill`
+    uneven: float = 0.05  # largest relative deviation of a target from its request
 
     def __post_init__(self) -> None:
         for name, value in (("other", self.other), ("spill", self.spill), ("uneven", self.uneven)):
@@ -53,9 +55,9 @@ _SAME_MM = 1e-9
 
 
 class FrameJudge:
-    """Judge of currents that are to fire one class at several sites.
+    """Computes the selectivity of currents that stimulate one class at several sites.
 
-    A level of 1 requests activation `wish_af`, (E,) V/mm², at each target.
+    Level 1 requests the activation `wish_af`, (E,) V/mm², at each target.
     """
 
     def __init__(self, profile: Profile, afferent: Afferent, wish_af: Array) -> None:
@@ -68,17 +70,17 @@ class FrameJudge:
         self.afferent: Afferent = afferent
         self.wish_af: Array = np.asarray(wish_af, np.float64)
         self.target: Array = af_matrix(profile, targets(profile, afferent))
-        """Activating function of each site's target, (E, E) V/mm² per mA."""
+        """AF rows of the targets of all sites, (E, E) V/mm² per mA."""
 
     @cached_property
     def others(self) -> Single:
-        """Activating function at every node of the other classes, (N, E) V/mm² per mA."""
+        """AF rows of all nodes of the other classes, (N, E) V/mm² per mA."""
         others = [other for other in Afferent if other is not self.afferent]
         return np.concatenate([self._rows(other) for other in others])
 
     @cached_property
     def own(self) -> Single:
-        """Activating function at every node of the class, (M, E) V/mm² per mA."""
+        """AF rows of all nodes of the class, (M, E) V/mm² per mA."""
         return self._rows(self.afferent)
 
     def _rows(self, afferent: Afferent) -> Single:
@@ -87,7 +89,7 @@ class FrameJudge:
 
     @cached_property
     def full_ma(self) -> Array:
-        """Largest current of each electrode at intensity 1, (E,) mA in whole µA, 0 where masked."""
+        """Largest current of each electrode at intensity 1, (E,) mA, rounded to µA; 0 if masked."""
         limits = self.profile.limits
         limit_ma = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
         if limits.electrode_ma is not None:
@@ -97,28 +99,28 @@ class FrameJudge:
 
     @cached_property
     def uneven_af(self) -> tuple[float, float]:
-        """Largest sum of a row's steps between electrodes: of other classes, of the own."""
+        """Largest total variation of a row along the electrodes, for other classes and for the same
+        class."""
         rows_of = self.others, self.own
         other, own_af = (float(np.abs(np.diff(rows)).sum(axis=1).max()) for rows in rows_of)
         return other, own_af
 
     @cached_property
     def _near(self) -> NDArray[np.bool_]:
-        """Which own nodes are within a pitch of each electrode, (E, M)."""
+        """Which nodes of `own` lie within a pitch of each electrode, (E, M)."""
         array, nodes = self.profile.electrodes, everywhere(self.profile, self.afferent)
         away = np.linalg.norm(array.position_mm[:, None] - nodes.position_mm, axis=2)
         return np.tile(away <= array.pitch_mm + _SAME_MM, len(nodes.direction))
 
     def far(self, active: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return which own nodes are more than a pitch from every active target, (M,)."""
+        """Return which nodes of `own` lie more than a pitch from every active target, (M,)."""
         return np.asarray(~self._near[active].any(axis=0))
 
     def judge(self, current: Array, level: Array) -> list[FrameFigures]:
-        """Return the figures of slots with currents (S, E) mA that are to activate sites with
-        levels (S, E).
+        """Return the figures of slots with currents (S, E) mA that request levels (S, E).
 
-        Ratios are infinite if a target is not activated at all. A slot without an active site is a
-        DesignError.
+        Ratios are infinite if a target is not activated. Raises DesignError for a slot without an
+        active site.
         """
         if not len(current):
             return []
@@ -141,25 +143,26 @@ class FrameJudge:
 
 
 def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
-    """Return the activation of single kernels at full comfortable current, (E,) V/mm², from
-    `KernelBank.kernels` and `KernelBank.receptor` of the class, (E, E)."""
+    """Return the activation of each site's target by its own kernel at full current, (E,) V/mm²,
+    from `KernelBank.kernels` and `KernelBank.receptor`, (E, E)."""
     return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
 
 
 _SOFT = 1e-6
-"""Part of the targets' mean response that keeps systems solvable if all sites are active."""
-AIM = 0.8  # part of the allowed unevenness by which all targets are made weaker, to save current
+"""Regularization, relative to the mean response of the targets: with all sites active, zero-sum
+currents cannot meet all requests."""
+AIM = 0.8  # share of the allowed unevenness by which targets are weakened to save current
 
 
 class FrameOperator:
-    """Solver for the kernels of sites that share slots."""
+    """Solver for kernels of sites that share slots."""
 
     def __init__(self, judge: FrameJudge) -> None:
         self.judge = judge
         driven, count = judge.profile.driven, len(judge.profile.electrodes)
         gram = judge.own.T.astype(np.float64) @ judge.own
         form = np.eye(count) + gram / np.trace(gram) * count
-        # Masked electrodes carry nothing, and all currents sum to zero.
+        # Masked electrodes carry no current, and currents sum to zero.
         basis = _zero_sum(len(driven))
         inner = basis.T @ form[np.ix_(driven, driven)] @ basis
         inverse = np.zeros((count, count))
@@ -169,36 +172,38 @@ class FrameOperator:
         self._soft = _SOFT * float(np.trace(self._response)) / len(self._response)
 
     def independent(self, sites: NDArray[np.intp]) -> Array:
-        """Return kernels (A, E) mA per V/mm² of a set of sites that do not disturb one another."""
+        """Return kernels, (A, E) mA per V/mm², each of which activates its own site and none of the
+        other sites."""
         system = self._response[np.ix_(sites, sites)] + self._soft * np.eye(len(sites))
         return np.asarray(np.linalg.solve(system, self._columns[:, sites].T))
 
 
 def _zero_sum(count: int) -> Array:
-    """Return an orthonormal basis of the vectors that sum to zero, (n, n − 1)."""
+    """Return an orthonormal basis, (n, n − 1), of the vectors that sum to zero."""
     full, _ = np.linalg.qr(np.c_[np.ones(count), np.eye(count)[:, 1:]])
     return np.asarray(full[:, 1:])
 
 
-MOST_PROVED = 300  # largest number of electrodes for which sets are proved, in about a second
-_STEPS = (2, 3, 4)  # distances, in rows and columns, between the points of a set to try
-_SINGLE = 1.0001  # factor above the loss of single precision in a field
+MOST_PROVED = 300  # largest number of electrodes for which sets are proved; it takes about 1 s
+_STEPS = (2, 3, 4)  # distances between the sites of a set, in rows and columns
+_SINGLE = 1.0001  # safety factor for rounding errors of single precision
 _HALF_UA_MA = 0.0005
-_HALF_AMPLITUDE_MA = 0.000125 * (1 + 1e-9)  # half a step of an amplitude
-_HALF_WEIGHT = (0.5 + 1e-6) / 32_768  # half a step of a weight, over what stands for a whole one
+_HALF_AMPLITUDE_MA = 0.000125 * (1 + 1e-9)  # half a quantization step of an amplitude
+_HALF_WEIGHT = (0.5 + 1e-6) / 32_768  # half a quantization step of a weight
 _WEIGHT_PEAK = 32_767 / 32_768
 
 
 @dataclass(frozen=True, eq=False)
 class SharedKernels:
-    """Kernels of sites that may be on together, in any combination."""
+    """Kernels of sites that may be active together, in any combination."""
 
     operator: FrameOperator
     sites: NDArray[np.intp]  # (A,)
 
     @cached_property
     def kernels(self) -> Array:
-        """Kernels (A, E) mA: row i gives site i its wish, and the others of the set nothing."""
+        """Kernels, (A, E) mA: row i activates site i as requested, and the other sites of the set
+        by 0."""
         return np.asarray(self.operator.independent(self.sites) * self._wish[:, None])
 
     @property
@@ -207,10 +212,10 @@ class SharedKernels:
 
     @cached_property
     def excited(self) -> tuple[Array, Array]:
-        """What each kernel excites, (A, N) V/mm²: nodes of other classes, and of the own.
+        """Positive activation of each kernel, (A, N) V/mm², at nodes of other classes and at nodes
+        of the same class.
 
-        A node of the own class counts only if every active site is more than a pitch away: nearer
-        ones add nothing.
+        Kernels count zero at nodes of the same class within a pitch of their site.
         """
         judge = self.operator.judge
         others, own_af = self.kernels @ judge.others.T, np.maximum(self.kernels @ judge.own.T, 0)
@@ -230,7 +235,7 @@ class SharedKernels:
 
     @cached_property
     def totals_ma(self) -> Array:
-        """Total current of the kernel of each site, (A,); their sum bounds that of any subset."""
+        """Total current of each kernel, (A,); their sum bounds the total of any subset."""
         return np.asarray(np.abs(self.kernels).sum(axis=1) / 2)
 
     @cached_property
@@ -241,19 +246,20 @@ class SharedKernels:
 
     @cached_property
     def weakest(self) -> float:
-        """Lower bound of an active target's fraction of its requested activation, over all subsets.
+        """Lower bound of an active target's activation relative to its request, over all subsets.
 
-        It is below 1 with as many wishes as electrodes: zero-sum currents cannot meet them all.
+        It is below 1 if all electrodes are sites: zero-sum currents cannot meet all requests.
         """
         return float((self._reached / self._wish).min())
 
     def _against_targets(self, reached: float) -> float:
-        """Return a value over the least activation of a target; infinite if that is zero."""
+        """Return a value relative to the smallest activation of a target; infinite if that is
+        zero."""
         return reached / self.smallest if self.smallest > 0 else np.inf
 
     @cached_property
     def smallest(self) -> float:
-        """Lower bound of the activation of an active target of level 1, over all subsets, V/mm²."""
+        """Lower bound of the activation of an active target at level 1, over all subsets, V/mm²."""
         return float(self._reached.min())
 
     @cached_property
@@ -265,11 +271,10 @@ class SharedKernels:
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """Bounds over all subsets of N sets, in V/mm², of currents as they are sent, all rounding
-    included.
+    """Bounds for all subsets of N sets, in V/mm², that include all rounding of the sent currents.
 
-    A slot asks kernel k, of peak p_k, for c_k K_k mA, where c_k is aim times intensity times level.
-    What is sent differs by three errors, each with an exact bound (`KernelLists.current_ua`):
+    A slot requests c_k K_k mA of kernel k, with peak p_k, where c_k is aim times intensity times
+    level. The sent currents have three errors with exact bounds (`KernelLists.current_ua`):
 
     - Amplitudes are whole quarters of a µA: c_k is off by at most e_k, an eighth of a µA over p_k.
     - Weights are whole parts of 32,767: all currents are smaller by φ = 32,767/32,768, and each
@@ -280,23 +285,23 @@ class Certainty:
     The last two are an error h of the running sum, which is 0 at the last electrode. By summation
     by parts a row g of a field is then off by at most h Σ|g_j − g_j+1|. A node of another class
     gets at most Σ_k (c_k + e_k) max(g·K_k, 0) + h Σ|g_j − g_j+1|; target i, over its level, at
-    least φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] − h Σ|T_j − T_j+1|. Currents that
-    are added up in doubles and rounded once, as for boards that keep no kernels, have less error.
+    least φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] − h Σ|T_j − T_j+1|. Currents for
+    boards without kernels are added in double precision and rounded once, with less error.
     """
 
-    # (2, N) most that nodes of other classes and of the own get, per intensity
+    # (2, N) largest activation per intensity at nodes of other classes and of the same class
     reached: Array
-    rounding: Array  # (2, N) most that rounding adds to it
-    target: Array  # (N,) least that the weakest target gets, scaled to level 1, per intensity
-    lost: Array  # (N,) most that rounding takes from it
-    total_ua: float  # most that rounding adds to the total current of a slot
+    rounding: Array  # (2, N) largest increase of it by rounding
+    target: Array  # (N,) smallest activation of a target per intensity, scaled to level 1
+    lost: Array  # (N,) largest decrease of it by rounding
+    total_ua: float  # largest increase of a slot's total current by rounding
 
     @classmethod
     def of(
         cls, sets: Sequence[SharedKernels], aim: float, faintest: float, most_ma: float
     ) -> "Certainty":
-        """Return the bounds for levels from ``faintest`` to 1, targets at ``aim`` of theirs, and
-        slots of a total current of ``most_ma``."""
+        """Return the bounds for levels from ``faintest`` to 1, targets weakened to ``aim`` of their
+        request, and slots with a total current up to ``most_ma``."""
         certainties = [cls._of_one(site_set, aim, faintest, most_ma) for site_set in sets]
         columns = np.array(certainties, np.float64).reshape(-1, 7).T
         return cls(
@@ -310,14 +315,14 @@ class Certainty:
         judge = kernels.operator.judge
         peaks_ma = np.abs(kernels.kernels).max(axis=1)
         error = _HALF_AMPLITUDE_MA / peaks_ma
-        # A kernel's peak is no more than its total.
+        # The peak of a kernel is at most its total current.
         peak_ma = min(most_ma, float(aim * peaks_ma.sum())) + len(peaks_ma) * _HALF_AMPLITUDE_MA
         running_ma = _HALF_UA_MA + peak_ma * _HALF_WEIGHT
         rows = judge.target[kernels.sites]
         at_targets = rows @ kernels.kernels.T
         own_af = np.diag(at_targets)
         against = np.minimum(at_targets - np.diag(own_af), 0)
-        # What is fainter than another point gets so much more of what that one's kernel does.
+        # Relative to its level, a faint point suffers more from the kernels of stronger points.
         least = own_af + against.sum(axis=1) / faintest
         lost = own_af * error - against @ error
         lost += running_ma * np.abs(np.diff(rows, axis=1)).sum(axis=1)
@@ -343,7 +348,7 @@ class Certainty:
             return np.asarray(np.where(weakest > 0, upper_bound / np.maximum(weakest, 0), np.inf))
 
     def least(self, bounds: FrameBounds) -> float:
-        """Return the intensity from which bounds are kept; infinite if never."""
+        """Return the smallest intensity from which the bounds hold; infinite if they never do."""
         bounds_column = np.array([[bounds.other], [bounds.spill]])
         room = bounds_column * self.target - self.reached
         needed = self.rounding + bounds_column * self.lost
@@ -353,12 +358,13 @@ class Certainty:
 
 
 def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
-    """Return a grid's sites by rows and columns modulo a step; DesignError if it is no grid."""
+    """Return sets of a grid's sites, by row and column modulo a step. Raises DesignError if the
+    array is not a grid."""
     array, driven = operator.judge.profile.electrodes, operator.judge.profile.driven
     x, column = np.unique(array.position_mm[:, 0].round(6), return_inverse=True)
     y, row = np.unique(array.position_mm[:, 1].round(6), return_inverse=True)
     if len(x) * len(y) != len(array):
-        message = "color classes are for grids: give the sites of each set by yourself"
+        message = "color classes need a grid: give the sites of each set yourself"
         raise DesignError(message)
     color = (row % step) * step + column % step
     sets = (driven[color[driven] == color_index] for color_index in range(step * step))
@@ -366,15 +372,15 @@ def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
 
 
 def provable(profile: Profile) -> bool:
-    """Return whether sets of an array may be proved: it is a grid, and not too large."""
+    """Return whether the array is a grid and small enough to prove sets."""
     return profile.array.layout == "grid" and len(profile.electrodes) <= MOST_PROVED
 
 
 def proved_sets(judge: FrameJudge, bounds: FrameBounds) -> list[SharedKernels]:
-    """Return few sets of sites whose subsets all keep the bounds with targets aimed at `AIM`.
+    """Return a small number of sets of independent sites: all their subsets keep the bounds.
 
-    Limits of single electrodes are kept too, the total current is not checked. None are returned
-    where the array is no grid or large, or nothing could be proved.
+    Targets are weakened by `AIM`. Limits of electrodes are checked, the total current is not. The
+    list is empty if the array is too large or not a grid, or if nothing could be proved.
     """
     if not provable(judge.profile):
         return []

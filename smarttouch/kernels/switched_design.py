@@ -1,7 +1,7 @@
-"""Kernels for boards that switch one source: cathode, anode or insulated, electrode by electrode.
+"""Kernels for boards that switch one current source: each electrode is cathode, anode or insulated.
 
-The current of a source divides among the electrodes of a pole by their admittance. One pole is a
-single electrode: of several, the last one that touches the skin would carry all current.
+The current divides among the electrodes of a pole by their admittance. One pole is always a single
+electrode: of several, the last one to touch the skin would carry all current.
 """
 
 from collections.abc import Callable
@@ -15,18 +15,19 @@ from smarttouch.kernels.design_problem import Kernel, KernelKind, Problem, limit
 from smarttouch.kernels.weighted_design import design_kernel as design_weighted
 from smarttouch.profile import Profile
 
-_RING_PITCHES = 1.5  # radius of a ring: the eight neighbors on a square grid, six on a hexagon
+_RING_PITCHES = 1.5  # radius of a ring: eight neighbors on a square grid, six on a hexagonal one
 
 
 def polarity(profile: Profile, afferent: Afferent) -> str:
-    """Return the pole over the target of a mode (Fig. 10): cathodic over flat axons (SAI, PC),
-    anodic over rising ones (RA), but cathodic over those too if their ending can fire."""
+    """Return the polarity of the electrode over a target (Fig. 10): cathodic for flat axons (SAI,
+    PC), anodic for rising ones (RA), but cathodic for those, too, if the ending of the axon can
+    fire."""
     anodic = afferent is Afferent.RA and profile.skin.ra_ending == "passive"
     return "anodic" if anodic else "cathodic"
 
 
 def possible_modes(profile: Profile) -> list[Afferent]:
-    """Return the modes that a profile's board can make."""
+    """Return the modes that the profile's board can produce."""
     offered = profile.output.polarities if profile.output.kind != "weighted" else ()
     return [
         afferent for afferent in Afferent if not offered or polarity(profile, afferent) in offered
@@ -34,7 +35,7 @@ def possible_modes(profile: Profile) -> list[Afferent]:
 
 
 def designer(profile: Profile) -> Callable[[Problem, int], Kernel]:
-    """Return the function that designs kernels for a profile's kind of board."""
+    """Return the design function for the profile's kind of board."""
     designers: dict[KernelKind, Callable[[Problem, int], Kernel]] = {
         "weighted": design_weighted,
         "three-state": design_three_state,
@@ -49,7 +50,7 @@ def design_kernel(
     site: int,
     model: Literal["activating", "paper"] = "activating",
 ) -> Kernel:
-    """Design the kernel of one site, of the kind that the profile's board can make.
+    """Design the kernel of one site for the profile's kind of board.
 
     Parameters
     ----------
@@ -82,10 +83,11 @@ def design_kernel(
 
 
 def design_three_state(problem: Problem, site: int) -> Kernel:
-    """Return the kernel of one electrode against its ring, all others insulated (paper, Fig. 19),
-    or against all others, whichever keeps the limits of electrodes and is more selective.
+    """Return the kernel of one electrode against its ring, with all others insulated (paper, Fig.
+    19), or against all others.
 
-    Where no electrode is near enough, the ring is the nearest electrodes.
+    Kernels that keep the limits come first, then the more selective one. If no electrode is near
+    enough, the ring consists of the nearest ones.
     """
     problem.check_site(site)
     away_mm = problem.profile.electrodes.distance_mm[site]
@@ -104,16 +106,17 @@ def design_three_state(problem: Problem, site: int) -> Kernel:
 
 
 def design_one_of_n(problem: Problem, site: int) -> Kernel:
-    """Return the only pattern of such a board: one electrode against all others.
+    """Return the kernel of a board that drives one electrode against all others.
 
-    It connects masked electrodes too, but their share of the current is unknown and not counted.
+    Such a board also connects masked electrodes; their share of the current is unknown and ignored.
     """
     problem.check_site(site)
     return _against(problem, site, problem.driven[problem.driven != site], "one-against-all")
 
 
 def _against(problem: Problem, site: int, others: NDArray[np.intp], kind: KernelKind) -> Kernel:
-    """Return the kernel of a site's electrode against others, which share by their admittance."""
+    """Return the kernel of a site's electrode against others, which share the current by
+    admittance."""
     admittance = problem.profile.admittance
     pole = -1.0 if polarity(problem.profile, problem.afferent) == "anodic" else 1.0
     weights = np.zeros(problem.electrodes)

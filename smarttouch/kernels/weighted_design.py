@@ -1,15 +1,12 @@
-"""Optimal kernels: the paper's min–max program, confined to its site.
+"""Optimal kernels by the paper's min–max program, with a bound on spill.
 
-For a target node with activating-function row a, and rows A of every other
-afferent (Eq. 10 to 18)::
+For a target node with activating-function row a, and rows A of all other afferents (Eq. 10 to 18)::
 
     minimize t   such that   A w ≤ t,   a·w = 1,   Σw = 0
 
-and no node of the target's own axon above 1 (Eq. 11). Beyond the paper, rows of
-the target's own class farther than one pitch may reach at most `SPILL` of the
-target: on a grid the paper's program alone lets neighbors of the same class
-nearly fire. Of all patterns whose t is within `GIVEN_UP` of the least, the one
-with the least such spill is then taken.
+and no node of the target's axon above 1 (Eq. 11). Beyond the paper, spill is at most `SPILL`: on a
+grid the paper's program alone lets neighbors of the same class nearly fire. Of all patterns with t
+within `GIVEN_UP` of the minimum, the one with the least spill is chosen.
 """
 
 import numpy as np
@@ -20,12 +17,12 @@ from smarttouch.base.errors import DesignError
 from smarttouch.kernels.design_problem import Array, Kernel, Problem, limits_ma
 from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options, ProgramRows
 
-SPILL = 0.2  # largest own-class activation beyond one pitch, as a part of the target's
+SPILL = 0.2  # largest activation of the same class beyond one pitch, relative to the target
 GIVEN_UP = 0.03
-"""Part by which the worst other may exceed its least value, so that less of the own class fires."""
+"""Relative increase of off-target that is allowed in order to reduce spill."""
 _WORTHWHILE = 1e-6
-_SEARCHED_MM = 0.5  # distance of the nodes that are tried
-_LOOSE_ROWS = 40  # broken rows off any lattice added per round
+_SEARCHED_MM = 0.5  # spacing of the nodes that are tried as target
+_LOOSE_ROWS = 40  # violated rows without a lattice that are added per round
 
 
 def design_kernel(
@@ -36,24 +33,25 @@ def design_kernel(
     options: Options | None = None,
     given_up: float = GIVEN_UP,
 ) -> Kernel:
-    """Design the weighted kernel of one site; DesignError if there is none within the limits.
+    """Design the weighted kernel of one site. Raises DesignError if the limits allow none. Of all
+    kernels whose off-target is within `given_up` (relative) of the minimum, the one with the least
+    spill is chosen; with 0, off-target alone is minimized.
 
-    Of kernels whose worst other is within the part `given_up` of the least, the one of least spill
-    is taken; 0 asks for the least worst other, whatever spills within the bound. Among equal ones
-    it is one with all the symmetries of its site, of those the one of least total current, and of
-    those the one whose currents are nearest to the site and to the array's middle, so that the
-    answer does not depend on the solver. Where electrodes stand closer than afferents lie deep, the
-    bound `spill` on own-class activation beyond one pitch cannot be met, or only by losing the
-    target; the larger of worst other and spill is then made as small as possible first. None is the
-    paper's own program, without a bound. No electrode carries more than a thousand times what alone
-    would fire the target. Node 0 of the target's axon is under the electrode.
+    Ties are broken by symmetry, then by total current, then by the distance of currents from the
+    site and from the array's middle, so the result does not depend on the solver.
+
+    `spill` bounds the activation of the same class beyond one pitch. If electrodes stand closer
+    than afferents lie deep, it may be infeasible: then the larger of off-target and spill is
+    minimized first. None means no bound, as in the paper. No electrode carries more than a thousand
+    times the current that would fire the target alone. Node 0 of the target's axon is under the
+    electrode.
     """
     problem.check_site(site)
     rows = _Assembled(problem, site, spill, node)
     if spill is None:
         ways = [False]
     else:
-        # PC can hardly ever be confined: try first what will be needed.
+        # The spill of PC can hardly ever be bounded, so try the other program first.
         ways = [True, False] if problem.afferent is Afferent.PC else [False, True]
     program = rows.program(ways[0], options)
     best = program.most_selective()
@@ -83,8 +81,8 @@ def design_kernel(
 
 
 def design_any_node(problem: Problem, site: int) -> Kernel:
-    """Return the best design over the nodes of the target's axon under the array, by brute force
-    (Eq. 13 to 15); on fine lattices those about `_SEARCHED_MM` apart are tried."""
+    """Return the best kernel over all target nodes of a site's axon (Eq. 13 to 15). On fine
+    lattices nodes about `_SEARCHED_MM` apart are tried."""
     problem.check_site(site)
     nodes = problem.axon_mm(site)
     away = np.linalg.norm(nodes - nodes[0], axis=1) / _SEARCHED_MM
@@ -106,7 +104,8 @@ def design_any_node(problem: Problem, site: int) -> Kernel:
 
 
 class _Assembled:
-    """Rows of one site, scaled to a lone electrode's AF."""
+    """Linear program of one site; rows are relative to the largest AF of a single electrode at the
+    target."""
 
     def __init__(self, problem: Problem, site: int, spill: float | None, node: int) -> None:
         self._problem, self._site = problem, site
@@ -116,7 +115,7 @@ class _Assembled:
         far = np.flatnonzero(far)
         axon, scale = problem.axon(site), float(np.abs(problem.target[site]).max())
         aim = axon[node] if node else problem.target[site]
-        # Eq. 11: of the target's own axon no other node may fire first.
+        # Eq. 11: no other node of the target's axon may fire first.
         eq11 = np.delete(axon, node, axis=0)
         counts = [len(problem.other), len(far), len(eq11)]
         own_too = np.isin(far, problem.coarse_own).nonzero()[0]
@@ -137,14 +136,15 @@ class _Assembled:
         self._even_bound = np.repeat([0.0, 0.0, 1.0], counts)
 
     def program(self, even: bool, options: Options | None) -> LinearProgram:
-        """Return the program of the worst other, with spill bounded or, if even, made as small."""
+        """Return the program that minimizes off-target with bounded spill or, if ``even``, the
+        larger of both."""
         slope, bound = (self._even_slope, self._even_bound) if even else (self._slope, self._bound)
         return self._of(slope, bound, options)
 
     def least_spill(
         self, selective: LinearProgram, other: float, options: Options | None
     ) -> LinearProgram:
-        """Return the solved program of the least spill with a bound on what others get."""
+        """Return the solved program that minimizes spill with a bound on off-target."""
         slope = np.repeat([0.0, 1.0, 0.0], self._counts)
         bound = np.repeat([other, 0.0, 1.0], self._counts)
         program = self._of(slope, bound, options, selective)
@@ -162,7 +162,7 @@ class _Assembled:
     ) -> LinearProgram:
         size = self.orbits.sum(axis=0)
         array = self._problem.profile.electrodes
-        # Least current in all; of that, near the site; of that, near the array's middle.
+        # Ties: total current, then distance from the site, then from the array's middle.
         from_site = array.distance_mm[self._site] @ self.orbits
         from_middle = np.linalg.norm(array.position_mm, axis=1) @ self.orbits
         ties, peaks = (size, from_site, from_middle), _peaks(self._problem)
@@ -171,7 +171,7 @@ class _Assembled:
         )
 
     def limit(self, program: LinearProgram) -> bool:
-        """Bound the currents by the profile's limits; False if there are none."""
+        """Bound the currents by the profile's limits; return False if there are none."""
         reference, factors, total = self._limits()
         if np.isinf(total) and np.isinf(factors).all():
             return False
@@ -179,7 +179,7 @@ class _Assembled:
         return True
 
     def break_limits(self, program: LinearProgram) -> bool:
-        """Return whether a program's pattern might break the limits, now or among equals."""
+        """Return whether the program's optimum, or one equal to it, may exceed the limits."""
         pattern, (reference, factors, total) = program.pattern, self._limits()
         current, magnitude = float(reference @ pattern), np.abs(pattern)
         in_all = float(self.orbits.sum(axis=0) @ magnitude)
@@ -191,21 +191,22 @@ class _Assembled:
         )
 
     def _limits(self) -> tuple[Array, Array, float]:
-        """Return the current of the site's own electrode, and the limits as multiples of it."""
+        """Return the row that selects the site's electrode, and the limits as multiples of its
+        current."""
         total, electrode = limits_ma(self._problem.profile)
         site, full = self._site, self._problem.full_ma(self._site)
         reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
         factors = np.where(self.orbits > 0, electrode[:, None], np.inf).min(axis=0) / full
-        # The own electrode has its full current, which the profile has checked.
+        # The site's electrode carries its full current, which the profile limits.
         factors[self.orbits[site].argmax()] = np.inf
-        # Cathodes and anodes carry half of all magnitudes each.
+        # Cathodes carry half of the sum of magnitudes.
         return reference, factors, 2 * total / full
 
 
 def _peaks(problem: Problem) -> Chooser:
-    """Return a function that selects broken rows that are local maxima of their lattice.
+    """Return a function that selects violated rows at local maxima of their lattice.
 
-    Neighboring rows are nearly alike, so one of each hill represents its other broken rows.
+    Neighboring rows are nearly equal, so one row of each maximum is sufficient.
     """
 
     def choose(excess: Array) -> np.ndarray:
