@@ -1,1 +1,1 @@
-"""What is shown or written of a run: terminal, window, pictures, streams and figures."""
+"""Views of a run: terminal, window, pictures and figures."""

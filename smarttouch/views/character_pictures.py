@@ -1,4 +1,4 @@
-"""Images and arrays of electrodes as pictures of characters."""
+"""Images and electrode arrays drawn with characters."""
 
 from itertools import groupby
 
@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 from smarttouch.profile import Profile
 
 Row = list[tuple[str, str]]
-"""Pieces of a row of the terminal, and their styles."""
-MOST_ROWS, MOST_COLUMNS = 16, 64  # of a picture, in characters: drawing takes the loop's time
+"""Pieces of a terminal row, each with its style."""
+MOST_ROWS, MOST_COLUMNS = 16, 64  # largest picture, in characters: drawing takes time from the loop
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
-_SHADE = 15  # step between shades of gray: white stays white
+_SHADE = 15  # step between shades of gray; divides 255, so white stays white
 _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) * 16
-"""Grey value above which each dot of two signs side by side is bright."""
+"""Threshold for each dot of two adjacent Braille characters (ordered dithering)."""
 
 
 def image_rows(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool) -> list[Row]:
-    """Draw a grey image within a number of columns and rows: in color as half blocks, two pixels to
-    a character, else as Braille characters of eight dots."""
+    """Draw a gray image within a number of columns and rows: with color as half blocks of two
+    pixels, else as Braille characters of eight dots."""
     height, width = image.shape
     rows, columns = min(rows, MOST_ROWS), min(columns, MOST_COLUMNS)
     wide = max(2, round(2 * rows * width / height))
@@ -29,7 +29,7 @@ def image_rows(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool
     if not color:
         return _dots(image, wide, rows)
     small = cv2.resize(image, (wide, 2 * rows), interpolation=cv2.INTER_AREA)
-    # Fewer shades make longer runs: drawing takes the loop's time.
+    # Fewer shades give longer runs of one color, which draw faster.
     small = small // _SHADE * _SHADE
     drawn: list[Row] = []
     for upper, lower in zip(small[::2], small[1::2], strict=True):
@@ -48,7 +48,7 @@ def _dots(image: NDArray[np.uint8], columns: int, rows: int) -> list[Row]:
 
 
 class ArrayPicture:
-    """Array of electrodes as a picture of characters."""
+    """Draws an electrode array with characters."""
 
     def __init__(self, profile: Profile) -> None:
         position = profile.electrodes.position_mm
@@ -59,12 +59,12 @@ class ArrayPicture:
         self._spread = 3 if step_x >= step_y else 2
 
     def merged(self, columns: int, rows: int) -> int:
-        """Return how many columns and rows of electrodes a character covers."""
+        """Return how many columns and rows of electrodes one character covers."""
         return max(-(-self._columns // columns), -(-self._rows // rows))
 
     def draw(self, parts: NDArray[np.float32], columns: int, rows: int) -> list[Row]:
-        """Draw electrodes, (E,) as parts of the strongest, within a number of columns and rows; a
-        character shows its strongest electrode."""
+        """Draw currents, (E,) relative to full current, within a number of columns and rows. A
+        character shows the strongest of its electrodes."""
         merged = self.merged(columns, rows)
         shape = -(-self._rows // merged), -(-self._columns // merged)
         strongest = np.full(shape, -1.0)
@@ -80,7 +80,7 @@ class ArrayPicture:
 
 
 def _sign(part: float, spread: int) -> tuple[str, str]:
-    """Return the sign of an electrode, or of none if below 0, and its style."""
+    """Return the character and style of an electrode; below 0 for an empty place."""
     if part <= 0:
         return ("·" if part == 0 else " ").ljust(spread), "grey42"
     glow = round(90 + 165 * part)

@@ -1,4 +1,4 @@
-"""Pictures of what the skin received, below the page that the finger passed over."""
+"""Pictures of the page under the finger and, below it, of the delivered pulses."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -26,31 +26,31 @@ from smarttouch.running.step import Listener, RunContext, StepResult
 from smarttouch.sources.source_contract import Pose, Sheet
 
 FINEST_MM = 0.1
-_WIDTH = (900, 1400)  # pixels that a picture is drawn wide at least, and at most
+_WIDTH = (900, 1400)  # smallest and largest width of a picture, pixels
 _MARGIN, _LABEL = 24, 28
-_DOT_PART = 0.8  # diameter of the dot that stands for an electrode, of its cell
-_STOOD = 5  # sequences at a place, in the mean, of a finger that goes in steps
-_SCALE_PART = 0.2  # largest part of a picture's width that its scale bar takes
+_DOT_PART = 0.8  # diameter of an electrode's dot, relative to its cell
+_STOOD = 5  # mean number of sequences at one place above which the finger moves in steps
+_SCALE_PART = 0.2  # largest width of the scale bar, relative to the picture
 _SCALES_MM = (100, 50, 20, 10, 5, 2, 1, 0.5)
 Grey = NDArray[np.uint8]
 Place = tuple[float, float]
 Places = NDArray[np.floating]
 Ink = int | tuple[int, int, int]
 Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey] | None]
-"""Title, top left corner, width and height in mm; and a function that draws it for a shape and a
-pixel size in mm, None where there is nothing to see."""
+"""Title; top left corner, width and height, mm; and a function that draws it for a shape and a
+pixel size, mm, or None."""
 
 
 _DARK_QUANTILE = 0.999
-_SIDE_MM = 0.5  # distance of the places by which passes of the finger are counted
+_SIDE_MM = 0.5  # grid on which passes of the finger are counted
 
 
 class SpikeMap:
-    """Spikes where the receptors were, in the color of each class on white.
+    """Map of spikes at the places of their receptors, in the color of each class on white.
 
-    ``placed`` returns where places of the finger are at a pose, (N, 2) mm from the picture's
-    corner; ``field_mm`` is the standard deviation of a receptive field. With ``mean`` a place shows
-    its spikes for each pass.
+    ``placed`` maps places on the finger to places on the picture for a pose, (N, 2) mm from its
+    corner. ``field_mm`` is the standard deviation of a receptive field. With ``mean`` a place shows
+    spikes per pass of the finger.
     """
 
     def __init__(
@@ -80,14 +80,14 @@ class SpikeMap:
         self._passes[row, column] += 1
 
     def image(self) -> NDArray[np.uint8]:
-        """Return the map in color, (H, W, 3)."""
+        """Return the map, (H, W, 3)."""
         spikes = self._spread()
         total = spikes.sum(axis=0)
         dark = float(np.quantile(total[total > 0], _DARK_QUANTILE)) if total.any() else 1.0
         return np.asarray(np.rint(255 * in_color(spikes, dark)), np.uint8)
 
     def _spread(self) -> NDArray[np.float32]:
-        """Return spikes of each class, (3, H, W), blurred by receptive fields."""
+        """Return the spikes of each class, (3, H, W), blurred by the receptive field."""
         spread = np.stack(
             [cv2.GaussianBlur(class_spikes, (0, 0), self._sigma) for class_spikes in self._spikes]
         )
@@ -99,7 +99,7 @@ class SpikeMap:
     def _pixels(
         self, places_mm: Places, pose: Pose
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """Return rows and columns of the places that are on the picture, and which these are."""
+        """Return rows and columns of the places on the picture, and a mask of these places."""
         shape = self._passes.shape
         column, row = np.floor(self._placed(places_mm, pose) / self._pixel_mm).astype(np.intp).T
         on = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
@@ -107,9 +107,9 @@ class SpikeMap:
 
 
 class DeliveredDrawing(ABC):
-    """Delivered pulses at the electrodes' places, below what they touched. A place shows the mean
-    response of the electrodes that passed it, or the strongest (see `KernelBank.responses`);
-    ``magnification`` is mm of the array per mm touched."""
+    """Draws delivered pulses at the places of the electrodes, below the page. A place shows the
+    mean or the strongest response of the electrodes that passed it (see `KernelBank.responses`).
+    ``magnification`` is mm on the array per mm on the page."""
 
     strongest = False  # whether a place shows the strongest response, not the mean
     longest_px = 4000
@@ -121,23 +121,23 @@ class DeliveredDrawing(ABC):
         afferents: tuple[Afferent, ...],
         magnification: float = 1.0,
     ) -> None:
-        self.poses: dict[int, Pose] = {}  # of each sequence while the finger touched, by number
+        self.poses: dict[int, Pose] = {}  # by sequence number, while the finger touched
         self._period_us: dict[int, int] = {}
-        self.answers: dict[int, Floats] = {}  # of the receptors, (E,) in [0, 1]
+        self.answers: dict[int, Floats] = {}  # responses, (E,) in [0, 1], by sequence number
         self._respond = partial(bank.responses, profile, afferents)
         self._magnification = magnification
         self._position_mm = profile.electrodes.position_mm / magnification
         self._cell_mm = tuple(side / magnification for side in profile.electrodes.cell_mm)
         self._names = " and ".join(afferent.name for afferent in afferents)
         self._finger: Finger | None = None
-        self.spikes: Counts = {}  # spikes of each afferent, (A,), by number of the sequence
+        self.spikes: Counts = {}  # spikes of each afferent, (A,), by sequence number
 
     @abstractmethod
     def under(self) -> Under:
-        """Return what was touched; raises if nothing was."""
+        """Return the picture of what was touched. Raises SmartTouchError if nothing was."""
 
     def watch(self, sent: StepResult) -> None:
-        """Record the pose of a step, and its duration."""
+        """Record the pose and the duration of a step."""
         if sent.number is not None and sent.sequence.intensity > 0:
             self.poses[sent.number] = sent.input.pose
             self._period_us[sent.number] = sent.sequence.period_us
@@ -149,7 +149,7 @@ class DeliveredDrawing(ABC):
         current_ua: NDArray[np.int16],
         finger: Finger | None = None,
     ) -> None:
-        """Take delivered slots; with a finger its spikes are drawn, too."""
+        """Add delivered slots, and the spikes of a finger if one is given."""
         self.answers = self._respond(numbers, width_us, current_ua)
         self._finger = finger
         if finger is not None:
@@ -158,17 +158,17 @@ class DeliveredDrawing(ABC):
             )
 
     def places_mm(self, pose: Pose) -> NDArray[np.float64]:
-        """Return where the electrodes are at a pose, (E, 2) mm."""
+        """Return the places of the electrodes at a pose, (E, 2) mm."""
         return self.placed(self._position_mm, pose)
 
     def placed(self, places_mm: Places, pose: Pose) -> NDArray[np.float64]:
-        """Return where places of the finger, (N, 2) mm on what it touches, are at a pose."""
+        """Map places on the finger, (N, 2) mm, to places on the page at a pose."""
         cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
         x, y = places_mm.T
         return np.column_stack([pose.x_mm + x * cos - y * sin, pose.y_mm + x * sin + y * cos])
 
     def picture(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> Grey:
-        """Return the touch of an area as grey levels, (H, W); 255 is nothing, 0 the strongest."""
+        """Return the responses in an area as gray levels, (H, W): 255 is none, 0 the strongest."""
         raster = Raster(shape, self.strongest)
         silent = np.zeros(len(self._position_mm), np.float32)
         for number, pose in self.poses.items():
@@ -184,7 +184,7 @@ class DeliveredDrawing(ABC):
             return as_ink(
                 raster.mean(lambda raster_plane: np.asarray(cv2.blur(raster_plane, (wide, high))))
             )
-        # Dots where the finger goes in steps, so that those of a Braille cell stand apart.
+        # If the finger moves in steps, draw dots, so that those of a Braille cell stay separate.
         sides = [max(1, round(_DOT_PART * side)) for side in (wide, high)]
         dot = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, sides).astype(np.float32)
         return as_ink(
@@ -194,7 +194,7 @@ class DeliveredDrawing(ABC):
     def felt_picture(
         self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float
     ) -> NDArray[np.uint8]:
-        """Return the spikes of a finger where its receptors were, (H, W, 3)."""
+        """Return the map of a finger's spikes, (H, W, 3)."""
         assert self._finger is not None
         scale = self._magnification
         felt = SpikeMap(
@@ -210,7 +210,7 @@ class DeliveredDrawing(ABC):
         return felt.image()
 
     def save(self, path: Path) -> None:
-        """Write what was touched and the touch below it as one PNG in true size."""
+        """Write the page and the pictures below it as one PNG in true size."""
         title, corner_mm, (width_mm, height_mm), draw_under = self.under()
         pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / self.longest_px)
         height, width = round(height_mm / pixel_mm), round(width_mm / pixel_mm)
@@ -256,8 +256,8 @@ def _draw_scale(
     ink: Ink,
     most: int,
 ) -> None:
-    """Draw a bar of whole millimeters with its length, within a part of ``most`` pixels left of an
-    end, (right, top)."""
+    """Draw a scale bar of whole millimeters, with its length as text, left of ``end`` (right,
+    top)."""
     right, top = end
     length_mm = next(
         (scale_mm for scale_mm in _SCALES_MM if scale_mm * per_mm <= _SCALE_PART * most), 0.5
@@ -272,7 +272,7 @@ def _draw_classes(
     font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
     end: tuple[int, int],
 ) -> None:
-    """Write the name of each class in its color, above the right end of a picture."""
+    """Write the names of the classes in their colors, above the right end of a picture."""
     right, top = end
     for afferent, color in reversed(CLASS_COLORS.items()):
         draw.text((right, top), afferent.name, fill=color, font=font, anchor="ra")
@@ -280,9 +280,9 @@ def _draw_classes(
 
 
 class PageDrawing(DeliveredDrawing):
-    """Shows the mean response at every place of the pages or lines that lay under the finger.
+    """Draws the mean response at each place of all pages or lines under the finger.
 
-    ``sheet`` returns the one that lies there now; without any, the touch is shown alone.
+    ``sheet`` returns the current one; if there is none, the touched area is drawn alone.
     """
 
     def __init__(
@@ -296,13 +296,13 @@ class PageDrawing(DeliveredDrawing):
         self._sheet, self._sheets = sheet, dict[int, Sheet]()
 
     def watch(self, sent: StepResult) -> None:
-        """Record the pose of a step, and what lies under the finger."""
+        """Record the pose of a step, and the sheet under the finger."""
         super().watch(sent)
         if (sheet := self._sheet()) is not None:
             self._sheets[sheet.number] = sheet
 
     def under(self) -> Under:
-        """Return all pages and lines; without any, the area that the electrodes touched."""
+        """Return all pages and lines or, if there are none, the area touched by the electrodes."""
         if not (self._sheets or self.poses):
             raise SmartTouchError("nothing was delivered to a finger: there is nothing to draw")
         places_mm = [self.places_mm(pose) for pose in self.poses.values()]
@@ -335,10 +335,10 @@ class PageDrawing(DeliveredDrawing):
 
 
 class DeliveredPicture(Listener):
-    """Draws what was delivered, and the response of a finger, below what the finger passed over.
+    """Draws the page, the delivered pulses and the spikes of a simulated finger.
 
-    The board must report every pulse: ``simulated:``. Where no finger can be made
-    of a profile, a note says so, and what was delivered is drawn alone.
+    The board must report every pulse, as ``simulated:`` does. If a profile does not allow a
+    simulated finger, a note says so, and the spikes are left out.
     """
 
     def __init__(self, path: Path, finger: int = 1, anatomy: str | Path = "branched") -> None:
@@ -349,7 +349,7 @@ class DeliveredPicture(Listener):
         self._driver: SimulatedDriver | None = None
 
     def prepare(self, run: RunContext) -> None:
-        """Begin the picture, and make the board log its pulses."""
+        """Start the picture, and make the board log its pulses."""
         if self.path.suffix.lower() not in ("", ".png"):
             raise SmartTouchError(f"{self.path} cannot be drawn: name a .png")
         load_anatomy(self._anatomy)
@@ -367,12 +367,12 @@ class DeliveredPicture(Listener):
             self._drawing = PageDrawing(run.profile, run.bank, afferents, lambda: run.source.sheet)
 
     def step(self, result: StepResult) -> None:
-        """Store the place of the finger."""
+        """Record the pose of the finger."""
         if self._drawing is not None:
             self._drawing.watch(result)
 
     def finish(self, run: RunContext) -> None:
-        """Draw the delivered pulses."""
+        """Write the picture."""
         assert self._drawing is not None
         assert self._driver is not None
         self._drawing.deliver(*self._driver.take_pulses(), self._finger(run.profile))
@@ -383,6 +383,6 @@ class DeliveredPicture(Listener):
             finger = Finger(profile, self._seed, self._anatomy)
             _ = finger.rows
         except DesignError as error:
-            self.notes.append(f"the picture shows what was delivered, and no finger: {error}")
+            self.notes.append(f"the picture shows pulses without a simulated finger: {error}")
             return None
         return finger

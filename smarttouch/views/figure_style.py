@@ -1,4 +1,5 @@
-"""Common style of all figures: colors for color-blind readers, axes, and file formats."""
+"""Common style of all figures: colors that color-blind readers can distinguish, axes and
+formats."""
 
 import sys
 from io import BytesIO
@@ -12,17 +13,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CATHODIC, ANODIC = "#b35806", "#542788"  # ends of Matplotlib's PuOr
-SIGNED_MAP = "PuOr_r"  # color map: orange for cathodic or depolarizing, purple for the other sign
+SIGNED_MAP = "PuOr_r"  # orange: cathodic or depolarizing; purple: the opposite
 GREY = "#707070"
 SERIES_COLORS = ("#d55e00", "#009e73", "#0072b2", "#cc79a7", "#e69f00", "#56b4e9")
-"""Colors of Okabe and Ito's set (2008); the first two are those of RA and PC elsewhere."""
+"""Colors of Okabe and Ito's set (2008); the first two also mark RA and PC."""
 DPI = 200
 
 FORMATS = ("png", "pdf", "svg")
 
 
 def new_figure(width_in: float, height_in: float) -> "Figure":
-    """Return an empty figure; one of pyplot where a program or notebook has imported that."""
+    """Return an empty figure; by pyplot if the program or notebook has imported it."""
     plain: Any = import_extra("matplotlib.figure", "a figure", "plot").Figure
     pyplot = sys.modules.get("matplotlib.pyplot")
     figure: Figure = (plain if pyplot is None else pyplot.figure)(
@@ -32,14 +33,14 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 
 
 def require_drawable(path: Path) -> None:
-    """Raise at once if a figure could not be drawn in the end: its format, or no matplotlib."""
+    """Raise SmartTouchError if the format is unknown or matplotlib is missing."""
     if path.suffix.lower().lstrip(".") not in FORMATS:
         raise SmartTouchError(f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}")
     new_figure(1, 1)
 
 
 def plain(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
-    """Label axes, and leave only the two lines with numbers."""
+    """Label axes, and hide the upper and right spines."""
     axes.set_title(title, loc="left", fontsize=9, pad=9)
     axes.set_xlabel(x, fontsize=8)
     axes.set_ylabel(y, fontsize=8)
@@ -48,11 +49,11 @@ def plain(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Write a figure in the format of its name's ending."""
+    """Write a figure in the format given by the file's ending."""
     require_drawable(path)
     from matplotlib import rc_context
 
     content = BytesIO()
-    with rc_context({"svg.fonttype": "none"}):  # text stays text, to be searched and edited
+    with rc_context({"svg.fonttype": "none"}):  # keep text searchable and editable
         figure.savefig(content, dpi=DPI, format=path.suffix.removeprefix("."))
     write_bytes(path, content.getvalue())

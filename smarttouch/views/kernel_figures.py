@@ -18,9 +18,8 @@ _POINTS = 121
 
 
 def kernel_figure(profile: Profile, kernels: Mapping[Afferent, Kernel], site: int) -> "Figure":
-    """Draw kernels of one site, a row each, and the activation they cause, relative to their
-    target's.
-    """
+    """Draw kernels of one site, one in each row, and the activation they cause, relative to the
+    target."""
     if profile.skin.medium == "plane":
         return _line_figure(profile, kernels)
     width, height = _reach_mm(profile) * 2
@@ -48,7 +47,7 @@ def kernel_figure(profile: Profile, kernels: Mapping[Afferent, Kernel], site: in
     bar = figure.colorbar(
         drawn, ax=panels[:, 1:], orientation="horizontal", aspect=40, extend="both"
     )
-    bar.set_label("activating function, of the target's (strongest direction)", fontsize=8)
+    bar.set_label("activating function relative to the target (strongest direction)", fontsize=8)
     for axis_bar in (weights_bar, bar):
         axis_bar.ax.tick_params(labelsize=7)
     return figure
@@ -74,7 +73,7 @@ def _line_figure(profile: Profile, kernels: Mapping[Afferent, Kernel]) -> "Figur
             right,
             f"worst other {kernel.off_target:.4g} ({kernel.off_target_class.name})",
             "place (mm)",
-            "AF, of the target's",
+            "AF relative to the target",
         )
     return figure
 
@@ -85,7 +84,7 @@ def _reach_mm(profile: Profile) -> Array:
 
 
 def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
-    """Return the AF of each class at (..., 2) places, in each of its directions, (D, ..., E)."""
+    """Return the AF of each class per mA at places (..., 2), in each direction, (D, ..., E)."""
     skin = profile.skin
     per_ma = {}
     for shown in Afferent:
@@ -98,12 +97,12 @@ def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
 
 
 def _activation(per_ma: Array, kernel: Kernel) -> Array:
-    """Return the AF of a kernel at the places of `_per_ma`, in the strongest direction."""
+    """Return the AF of a kernel at the places of `_per_ma`, largest over directions."""
     return np.asarray((per_ma @ kernel.weights).max(axis=0))
 
 
 def draw_electrodes(axes: Any, profile: Profile, **style: Any) -> Any:
-    """Draw all electrodes in their own shape and size, and show the array; return the patches."""
+    """Draw all electrodes to scale, with axes that show the whole array; return the patches."""
     from matplotlib.collections import PatchCollection
 
     drawn = PatchCollection(electrode_patches(profile), edgecolor=GREY, linewidth=0.3, **style)
@@ -114,7 +113,7 @@ def draw_electrodes(axes: Any, profile: Profile, **style: Any) -> Any:
 
 
 def electrode_patches(profile: Profile) -> list[Any]:
-    """Return a patch of each electrode in its own shape and size."""
+    """Return a patch for each electrode, to scale."""
     from matplotlib.patches import Annulus, Circle, Rectangle
 
     array = profile.electrodes
@@ -133,7 +132,7 @@ def electrode_patches(profile: Profile) -> list[Any]:
 
 
 def draw_weights(axes: Any, line: Profile, weights: Array) -> None:
-    """Draw weights of line electrodes as the paper's bars, cathodic up."""
+    """Draw weights of line electrodes as bars, as in the paper, cathodic up."""
     x_mm = line.electrodes.position_mm[:, 0]
     colors = [CATHODIC if weight > 0 else ANODIC for weight in weights]
     axes.bar(x_mm, weights, width=0.5 * line.electrodes.pitch_mm, color=colors)
@@ -142,7 +141,7 @@ def draw_weights(axes: Any, line: Profile, weights: Array) -> None:
 
 
 def draw_field(axes: Any, x: Array, y: Array, af: Array) -> Any:
-    """Draw a field over evenly spaced places, (Y, X), as an image: far sooner than as a mesh."""
+    """Draw a field at evenly spaced places, (Y, X), as an image, which is faster than a mesh."""
     half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
     return axes.imshow(
         af,

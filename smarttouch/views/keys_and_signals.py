@@ -22,9 +22,9 @@ _before: list[list[Any]] = []  # the terminal's own settings, while they are cha
 
 
 def restore() -> None:
-    """Restore the terminal's settings without waiting for it."""
+    """Restore the terminal's settings, without waiting for output."""
     if _before:
-        # A terminal that is gone has nothing to restore.
+        # The terminal may be closed.
         with suppress(termios.error):
             termios.tcsetattr(sys.stdin, termios.TCSANOW, _before.pop())
 
@@ -197,7 +197,7 @@ _CURSOR_ON = b"\x1b[?25h"
 
 
 def drives_a_board(command: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Let signals and ``smarttouch stop`` end a command."""
+    """Let signals and ``smarttouch stop`` end a command (decorator)."""
 
     @functools.wraps(command)
     def stoppable(*arguments: _P.args, **options: _P.kwargs) -> _T:
@@ -212,19 +212,19 @@ def drives_a_board(command: Callable[_P, _T]) -> Callable[_P, _T]:
 
 
 def command_stop() -> StopRequest:
-    """Return the stop request of the command that runs."""
+    """Return the stop request of the running command."""
     return current_command().stop
 
 
 def by_signal() -> bool:
-    """Return whether a signal ends the command that runs."""
+    """Return whether a signal is ending the running command."""
     return bool(current_command().number)
 
 
 @contextmanager
 def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
-    """Let the block end by itself when a stop is requested, within ``patience_s`` of a signal;
-    elsewhere a signal interrupts."""
+    """Let the block finish by itself after a stop request, within ``patience_s`` of a signal.
+    Outside of the block a signal interrupts."""
     command = current_command()
     command.patience_s = patience_s or command.patience_s
     before, command.orderly = command.orderly, True
@@ -235,7 +235,7 @@ def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
 
 
 def _give_up(number: int) -> None:
-    """End the process now: every board is at zero, and something blocks the rest."""
+    """End the process now: all boards are at zero, but something blocks."""
     restore()
     with suppress(OSError, ValueError):
         for descriptor in (1, 2):

@@ -1,4 +1,4 @@
-"""Progress bars; where nothing can be drawn, a line every ten seconds."""
+"""Progress bars, or a line every ten seconds if the output is not a terminal."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -9,17 +9,17 @@ from rich.progress import Progress
 from smarttouch.views import terminal
 
 _LINE_S = 10.0
-Advance = Callable[[int, int], None]  # function called with how many are done, of how many
+Advance = Callable[[int, int], None]  # called with the numbers done and in all
 
 
 def bank_progress() -> AbstractContextManager[Advance]:
-    """Yield a function that shows how many sites of a kernel bank are designed."""
+    """Show the progress of a kernel design; yield the function to call."""
     return progress("Designing kernels")
 
 
 @contextmanager
 def progress(title: str = "Reading lines") -> Iterator[Advance]:
-    """Yield a function that shows how many lines have been read, or how much else is done."""
+    """Show progress; yield the function to call."""
     bar = Progress(console=terminal.console(stderr=True), transient=True)
     task = bar.add_task(title)
     begun_s = printed_s = time.monotonic()
@@ -28,7 +28,7 @@ def progress(title: str = "Reading lines") -> Iterator[Advance]:
         nonlocal printed_s
         now_s = time.monotonic()
         if terminal.draws(bar.console):
-            # Most runs find a finished bank, and show nothing.
+            # Start the bar only if there is work.
             bar.start()
             bar.update(task, completed=done, total=total)
         elif done and now_s > printed_s + _LINE_S:
@@ -44,6 +44,6 @@ def progress(title: str = "Reading lines") -> Iterator[Advance]:
 
 
 def first_line_awaited(wait: Callable[[], object]) -> None:
-    """Show that a text is being prepared until its first line is ready."""
+    """Show a message until the first line of a text is ready."""
     with terminal.console(stderr=True).status("Preparing the text"):
         wait()

@@ -1,4 +1,4 @@
-"""Terminal screens of a run, for readers and for participants."""
+"""Terminal screens of a run, for users and for participants of experiments."""
 
 import sys
 import textwrap
@@ -28,12 +28,12 @@ from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, Row, im
 from smarttouch.views.keys_and_signals import Output, Terminal
 
 _REFRESH_S = 0.2
-_LEAST_REST = 20  # time between two redraws, at least so many times what the last one took
+_LEAST_REST = 20  # shortest pause between redraws, in multiples of the last one's duration
 _KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
-_ROOMY = 20  # rows of a terminal from which an event has two of them
-_LEAST_PICTURE = 9  # fewest rows of the pictures and their title beside the numbers
+_ROOMY = 20  # height of a terminal from which an event gets two rows
+_LEAST_PICTURE = 9  # smallest height of the pictures with their title, rows
 _NAME = 9
-_CLOSES_WITHIN_S = 1.0  # a terminal that has stopped reading takes longer
+_CLOSES_WITHIN_S = 1.0  # longest wait for the terminal at the end
 
 Rows = tuple[tuple[str, str], ...]
 
@@ -55,7 +55,7 @@ class Screen(Listener):
         self._console, self._errors = terminal.console(), terminal.console(stderr=True)
         self._plain = plain or not terminal.draws()
         self._title = ""
-        self._early: list[str] | None = []  # lines on what happened before the board was open
+        self._early: list[str] | None = []  # lines printed before the board was open
         self._latest: StepResult | None = None
         self._pulse: FirstPulse | None = None
         self._event = ""
@@ -91,7 +91,7 @@ class Screen(Listener):
         return ArrayPicture(self._profile)
 
     def start(self, run: RunContext) -> None:
-        """If plain, print what runs, and its keys."""
+        """If plain, print the title and the keys."""
         if self._plain:
             self._title = run.source.title
             self._print(f"{self._title}, {run.profile.title}, {self._url}")
@@ -103,7 +103,7 @@ class Screen(Listener):
                 self._print(line)
 
     def step(self, result: StepResult) -> None:
-        """Keep the newest step for the screen's own thread."""
+        """Store the newest step for the screen's thread."""
         self._latest, self._pulse = result, result.first_pulse or self._pulse
         title = self._source.title
         if self._plain and title != self._title:
@@ -111,7 +111,7 @@ class Screen(Listener):
             self._print(f"{result.step.input.time_ns / 1e9:.1f} s: {title}")
 
     def event(self, event: Event) -> None:
-        """Show the newest event; advice stays."""
+        """Show the newest event; an advice stays."""
         self._event = f"{event.time_ns / 1e9:.1f} s: {event}"
         if isinstance(event, Advice):
             console = self._errors if self._live is None else self._console
@@ -140,7 +140,7 @@ class Screen(Listener):
             self._draw()
 
     def _later(self, act: Callable[[], object]) -> None:
-        """Let the screen's thread do something, after what it was told before."""
+        """Queue an action for the screen's thread."""
         self._raise_failure()
         self._acts.put(act)
 
@@ -175,12 +175,12 @@ class Screen(Listener):
         self._later(partial(self._print_now, line))
 
     def _print_now(self, line: str) -> None:
-        """Print a line; a terminal's are broken at words."""
+        """Print a line; a terminal wraps it at words."""
         line, is_plain = line.replace("\n", " "), not self._console.is_terminal
         self._console.print(line, soft_wrap=is_plain, highlight=False, markup=False)
 
     def _render(self) -> RenderableType:
-        """Draw all of it, in a constant number of rows that fits the terminal."""
+        """Draw the whole screen, in a constant number of rows that fits the terminal."""
         sent = self._latest
         if sent is None:
             return Text("waiting for the first frame")
@@ -188,7 +188,7 @@ class Screen(Listener):
         event_rows = 2 if height >= _ROOMY else 1
         event = textwrap.wrap(self._event, width, max_lines=event_rows, placeholder=" …")
         texts = (*self._keys_lines(width), *event, *[""] * (event_rows - len(event)))
-        # The last row stays free: a terminal would scroll when something is printed.
+        # Leave the last row free, so that printing does not scroll.
         left = height - 4 - len(texts)
         numbers = self._numbers(sent)
         rows = max(0, min(-(-len(numbers) // 2), left - _LEAST_PICTURE))
@@ -206,7 +206,7 @@ class Screen(Listener):
     def _keys_lines(self, width: int) -> list[str]:
         if not sys.stdin.isatty():
             return []
-        # The words on a key stay beside it.
+        # Do not break between a key and its description.
         groups = (group.replace(" ", "\xa0") for group in self._keys.split("    "))
         lines = textwrap.wrap("   ".join(groups), width)
         return [line.replace("\xa0", " ") for line in lines]
@@ -224,16 +224,16 @@ class Screen(Listener):
         wide = max(len(title), *(sum(len(words) for words, _ in row) for row in pictured))
         beside = max(2, width - 3 - wide)
         merged = self._array.merged(beside, rows)
-        what = f"{sent.step.mode} electrodes" + f", {merged} × {merged} each" * (merged > 1)
+        what = f"{sent.step.mode} electrodes" + f", {merged} × {merged} per dot" * (merged > 1)
         drawn = self._array.draw(electrodes, beside, rows)
-        # Always as high as it may be.
+        # Fill up to a constant height.
         for picture in (pictured, drawn):
             picture += [[] for _ in range(rows - len(picture))]
         pairs = [([(title, "dim")], [(what, "dim")]), *zip(pictured, drawn, strict=True)]
         return [[*_padded(left, wide + 3), *right] for left, right in pairs]
 
     def _gauges(self, sent: StepResult, width: int) -> Rows:
-        """Return the values that limit the stimulus, each with a bar, in half the width."""
+        """Return the values that limit the stimulus, each with a bar, in half of the width."""
         frame, sequence, limits = sent.step.input, sent.step.sequence, self._profile.limits
         peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
         charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
@@ -269,15 +269,15 @@ class Screen(Listener):
         )
 
     def summarize(self, figures: dict[str, Any], notes: list[str], files: Sequence[Path]) -> None:
-        """Print how the run went."""
+        """Print a summary of the run."""
         lines = summary_lines(figures, acknowledges=self._board.capabilities.acknowledges)
         wrote = [f"wrote {path}" for path in files]
         account = self._source.account if self._plain else ""
         if account:
-            # Plain output ends with what was read, and with what failed.
+            # Plain output also lists restarts.
             if again := figures["restarts"] + figures["dropped_late"]:
                 notes = [*notes, f"intensity restarted at zero {again} times"]
-            more = "; ".join([*notes, *wrote]) or "No warning, and nothing was kept."
+            more = "; ".join([*notes, *wrote]) or "No warning; nothing was recorded."
             for line in (lines[0], account, more):
                 self._print_now(line)
             return
@@ -286,7 +286,7 @@ class Screen(Listener):
 
 
 def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
-    """Return the latency to the first pulse, or as far as it is known, in words."""
+    """Return the latency to the first pulse or, if unknown, to the last byte, as text."""
     if pulse is not None:
         return f"{pulse.latency_us / 1e3:.1f} ms, to first pulse"
     known_ms = sent.step.input.age_ns / 1e6 + sent.latency_us / 1e3
@@ -294,7 +294,7 @@ def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
 
 
 def _beside(other: float, spill: float) -> str:
-    """Return the worst unwanted activation by points that have shared slots, in words."""
+    """Return the worst side effects of points that have shared slots, as text."""
     if not other and not spill:
         return "no points share a slot"
     return f"{other:.0%} other class, {spill:.0%} place"
@@ -306,10 +306,8 @@ def bar(part: float, width: int = 10) -> str:
 
 
 class _Rows:
-    """Rows of pieces of text with their styles, each in one row of a terminal.
-
-    Nothing is measured twice, wrapped or nested, which takes most of the time of tables.
-    """
+    """Renderable rows of styled text, each in one row of the terminal. It is faster than tables of
+    rich, which measure and wrap cells."""
 
     def __init__(self, width: int, rows: list[Row]) -> None:
         self._width, self._rows = width, rows
@@ -325,19 +323,19 @@ class _Rows:
 
 
 def _fitting(words: str, width: int) -> str:
-    """Return words that fit a width, what is left out as an ellipsis."""
+    """Return a text shortened to a width, with an ellipsis."""
     if cell_len(words) <= width:
         return words
     return set_cell_size(words, width - 1) + "…" if width > 0 else ""
 
 
 def _padded(row: Row, width: int) -> Row:
-    """Return a row filled up with spaces."""
+    """Return a row padded with spaces."""
     return [*row, (" " * (width - sum(cell_len(words) for words, _ in row)), "")]
 
 
 def _columns(rows: Rows, width: int) -> list[Row]:
-    """Return names and values, two pairs in a row."""
+    """Return rows with two pairs of name and value each."""
     wide = max(1, width // 2 - _NAME - 2)
     columns: list[Row] = []
     for pairs in zip_longest(rows[::2], rows[1::2], fillvalue=("", "")):
@@ -353,7 +351,8 @@ _BLIND_KEYS = "+ − amplitude    0 none    space pause    q, Esc end, goes on a
 
 
 class BlindScreen(Screen):
-    """Shows question, amplitude and pressure; no electrodes, rates or currents."""
+    """Screen for participants: question, amplitude and pressure, but no electrodes, rates or
+    currents."""
 
     def event(self, event: Event) -> None:
         if not event.reveals:
@@ -381,7 +380,7 @@ class BlindScreen(Screen):
 
 
 def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
-    """Return how a run went in lines of text, from `RunStatistics.figures`."""
+    """Return the summary of a run as lines of text, from `RunStatistics.figures`."""
     pulse, by_host = figures["motion_to_pulse_us"], figures["reported_by"] == "host"
     latency = pulse or figures["motion_to_bytes_us"]
     rate = f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"
@@ -390,7 +389,7 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
             f" ({figures['slowed_sequences']} sequences did not fit and were slowed, "
             f"at most to {figures['lowest_rate_hz']:.1f} Hz)"
         )
-    # In simulated time nothing takes time.
+    # Latencies are zero in simulated time.
     if latency["max"] > 0:
         rate += (
             f"; image to {'first pulse' if pulse else 'last byte'} {latency['p50'] / 1000:.1f} ms "

@@ -1,4 +1,4 @@
-"""Output to a terminal, without control characters of what is shown."""
+"""Output to a terminal, with control characters replaced."""
 
 import contextlib
 import io
@@ -18,13 +18,13 @@ _OBEYED = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff"
     "\U000e0000-\U000e007f]"
 )
-"""Controls, signs that turn the order of what follows or cannot be seen, and halves of signs."""
+"""Control characters, bidirectional and invisible characters, and lone surrogates."""
 
 
 def printable(text: str) -> str:
-    """Return a text with a visible stand-in for each control character.
+    """Return a text with control characters replaced by visible ones.
 
-    Newlines and tabs stay. A control sign becomes its picture (␛ is Escape), any other becomes �.
+    Newlines and tabs stay. A C0 control becomes its picture (␛ for Escape), any other becomes �.
     """
     return _OBEYED.sub(_stand_in, text)
 
@@ -44,24 +44,24 @@ def write_failure(error: OSError, name: str) -> Exception:
 
 
 class PlainStream:
-    """Standard stream for plain text, whose failures become one sentence.
+    """Standard stream whose failures become a SmartTouchError.
 
-    Failures of a stream without a name are dropped. If ``plain``, control characters get stand-ins
-    and it does not report to be a terminal: code that draws uses `console`.
+    Failures of a stream without a name are ignored. If ``plain``, control characters are replaced,
+    and `isatty` is false: code that draws uses `console`.
     """
 
     def __init__(self, stream: TextIO, name: str, plain: bool = True) -> None:
         self._stream, self._name, self._plain = stream, name, plain
 
     def __getattr__(self, name: str) -> Any:
-        # Not all: bytes to its buffer, or lines, would have no stand-ins.
+        # Pass on these only: `buffer` and `writelines` would bypass the replacement.
         if name not in ("encoding", "errors", "closed", "fileno", "writable"):
             raise AttributeError(name)
         return getattr(self._stream, name)
 
     @property
     def direct(self) -> "PlainStream":
-        """The same stream for drawing."""
+        """The same stream without replacement, for drawing."""
         return PlainStream(self._stream, self._name, plain=False)
 
     def isatty(self) -> bool:
@@ -83,7 +83,7 @@ class PlainStream:
 
 
 def console(*, stderr: bool = False, highlight: bool = True) -> "Console":
-    """Return a console for drawing, with stand-ins for control characters."""
+    """Return a console for drawing that replaces control characters."""
     stream: Any = sys.stderr if stderr else sys.stdout
     return _console_class()(
         file=getattr(stream, "direct", stream), highlight=highlight, markup=False, emoji=False
@@ -91,13 +91,13 @@ def console(*, stderr: bool = False, highlight: bool = True) -> "Console":
 
 
 def draws(shown: "Console | None" = None) -> bool:
-    """Return whether a console, standard output by default, is a screen that can be drawn on."""
+    """Return whether a console (default: standard output) is a terminal that can be drawn on."""
     shown = shown or console()
     return shown.is_terminal and not shown.is_dumb_terminal
 
 
 _WIDEST = 200
-_LONGEST_NAME = 40  # longest text at the left of a table that stays in one line
+_LONGEST_NAME = 40  # longest text in a left column that is not wrapped
 
 
 def print_table(
@@ -108,9 +108,9 @@ def print_table(
 
     shown = console()
     if left > 1 and not draws(shown):
-        shown.width = _WIDEST  # a row of several texts is a line
+        shown.width = _WIDEST  # never wrap rows
     table = Table(box=None, pad_edge=False, show_header=bool(heading))
-    # Sentences at the left must leave room for what stands beside them.
+    # Wrap sentences at the left, so that the other columns fit.
     names = all(len(str(row[0])) <= _LONGEST_NAME for row in rows)
     for column, name in enumerate(heading or [""] * max(map(len, rows), default=0)):
         justify: Any = "left" if column < left else "right"
@@ -122,7 +122,7 @@ def print_table(
 
 @cache
 def _console_class() -> "type[Console]":
-    # Not above: it takes a tenth of a second, and help needs none.
+    # Import late: it takes 0.1 s, and help does not need it.
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
 
@@ -139,10 +139,10 @@ def _console_class() -> "type[Console]":
 
 @contextlib.contextmanager
 def guarded_output() -> Iterator[None]:
-    """Guard standard output and errors against control characters, while the block runs.
+    """Replace control characters in standard output and errors while the block runs.
 
-    Standard streams that were closed lead nowhere from then on: a file or port
-    that is opened later must not become one of them.
+    Closed standard streams are opened on the null device: otherwise a file or port opened later
+    would get their number.
     """
     _fill_closed()
     before = sys.stdout, sys.stderr
@@ -164,7 +164,7 @@ def _fill_closed() -> None:
         try:
             os.fstat(number)
         except OSError:
-            # The lowest number that is free, so this one.
+            # This returns the lowest free number, which is this one.
             os.open(os.devnull, os.O_RDWR)
         if getattr(sys, name) is None:
             nothing = os.open(os.devnull, os.O_RDWR)

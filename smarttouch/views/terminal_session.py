@@ -1,4 +1,4 @@
-"""One run in a terminal: screen, keys, signals, its printed and written results; and recordings."""
+"""One run in a terminal: screen, keys, signals and results; and the summary of recordings."""
 
 import contextlib
 import json
@@ -37,11 +37,11 @@ from smarttouch.views.screen import BlindScreen, Screen
 if TYPE_CHECKING:
     from smarttouch.views.window import Window
 
-OPENED_WITHIN_S = 60.0  # for a page without a browser here: somebody may copy its address
-_TIMED_S = 10.0  # longest wait for a page where a run has a limit of time
-DRAWN_WITHIN_S = 30.0  # to the end after a signal where pictures are drawn, unless a second comes
+OPENED_WITHIN_S = 60.0  # without a browser: somebody may copy the address
+_TIMED_S = 10.0  # longest wait for a page if the run has a time limit
+DRAWN_WITHIN_S = 30.0  # time to finish pictures after a first signal
 
-_TOLD = ("subject", "note", "sensor", "force", "board")  # settings in a summary
+_TOLD = ("subject", "note", "sensor", "force", "board")  # settings in the summary
 
 Keys = Mapping[str, Callable[[], None]]
 
@@ -64,9 +64,10 @@ def run_in_terminal(
     draws: bool = False,
 ) -> None:
     """Run a source on a display until it ends or the user ends it, and print a summary. Arguments
-    are those of `Runner`; ``keys`` are functions of further keys, and ``keys_help`` describes them
-    on the screen. A window shows the end until its pages are closed. ``json_file`` gets the figures
-    of the run; ``files`` are all that it writes. One that ``draws`` may take longer to its end."""
+    are as for `Runner`. ``keys`` maps additional keys to functions, and ``keys_help`` describes
+    them on the screen. ``json_file`` receives the figures of the run; ``files`` are all files that
+    it writes. A run that ``draws`` gets more time to finish. A window stays open until its pages
+    are closed."""
     stop = command_stop()
     shown = screen(display.url, keys_help, plain, partial(_keys_of, stop, keys or {}))
     typed = sys.stdin.isatty()
@@ -85,10 +86,10 @@ def run_in_terminal(
             config,
             force=force,
             listeners=[
-                *([] if page is None else [page]),  # before the screen: it prints its address
+                *([] if page is None else [page]),  # before the screen, as it prints its address
                 shown,
                 *listeners,
-                # Until here, with no board open, a signal ends the program anywhere.
+                # Before this point no board is open, and a signal ends the program at once.
                 _Within(lambda _run: ending_in_order(DRAWN_WITHIN_S if draws else None)),
             ],
             stop=stop,
@@ -110,8 +111,8 @@ def run_in_terminal(
 def _operated(
     display: Display, config: RunConfig, controls: MakeControls, steered: bool
 ) -> tuple[RunConfig, MakeControls]:
-    """Return a run's settings and controls: on a finger its intensity is the highest level, and it
-    starts at zero where somebody can raise it."""
+    """Return settings and controls of a run. On a finger the given intensity becomes the largest
+    one, and the run starts at zero if somebody can raise it."""
     if not display.on_a_finger:
         return config, controls
 
@@ -143,7 +144,7 @@ def _load_kernels(profile: Profile) -> KernelBank:
 
 
 class _Within(Listener):
-    """Enters a context before a run, and leaves it at its end."""
+    """Enters a context before a run and leaves it at the end."""
 
     def __init__(self, entered: Callable[[RunContext], AbstractContextManager[None]]) -> None:
         super().__init__()
@@ -179,7 +180,7 @@ def _keys_of(stop: StopRequest, keys: Keys, run: RunContext) -> Callable[[str], 
 
 
 def describe_recording(path: Path) -> list[tuple[str, str]]:
-    """Return the names and values of a recording's summary, for display."""
+    """Return the summary of a recording as pairs of name and value."""
     recording = RecordedRun(path)
     settings, steps = recording.settings, [step for _, step in recording.contents("/step")]
     modes = Counter(step["mode"] for step in steps)
@@ -198,7 +199,7 @@ def describe_recording(path: Path) -> list[tuple[str, str]]:
         ("file", f"{path.stat().st_size / 1e6:.2f} MB"),
         *((f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events),
     ]
-    # Damage shows only once everything has been read.
+    # Damage is known only after everything has been read.
     return [("state", _state(recording)), *rows]
 
 

@@ -1,4 +1,4 @@
-"""A mechanical vibrator, which drives PC: by a WAV file or a sound card."""
+"""Output for a mechanical vibrator that stimulates PC, to a WAV file or a sound card."""
 
 import time
 import wave
@@ -13,21 +13,21 @@ from smarttouch.running.step import Listener, RunContext, StepResult
 
 CARRIER_HZ = 250.0  # best frequency of the Pacinian corpuscle (paper, Sections I and V)
 RATE_HZ = 48_000
-HOLD_S = 0.08  # with the fade and the delay of a sound card, silence comes within 0.1 s
-FADE_S = 0.004  # from zero to full amplitude: one cycle, so that no step is heard
+HOLD_S = 0.08  # with fade and delay of a sound card, silence follows within 0.1 s
+FADE_S = 0.004  # time from zero to full amplitude: one cycle avoids clicks
 _NEEDS = "sound: needs a sound card, pip install sounddevice, on Linux apt install libportaudio2"
 
 
 class Vibrator(Listener):
-    """Plays PC on a mechanical vibrator, so that PC gets no current (paper, Section V).
+    """Plays PC activation on a mechanical vibrator instead of by current (paper, Section V).
 
-    It plays a sinusoid of 250 Hz, as strong as the strongest vibration of a sequence; 1 is full
-    scale. A sequence vibrates until the next one, at most 80 ms.
+    It plays a sinusoid of 250 Hz with the largest PC activation of a sequence as amplitude; 1 is
+    full scale. The vibration lasts until the next sequence, at most 80 ms.
 
     Parameters
     ----------
     target : str or Path
-        A new WAV file, valid at any instant, or ``"sound:"`` for the computer's sound card.
+        A new WAV file, which is always valid, or ``"sound:"`` for the sound card.
     """
 
     vibrates_pc = True
@@ -37,13 +37,13 @@ class Vibrator(Listener):
         self._target = target
         self._output: _WavFile | _SoundCard | None = None
         if target != "sound:" and (Path(target).suffix != ".wav" or "vibrators:" in str(target)):
-            raise SmartTouchError(f"{target} is not a WAV file, such as pc.wav, nor sound:")
+            raise SmartTouchError(f"{target} is not a WAV file (such as pc.wav) or sound:")
 
     def prepare(self, run: RunContext) -> None:
         self._output = _SoundCard() if self._target == "sound:" else _WavFile(Path(self._target))
 
     def step(self, result: StepResult) -> None:
-        """Vibrate as a sequence asks; not at all if it was lost with the board."""
+        """Vibrate as the sequence requests; be silent if it was lost with the board."""
         sequence = result.sequence
         if self._output is not None and result.number is not None:
             amplitude = 0.0 if sequence.vibration is None else float(sequence.vibration.max())
@@ -60,7 +60,7 @@ class _Carrier:
     _turns = _level = 0.0
 
     def render(self, count: int, amplitude: float) -> NDArray[np.float64]:
-        """Return the next samples, (count,) in [−1, 1]: phase and amplitude go on without steps."""
+        """Return the next samples, (count,) in [−1, 1], with continuous phase and amplitude."""
         time_s = np.arange(count + 1) / RATE_HZ
         levels = self._level + np.clip(amplitude - self._level, -time_s / FADE_S, time_s / FADE_S)
         turns = self._turns + CARRIER_HZ * time_s
@@ -71,7 +71,7 @@ class _Carrier:
 class _WavFile(_Carrier):
     def __init__(self, path: Path) -> None:
         try:
-            # Unbuffered: each piece is in the file once it is written, and so is its length.
+            # Unbuffered, so that the file always contains each piece and its length.
             self._stream = open(path, "xb", buffering=0, opener=owner_only)  # noqa: SIM115
         except OSError as error:
             raise unwritable(SmartTouchError, path, error) from None
@@ -97,7 +97,7 @@ class _WavFile(_Carrier):
 
 class _SoundCard(_Carrier):
     def __init__(self) -> None:
-        self._asked = 0.0, 0.0  # amplitude, and until when, for the sound card's own thread
+        self._asked = 0.0, 0.0  # amplitude and its end, read by the sound card's thread
         try:
             from sounddevice import OutputStream
 
@@ -108,7 +108,7 @@ class _SoundCard(_Carrier):
 
     def play(self, amplitude: float, _start_s: float, _period_s: float) -> None:
         if not self._stream.active:
-            raise SmartTouchError("the sound card of the vibrator is gone: connect it again")
+            raise SmartTouchError("the vibrator's sound card is gone: connect it again")
         self._asked = amplitude, time.monotonic() + HOLD_S
 
     def close(self) -> None:

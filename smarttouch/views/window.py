@@ -1,4 +1,4 @@
-"""The window of a run: a listener that keeps the newest step, for pages that ask for it."""
+"""Window of a run: a listener that stores the newest step for pages in a browser."""
 
 import base64
 import contextlib
@@ -25,24 +25,23 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.views.window_pages import LOST_S, ConnectedPage, Pages, Steering
 from smarttouch.views.window_server import PageServer, open_browser
 
-MOST_PIXELS = 160  # longer side of an image of what a sensor sees; larger ones are made smaller
+MOST_PIXELS = 160  # longer side of the sensor's image; larger ones are reduced
 _MOST_SHEET_PX = 1600
 _DIGITS = 4
 Message = dict[str, Any]
 _EVENTS = 200
 _LOOK_S = 0.02
 _SWITCH_S = 0.0005
-_GONE_S = 2.0  # time without a page after which the window is closed: a page may be loaded again
+_GONE_S = 2.0  # the window stays open this long without a page, as one may be reloaded
 
 
 class Window(Listener):
-    """Shows runs in a browser, from a thread of its own, and lets one page control them.
+    """Shows runs in a browser, from its own thread, and lets one page control them.
 
-    The loop's thread only stores the newest step. With ``alone``, a run is paused once no page
-    controls it; with ``blind``, pages do not show what is delivered. ``show`` is called with the
-    address once it is served. A run begins once a page is open, or after ``waits_s``. A page that
-    is silent for ``lost_s`` loses control. A window that ``stays`` shows the end of a run until
-    `shut`.
+    The loop's thread only stores the newest step. With ``alone``, a run pauses if no page controls
+    it. With ``blind``, pages hide what is delivered. ``show`` is called with the address of the
+    page. A run begins when a page is open, or after ``waits_s``. A page that sends nothing for
+    ``lost_s`` loses control. A window that ``stays`` shows the end of a run until `shut`.
     """
 
     def __init__(
@@ -65,7 +64,7 @@ class Window(Listener):
         self.server: PageServer = PageServer(self._pages.routes())
         self.steering: Steering
         self.hello: str = ""
-        self.ended: str = ""  # how the run ended, as a message to pages; empty while it is on
+        self.ended: str = ""  # message to pages about the end of the run; empty during the run
         self._event_lock = threading.Lock()
         self._switch_s: float | None = None
         self._shut = threading.Event()
@@ -79,12 +78,12 @@ class Window(Listener):
 
     @property
     def address(self) -> str:
-        """Address of the page, with its secret."""
+        """Address of the page, with the secret."""
         return self.server.address
 
     @property
     def pages(self) -> int:
-        """Number of pages that are connected."""
+        """Number of connected pages."""
         return len(self._pages)
 
     @property
@@ -92,7 +91,7 @@ class Window(Listener):
         return self._context.source
 
     def prepare(self, run: RunContext) -> None:
-        """Serve the page, and wait for it: the board is not open."""
+        """Serve the page, and wait for it before the board is opened."""
         self._context = run
         self.steering = Steering(
             run.controls, self._run_stop, self._keys, alone=self._alone, lost_s=self._lost_s
@@ -119,19 +118,19 @@ class Window(Listener):
         self._wait_for_page()
 
     def _wait_for_page(self) -> None:
-        """Wait until a page is open, or for as long as the window waits."""
+        """Wait until a page is open, at most ``waits_s``."""
         until_s = time.monotonic() + self._waits_s
         while not self._pages and time.monotonic() < until_s:
             if self._run_stop.event.wait(_LOOK_S):
                 raise RunStopped(signal.SIGTERM, self._run_stop.reason)
 
     def step(self, result: StepResult) -> None:
-        """Keep the newest step, and check that the page in control is alive."""
+        """Store the newest step, and check that the page in control is alive."""
         self._latest = result
         self.steering.look_after()
 
     def event(self, event: Event) -> None:
-        """Keep an event for the pages, unless it would reveal an answer."""
+        """Store an event for the pages, unless it would reveal an answer."""
         if isinstance(event, RunEnded | RunFailed):
             self._end = str(event), isinstance(event, RunFailed)
         if self._blind and event.reveals:
@@ -142,7 +141,7 @@ class Window(Listener):
             self._events.append((self._event_count, entry))
 
     def close(self) -> None:
-        """Send pages the end of the run; stop serving, unless the window stays."""
+        """Send the end of the run to pages; stop serving unless the window stays."""
         if not self.ended:
             reason, failed = self._end
             self.ended = json.dumps({"type": "ended", "reason": reason, "failed": failed})
@@ -220,7 +219,7 @@ class Window(Listener):
             "force_n": force_n if force_n == force_n else None,
         }
         if self._blind:
-            # Whether and how often current flows may be what the subject is asked.
+            # Hide the current, as the question may be about it.
             return state
         return state | {
             "dose_s": dose.seconds,
@@ -238,7 +237,7 @@ def _announce(address: str) -> None:
 
 
 def array_message(profile: Profile) -> Message:
-    """Return the array and limits of a profile, as a page draws them."""
+    """Return the array and limits of a profile as a message."""
     electrodes, limits = profile.electrodes, profile.limits
     radius_mm = 0.42 * min(*electrodes.cell_mm, electrodes.pitch_mm)
     return {
@@ -259,7 +258,7 @@ def array_message(profile: Profile) -> Message:
 
 
 def picture_message(sent: StepResult) -> Message:
-    """Return what was seen and delivered in one step."""
+    """Return the image and the sequence of one step as a message."""
     step, stimulus, sequence = sent.step, sent.step.input, sent.step.sequence
     picture = {
         "time_s": stimulus.time_ns / 1e9,
@@ -278,7 +277,7 @@ def picture_message(sent: StepResult) -> Message:
 
 
 def sequence_message(sequence: ScanSequence) -> Message:
-    """Return the currents of a sequence; positive is cathodic."""
+    """Return the currents of a sequence as a message; positive is cathodic."""
     peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
     return {
         "slots": sequence.slots,
@@ -302,7 +301,7 @@ def _image(image: NDArray[np.uint8]) -> Message:
 
 
 def sheet_message(sheet: Sheet) -> Message:
-    """Return where a page or a line lies, as poses count."""
+    """Return place and size of a page or line, in the coordinates of poses."""
     return {
         "number": sheet.number,
         "size_mm": [round(length_mm, _DIGITS) for length_mm in sheet.page.size_mm],
@@ -311,7 +310,7 @@ def sheet_message(sheet: Sheet) -> Message:
 
 
 def sheet_png(sheet: Sheet) -> bytes:
-    """Return the picture of a page or a line, not larger than a window shows it."""
+    """Return the picture of a page or line as PNG, reduced to the size of a window."""
     grey = sheet.page.grey
     scale = min(1.0, _MOST_SHEET_PX / max(grey.shape))
     if scale < 1:

@@ -1,4 +1,4 @@
-"""Pages that are connected to a run: each is sent the newest state, one steers, any can stop it."""
+"""Connected pages of a run: all receive the newest state, one steers, and each can stop the run."""
 
 import asyncio
 import contextlib
@@ -28,9 +28,8 @@ LOST_S = 0.7  # silence after which a page loses control
 
 
 class Steering:
-    """Passes one page's requests to the controls of a run, as keys do. A page takes control by a
-    request if no other has it. A run that no page controls any more is paused unless it has other
-    controls (not ``alone``)."""
+    """Passes the requests of one page to the controls of a run. A page takes control by a request
+    if no other page has it. With ``alone``, the run pauses when no page has control."""
 
     def __init__(
         self,
@@ -56,7 +55,7 @@ class Steering:
 
     @property
     def page(self) -> int | None:
-        """Number of the page that steers; None if none does."""
+        """Number of the page in control, or None."""
         return self._page
 
     def stop(self) -> None:
@@ -64,14 +63,14 @@ class Steering:
         self._stop.ask("the window")
 
     def steer(self, page: int) -> bool:
-        """Return whether a page has control; it takes it if no other has."""
+        """Give a page control if no other has it; return whether it has control."""
         with self._lock:
             if self._page is None:
                 self._alive_s, self._page = time.monotonic(), page
             return self._page == page
 
     def leave(self, page: int) -> None:
-        """Release control, if this page has it."""
+        """Release control if this page has it."""
         with self._lock:
             if self._page != page:
                 return
@@ -84,14 +83,14 @@ class Steering:
             self._alive_s = time.monotonic()
 
     def look_after(self) -> None:
-        """Release the control of a page that has fallen silent; from any thread."""
+        """Release the control of a page that sends nothing any more; from any thread."""
         page = self._page
         if page is not None and time.monotonic() - self._alive_s > self._lost_s:
             self.leave(page)
 
     def act(self, page: int, what: str) -> bool:
-        """Execute a page's request; return False if another has control, raise ValueError if it is
-        unknown."""
+        """Execute a page's request. Return False if another page has control; raise ValueError if
+        the request is unknown."""
         kind, _, name = what.partition(":")
         if what in self._does:
             does = self._does[what]
@@ -111,29 +110,29 @@ class Steering:
 
 MOST_PAGES = 16
 MOST_HZ = 60
-MOST_MESSAGES_PER_S = 400  # limit for one page; one that sends more loses its connection
-_AT_ZERO = ("none", "pause")  # requests of `Steering` after which no current flows
-_BEAT_S = 0.2  # longest time without a message to a page: its answer shows that it is alive
+MOST_MESSAGES_PER_S = 400  # limit for one page, after which it is disconnected
+_AT_ZERO = ("none", "pause")  # requests after which no current flows
+_BEAT_S = 0.2  # longest pause between messages to a page, which answers each
 _INFORMED_WITHIN_S = 0.5
 
 
 @dataclass
 class ConnectedPage:
-    """One connected page, and what it has seen."""
+    """One connected page, and the messages it has received."""
 
     number: int
-    waits: bool = True  # whether it has drawn what it was sent last
-    ended: str = ""  # how this run ended, as it was sent
+    waits: bool = True  # whether it has drawn the last message
+    ended: str = ""  # message about the end of the run that it has received
     shown: StepResult | None = None
     events: int = 0
-    sheet: int | None = None  # number of the page or line that it shows
-    refused: str = ""  # why what it asked for is not done
-    received: int = 0  # messages of this second
+    sheet: int | None = None  # number of the sheet that it shows
+    refused: str = ""  # reason why its last request was refused
+    received: int = 0  # number of messages in this second
     second: int = 0
 
 
 class PageState(Protocol):
-    """State of a run as JSON messages to pages."""
+    """State of a run, as JSON messages to pages."""
 
     @property
     def steering(self) -> Steering: ...
@@ -145,20 +144,20 @@ class PageState(Protocol):
 
     @property
     def ended(self) -> str:
-        """The last message of a run; empty while it is on."""
+        """The last message of a run; empty during the run."""
 
     def sheet_png(self) -> bytes:
-        """Return the picture of what lies under the finger; empty if there is none."""
+        """Return the picture of the sheet under the finger; empty if there is none."""
 
     def has_seen(self, page: ConnectedPage) -> bool:
-        """Return whether there is nothing new for a page."""
+        """Return whether a page has seen everything."""
 
     def update(self, page: ConnectedPage) -> str:
-        """Return a message with all that a page has not seen yet."""
+        """Return a message with everything that is new for a page."""
 
 
 class Pages:
-    """Connections of all pages of a window, until it is closed."""
+    """Connections of all pages of a window."""
 
     def __init__(self, state: PageState) -> None:
         import_server()
@@ -171,7 +170,7 @@ class Pages:
         return len(self._pages)
 
     def routes(self) -> "list[BaseRoute]":
-        """Return the addresses that pages talk to."""
+        """Return the routes that pages use."""
         from starlette.routing import Route, WebSocketRoute
 
         return [
@@ -181,7 +180,7 @@ class Pages:
         ]
 
     def close(self) -> None:
-        """Close all connections, once pages have been sent the end of the run."""
+        """Close all connections after the end of the run was sent."""
         self._over.set()
         if self._pages:
             self._all_informed.wait(_INFORMED_WITHIN_S)
@@ -193,16 +192,16 @@ class Pages:
         return Response(png, status_code=200 if png else 404, media_type="image/png")
 
     async def _stopped(self, request: "Request") -> "Response":
-        """Stop for a page that has lost its connection."""
+        """Stop the run for a page that has lost its connection."""
         from starlette.responses import Response
 
-        # The run, and with it the server, may end first.
+        # The server may end first, with the run.
         with contextlib.suppress(asyncio.CancelledError):
             await self._stop()
         return Response(status_code=204)
 
     async def _stop(self) -> None:
-        # A board may wait for its line, which must not block other pages.
+        # Stopping may wait for the board's line, which must not block other pages.
         await asyncio.to_thread(self._state.steering.stop)
 
     async def _connected(self, socket: "WebSocket") -> None:
@@ -232,11 +231,11 @@ class Pages:
             self._state.steering.leave(page.number)
             if not self._pages and self._over.is_set():
                 self._all_informed.set()
-            # It may have failed on the lost connection.
+            # The task may have failed because the connection was lost.
             await asyncio.gather(feeding, return_exceptions=True)
 
     async def _take(self, page: ConnectedPage, text: str) -> bool:
-        """Execute a page's message; return False if it is invalid."""
+        """Execute a message of a page; return False if it is invalid."""
         steering, second = self._state.steering, int(time.monotonic())
         page.received = page.received + 1 if second == page.second else 1
         page.second = second
@@ -266,7 +265,8 @@ class Pages:
         return True
 
     def _move(self, page: ConnectedPage, place: str) -> bool:
-        """Move what the pointer moves, if the page steers; return False if that is invalid."""
+        """Move the finger to the pointer, if the page has control; return False for an invalid
+        place."""
         pointer = self._state.source.pointer
         try:
             x_mm, y_mm = map(float, place.split())
@@ -279,14 +279,14 @@ class Pages:
     async def _act(self, page: ConnectedPage, what: str) -> None:
         steering = self._state.steering
         if what.startswith("key:"):
-            # It may wait for the source's line, which must not block a stop.
+            # A request may wait for the source's line, which must not block a stop.
             await asyncio.to_thread(steering.act, page.number, what)
         elif not steering.act(page.number, what) and what in _AT_ZERO:
-            # It may not have seen yet that another page steers: from here the run only stops.
+            # The page may not know yet that another has control, so stop anyway.
             await self._stop()
 
     async def _feed(self, socket: "WebSocket", page: ConnectedPage) -> None:
-        """Send a page the newest state whenever it has drawn the last one."""
+        """Send a page the newest state each time it has drawn the last one."""
         state, sent_s = self._state, 0.0
         await socket.send_text(state.hello)
         while True:

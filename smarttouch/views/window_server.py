@@ -1,5 +1,5 @@
-"""Server of a page, for this machine alone, with a secret in its address and a thread of its
-own."""
+"""Web server of the window, in its own thread, for this machine only, with a secret in the
+address."""
 
 import atexit
 import contextlib
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from starlette.routing import BaseRoute
 
 HOST = "127.0.0.1"
-MOST_MESSAGE_BYTES = 65_536  # longest message that a page may send; longer ones end its connection
+MOST_MESSAGE_BYTES = 65_536  # longest message from a page; a longer one ends the connection
 PAGE_FOLDER = Path(__file__).parent / "page"
 _JOIN_S = 1.0
-_FILE_KEPT_S = 60.0  # how long a browser may take to start and read the file that it is given
+_FILE_KEPT_S = 60.0  # time for a browser to start and read its file
 _LEADS_TO = (
     '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
     '<meta http-equiv="refresh" content="0;url={0}"><title>SmartTouch</title>'
@@ -50,8 +50,8 @@ _HEADERS = {
 
 
 class PageServer:
-    """Serves the files of a page and some routes until it is closed. Requests for another host,
-    from another origin or without the secret are refused. Routes are relative to the secret."""
+    """Serves the files of the page and some routes. Requests for another host, from another origin
+    or without the secret are refused. Routes are relative to the secret."""
 
     def __init__(self, routes: "Sequence[BaseRoute]") -> None:
         server = import_server()
@@ -59,13 +59,13 @@ class PageServer:
         from starlette.routing import Mount
         from starlette.staticfiles import StaticFiles
 
-        # From now on connections wait, and are not refused.
+        # From now on connections wait instead of being refused.
         self._socket = socket.create_server((HOST, 0), backlog=128)
         self.port: int = int(self._socket.getsockname()[1])
         self._prefix = f"/{secrets.token_urlsafe(24)}/"
         self.address: str = f"http://{HOST}:{self.port}{self._prefix}live.html"
         self._hosts = {f"{host}:{self.port}" for host in (HOST, "localhost")}
-        # Not all browsers count a socket of the same host as 'self'.
+        # Some browsers do not count a web socket of the same host as 'self'.
         sockets = " ".join(f"ws://{host}" for host in sorted(self._hosts))
         policy = f"{_POLICY}; connect-src 'self' {sockets}"
         self._headers = {"content-security-policy": policy, **_HEADERS}
@@ -89,13 +89,13 @@ class PageServer:
             self._thread.join(_JOIN_S)
         self._socket.close()
 
-    # A thread of lower priority that holds the interpreter would hold up the loop.
+    # A thread of lower priority that holds the interpreter lock would delay the loop.
     @prioritized()
     def _serve(self) -> None:
         self._server.run([self._socket])
 
     async def _guarded(self, scope: Any, receive: Any, send: Any) -> None:
-        """Serve what is allowed, with headers that restrict the page."""
+        """Serve allowed requests, with headers that restrict the page."""
         headers = {name.decode("latin-1"): value for name, value in scope["headers"]}
         if not self._allows(scope, headers):
             await _refuse(scope, send)
@@ -112,7 +112,7 @@ class PageServer:
 
     def _allows(self, scope: Any, headers: dict[str, bytes]) -> bool:
         origin = headers.get("origin", b"").decode("latin-1")
-        # Links may open pages; requests that act must come from our pages.
+        # A link may open the page, but requests that act must come from the page itself.
         acts = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         ours = origin in {f"http://{host}" for host in self._hosts} or not (origin or acts)
         path = scope["path"][: len(self._prefix)].encode()
@@ -125,7 +125,7 @@ class PageServer:
 
 async def _refuse(scope: Any, send: Any) -> None:
     if scope["type"] == "websocket":
-        # Before it is accepted: the server then answers with 403.
+        # Closing before accepting makes the server answer 403.
         await send({"type": "websocket.close", "code": 1008})
         return
     await send({"type": "http.response.start", "status": 403, "headers": []})
@@ -133,29 +133,29 @@ async def _refuse(scope: Any, send: Any) -> None:
 
 
 def import_server() -> Any:
-    """Return uvicorn; raises if the extra is missing."""
+    """Import uvicorn. Raises SmartTouchError if the extra is missing."""
     modules = ("starlette", "websockets", "uvicorn")
     return [import_extra(module, "a window", "window") for module in modules][-1]
 
 
 def has_browser() -> bool:
-    """Return whether this desktop may have a browser."""
+    """Return whether there is a desktop with a browser."""
     return sys.platform in ("win32", "darwin") or any(
         os.environ.get(variable) for variable in ("DISPLAY", "WAYLAND_DISPLAY")
     )
 
 
 def open_browser(address: str) -> None:
-    """Open an address in the desktop's browser, if there is one, without waiting. Every user can
-    read the arguments of a program, and the address holds a secret: so the browser gets a file that
-    leads there and that only this user can read."""
+    """Open an address in the desktop's browser, if there is one, without waiting. The address
+    contains a secret, and all users can read the arguments of a program. So the browser gets a file
+    that only this user can read and that redirects to the address."""
     if not has_browser():
         return
 
     def show() -> None:
         with contextlib.suppress(webbrowser.Error, OSError, SmartTouchError):
             folder = Path(tempfile.mkdtemp(prefix="smarttouch-"))
-            # At the end of the program, if that comes before the end of this thread.
+            # The program may end before this thread does.
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
             page = folder / "window.html"
             write_bytes(page, _LEADS_TO.format(html.escape(address)).encode())
