@@ -1,1 +1,1 @@
-"""Currents become potentials in the skin, drives of fibers, and spikes of one finger."""
+"""Model of a finger: potentials in the skin, activating functions, fibers and their spikes."""

@@ -1,13 +1,12 @@
-"""Potential and curvature of one electrode in homogeneous skin, in closed form.
+"""Potential and its second derivatives for one electrode on homogeneous skin, in closed form.
 
-The activating function of an axon is the second derivative of the potential
-along it (Eq. 2); the cable equation wants the potential itself. Both come from
-here, for a unit **cathodic** current: the potential is negative, and under the
-electrode a horizontal axon is depolarized (its curvature is positive), a
-vertical one hyperpolarized.
+The activating function of an axon is the second derivative of the potential along it (Eq. 2); cable
+models need the potential itself. Fields are for a unit **cathodic** current: the potential is
+negative. Under the electrode a horizontal axon is depolarized (its second derivative is positive),
+and a vertical one hyperpolarized.
 
-Lengths are in mm. Fields are per factor ρI/2π of a half space with the
-electrode on its insulated surface; in an infinite medium they are half of that.
+Lengths are in mm. Fields are relative to ρI/2π, for an electrode on the insulated surface of a half
+space; in an infinite medium they are half as large.
 """
 
 import math
@@ -26,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 class Field(NamedTuple):
-    """Potential (1/mm) and second derivatives (1/mm³); x and y run along the skin, z into it."""
+    """Potential (1/mm) and second derivatives (1/mm³); x and y point along the skin, z into it."""
 
     potential: Array
     xx: Array
@@ -37,7 +36,7 @@ class Field(NamedTuple):
     yz: Array
 
     def along(self, direction: Array) -> Array:
-        """Return the second derivative along a unit vector (3,): an axon's Eq. 2."""
+        """Return the second derivative along a unit vector, (3,) (Eq. 2)."""
         a, b, c = (float(part) for part in direction)
         terms = (
             (a * a, self.xx), (b * b, self.yy), (c * c, self.zz),
@@ -53,8 +52,8 @@ class Field(NamedTuple):
 def around_axis(
     x: Array, y: Array, potential: Array, zz: Array, around: Array, slanted: Array
 ) -> Field:
-    """Return the cathodic field of an anodic potential that is symmetric about the z axis, from Φ,
-    ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, the latter two finite on the axis."""
+    """Return the cathodic field for an anodic potential Φ with symmetry about the z axis. Arguments
+    are Φ, ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, all finite on the axis."""
     r2 = x * x + y * y
     # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
     stretch = np.divide(-zz - 2 * around, r2, out=np.zeros_like(r2), where=r2 > 1e-12)
@@ -67,8 +66,8 @@ def around_axis(
 def line_in_plane(x: Array, depth: float | Array) -> Field:
     """Return the field, per ρI/2πL, of a line source in the paper's two-dimensional medium.
 
-    Eq. 3 to 5: Φ = −log R, ∂²Φ/∂x² ∝ (y² − x²) / (x² + y²)² with y the depth; Φ without unit up to
-    a constant, derivatives in 1/mm². L is the line's length.
+    Eq. 3 to 5: Φ = −log R, ∂²Φ/∂x² ∝ (y² − x²) / (x² + y²)² with y the depth; Φ has no unit and an
+    arbitrary constant, derivatives are in 1/mm². L is the line's length.
     """
     r2 = x * x + depth * depth
     xx = (depth * depth - x * x) / r2**2
@@ -87,12 +86,12 @@ def point(x: Array, y: Array, depth: float | Array) -> Field:
 
 
 def disc(x: Array, y: Array, depth: float | Array, radius: float) -> Field:
-    """Return the field of a disc at one potential (Weber's disc), of radius a.
+    """Return the field of an equipotential disc of radius a (Weber's disc).
 
-    Its potential is that of point sources spread evenly along an imaginary line, Φ = 1/(2a) ∫ ds /
-    √(r² + (z + is)²) over −a..a, in closed form Φ = arcsin(2a / (√((r−a)²+z²) + √((r+a)²+z²))) / a
-    (Wiley and Webster 1982). With ζ = z + ia and S = √(r² + ζ²) its derivatives close as well:
-    ∂²Φ/∂z² = −Im(ζ/S³)/a, (∂Φ/∂r)/r = Im(1/(S(ζ + S)))/a and (∂²Φ/∂r∂z)/r = −Im(1/S³)/a.
+    Its potential equals that of point sources distributed evenly along an imaginary line: Φ =
+    1/(2a) ∫ ds / √(r² + (z + is)²) over −a..a, or Φ = arcsin(2a / (√((r−a)²+z²) + √((r+a)²+z²))) /
+    a (Wiley and Webster 1982). With ζ = z + ia and S = √(r² + ζ²) its derivatives are ∂²Φ/∂z² =
+    −Im(ζ/S³)/a, (∂Φ/∂r)/r = Im(1/(S(ζ + S)))/a and (∂²Φ/∂r∂z)/r = −Im(1/S³)/a.
     """
     r2 = x * x + y * y
     zeta = depth + 1j * radius
@@ -105,10 +104,10 @@ def disc(x: Array, y: Array, depth: float | Array, radius: float) -> Field:
 
 
 def disc_potential(r: Array, depth: float | Array, radius: float) -> Array:
-    """Return the (anodic) potential alone of `disc`, at distances r from its axis."""
+    """Return the anodic potential of `disc` at distances r from its axis."""
     below = np.asarray(depth * depth)
     size = np.broadcast_shapes(np.shape(r), below.shape)
-    # In place: new memory for each of millions of values takes longer than the sums.
+    # Compute in place: allocating large arrays takes longer than the arithmetic.
     span, outer = np.empty(size), np.empty(size)
     for integral, away in ((span, -radius), (outer, radius)):
         np.add(r, away, out=integral)
@@ -123,7 +122,7 @@ def disc_potential(r: Array, depth: float | Array, radius: float) -> Array:
 
 
 def annulus(x: Array, y: Array, depth: float | Array, outer: float, inner: float) -> Field:
-    """Return the field of an annulus between two radii that passes current evenly."""
+    """Return the field of an annulus with uniform current density."""
     total = np.zeros((len(Field._fields), *np.broadcast_shapes(x.shape, np.shape(depth))))
     for share, radius in _discs_of_annulus(depth, outer, inner):
         total += share * np.array(disc(x, y, depth, radius))
@@ -131,7 +130,7 @@ def annulus(x: Array, y: Array, depth: float | Array, outer: float, inner: float
 
 
 def annulus_potential(r: Array, depth: float | Array, outer: float, inner: float) -> Array:
-    """Return the (anodic) potential alone of `annulus`, at distances r from its axis."""
+    """Return the anodic potential of `annulus` at distances r from its axis."""
     total = np.zeros(np.broadcast_shapes(np.shape(r), np.shape(depth)))
     for share, radius in _discs_of_annulus(depth, outer, inner):
         total += share * disc_potential(r, depth, radius)
@@ -141,11 +140,12 @@ def annulus_potential(r: Array, depth: float | Array, outer: float, inner: float
 def _discs_of_annulus(
     depth: float | Array, outer: float, inner: float
 ) -> list[tuple[float, float]]:
-    """Return shares and radii of discs, each at one potential, that add up to an annulus.
+    """Return shares and radii of equipotential discs whose sum is an annulus of uniform density.
 
-    A disc of radius b that passes current evenly is the mean, over angles φ up to π/2, of
-    2 sin²φ times Weber's disc of radius b sin φ: the integral of t dt / √((b² − t²)(t² − s²)) over
-    s..b is π/2 for every s. The midpoint rule with n angles errs by some exp(−4n arsinh(z/b)).
+    A disc of radius b with uniform density is the mean, over angles φ from 0 to π/2, of 2 sin²φ
+    times Weber's disc of radius b sin φ, because the integral of t dt / √((b² − t²)(t² − s²)) over
+    s..b is π/2 for every s. The error of the midpoint rule with n angles is about exp(−4n
+    arsinh(z/b)).
     """
     discs: list[tuple[float, float]] = []
     for radius, sign in ((outer, 1.0), (inner, -1.0)):
@@ -157,7 +157,7 @@ def _discs_of_annulus(
 
 
 def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: float) -> Field:
-    """Return the field of a rectangle that passes current evenly, with sides along x and y.
+    """Return the field of a rectangle with uniform current density and sides along x and y.
 
     The integral of 1/R over a rectangle is a sum over its corners of u ln(v + R) + v ln(u + R) − z
     arctan(uv/zR); its second derivatives are algebraic (Durand 1964; in gravimetry the potential of
@@ -172,7 +172,7 @@ def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: fl
             sign = sign_u * sign_v / (width * height)
             uz, vz = u * u + z2, v * v + z2
             r = np.sqrt(uz + v * v)
-            # ln(v + R) as arsinh, which keeps its digits where v is far negative.
+            # Use arsinh for ln(v + R): it is accurate for large negative v.
             total[0] += sign * (
                 u * np.arcsinh(v / np.sqrt(uz))
                 + v * np.arcsinh(u / np.sqrt(vz))
@@ -188,19 +188,20 @@ def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: fl
 
 
 _MARGIN_PITCHES = {"plane": 2.0}
-"""Margin of afferents beyond the outer electrodes, in pitches; 2 is the paper's −5..5 mm."""
+"""Margin around the electrodes in which nodes are considered, in pitches; 2 gives the paper's −5..5
+mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Afferents:
-    """Nodes of Ranvier of one class at one depth, at N places in D directions each."""
+    """Nodes of Ranvier of one class at one depth: N places with D axon directions each."""
 
     afferent: Afferent
     position_mm: NDArray[np.float64]  # (N, 2) along the skin
     depth_mm: float  # below the surface
     direction: NDArray[np.float64]  # (D, 3) unit vectors along the axons; z points into the skin
-    ending: str | None  # whether axons that end here can fire there; None where they run on
-    grid: tuple[int, int]  # rows and columns of a lattice of places, else (N, 1)
+    ending: str | None  # kind of ending; None if the axons continue
+    grid: tuple[int, int]  # rows and columns if the places form a lattice, else (N, 1)
 
     def __post_init__(self) -> None:
         if not self.depth_mm > 0:
@@ -211,25 +212,26 @@ class Afferents:
 
 
 def depth_mm(skin: Skin, afferent: Afferent) -> float:
-    """Return the depth at which a class is reached (Section II-D)."""
+    """Return the depth at which a class is stimulated, mm (Section II-D)."""
     return (skin.ra_depth_mm, skin.sai_depth_mm, skin.pc_depth_mm)[afferent]
 
 
 def directions(skin: Skin, afferent: Afferent) -> NDArray[np.float64]:
-    """Return the directions of a class, (D, 3): RA rises, SAI and PC lie flat (Fig. 7)."""
+    """Return the axon directions of a class, (D, 3): RA axons rise, SAI and PC axons are horizontal
+    (Fig. 7)."""
     if afferent is Afferent.RA:
         return np.array([[0.0, 0.0, 1.0]])
     return flat_directions(skin.sai_angles_deg)
 
 
 def flat_directions(angles_deg: tuple[float, ...]) -> NDArray[np.float64]:
-    """Return unit vectors in the plane of the skin, (D, 3); angles from x toward y."""
+    """Return horizontal unit vectors, (D, 3); angles count from x toward y."""
     radians = np.radians(angles_deg)
     return np.column_stack([np.cos(radians), np.sin(radians), np.zeros(len(radians))])
 
 
 def targets(profile: Profile, afferent: Afferent) -> Afferents:
-    """Return the node under each electrode that its kernel is to fire."""
+    """Return the target node under each electrode."""
     position, skin = profile.electrodes.position_mm, profile.skin
     direction = directions(skin, afferent)[:1]
     depth = depth_mm(skin, afferent)
@@ -239,10 +241,10 @@ def targets(profile: Profile, afferent: Afferent) -> Afferents:
 
 
 def everywhere(profile: Profile, afferent: Afferent) -> Afferents:
-    """Return the nodes of a class all over the array, in all its directions."""
+    """Return the nodes of a class all over the array, in all directions."""
     spacing = profile.skin.node_spacing_mm
     if profile.skin.medium == "plane" and afferent is Afferent.RA:
-        # The paper's RA axons stand one pitch apart, however finely nodes lie along SAI and PC.
+        # RA axons are one pitch apart, as in the paper, whatever the node spacing of SAI and PC.
         spacing = profile.electrodes.pitch_mm
     position, grid = _lattice(profile, spacing)
     skin = profile.skin
@@ -253,15 +255,15 @@ def everywhere(profile: Profile, afferent: Afferent) -> Afferents:
 
 
 def along_axon(profile: Profile, afferent: Afferent, site: int) -> tuple[Afferents, ...]:
-    """Return the nodes of the axon under a site, one set for each depth, the one under the
-    electrode first: a rising axon has its nodes below the ending, a flat one on both sides."""
+    """Return the nodes of the axon under a site, one set for each depth, the node under the
+    electrode first. A rising axon has nodes below its ending, a horizontal one on both sides."""
     center = profile.electrodes.position_mm[site]
     skin, first = profile.skin, targets(profile, afferent)
     direction = first.direction[0]
     spacing = skin.node_spacing_mm
     sets: list[tuple[NDArray[np.float64], float, str | None]]
     if direction[2] == 0:
-        # As far as nodes of other axons are looked at.
+        # Same region as for the nodes of other axons.
         reach_mm = _reach_mm(profile) + 1e-9
         steps = np.arange(1, int(2 * reach_mm.max() / spacing) + 1) * spacing
         away = np.concatenate([[0.0], steps, -steps])
@@ -283,7 +285,7 @@ def _ending(skin: Skin, afferent: Afferent) -> str | None:
 
 
 def _reach_mm(profile: Profile) -> NDArray[np.float64]:
-    """Return how far from the array's middle nodes are looked at, (2,) mm."""
+    """Return the largest distance of considered nodes from the array's middle, (2,) mm."""
     electrodes = profile.electrodes
     margin = _MARGIN_PITCHES.get(profile.skin.medium, 1.0) * electrodes.pitch_mm
     return np.asarray(np.abs(electrodes.position_mm).max(axis=0) + margin)
@@ -305,10 +307,10 @@ def field_at(
     position_mm: NDArray[np.float64],
     depth_mm: float | NDArray[np.float64],
 ) -> tuple[Field, float]:
-    """Return the field (N, E) of each electrode per unit cathodic current, and its factor to V/mA.
+    """Return the field of each electrode, (N, E), and the factor that converts it to V/mA.
 
-    Points are (N, 2) mm along the skin, of one depth or (N, 1) of their own; derivatives get V/mm²
-    by the factor.
+    Points are (N, 2) mm, at one depth or at depths (N, 1). The factor converts second derivatives
+    to V/mm² per mA.
     """
     if len(electrodes.kinds) > 1:
         return _field_of_kinds(electrodes, skin, position_mm, depth_mm)
@@ -336,11 +338,11 @@ def _field_of_kinds(
     position_mm: NDArray[np.float64],
     depth_mm: float | NDArray[np.float64],
 ) -> tuple[Field, float]:
-    """Return `field_at` of an array that mixes shapes, from that of each shape alone."""
+    """Return `field_at` of an array with several electrode shapes."""
     field = Field(*np.zeros((len(Field._fields), len(position_mm), len(electrodes))))
     scale = 1.0
     for (shape, size_mm), which in electrodes.kinds.items():
-        # One electrode is no array: the second one's column is not used.
+        # An array needs two electrodes; the column of the second is dropped.
         places = electrodes.position_mm[which]
         if len(which) == 1:
             places = np.vstack([places, places + electrodes.pitch_mm])
@@ -354,10 +356,10 @@ def _field_of_kinds(
 def af_matrix(
     profile: Profile, afferents: Afferents, skin: Skin | None = None
 ) -> NDArray[np.float64]:
-    """Return the AF (D·N, E), V/mm² per mA of cathodic current, at nodes, direction by direction.
+    """Return the AF at nodes, (D·N, E), V/mm² per mA of cathodic current, direction by direction.
 
-    Positive depolarizes (Eq. 8 and 9). An active ending has no curvature: it is driven by the
-    current from its only neighbor, one internode away (McNeal's end node).
+    Positive values depolarize (Eq. 8 and 9). At an active ending the AF is the current from the
+    only neighbor, one internode away (McNeal's end node), instead of the second derivative.
     """
     skin = skin or profile.skin
     here, scale = field_at(profile.electrodes, skin, afferents.position_mm, afferents.depth_mm)
@@ -393,7 +395,7 @@ def potential_mv(profile: Profile, points_mm: NDArray[np.float64]) -> NDArray[np
         potential, scale = np.sqrt(r2, out=r2), _volts(skin)
         alone = len(electrodes.kinds) == 1
         for (shape, (outer, inner)), those in electrodes.kinds.items():
-            # All of them without a copy.
+            # A slice avoids a copy.
             which = slice(None) if alone else those
             if shape == "disc":
                 potential[:, which] = disc_potential(potential[:, which], depth, outer / 2)
@@ -409,5 +411,5 @@ def potential_mv(profile: Profile, points_mm: NDArray[np.float64]) -> NDArray[np
 
 
 def _volts(skin: Skin) -> float:
-    """Return the factor from fields per I/2π to V/mA."""
+    """Return the factor that converts fields to V/mA."""
     return 1 / (2 * np.pi * skin.conductivity_s_per_m * (2 if skin.medium == "infinite" else 1))

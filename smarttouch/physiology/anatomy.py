@@ -1,4 +1,4 @@
-"""Anatomies of a finger: densities, courses and thresholds of its afferents, as TOML files."""
+"""Anatomies of a finger as TOML files: densities, paths and thresholds of afferents."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,77 +15,77 @@ _SHIPPED = Path(__file__).with_name("anatomies")
 
 
 class ClassAnatomy(Table):
-    """Afferents of one class."""
+    """Anatomy of the afferents of one class."""
 
     density_per_cm2: float = Field(ge=0, le=1000)
     """Axons per area at the fingertip."""
     fiber: Literal["fingertip", "trunk", "mrg"] = "fingertip"
-    """Fiber whose driving function they have."""
+    """Name of the fiber model with their driving function."""
     diameter_factor: Positive = 1.0
-    """Diameter over that of the fiber; internodes grow with it, and of a fiber that keeps its
-    proportions nothing else changes."""
+    """Diameter relative to the fiber model; internodes scale with it."""
     ending: Literal["through", "active", "passive"] = "passive"
-    """Kind of their endings; "through" where the receptor's end of the axon cannot fire."""
+    """Kind of their endings; "through" if the axon cannot fire at the receptor."""
     depth_mm: Positive | None = None
-    """Depth of the endings, or of a flat axon; that of the profile's skin if none."""
+    """Depth of the endings or of a horizontal axon; from the profile if not given."""
     depth_spread_mm: float = Field(default=0.05, ge=0, le=1)
-    """Standard deviation of depths between axons. Ours."""
+    """Standard deviation of depth between axons (our assumption)."""
     on_ridges: bool = False
     """Whether endings lie under papillary ridges."""
     endings: int = Field(default=1, ge=1, le=50)
-    """Endings of an axon."""
+    """Number of endings of an axon."""
     branch_spread_mm: float = Field(default=0.0, ge=0, le=10)
-    """Standard deviation of the places of an axon's endings, along each axis."""
+    """Standard deviation of the places of an axon's endings, along x and along y."""
     plexus_mm: Positive | None = None
-    """Depth at which branches join and the axon runs flat; that of its ending if none."""
+    """Depth at which branches join and the axon turns horizontal; depth of the ending if not
+    given."""
     receptor_above_mm: float = Field(default=0.0, ge=0, le=1)
-    """Height of the endings above the depth at which the axon runs."""
+    """Height of the endings above the horizontal part of the axon."""
     flat_mm: float = Field(default=0.0, ge=0, le=30)
-    """Length of the flat part of an axon."""
+    """Length of the horizontal part of an axon."""
     flat_deg: float = Field(default=90.0, ge=-360, le=360)
-    """Direction of the flat part, from x toward y; 90 is toward the palm."""
+    """Direction of the horizontal part, from x toward y; 90 is toward the palm."""
     flat_spread_deg: float = Field(default=30.0, ge=0, le=180)
-    """Standard deviation of that direction. Ours."""
+    """Standard deviation of the direction (our assumption)."""
     descent_mm: float = Field(default=0.0, ge=0, le=20)
-    """Length over which an axon is followed downward after its flat part."""
+    """Length of the descending part after the horizontal one."""
     bend_mm: float = Field(default=0.5, ge=0, le=5)
-    """Length over which a bend of an axon is rounded. Ours; sharp bends would fire first."""
+    """Length over which bends are rounded (our assumption): sharp bends would fire first."""
     lean_deg: float = Field(default=0.0, ge=0, le=60)
-    """Standard deviation of an upright part's lean from the vertical."""
+    """Standard deviation of the inclination of an upright part from the vertical."""
     threshold_spread: float = Field(default=0.2, ge=0, le=2)
-    """Standard deviation of the logarithm of thresholds between axons. Ours: diameters at the
-    fingertip vary by 15 % (3.3 ± 0.5 µm, Nolano et al. 2003)."""
+    """Standard deviation of the logarithm of thresholds between axons (our assumption: diameters at
+    the fingertip vary by 15 %, 3.3 ± 0.5 µm, Nolano et al. 2003)."""
     threshold_factor: Positive = 1.0
-    """Factor on the thresholds of the cable model."""
+    """Factor by which thresholds of the cable model are multiplied."""
     noise: float = Field(default=0.01, ge=0, le=1)
-    """Relative spread of one axon's threshold from pulse to pulse (Verveen)."""
+    """Relative standard deviation of an axon's threshold from pulse to pulse (Verveen)."""
     chronaxie_us: Positive = 151.0
-    """Strength–duration time constant by Weiss: macaque RA afferents (Kaczmarek 2000). SAI and PC
-    have none of their own."""
+    """Chronaxie of Weiss's law, measured in macaque RA afferents (Kaczmarek 2000); SAI and PC use
+    the same value."""
     refractory_us: float = Field(default=2000.0, ge=0, le=100_000)
-    """Time after a spike without another. Ours: Aβ fibers follow up to some 500 Hz."""
+    """Refractory period (our assumption: Aβ fibers follow up to about 500 Hz)."""
 
     def driving(self, width_us: float) -> DrivingFunction:
-        """Return the driving function of the fibers for a pulse width."""
+        """Return the driving function for a pulse width."""
         driving = load_driving(self.fiber, self.ending, width_us)
         return replace(driving, internode_mm=self.diameter_factor * driving.internode_mm)
 
 
 class Anatomy(Table):
-    """Densities, courses and thresholds of a finger's afferents."""
+    """Densities, paths and thresholds of a finger's afferents."""
 
     name: str = ""
     """Name of the file."""
     title: str = Field(min_length=1)
-    """What it is, for people."""
+    """Description for people."""
     ridge_mm: Positive = 0.45
-    """Distance between papillary ridges (0.4 to 0.5 mm)."""
+    """Distance between papillary ridges, 0.4 to 0.5 mm."""
     tip_mm: Positive = 20.0
-    """Distance from the finger's end within which densities are those of the tip."""
+    """Distance from the end of the finger up to which the density is that of the fingertip."""
     beyond_tip: float = Field(default=1.6 / 4.2, ge=0, le=1)
-    """Density beyond it (Johansson and Vallbo 1979: finger to tip as 1.6 to 4.2, in a step)."""
+    """Density beyond it, relative to the fingertip (Johansson and Vallbo 1979: 1.6 to 4.2)."""
     margin_mm: float = Field(default=3.0, ge=0, le=20)
-    """Skin around the electrodes that belongs to the finger."""
+    """Margin of skin around the electrodes."""
     ra: ClassAnatomy
     sai: ClassAnatomy
     pc: ClassAnatomy
@@ -95,7 +95,8 @@ class Anatomy(Table):
 
 
 def load_anatomy(name: str | Path) -> Anatomy:
-    """Load a shipped anatomy by name, or any by its TOML file; ProfileError if it is not valid."""
+    """Load a shipped anatomy by name, or any anatomy from a TOML file. Raises ProfileError if it is
+    invalid."""
     known = sorted(path.stem for path in _SHIPPED.glob("*.toml"))
     if str(name) in known:
         return load_model(_SHIPPED / f"{name}.toml", Anatomy, name=str(name))

@@ -1,4 +1,5 @@
-"""A finger under an array: afferents drawn from an anatomy, and what drives each of them."""
+"""Simulated finger under an array: random afferents from an anatomy, and their drives by each
+electrode."""
 
 import math
 from dataclasses import dataclass
@@ -28,29 +29,29 @@ class Population:
     """Afferents of one class, each with one or more branches."""
 
     afferent: Afferent
-    receptor_mm: Array  # (A, 2) middle of each afferent's endings, where its spikes are perceived
-    axon_path_mm: Array  # (B, P, 3) corners of each branch, ending first; z is the depth
+    receptor_mm: Array  # (A, 2) mean place of each afferent's endings
+    axon_path_mm: Array  # (B, P, 3) corners of each branch, ending first; z is depth
     owner: NDArray[np.intp]  # (B,) afferent of each branch
-    factor: Array  # (A,) threshold relative to the class's
+    factor: Array  # (A,) threshold relative to the class
     anatomy: ClassAnatomy
 
 
 def axon_path_points(
     one: Population, branches: NDArray[np.intp], nodes: int, spacing_mm: float
 ) -> Array:
-    """Return places of nodes along branches, (B, N, 3) mm, ending first."""
+    """Return the places of nodes along branches, (B, N, 3) mm, ending first."""
     points = _along(one.axon_path_mm[branches], np.arange(nodes, dtype=np.float64) * spacing_mm)
     return _rounded(points, int(one.anatomy.bend_mm / spacing_mm / 2))
 
 
 def axon_path_length_mm(axon_path_mm: Array, corners: int) -> Array:
-    """Return the lengths of courses up to a corner, (B,) mm."""
+    """Return the lengths of paths up to a corner, (B,) mm."""
     steps = np.linalg.norm(np.diff(axon_path_mm[:, : corners + 1], axis=1), axis=2)
     return np.asarray(steps.sum(axis=1))
 
 
 def _along(axon_path_mm: Array, along_mm: Array) -> Array:
-    """Return places along courses, (B, N, 3), at distances from their ends, (N,)."""
+    """Return the places, (B, N, 3), on paths at distances from their endings, (N,)."""
     steps = np.diff(axon_path_mm, axis=1)
     lengths = np.linalg.norm(steps, axis=2)
     begins = np.cumsum(lengths, axis=1) - lengths
@@ -58,7 +59,7 @@ def _along(axon_path_mm: Array, along_mm: Array) -> Array:
     for index in range(steps.shape[1]):
         last = index == steps.shape[1] - 1
         done = along_mm - begins[:, index, None]
-        # A course goes straight on beyond its last corner.
+        # A path continues straight beyond its last corner.
         done = np.maximum(done, 0) if last else np.clip(done, 0, lengths[:, index, None])
         length = np.maximum(lengths[:, index], 1e-12)
         points += done[..., None] * (steps[:, index] / length[:, None])[:, None]
@@ -66,7 +67,7 @@ def _along(axon_path_mm: Array, along_mm: Array) -> Array:
 
 
 def _rounded(points_mm: Array, reach: int) -> Array:
-    """Return courses with bends rounded by running means over `reach` nodes to either side."""
+    """Return paths with bends rounded by a moving average over `reach` nodes to each side."""
     reach = min(reach, points_mm.shape[1] - 1)
     if reach < 1:
         return points_mm
@@ -78,7 +79,7 @@ def _rounded(points_mm: Array, reach: int) -> Array:
 Floats = NDArray[np.float32]
 
 _AT_ONCE = 64
-"""Branches whose fields are computed together: those of more fit into no processor's cache."""
+"""Number of branches computed together: more do not fit into the processor's cache."""
 _SHALLOWEST_MM = 0.2
 
 
@@ -88,10 +89,10 @@ class Finger:
     Parameters
     ----------
     profile : Profile or str
-        Array and skin, or the name or file of the profile. x runs to the right, y from the
-        fingertip toward the palm, z into the skin.
+        Array and skin, or the name or file of the profile. x points right, y from the fingertip
+        toward the palm, z into the skin.
     seed : int
-        Seed of everything that differs between fingers; the same seed is the same finger.
+        Seed of everything that differs between fingers.
     anatomy : str, Path or Anatomy
         "branched", "paper", a TOML file, or the anatomy itself.
 
@@ -125,13 +126,13 @@ class Finger:
         }
 
     def feel(self, given: Any, seed: int = 1) -> "Feeling":
-        """Return its response to a step, a scan sequence, or a list of them.
+        """Return the finger's response to a step, a scan sequence, or several in order.
 
         Parameters
         ----------
         given : Step, StepResult, ScanSequence, or iterable of these
         seed : int
-            Of the noise from pulse to pulse.
+            Seed of the noise from pulse to pulse.
         """
         from smarttouch.physiology.spikes import feel
 
@@ -139,7 +140,7 @@ class Finger:
 
     @property
     def reach_mm(self) -> Array:
-        """Half of the finger's width and length, mm."""
+        """Half of the width and length of the modeled skin, (2,) mm."""
         outer = np.abs(self.profile.electrodes.position_mm).max(axis=0)
         return np.asarray(outer + self.anatomy.margin_mm)
 
@@ -151,7 +152,7 @@ class Finger:
 
     @cached_property
     def receptor_mm(self) -> Floats:
-        """Places where spikes of each afferent are perceived, (A, 2) mm."""
+        """Mean place of the endings of each afferent, (A, 2) mm, where its spikes are perceived."""
         places = [one.receptor_mm for one in self.populations.values()]
         return np.concatenate(places).astype(np.float32)
 
@@ -163,10 +164,12 @@ class Finger:
 
     @cached_property
     def rows(self) -> tuple[Floats, NDArray[np.intp]]:
-        """Drive (N, E) float32, 1/mA, of nodes that legal currents can fire, and starts (A,).
+        """Drives of all nodes that currents within the limits can fire, (N, E) float32, 1/mA, and
+        starts (A,).
 
-        Drives are for 1 mA of cathodic current and the profile's pulse: 1 is the threshold. Nodes
-        of afferent i begin at ``starts[i]``; each has at least one, if only of zeros.
+        A drive is for 1 mA of cathodic current with the profile's pulse; at threshold the sum is 1.
+        Nodes of afferent i begin at ``starts[i]``. Each afferent has at least one row, which may be
+        zero.
         """
         row_parts, starts, count = [], [], 0
         for one in self.populations.values():
@@ -204,7 +207,7 @@ class Finger:
         return Population(afferent, middle, course, owner, factor, anatomy)
 
     def _places(self, anatomy: ClassAnatomy, random: np.random.Generator) -> Array:
-        """Return places all over the finger, (A, 2) mm, at the anatomy's density."""
+        """Return random places on the finger, (A, 2) mm, at the anatomy's density."""
         reach = self.reach_mm
         area_cm2 = 4 * reach.prod() / 100
         count = random.poisson(anatomy.density_per_cm2 * area_cm2)
@@ -217,9 +220,10 @@ class Finger:
         self, anatomy: ClassAnatomy, ending: Array, joint: Array, depth: Array, turn: Array,
         lean: Array,
     ) -> Array:  # fmt: skip
-        """Return the corners of each branch: ending, foot, joint, end of the flat part, (B, P, 3).
+        """Return the corners of each branch, (B, P, 3): ending, foot, joint, and end of the
+        horizontal part.
 
-        If axons descend there is one corner more, below the last.
+        Descending axons have one more corner below.
         """
         top = np.maximum(depth - anatomy.receptor_above_mm, _SHALLOWEST_MM)
         plexus = np.maximum(anatomy.plexus_mm or 0.0, depth)
@@ -234,15 +238,15 @@ class Finger:
         return np.stack([np.column_stack(corner) for corner in corners], axis=1)
 
     def _drives(self, population: Population) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drive at the nodes of each branch that can fire, and their afferents."""
+        """Return the drives of the nodes that can fire, and the afferent of each."""
         driving = population.anatomy.driving(self.profile.pulse.width_us)
         owner = population.owner
         first = np.r_[True, np.diff(owner) > 0] if len(owner) else np.zeros(0, np.bool_)
         drives = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
         branches = [np.zeros(0, np.intp)]
-        # The first branch goes on along the axon, the others end where they join it.
+        # The first branch continues along the axon; the others end where they join it.
         for which, corners in ((first, population.axon_path_mm.shape[1] - 1), (~first, 2)):
-            # As many nodes are computed of each branch as of the longest beside it.
+            # Sort by length: each batch is padded to its longest branch.
             order = np.argsort(axon_path_length_mm(population.axon_path_mm, corners), kind="stable")
             indices = order[which[order]]
             for part in np.array_split(indices, max(1, len(indices) // _AT_ONCE)):
@@ -257,7 +261,8 @@ class Finger:
     def _part(
         self, population: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
     ) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drive at nodes of some branches, up to a corner, and their afferents."""
+        """Return the drives of the nodes of some branches, up to a corner, and the afferent of
+        each."""
         spacing = driving.internode_mm
         length_mm = axon_path_length_mm(population.axon_path_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1
@@ -268,7 +273,7 @@ class Finger:
         drive /= population.factor[population.owner[part]][:, None, None]
         longest = strength(self.profile.limits.pulse_us, population.anatomy.chronaxie_us)
         longest /= strength(self.profile.pulse.width_us, population.anatomy.chronaxie_us)
-        # Nodes beyond the end are there for their neighbors.
+        # Nodes beyond the end only serve as neighbors.
         node = np.arange(drive.shape[1]) + (driving.end != "active")
         there = node * spacing <= length_mm[:, None] + spacing
         rows, branch = drive[there], np.repeat(part, there.sum(axis=1))
@@ -276,19 +281,20 @@ class Finger:
         return rows[can].astype(np.float32), branch[can]
 
     def _most(self, rows: Array) -> Array:
-        """Return the largest drive that currents within the profile's limits can have, (N,).
+        """Return the largest drive by currents within the profile's limits, (N,).
 
-        Currents sum to zero, each is limited, and so is the sum of all anodes.
+        Currents sum to zero; each current and the sum of anodes are limited.
         """
         limits = self.profile.limits
         ranked = np.sort(rows, axis=1)
         limit_ma = float(limits.current_ma)
         total = float(limits.total_ma or np.inf)
         share = np.clip(total - limit_ma * np.arange(rows.shape[1]), 0, limit_ma)
-        # From the highest to the lowest, then inward; beyond the middle there is nothing to gain.
+        # Pair the largest with the smallest, the second with the second smallest, and so on;
+        # negative gains are left out.
         return np.asarray(np.maximum(ranked[:, ::-1] - ranked, 0) @ share)
 
 
 def strength(width_us: Any, chronaxie_us: Any) -> Any:
-    """Return the effect of a pulse of some width, relative to an endless one (Weiss 1901)."""
+    """Return the effect of a pulse width relative to an infinitely long pulse (Weiss 1901)."""
     return 1 / (1 + chronaxie_us / np.maximum(width_us, 1.0))

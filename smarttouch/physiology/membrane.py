@@ -1,9 +1,8 @@
-"""Thresholds of a myelinated fiber, by an active membrane at every node.
+"""Thresholds of a myelinated fiber with an active membrane at every node.
 
-The nodes carry the CRRSS membrane (rabbit node at 37 °C: Chiu, Ritchie,
-Rogart & Stagg 1979, as put by Sweeney, Mortimer & Durand 1987 and Rattay
-1990). Myelin is a perfect insulator and the axon joins node to node as a
-resistor (McNeal 1976). Membrane potentials are relative to rest.
+Nodes have the CRRSS membrane (rabbit node at 37 °C: Chiu, Ritchie, Rogart & Stagg 1979, as
+formulated by Sweeney, Mortimer & Durand 1987 and Rattay 1990). Myelin insulates perfectly, and the
+axon between nodes is a resistor (McNeal 1976). Membrane potentials are relative to rest.
 """
 
 import json
@@ -21,74 +20,75 @@ from smarttouch.base.errors import DesignError
 Array = NDArray[np.float64]
 
 _NODE_UF_PER_CM2 = 2.5
-_SODIUM_PER_US = 1445.0 / _NODE_UF_PER_CM2 / 1000  # mS/cm², over µF/cm² 1/ms
+_SODIUM_PER_US = 1445.0 / _NODE_UF_PER_CM2 / 1000  # conductance over capacitance, 1/µs
 _LEAK_PER_US = 128.0 / _NODE_UF_PER_CM2 / 1000
 _SODIUM_MV = 115.0
 _AXOPLASM_OHM_CM = 54.7  # Sweeney et al. 1987
-_BARE_UF_PER_CM2, _BARE_MS_PER_CM2 = 1.0, 1.0  # unmyelinated membrane, the textbook figures
-_RATES_HOLD_MV = 200.0  # the gates are long saturated there, and exp() does not overflow
+_BARE_UF_PER_CM2, _BARE_MS_PER_CM2 = 1.0, 1.0  # unmyelinated membrane, textbook values
+_RATES_HOLD_MV = 200.0  # gates are saturated there; avoids overflow of exp()
 
-_PADDING = 12  # nodes beyond the last one given
+_PADDING = 12  # nodes added beyond the last one
 _WATCHED = -5  # the padding node that must fire
 _FIRED_MV = 80.0
-_QUIET_MV = 10.0  # below it sodium cannot outweigh the leak, even with every h gate open,
-_SETTLED_US = 100.0  # once the m gates have followed (12 µs)
+_QUIET_MV = 10.0  # below it the leak exceeds sodium, even with all h gates open,
+_SETTLED_US = 100.0  # after the m gates have settled (12 µs)
 _FLOOR_MA, _CEILING_MA = 1e-4, 1000.0
-_ROUNDS = (71, 17, 17)  # candidates, down to 0.1 %; many at first, as a cathode also blocks:
-# a fiber may fire only between its threshold and three times that
-_PATIENCE_US = 20_000.0  # after the pulse; an action potential passes a node in about 10
+# Currents tried in each round, down to 0.1 %. Many at first, as strong cathodes block: a fiber may
+# fire only from its threshold to three times that.
+_ROUNDS = (71, 17, 17)
+_PATIENCE_US = 20_000.0  # longest wait after the pulse; a spike takes about 10 µs per node
 
 
 @dataclass(frozen=True)
 class Fiber:
     """Myelinated fiber whose first node is its ending in the skin.
 
-    A first node that is "passive" is the bare terminal of the receptor, sealed, with leak and
-    capacitance and no sodium channels; "active" is a sealed full node; "through" is an ordinary
-    node of a fiber that runs on, so that the cut has no effect.
+    A "passive" ending is the sealed bare terminal in the receptor, with leak and capacitance but
+    without sodium channels. An "active" ending is a sealed complete node. "through" is an ordinary
+    node of a fiber that continues.
     """
 
     diameter_um: float = 3.3  # outer; 3.3 ± 0.5 at the fingertip (Nolano et al. 2003)
-    # 0.079 ± 0.014 at the fingertip (the same), 100 outer diameters in nerve trunks (McNeal 1976)
+    # 0.079 ± 0.014 at the fingertip (Nolano et al. 2003), 100 diameters in trunks (McNeal 1976)
     internode_mm: float = 0.079
-    axon_ratio: float = 0.6  # axon over fiber diameter (Sweeney et al. 1987)
+    axon_ratio: float = 0.6  # axon diameter over fiber diameter (Sweeney et al. 1987)
     node_um: float = 1.5  # length of a node (Sweeney et al. 1987)
     end: Literal["passive", "active", "through"] = "passive"
-    # Membrane of a passive terminal, of 1 µF/cm² and 1 mS/cm². An estimate: half a millimeter of
-    # neurite 2 µm thick, coiled in a corpuscle some 100 µm long and 60 µm wide. It decides which
-    # polarity fires a fiber that rises to its ending: with the defaults, a 200 µs pulse and 0.7 mm
-    # of depth the cathode has the lower threshold below about 1250 µm².
+    # Membrane area of a passive terminal with 1 µF/cm² and 1 mS/cm². Our estimate: 0.5 mm of
+    # neurite 2 µm thick, coiled in a corpuscle about 100 µm long and 60 µm wide. The area decides
+    # which polarity fires a rising fiber. With the defaults, a pulse of 200 µs and a depth of 0.7
+    # mm, the cathode has the lower threshold below about 1250 µm².
     terminal_um2: float = 3000.0
 
     def __post_init__(self) -> None:
         sizes = (self.diameter_um, self.internode_mm, self.node_um, self.terminal_um2)
         if min(sizes) <= 0 or not 0 < self.axon_ratio <= 1:
-            raise ValueError(f"every size of a fiber must be positive and axon_ratio ≤ 1: {self}")
+            raise ValueError(f"sizes of a fiber must be positive, and axon_ratio at most 1: {self}")
         if self.end not in ("passive", "active", "through"):
             raise ValueError(f"end is {self.end!r}: not passive, active or through")
 
     @property
     def coupling_per_us(self) -> float:
-        """Axial conductance between nodes over the capacitance of one, d / (4 ρ L c l), 1/µs."""
+        """Axial conductance between nodes over the capacitance of a node, d / (4 ρ L c l), 1/µs."""
         axon_over_node = self.diameter_um * self.axon_ratio / self.node_um
         return axon_over_node / (4 * _AXOPLASM_OHM_CM * self.internode_mm * 0.1 * _NODE_UF_PER_CM2)
 
 
 class Axon:
-    """Fiber in one field or in several, ready to be stepped in time under many currents at once.
+    """Fiber in one or several fields, stepped in time under many currents at once.
 
-    A step is split (Strang): half of it for the membranes, all of it for axial current, half of it
-    for the membranes again; each part is exact, with gates half a step ahead. Beyond the last node
-    given the fiber goes on where the field bends no more. Arguments are those of `threshold_ma`;
-    potentials may be (C, N), of C fields. `push`, (P,) or (C, P) mV, is the effect of a step of 1
-    mA at each of P padded nodes.
+    A time step is split (Strang): half a step of the membranes, a step of axial current, half a
+    step of the membranes. Each part is exact; gates are half a step ahead. The fiber continues
+    beyond the last node, in a field without curvature. Arguments are as for `threshold_ma`;
+    potentials may be (C, N) for C fields. `push`, (P,) or (C, P) mV, is the effect of 1 mA in one
+    step at each of P padded nodes.
     """
 
     def __init__(self, potential_mv_per_ma: ArrayLike, fiber: Fiber, step_us: float) -> None:
         potential = np.asarray(potential_mv_per_ma, np.float64)
         nodes = potential.shape[-1] if potential.ndim else 0
         if potential.ndim not in (1, 2) or nodes < 2 or not np.isfinite(potential).all():
-            raise ValueError("potentials must be finite, one for each of at least two nodes")
+            raise ValueError("potentials must be finite, and given for two nodes or more")
         count = nodes + _PADDING
         slope = np.diff(potential)
         before = slope[..., :1] if fiber.end == "through" else 0 * slope[..., :1]
@@ -105,13 +105,13 @@ class Axon:
 
         self._gates_at_rest = _gates(np.zeros(1))[1]
         m, h = self._gates_at_rest[:, 0]
-        # Sweeney's −0.01 mV is this figure rounded: the leak that makes 0 mV the resting state.
+        # This leak makes 0 mV the resting potential; Sweeney's −0.01 mV is the rounded value.
         self._leak_current = -self._sodium * m * m * h * _SODIUM_MV
         self.step_us = step_us
 
     @staticmethod
     def passive_parts(fiber: Fiber, count: int) -> tuple[Array, Array]:
-        """Return axial coupling (P, 2P) of potentials and of field, and leaks (P,), 1/µs."""
+        """Return axial coupling of potentials and of the field, (P, 2P), and leaks, (P,), 1/µs."""
         coupling = np.eye(count, k=1) + np.eye(count, k=-1)
         coupling -= np.diag(coupling.sum(axis=1))
         axial = fiber.coupling_per_us * np.column_stack([coupling, np.eye(count)])
@@ -123,13 +123,14 @@ class Axon:
         return axial, leak
 
     def rest(self, count: int) -> tuple[Array, Array]:
-        """Return potentials (A, P) in mV and gates m and h (2, A, P) at rest, P padded nodes."""
+        """Return the resting state: potentials (A, P) mV, and gates m and h (2, A, P)."""
         size = (count, self._sodium.size)
         gates = np.broadcast_to(self._gates_at_rest[:, :, None], (2, *size))
         return np.zeros(size), gates.copy()
 
     def advance(self, state: tuple[Array, Array], driven_mv: Array | None) -> tuple[Array, Array]:
-        """Return the state after one step, driven by (A, P) mV, currents times `push`, or not."""
+        """Return the state after one step; ``driven_mv``, (A, P), is current times `push`, or
+        None."""
         v, gates = state
         rate, target = _gates(v)
         rate *= -self.step_us
@@ -147,7 +148,7 @@ class Axon:
 
 @lru_cache(maxsize=16)
 def _over_step(fiber: Fiber, count: int, step_us: float) -> Array:
-    """Return the matrix of one step on potentials and field, (2P, 2P) of P padded nodes."""
+    """Return the matrix of one step of potentials and field, (2P, 2P)."""
     axial = Axon.passive_parts(fiber, count)[0]
     step_matrix: Array = expm(np.vstack([axial, np.zeros_like(axial)]) * step_us)
     step_matrix.setflags(write=False)
@@ -155,7 +156,7 @@ def _over_step(fiber: Fiber, count: int, step_us: float) -> Array:
 
 
 def _gates(v: Array) -> tuple[Array, Array]:
-    """Return rates (1/µs) and steady values of the gates m and h, stacked first (CRRSS)."""
+    """Return rates (1/µs) and steady values of the gates m and h, stacked on axis 0 (CRRSS)."""
     held = np.minimum(np.maximum(v, -_RATES_HOLD_MV), _RATES_HOLD_MV)
     opening, closing = np.empty((2, *v.shape)), np.empty((2, *v.shape))
     np.divide(97 + 0.363 * held, 1 + np.exp((31 - held) / 5.3), out=opening[0])
@@ -176,12 +177,12 @@ def threshold_ma(
     cathodic: bool,
     step_us: float = 2.0,
 ) -> float:
-    """Return the smallest current, mA, of a rectangular pulse that fires a fiber, within 0.1 %.
+    """Return the threshold current of a rectangular pulse, mA, within 0.1 %.
 
-    Potentials (N,), mV per mA of cathodic current, are outside the nodes, ending first; they should
-    have faded, or bend no more, at the last. A fiber fires if it sends an action potential out of
-    the field: a node beyond the last one given crosses 80 mV. A threshold outside 0.0001 to 1000 mA
-    is a DesignError.
+    Potentials outside the nodes, (N,), mV per mA of cathodic current, begin at the ending; at the
+    last node they should be zero or linear. A fiber fires if an action potential leaves the field:
+    a node beyond the last one exceeds 80 mV. Raises DesignError if the threshold is outside 0.0001
+    to 1000 mA.
     """
     steps = max(1, int(np.ceil(width_us / step_us - 1e-9)))
     axon = Axon(potential_mv_per_ma, fiber, width_us / steps)
@@ -203,7 +204,7 @@ def threshold_ma(
 
 
 def _fires(axon: Axon, driven_mv: Array, steps: int) -> NDArray[np.bool_]:
-    """Return whether each of (A, P) drives, held for a number of steps, fires the fiber, (A,)."""
+    """Return whether each drive, (A, P), applied for ``steps`` steps, fires the fiber, (A,)."""
     v, gates = axon.rest(len(driven_mv))
     alive = np.arange(len(driven_mv))
     fires, step = np.zeros(alive.size, np.bool_), 0
@@ -224,8 +225,8 @@ def _fires(axon: Axon, driven_mv: Array, steps: int) -> NDArray[np.bool_]:
 
 
 def weiss_fit(widths_us: ArrayLike, thresholds_ma: ArrayLike) -> tuple[float, float]:
-    """Return rheobase (mA) and chronaxie (µs), I·w = rheobase × (w + chronaxie) (Weiss 1901), with
-    charges weighted by their relative error."""
+    """Fit Weiss's law (1901), I·w = rheobase × (w + chronaxie), to relative errors; return rheobase
+    (mA) and chronaxie (µs)."""
     widths = np.asarray(widths_us, np.float64)
     charges = widths * np.asarray(thresholds_ma, np.float64)
     rheobase, least_charge = np.polyfit(widths, charges, 1, w=1 / charges)
@@ -241,37 +242,39 @@ FIBERS = {
     "trunk": Fiber(diameter_um=5.7, internode_mm=0.5, terminal_um2=1850.0),
     "mrg": Fiber(diameter_um=5.7, internode_mm=0.5055746, terminal_um2=1850.0),
 }
-"""Fibers by name: the fingertip's (Nolano et al. 2003) and one of a nerve trunk in our own cable
-model, and the MRG model. With 1850 µm² of bare terminal an upright fiber at 0.7 mm needs 1.38
-times as much cathodic as anodic current; macaque RA afferents 1.3 to 1.5 (Kaczmarek 2000)."""
+"""Fibers by name: at the fingertip (Nolano et al. 2003), in a nerve trunk, and by the MRG model.
+With a terminal of 1850 µm² an upright fiber at 0.7 mm needs 1.38 times as much cathodic as anodic
+current; macaque RA afferents need 1.3 to 1.5 times (Kaczmarek 2000)."""
 
 
 @dataclass(frozen=True, eq=False)
 class DrivingFunction:
-    """Weights that make a fiber's drive from potentials along it."""
+    """Linear function of the potentials along a fiber that predicts whether it fires."""
 
     internode_mm: float
-    end: End  # kind of the first node, as in `membrane.Fiber`
-    along: Array  # (K + 1,) 1/mV, of a node and its K neighbors to either side
-    near_end: Array  # (H, L) 1/mV, of the first H nodes that can fire; (0, 0) if it runs through
-    # Drive of opposite sign that blocks a passing spike, over that of the node that fires: anodes
-    # of long pulses do so. Infinite where none do.
+    end: End  # kind of ending, as in `Fiber`
+    along: Array  # (K + 1,) 1/mV: weights of a node and of K neighbors on each side
+    near_end: Array  # (H, L) 1/mV: weights for the first H nodes; (0, 0) for "through"
+    # Hyperpolarizing drive that blocks a passing spike, relative to the drive of the firing node;
+    # infinite if spikes are never blocked. Long anodic pulses block.
     block: float = np.inf
 
     def drive(self, potential_mv: Array) -> Array:
-        """Return the drive, (C, M, E), 1 at threshold, of potentials (C, N, E), ending first."""
+        """Return the drive, (C, M, E), for potentials (C, N, E), ending first; 1 is the
+        threshold."""
         return self.operator(potential_mv.shape[-2]) @ potential_mv
 
     def highest(self, potential_mv: Array) -> Array:
-        """Return the largest drive (C,) of a node whose spike gets out, by potentials (C, N).
+        """Return the largest drive, (C,), of nodes whose spikes are not blocked, for potentials (C,
+        N).
 
-        A spike blocked on its way toward the last node does not count; 0 if all are.
+        It is 0 if all are blocked on the way to the last node.
         """
         drive = self.drive(potential_mv[..., None])[..., 0]
         return np.asarray(np.where(passes(drive, self.block), drive, 0.0).max(axis=1))
 
     def operator(self, nodes: int) -> Array:
-        """Return the drive as a matrix on the potentials of a number of nodes, (M, N) 1/mV."""
+        """Return the matrix from potentials of N nodes to drives, (M, N) 1/mV."""
         bend = bend_operator(self.end, nodes)
         first = self.end == "passive"
         size = len(bend)
@@ -288,7 +291,7 @@ class DrivingFunction:
 
 
 def passes(drive: Array, block: float) -> NDArray[np.bool_]:
-    """Return whether a spike of each node gets past the nodes after it, (C, M)."""
+    """Return whether the spike of each node passes all later nodes, (C, M)."""
     against = np.maximum.accumulate(-drive[:, ::-1], axis=1)[:, ::-1]
     free = np.ones(drive.shape, np.bool_)
     if np.isfinite(block):
@@ -297,7 +300,8 @@ def passes(drive: Array, block: float) -> NDArray[np.bool_]:
 
 
 def bend_operator(end: End, nodes: int) -> Array:
-    """Return second differences along a fiber as a matrix, (B, N), and the first at an ending."""
+    """Return the matrix of second differences along a fiber, (B, N); first difference at an
+    ending."""
     bends = np.diff(np.eye(nodes), 2, axis=0)
     if end == "through":
         return bends
@@ -311,7 +315,7 @@ def _shipped() -> dict[str, Any]:
 
 def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
     """Return the driving function of one of `FIBERS`, interpolated over the logarithm of pulse
-    width; DesignError if there is none."""
+    width. Raises DesignError if there is none."""
     offered = _shipped()
     fitted: dict[str, Any] = offered.get(fiber, {}).get(end, {})
     if not fitted:
@@ -319,7 +323,7 @@ def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
             f"{name}, {ending_name}" for name, ends in offered.items() for ending_name in ends
         )
         raise DesignError(
-            f"no driving function of a {fiber!r} fiber with ending {end!r}: there are those of "
+            f"there is no driving function of a {fiber!r} fiber with ending {end!r}: choose from "
             f"{'; '.join(names)}"
         )
     widths = sorted(float(width) for width in fitted)

@@ -1,7 +1,7 @@
 """Spikes of a finger's afferents.
 
-In any slot few afferents are near firing. So the drives of 16 successive nodes are bounded
-together, and computed only where the bound reaches what fires.
+In each slot only a few afferents are near threshold. So the drives of 16 successive nodes are
+bounded together, and computed only if the bound reaches the threshold.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -18,15 +18,15 @@ from smarttouch.physiology.finger import Finger, strength
 
 Floats = NDArray[np.float32]
 
-_BLOCK = 16  # nodes that are bounded together
-_AT_ONCE = 2**20  # bounds that are computed together: more leave the processor's cache
-_ROUNDING = 1e-4  # more than a bound loses in float32
+_BLOCK = 16  # nodes with a common bound
+_AT_ONCE = 2**20  # bounds computed together: more do not fit into the processor's cache
+_ROUNDING = 1e-4  # larger than the rounding error of a bound in float32
 
 
 class NodeDrives:
-    """Largest drive of each afferent under any currents.
+    """Computes the largest drive of each afferent for given currents.
 
-    Rows (N, E), 1/mA, are drives of nodes; `starts`, (A,), is the first node of each afferent.
+    Rows, (N, E), 1/mA, are drives of nodes; `starts`, (A,), is the first node of each afferent.
     """
 
     def __init__(self, rows: Floats, starts: NDArray[np.intp]) -> None:
@@ -39,7 +39,7 @@ class NodeDrives:
 
     @cached_property
     def _bounds(self) -> Floats:
-        """Largest and smallest drives of each block, (B, 2 E) 1/mA; letters do without."""
+        """Largest and smallest drives of each block, (B, 2 E) 1/mA; computed on first use."""
         return np.array([np.r_[block.max(axis=0), block.min(axis=0)] for block in self._blocks])
 
     def highest(self, current_ma: Floats) -> Floats:
@@ -50,7 +50,7 @@ class NodeDrives:
         return highest_drive
 
     def highest_from(self, least: float, current_ma: Floats) -> Floats:
-        """Return `highest` where it is at least so much; smaller drives may be minus infinity."""
+        """Return `highest`, except that drives below ``least`` may be minus infinity."""
         highest_drive = np.full((len(self._afferents), len(current_ma)), -np.inf, np.float32)
         either = np.vstack([np.maximum(current_ma.T, 0), np.minimum(current_ma.T, 0)])
         size = max(1, _AT_ONCE // max(1, len(current_ma)))
@@ -63,14 +63,15 @@ class NodeDrives:
         return highest_drive
 
 
-_KNOWN = 1024  # slots whose drives are kept
-_FEW = 64  # slots of which all drives are computed sooner than bounds
+_KNOWN = 1024  # slots whose drives are cached
+_FEW = 64  # number of slots up to which computing all drives is faster than bounds
 _FARTHEST = 6.0
-"""Standard deviations of its noise below threshold from which an afferent is not tried."""
+"""Distance below threshold, in standard deviations of noise, at which an afferent is assumed
+silent."""
 
 
 class SlotCurrents(Protocol):
-    """Currents in time: a scan sequence, or anything that has the same fields."""
+    """Currents over time: a scan sequence, or an object with the same fields."""
 
     @property
     def current_ua(self) -> NDArray[np.int16]: ...
@@ -87,7 +88,7 @@ class Spikes:
     """Spikes of one sequence."""
 
     fired: NDArray[np.bool_]  # (A, S) whether each afferent fired in each slot
-    time_us: NDArray[np.int64]  # (S,) start of each slot, from the first sequence on
+    time_us: NDArray[np.int64]  # (S,) start of each slot, since the start of the first sequence
 
     @property
     def counts(self) -> NDArray[np.intp]:
@@ -96,11 +97,11 @@ class Spikes:
 
 
 class SpikeModel:
-    """Afferents of a finger that fire, with their thresholds, noise and refractoriness.
+    """Spiking model of a finger's afferents, with thresholds, noise and refractory periods.
 
-    An afferent fires in a slot where the drive of any of its nodes reaches its threshold, unless it
-    fired a refractory time ago or less. A pulse counts by its width, by Weiss's law. The seed is
-    that of the noise from pulse to pulse.
+    An afferent fires in a slot if the drive of one of its nodes reaches its threshold and it did
+    not fire within the refractory period. Drives depend on pulse width by Weiss's law. The seed is
+    for the noise from pulse to pulse.
     """
 
     def __init__(self, finger: Finger, seed: int = 1) -> None:
@@ -123,7 +124,7 @@ class SpikeModel:
         self.reset()
 
     def reset(self) -> None:
-        """Reset all spikes and the noise; computed drives are kept."""
+        """Reset spikes and noise; cached drives stay."""
         self._random = np.random.default_rng(self._seed)
         self._last_us = np.full(len(self.finger.classes), -np.inf)
         self._now_us = 0
@@ -131,11 +132,10 @@ class SpikeModel:
     def drive(
         self, current_ua: NDArray[Any], width_us: NDArray[Any], firing: bool = False
     ) -> Floats:
-        """Return each afferent's largest drive by currents (S, E) µA, (A, S) float32.
+        """Return each afferent's largest drive, (A, S) float32; 1 is the threshold.
 
-        1 is its threshold; currents are positive cathodic, pulse widths (S,). If they
-        are only to be fired, afferents that stay silent may have minus infinity: less to compute.
-        Slots that come again are computed once.
+        Currents, (S, E) µA, are positive cathodic; widths are (S,) µs. With ``firing``, afferents
+        that stay silent may have minus infinity, which is faster. Repeated slots are computed once.
         """
         slots = np.column_stack([current_ua, width_us]).astype(np.float32)
         keys = [(firing, slot.tobytes()) for slot in slots]
@@ -149,7 +149,7 @@ class SpikeModel:
         return np.stack(drives, axis=1) if drives else self._computed(slots, firing)
 
     def _computed(self, slots: Floats, firing: bool) -> Floats:
-        """Return drives by slots, (S, E + 1): currents in µA, and widths."""
+        """Return drives for slots, (S, E + 1): currents, µA, and width, µs."""
         current_ma = slots[:, :-1] / np.float32(1000)
         by_class = strength(slots[:, -1:], self._chronaxie_us) / self._reference
         if firing and len(slots) > _FEW:
@@ -161,12 +161,13 @@ class SpikeModel:
         return highest
 
     def fire(self, slots: SlotCurrents, above: Floats | None = None) -> Spikes:
-        """Return the spikes of one sequence, by its `drive` if given; the next one follows it."""
+        """Return the spikes of one sequence, which follows the last one. ``above`` is its `drive`,
+        if known."""
         lasts = slots.width_us.astype(np.int64) + slots.discharge_us
         time_us = self._now_us + np.cumsum(lasts) - lasts
         if above is None:
             above = self.drive(slots.current_ua, slots.width_us, firing=True)
-        # The others stay silent: so large a noise comes once in a thousand million pulses.
+        # The others stay silent: such noise occurs once in 10⁹ pulses.
         near = np.flatnonzero((above >= 1 - _FARTHEST * self._noise[:, None]).any(axis=1))
         spread = self._noise[near, None] * self._random.standard_normal(
             (len(near), above.shape[1]), np.float32
@@ -185,17 +186,17 @@ class SpikeModel:
 
 @dataclass(frozen=True)
 class ResponseQuality:
-    """What a pattern fired in a finger, by the one definition that all commands have.
+    """Quality of a finger's response to a pattern.
 
-    Active electrodes are those that were to stimulate, whatever the board made of it.
+    Active electrodes are those that were requested to stimulate.
     """
 
     spikes: int  # of all classes
-    afferents: dict[Afferent, int]  # number that fired, of each class
-    # fraction of active electrodes without a firing receptor of a wanted class within half a pitch
+    afferents: dict[Afferent, int]  # number of afferents that fired, by class
+    # share of active electrodes without a firing receptor of a wanted class within half a pitch
     silent_points: float
-    wrong_class: float  # fraction of spikes of other classes; NaN without a spike
-    # fraction of spikes with a receptor beyond a pitch of every active electrode; or NaN
+    wrong_class: float  # share of spikes of other classes; NaN without spikes
+    # share of spikes more than a pitch from every active electrode; NaN without spikes
     misplaced: float
 
 
@@ -205,7 +206,8 @@ def response_quality(
     active: NDArray[np.bool_],
     wanted: Collection[Afferent],
 ) -> ResponseQuality:
-    """Return what spike counts (A,) mean for active electrodes (E,) and the classes wanted."""
+    """Compute the quality of spike counts, (A,), for active electrodes, (E,), and wanted
+    classes."""
     electrodes = finger.profile.electrodes
     fired = np.flatnonzero(counts)
     spikes, classes = counts[fired], finger.classes[fired]
@@ -225,14 +227,14 @@ def response_quality(
 
 
 def ignore_nan(how: Callable[[list[float]], float], values: Iterable[float]) -> float:
-    """Return a mean or median of the values that are numbers; NaN if none is."""
+    """Apply a mean or median to the values that are not NaN; return NaN if all are."""
     numbers = [value for value in values if not isnan(value)]
     return how(numbers) if numbers else nan
 
 
 def middle_90(values: Iterable[float]) -> tuple[float, float, float]:
-    """Return the median of the values that are numbers, and the bounds of their middle 90 %; NaN if
-    none is."""
+    """Return the median and the bounds of the middle 90 % of the values that are not NaN; NaN if
+    all are."""
     known = [value for value in values if not isnan(value)]
     middle, low, high = np.quantile(known, (0.5, 0.05, 0.95)) if known else (nan, nan, nan)
     return float(middle), float(low), float(high)
@@ -244,8 +246,8 @@ def response_map(
     places_mm: NDArray[np.float64],
     blur_mm: float = 1.0,
 ) -> NDArray[np.float32]:
-    """Return spikes of each class around places (P, 2) mm, (3, P), blurred by the standard
-    deviation of a receptive field. Ours."""
+    """Return the density of spikes of each class at places (P, 2) mm, (3, P), blurred by the
+    standard deviation ``blur_mm`` of a receptive field (our choice)."""
     fired = counts > 0
     away = places_mm[None] - finger.receptor_mm[fired, None]
     weight = np.exp(-(away**2).sum(axis=2) / (2 * blur_mm**2)) * counts[fired, None]
@@ -256,7 +258,7 @@ def response_map(
 
 
 def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
-    """Return spikes (3, ...) as inks on white, (..., 3), with full color at `most` in total."""
+    """Return spikes, (3, ...), as colors on white, (..., 3), saturated at `most` in total."""
     image = np.ones((*spikes.shape[1:], 3), np.float32)
     for afferent, color in CLASS_COLORS.items():
         ink = 1 - np.array([int(color[at : at + 2], 16) for at in (1, 3, 5)]) / 255
@@ -266,12 +268,12 @@ def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, eq=False)
 class Feeling:
-    """Spikes of a finger under scan sequences that follow each other."""
+    """Response of a finger to consecutive scan sequences."""
 
     finger: Finger
     spikes: tuple[Spikes, ...]  # one for each sequence
-    active: NDArray[np.bool_]  # (E,) electrodes that were meant to stimulate
-    # classes that were meant to fire; all for sequences without their steps
+    active: NDArray[np.bool_]  # (E,) electrodes that were requested to stimulate
+    # requested classes; all if only sequences are given
     wanted: tuple[Afferent, ...]
 
     @cached_property
@@ -284,12 +286,12 @@ class Feeling:
 
     @cached_property
     def quality(self) -> ResponseQuality:
-        """Afferents that fired, silent points, and spikes of other classes and elsewhere."""
+        """Quality of the response to all sequences together."""
         return response_quality(self.finger, self.counts, self.active, self.wanted)
 
 
 def feel(finger: Finger, given: Any, seed: int = 1) -> Feeling:
-    """Return a finger's spikes under a Step, StepResult or ScanSequence, or several in order."""
+    """Return a finger's response to a Step, StepResult or ScanSequence, or to several in order."""
     parts = list(given) if isinstance(given, Iterable) else [given]
     steps = [getattr(part, "step", part) for part in parts]
     sequences: list[SlotCurrents] = [getattr(step, "sequence", step) for step in steps]
@@ -307,7 +309,7 @@ def feel(finger: Finger, given: Any, seed: int = 1) -> Feeling:
 
 
 def fire_all(model: SpikeModel, sequences: Sequence[SlotCurrents]) -> Iterator[Spikes]:
-    """Yield the spikes of sequences that follow each other; equal slots are computed once."""
+    """Yield the spikes of consecutive sequences; equal slots are computed once."""
     if not sequences:
         return
     current_ua = np.concatenate([sequence.current_ua for sequence in sequences])
@@ -322,13 +324,13 @@ def fire_all(model: SpikeModel, sequences: Sequence[SlotCurrents]) -> Iterator[S
 
 Counts = dict[int, NDArray[np.intp]]  # spikes of each afferent, (A,), by sequence number
 
-FIELD_MM = 1.0  # standard deviation of a receptive field. Ours.
-MOST_SLOTS = 10_000  # slots that are looked at; of more, sequences are left out evenly
+FIELD_MM = 1.0  # standard deviation of a receptive field (our choice)
+MOST_SLOTS = 10_000  # largest number of slots; with more, sequences are left out evenly
 
 
 @dataclass(frozen=True, eq=False)
 class DeliveredSlots:
-    """Slots of one delivered sequence, as `SpikeModel` takes them."""
+    """Slots of one delivered sequence, for `SpikeModel`."""
 
     current_ua: NDArray[np.int16]
     width_us: NDArray[np.uint16]
@@ -345,10 +347,9 @@ def delivered_spikes(
     most_slots: int | None = None,
     model: SpikeModel | None = None,
 ) -> Counts:
-    """Return the spikes of a finger under delivered slots (N,) of the sequences that ``period_us``
-    names, those of one sequence one after another; above ``most_slots``, sequences are left out
-    evenly. A model of the finger that is used again knows the patterns of before, and fires as a
-    new one."""
+    """Return a finger's spikes for delivered slots (N,), by sequence number. Slots of one sequence
+    are consecutive; only sequences in ``period_us`` count. Above ``most_slots``, sequences are left
+    out evenly. A model that is passed again is reset, but keeps its cache."""
     begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
     parts = zip(begins, np.append(begins[1:], len(numbers)), strict=False)
     sequences = {}

@@ -1,28 +1,27 @@
 """Vibration thresholds of each class of receptor by frequency.
 
-The curves of the paper's Fig. 2 as simple analytic ones. RA and PC are valleys in
-log-log coordinates, flat at their best frequency and straight far from it; SAI is flat
-up to a few hertz. They are tied down by
+The curves of the paper's Fig. 2 as analytic functions. In log-log coordinates RA and PC are
+hyperbolas with a minimum at the best frequency; SAI is flat up to a few hertz. The parameters are
+from
 
 - the best frequencies and bands of the paper (Sections I and III-C): RA best at 30 Hz,
-  20 to 70 Hz; PC best at 250 Hz, 60 to 800 Hz; SAI static. RA's band is taken as where
-  its threshold is at most 3 dB above its best. PC's threshold is as high at 800 as at
-  60 Hz;
-- the fingertip, where both are alike at 40 Hz (Güçlü and Bolanowski). The paper lets PC
-  come in at 60 and RA end at 70 Hz, as its reviews of other skin had it;
+  20 to 70 Hz; PC best at 250 Hz, 60 to 800 Hz; SAI static. RA's band is where its threshold is at
+  most 3 dB above the minimum. PC's thresholds at 60 and 800 Hz are equal;
+- the fingertip, where RA and PC have equal thresholds at 40 Hz (Güçlü and Bolanowski). In the
+  paper, PC begins at 60 and RA ends at 70 Hz, as in its sources for other skin;
 - the slopes of the four-channel model (Bolanowski, Gescheider, Verrillo and Checkosky,
   J. Acoust. Soc. Am. 84, 1988): about -12 dB per octave below the best frequency of the
   Pacinian channel, about -5 below that of NP I (RA), none for NP III (SAI);
-- two levels. PC at its best: -10 dB re 1 µm under the 0.3 cm² of a finger pad. That is an
-  extrapolation: -20 dB under 2.9 cm² of the thenar (the same), 3 dB for each halving of the
-  area (Verrillo, J. Acoust. Soc. Am. 35, 1963); on the fingertip these 3 dB are shown from
-  0.025 to 0.1 cm² only (Gescheider 2002). SAI: 28 dB (Bolanowski et al.). RA's level
-  follows from where the curves meet.
+- two levels. PC has a minimum of -10 dB re 1 µm under 0.3 cm² of a finger pad. This is extrapolated
+  from -20 dB under 2.9 cm² of the thenar (Bolanowski et al.) with 3 dB for each halving of the area
+  (Verrillo, J. Acoust. Soc. Am. 35, 1963); on the fingertip, 3 dB are confirmed only from 0.025 to
+  0.1 cm² (Gescheider 2002). SAI has 28 dB (Bolanowski et al.). RA's level follows from the
+  intersection with PC.
 
-RA and SAI then meet at about 5 Hz. Recordings from human afferents agree on the order
-(Johansson, Landström and Lundström, Brain Res. 244, 1982: RA 8 to 64 Hz, PC above, SAI
-below). How round the valleys are is ours. These are thresholds of feeling; a single
-afferent needs more (`examples/studies/receptor_spikes.py`).
+RA and SAI then intersect at about 5 Hz. Recordings from human afferents confirm the order
+(Johansson, Landström and Lundström, Brain Res. 244, 1982: RA 8 to 64 Hz, PC above, SAI below). The
+curvature at the minimum is our choice. These are thresholds of perception; a single afferent needs
+more (`examples/studies/receptor_spikes.py`).
 """
 
 from dataclasses import dataclass
@@ -38,26 +37,26 @@ RA_BEST_HZ, RA_BAND_HZ = 30.0, (20.0, 70.0)
 PC_BEST_HZ, PC_BAND_HZ = 250.0, (60.0, 800.0)
 """Best frequency and band of PC (paper, Section III-C)."""
 BAND_DB = 3.0
-"""Rise of RA's threshold from its best to the edges of its band: half the power. Ours."""
+"""Rise of RA's threshold at the edges of its band: half the power (our choice)."""
 MEETING_HZ = 40.0
-"""Frequency of equal thresholds of RA and PC on the fingertip (Güçlü and Bolanowski)."""
+"""Frequency at which RA and PC have equal thresholds on the fingertip (Güçlü and Bolanowski)."""
 PC_BEST_DB, SAI_DB = -10.0, 28.0
-"""Thresholds, dB re 1 µm of amplitude: see above."""
+"""Minimum thresholds, dB re 1 µm amplitude, see above."""
 SAI_CORNER_HZ = 5.0
-"""Frequency from which SAI's threshold rises, at first order. Ours, for "below a few hertz"."""
+"""Corner frequency of SAI's first-order rise (our choice for "below a few hertz")."""
 PC_DB_PER_OCTAVE = 12.0
 """Slope of PC's threshold (Bolanowski et al. 1988)."""
 
 
 @dataclass(frozen=True)
 class _Flank:
-    """One side of a valley: dB above the best, ``octaves`` away from it."""
+    """One side of a threshold curve."""
 
     db_per_octave: float
     roundness: float
 
     def rise_db(self, octaves: Array) -> Array:
-        """Return the rise above the best: a hyperbola, flat at the best frequency."""
+        """Return the rise above the minimum, a hyperbola, at a distance in octaves."""
         w = self.roundness
         return np.asarray(self.db_per_octave * (np.hypot(octaves, w) - w))
 
@@ -69,7 +68,7 @@ def _flank_through(frequency_hz: float, best_hz: float, rise_db: float, round_: 
 
 @dataclass(frozen=True)
 class _Valley:
-    """A threshold curve with one best frequency."""
+    """Threshold curve with one best frequency."""
 
     best_hz: float
     best_db: float
@@ -103,10 +102,10 @@ _VALLEYS = _valleys()
 
 
 def threshold_um(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
-    """Return the smallest amplitude of vibration, µm, to which a class responds at a frequency, Hz.
+    """Return the threshold amplitude of a class, µm, at a frequency, Hz.
 
     The amplitude is half of peak to peak. 0 Hz is a static indentation, to which RA and PC never
-    respond; below it is a ValueError.
+    respond. Raises ValueError for negative frequencies.
     """
     frequency = np.asarray(frequency_hz, np.float64)
     if np.any(frequency < 0):
@@ -118,7 +117,8 @@ def threshold_um(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
 
 
 def sensitivity(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
-    """Return the sensitivity at a frequency, Hz: 1 at 30 Hz (RA), 250 Hz (PC) or rest (SAI)."""
+    """Return the sensitivity at a frequency, Hz, relative to the best: 30 Hz (RA), 250 Hz (PC) or 0
+    Hz (SAI)."""
     best = threshold_um(afferent, best_hz(afferent))
     return np.asarray(best / threshold_um(afferent, frequency_hz))
 
