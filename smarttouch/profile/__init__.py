@@ -1,4 +1,4 @@
-"""One device on one finger: what calibrations measured, and the limits that hold for it."""
+"""Profiles: one device on one finger, with calibrations and limits."""
 
 from smarttouch.profile.device import ForceLaw, Optics, Skin
 from smarttouch.profile.profile import Profile

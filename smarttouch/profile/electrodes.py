@@ -1,4 +1,4 @@
-"""Electrode arrays: places and shapes of the electrodes, from profiles and from tables."""
+"""Electrode arrays: positions and shapes of electrodes, from profiles and from tables."""
 
 import re
 from collections.abc import Iterator
@@ -27,45 +27,42 @@ Shape = Literal["point", "disc", "annulus", "rectangle"]
 
 _Layout = TypeVar("_Layout", bound=Table)
 
-COINCIDENT_MM = 1e-3  # distance below which two electrodes count as one given twice
+COINCIDENT_MM = 1e-3  # distance below which two electrodes count as duplicates
 
 
 @dataclass(frozen=True, eq=False)
 class ElectrodeArray:
     """Electrodes on the skin.
 
-    x runs to the right along the text line, y **downward** as in an image; the origin is the
-    array's center. Fewer than two electrodes, or two that overlap of which none is a ring around
-    the other, raise a ProfileError.
+    x points right along a line of text, y **downward** as in an image; the origin is the center of
+    the array. Raises ProfileError for fewer than two electrodes, or for overlaps, except of an
+    electrode within a ring.
     """
 
     __repr__ = one_line
 
-    position_mm: NDArray[np.float64]  # (E, 2) center of each
-    # Width and height of the patch of skin that one electrode stands for: its share of the array,
-    # and the aperture through which it sees the page.
+    position_mm: NDArray[np.float64]  # (E, 2) centers
+    # width and height of the cell of each electrode, which is also its aperture on the page
     cell_mm: tuple[float, float]
     pitch_mm: float  # distance to the nearest neighbor
     shape: Shape = "disc"
-    # Outer and inner diameter of an annulus, diameter and 0 of a disc, width and height of a
-    # rectangle.
+    # Annulus: outer and inner diameter; disc: diameter and 0; rectangle: width and height.
     size_mm: tuple[float, float] = (1.0, 0.0)
-    # Shape and size of each electrode, where they differ; `shape` and `size_mm` are then those of
-    # the first.
+    # Shape and size of each electrode if they differ; `shape` and `size_mm` describe the first.
     own: tuple[tuple[Shape, tuple[float, float]], ...] | None = None
 
     def __post_init__(self) -> None:
         if len(self) < 2:
             raise ProfileError(
                 f"the array has {len(self) or 'no'} electrode{'' if len(self) else 's'}: give at "
-                "least two, as current must go somewhere",
+                "least two, as current needs a way back",
                 key="electrodes",
             )
-        # Of one shape they may overlap where a field is computed for each by itself.
+        # Uniform arrays may overlap, as in the computation of fields of single electrodes.
         self.refuse_overlaps(COINCIDENT_MM if self.own is None else None)
 
     def refuse_overlaps(self, least_mm: float | None = None) -> None:
-        """Raise if two electrodes overlap, or are nearer to each other than a distance."""
+        """Raise ProfileError if two electrodes overlap or, if given, are closer than a distance."""
         apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
         touching = self._overlap(apart) if least_mm is None else apart < least_mm
         if touching.any():
@@ -90,7 +87,7 @@ class ElectrodeArray:
 
     @cached_property
     def kinds(self) -> dict[tuple[Shape, tuple[float, float]], NDArray[np.intp]]:
-        """Electrodes of each shape and size, in order of the first of each."""
+        """Electrodes by shape and size, in order of first occurrence."""
         every = self.own or ((self.shape, self.size_mm),) * len(self)
         return {
             kind: np.array(
@@ -101,14 +98,15 @@ class ElectrodeArray:
 
     @cached_property
     def area_mm2(self) -> NDArray[np.float64]:
-        """Area of each electrode, (E,) mm²; a point stands for a disc of 1 mm."""
+        """Area of each electrode, (E,) mm²; a point counts as a disc of 1 mm."""
         areas = np.zeros(len(self))
         for kind, which in self.kinds.items():
             areas[which] = _area_mm2(*kind)
         return areas
 
     def _overlap(self, apart_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which pairs lie on each other, (E, E); of rectangles, which coincide."""
+        """Return which pairs of electrodes overlap, (E, E); rectangles overlap only if they
+        coincide."""
         outer, hole = np.zeros(len(self)), np.zeros(len(self))
         for (shape, (first, second)), which in self.kinds.items():
             outer[which] = first / 2 if shape in ("disc", "annulus") else 0
@@ -119,7 +117,7 @@ class ElectrodeArray:
 
     @cached_property
     def extent_mm(self) -> tuple[float, float]:
-        """Width and height of the array, cells included, mm."""
+        """Width and height of the array, including cells, mm."""
         span = np.ptp(self.position_mm, axis=0)
         return float(span[0] + self.cell_mm[0]), float(span[1] + self.cell_mm[1])
 
@@ -134,7 +132,7 @@ def _area_mm2(shape: Shape, size_mm: tuple[float, float]) -> float:
 
 
 class GridLayout(Table):
-    """A rectangular grid of discs, or of rings where an inner diameter is given."""
+    """Rectangular grid of discs, or of rings if an inner diameter is given."""
 
     layout: Literal["grid"]
     """Electrodes in rows and columns, counted row by row from the upper left."""
@@ -149,7 +147,7 @@ class GridLayout(Table):
     diameter_mm: Positive
     """Diameter of each electrode."""
     inner_diameter_mm: float = Field(default=0.0, ge=0)
-    """Inner diameter of rings; 0 for discs, and below ``diameter_mm``."""
+    """Inner diameter of rings, below ``diameter_mm``; 0 for discs."""
 
     @model_validator(mode="after")
     def _ring(self) -> Self:
@@ -183,15 +181,15 @@ class HexagonLayout(Table):
     """The hexagon of 61 discs."""
 
     layout: Literal["hexagon-61"]
-    """Electrodes in nine rows of 5 to 9, in the order of the board."""
+    """Electrodes in nine rows of 5 to 9, in the numbering of the board."""
     pitch_mm: Positive
     """Distance between neighbors."""
     diameter_mm: Positive
     """Diameter of each electrode."""
 
     def build(self) -> ElectrodeArray:
-        """Return the electrodes as the board counts them, from the far row down with falling x:
-        electrode 0 is at the right end of the top row."""
+        """Return the electrodes in the numbering of the board: rows from the top, each from right
+        to left."""
         height_mm = self.pitch_mm * np.sqrt(3) / 2
         points = [
             (x, -4 * height_mm + height_mm * row)
@@ -210,11 +208,11 @@ class LineLayout(Table):
     """Parallel line electrodes."""
 
     layout: Literal["lines"]
-    """Lines side by side, each running from top to bottom."""
+    """Vertical lines side by side."""
     count: int = Field(ge=2, le=64)
     """Number of electrodes."""
     pitch_mm: Positive
-    """Distance from the middle of one line to that of the next."""
+    """Distance between the middles of neighboring lines."""
     width_mm: Positive
     """Width of each line."""
     length_mm: Positive
@@ -238,16 +236,17 @@ class FreeLayout(Table):
     layout: Literal["free"]
     """Electrodes at the listed positions."""
     positions_mm: tuple[tuple[Number, Number], ...] = Field(max_length=4096)
-    """Position of each electrode, right and down; only differences count."""
+    """Position of each electrode, right and down, from any origin."""
     shape: Literal["point", "disc", "annulus", "rectangle"] = "disc"
     """Shape of all electrodes."""
     size_mm: tuple[float, float] = (1.0, 0.0)
-    """Diameter (and inner diameter) of a disc or annulus; width and height of a rectangle."""
+    """Diameter of a disc, and 0; outer and inner diameter of an annulus; width and height of a
+    rectangle."""
     shapes: tuple[Literal["point", "disc", "annulus", "rectangle"], ...] | None = None
-    """Shape of each electrode, where they differ; given with ``sizes_mm``. A ring may stand around
-    another electrode (paper, Section III-C)."""
+    """Shape of each electrode if they differ, with ``sizes_mm``. A ring may surround another
+    electrode (paper, Section III-C)."""
     sizes_mm: tuple[tuple[float, float], ...] | None = None
-    """Size of each electrode, where they differ, as in ``size_mm``; given with ``shapes``."""
+    """Size of each electrode if they differ, as in ``size_mm``, with ``shapes``."""
 
     @model_validator(mode="after")
     def _sized(self) -> Self:
@@ -271,7 +270,7 @@ class FreeLayout(Table):
             yield from _unsized(shape, size, "sizes_mm")
 
     def build(self) -> ElectrodeArray:
-        """Return the electrodes as listed; the origin moves to their middle."""
+        """Return the electrodes as listed, with the origin in their middle."""
         position = np.array(self.positions_mm, np.float64).reshape(-1, 2)
         if len(position):
             position -= (position.max(axis=0) + position.min(axis=0)) / 2
@@ -279,14 +278,15 @@ class FreeLayout(Table):
         own_shapes, shape, size_mm = None, self.shape, self.size_mm
         if self.shapes is not None and self.sizes_mm is not None:
             own_shapes = tuple(zip(self.shapes, self.sizes_mm, strict=True))
-            # A ring is as far away as its middle line.
+            # The distance of a ring is the radius of its center line.
             line = [
                 sum(size) / 4 if shape_name == "annulus" else 0.0 for shape_name, size in own_shapes
             ]
             apart = np.maximum(apart, np.abs(np.subtract.outer(line, line)))
             shape, size_mm = own_shapes[0]
         np.fill_diagonal(apart, np.inf)
-        # Most electrodes' distance to their neighbor: one close pair must not set it for all.
+        # Take the median distance to the nearest neighbor: one close pair must not determine the
+        # pitch.
         pitch = float(np.median(apart.min(axis=1))) if len(position) > 1 else 1.0
         array = ElectrodeArray(position, (pitch, pitch), pitch, shape, size_mm, own_shapes)
         array.refuse_overlaps()
@@ -322,9 +322,10 @@ USUAL_DIAMETER_MM = 1.0
 
 
 def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
-    """Return discs at coordinates, (E, 2) or with a diameter (E, 3), mm right and down.
+    """Return a layout of discs from coordinates, (E, 2), or with diameters, (E, 3), mm right and
+    down.
 
-    A CSV file names its columns ``x_mm``, ``y_mm`` and, if given, ``diameter_mm``.
+    A CSV file has columns ``x_mm``, ``y_mm`` and optionally ``diameter_mm``.
     """
     if isinstance(table, Path | str):
         path = Path(table)
@@ -334,7 +335,7 @@ def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
         path, numbers = Path("the table"), np.asarray(table, np.float64)
     if numbers.ndim != 2 or numbers.shape[1] not in (2, 3) or not len(numbers):
         raise ProfileError(
-            f"a table of {numbers.shape} is no table of electrodes: give (E, 2), mm right and "
+            f"a table of shape {numbers.shape} does not list electrodes: give (E, 2), mm right and "
             "down, or (E, 3) with diameters",
             key="electrodes",
         )
@@ -352,7 +353,7 @@ def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
 
 
 def grid_of(size: str, pitch_mm: float, diameter_mm: float = 1.0) -> GridLayout:
-    """Return a grid of discs, of a size like ``5x5``: rows and columns."""
+    """Return a grid of discs; ``size`` is rows and columns, as in ``5x5``."""
     match = re.fullmatch(r"(\d+)x(\d+)", size)
     if match is None:
         raise ProfileError(

@@ -1,4 +1,4 @@
-"""A profile: one device on one finger, checked as a whole, or narrowed to stricter limits."""
+"""Profile of one device on one finger, with its consistency checks."""
 
 import math
 import re
@@ -37,7 +37,7 @@ from smarttouch.profile.toml_tables import Table, UnfitError, raise_all, table_e
 
 
 def misfits(profile: "Profile") -> Iterator[UnfitError]:
-    """Yield all that does not fit; currents are checked only if each electrode has one."""
+    """Yield all inconsistencies; currents are checked only if the array is consistent."""
     of_array = [*_misfits_of_array(profile)]
     yield from of_array or _misfits_of_current(profile)
 
@@ -47,7 +47,7 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
     masked, wiring = profile.output.masked, profile.output.wiring
     if max(masked, default=0) >= count:
         yield UnfitError(
-            f"output.masked lists {max(masked)}, the array has electrodes 0 to {count - 1}: "
+            f"output.masked lists {max(masked)}, but the array has electrodes 0 to {count - 1}: "
             "remove it",
             key="output.masked",
         )
@@ -98,7 +98,7 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
             key="perception.comfort_ma",
             electrode=index,
         )
-    # Thresholds are single precision: a limit equal to their product is kept.
+    # Thresholds have single precision: a limit equal to their product must pass.
     over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
     if lowered is not None and over.any():
         index = int(over.argmax())
@@ -112,7 +112,7 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
 
 
 def _strongest_of(profile: "Profile") -> str:
-    """Return the words for the strongest current."""
+    """Return the keys that determine the strongest current."""
     if profile.perception.comfort_ma is not None:
         return "comfort_ma"
     return "threshold_ma × comfort_ratio"
@@ -156,7 +156,7 @@ def _of_another_length(key: str, numbers: int, electrodes: int, otherwise: str) 
 
 
 _STILL = ("optics", "registration", "force")
-"""Calibrations of the sensor and the finger, which another array leaves as they are."""
+"""Calibrations that stay valid for another array."""
 
 
 class Profile(Table):
@@ -198,7 +198,7 @@ class Profile(Table):
 
     @cached_property
     def full_ma(self) -> NDArray[np.float32]:
-        """Largest comfortable current of each electrode, (E,) mA (magnitude)."""
+        """Comfort level of each electrode, (E,) mA (magnitude)."""
         if self.perception.comfort_ma is not None:
             return np.asarray(self.perception.comfort_ma, np.float32)
         return self.threshold_ma * self.perception.comfort_ratio
@@ -211,10 +211,10 @@ class Profile(Table):
 
     @property
     def total_ma(self) -> float:
-        """Largest current of all cathodes of a slot.
+        """Largest total current of all cathodes in a slot, mA.
 
-        One source drives the same current into however few electrodes still touch the skin: of a
-        switched board it is no more than a single electrode may carry.
+        On a board with a single source it is limited to the current of one electrode: if the other
+        electrodes lose contact, one carries all current.
         """
         limits = self.limits
         total = limits.total_ma or CEILING_TOTAL_MA
@@ -224,39 +224,38 @@ class Profile(Table):
 
     @property
     def design_total_ma(self) -> float | None:
-        """Limit of total current in the design of kernels; None if none is needed.
+        """Limit of total current in the design of kernels, mA; None if not needed.
 
-        A total at the project's ceiling, which holds for all, does not constrain kernels where
-        points do not share slots.
+        It is not needed at the project's ceiling, which always holds, if points do not share slots.
         """
         total = self.limits.total_ma or CEILING_TOTAL_MA
         return total if self.shares or total < CEILING_TOTAL_MA else None
 
     @cached_property
     def admittance(self) -> NDArray[np.float64]:
-        """Relative share of each electrode in a source's current, (E,)."""
+        """Relative share of each electrode in the current of a single source, (E,)."""
         impedance = np.asarray(self.output.impedance_kohm, np.float64)
         return np.broadcast_to(1 / impedance, (len(self.electrodes),)).copy()
 
     @cached_property
     def driven(self) -> NDArray[np.intp]:
-        """Electrodes that are not masked, in order."""
+        """Electrodes that are not masked, ascending."""
         return np.setdiff1d(np.arange(len(self.electrodes)), self.output.masked)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy with other tables, checked as a file is.
+        """Return a copy with other tables, validated like a file.
 
         Parameters
         ----------
         update : mapping, optional
-            Tables that take the place of those of the same name.
+            Tables that replace those of the same name.
         deep : bool
-            Whether values are copied too.
+            Whether to copy values, too.
 
         Raises
         ------
         ProfileError
-            If the copy has unknown keys or impossible values: all of them.
+            If the copy has unknown keys or impossible values; lists all of them.
 
         Examples
         --------
@@ -275,26 +274,26 @@ class Profile(Table):
     def with_electrodes(
         self, table: Path | str | NDArray[np.floating[Any]] | GridLayout, title: str = ""
     ) -> Self:
-        """Return a profile of the same device with electrodes elsewhere.
+        """Return a profile of the same device with another electrode array.
 
         Parameters
         ----------
         table : path or array-like, (E, 2) or (E, 3), mm, or GridLayout
-            Places right and down, in the order of the board's electrodes, and diameters if they
-            are given; else 1 mm. A CSV file has the columns ``x_mm``, ``y_mm``, ``diameter_mm``.
-            A grid shows the same part of the page, magnified to its size.
+            Positions, right and down, in the numbering of the board, and optionally diameters
+            (default: 1 mm). A CSV file has the columns ``x_mm``, ``y_mm``, ``diameter_mm``. A grid
+            shows the same area of the page, magnified to its size.
         title : str
             Description of the device, for people.
 
         Raises
         ------
         ProfileError
-            If that is no table of electrodes, or they do not fit the rest of the profile.
+            If the table is invalid, or the electrodes do not fit the rest of the profile.
 
         Notes
         -----
-        Values of each electrode, such as limits, become the least of all. Masks, the order of
-        wiring, what was measured on the electrodes, and the defaults of commands are removed.
+        Values for each electrode, such as limits, become the smallest of them. Masks, wiring,
+        calibrations of the electrodes and defaults of commands are removed.
 
         Examples
         --------
@@ -345,12 +344,12 @@ _RANGE = re.compile("([0-9]{1,6})(?:-([0-9]{1,6}))?")
 def require_driven(
     profile: Profile, sites: str | Collection[int], error: type[SmartTouchError], about: str
 ) -> NDArray[np.intp]:
-    """Return the electrodes that a list such as ``0-7,12`` or numbers name, each once, ascending;
-    raise the error unless all are there and not masked."""
+    """Return the electrodes in a list such as ``0-7,12`` or a collection, each once, ascending.
+    Raises ``error`` unless all exist and are not masked."""
     if isinstance(sites, str):
         matches = [_RANGE.fullmatch(part.strip()) for part in sites.split(",")]
         if None in matches:
-            raise error(f"{about} {sites!r} are no list: give numbers and ranges like 0-7,12")
+            raise error(f"{about} {sites!r} is not a list: give numbers and ranges like 0-7,12")
         ranges = [(int(match[1]), int(match[2] or match[1])) for match in matches if match]
     else:
         ranges = [(site, site) for site in sites]
@@ -381,9 +380,9 @@ _UPPER = (
 
 
 def stricter(own: Profile, other: Profile) -> Profile:
-    """Return a profile, its limits, comfort and masks narrowed to those of another. Device, array,
-    kernels and force law stay its own. Where the other has another number of electrodes, the least
-    current of its electrodes holds for all."""
+    """Return a copy of ``own`` with limits, comfort levels and masks at least as strict as those of
+    ``other``. Device, array, kernels and force law stay. If the numbers of electrodes differ, the
+    smallest current of ``other`` applies to all."""
     count = len(own.electrodes)
     same = len(other.electrodes) == count
 
@@ -410,7 +409,7 @@ def stricter(own: Profile, other: Profile) -> Profile:
         limits["electrode_ma"] = tuple(each_ma.tolist())
     own_ma = own.full_ma.astype(np.float64)
     full_ma = np.minimum(np.minimum(matched(other.full_ma), each_ma), most_ma)
-    # Currents are single precision: what is lowered is lowered to the whole microampere below.
+    # Currents have single precision: round lowered ones down to whole µA.
     lower = full_ma < own_ma * (1 - 1e-6)
     full_ma = np.where(lower, np.floor(1000 * full_ma - 1e-3) / 1000, own_ma)
     threshold_ma = np.minimum(own.threshold_ma, matched(other.threshold_ma))
@@ -418,7 +417,7 @@ def stricter(own: Profile, other: Profile) -> Profile:
     if lower.any():
         perception["comfort_ma"] = tuple(full_ma.tolist())
     if (threshold_ma < own.threshold_ma).any():
-        # What was comfortable stays as it is.
+        # State comfort levels, so that lower thresholds do not lower them.
         perception |= {
             "threshold_ma": tuple(threshold_ma.tolist()),
             "comfort_ma": tuple(full_ma.tolist()),
@@ -428,6 +427,6 @@ def stricter(own: Profile, other: Profile) -> Profile:
     tables = {"limits": limits, "pulse": pulse, "perception": perception, "output": output}
     if all(table == getattr(own, name).model_dump() for name, table in tables.items()):
         return own
-    # A total that is new does not let points share slots.
+    # A new total must not enable shared slots.
     frames = own.frames.model_dump() | {"share": own.shares}
     return own.model_copy(update={**tables, "frames": frames})

@@ -1,4 +1,4 @@
-"""Profiles by name, and as TOML files."""
+"""Loading of profiles by name and from TOML files."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -28,18 +28,20 @@ def list_profiles() -> list[str]:
     return sorted(path.stem for path in data_folder("calibration").glob("*.toml"))
 
 
-COARSEST_MM = 0.25  # largest ``skin.node_spacing_mm`` of a file whose array is not large
+COARSEST_MM = 0.25  # largest ``skin.node_spacing_mm`` in a file of a small array
 MOST_FINE = 200
-"""Largest number of electrodes of which that is asked: rows of more may not fit into memory."""
+"""Largest number of electrodes for which this limit holds: with more, rows may not fit into
+memory."""
 
 
 def load_profile(name: str | Path | Profile) -> Profile:
-    """Load a shipped profile by name, or any profile by its file; a profile is returned as it is.
+    """Load a shipped profile by name, or any profile from its file. A Profile is returned
+    unchanged.
 
     Raises
     ------
     ProfileError
-        If there is none, or it has unknown keys or impossible values.
+        If it does not exist, or has unknown keys or impossible values.
 
     Examples
     --------
@@ -63,7 +65,7 @@ def load_profile(name: str | Path | Profile) -> Profile:
 
 
 def profile_path(name: str | Path) -> Path:
-    """Return the file of a profile, by its name or as it is given."""
+    """Return the path of a profile given by name or by file."""
     path = data_folder("calibration") / f"{name}.toml"
     if str(name) not in list_profiles():
         path = Path(str(name))
@@ -77,11 +79,11 @@ def profile_path(name: str | Path) -> Path:
 
 
 def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
-    """Return the profile in the table of a file; files beside it are found from there."""
+    """Return the profile in the table of a file; other files are relative to its folder."""
     try:
         profile = Profile.model_validate({**table, "name": path.stem})
     except ProfileError as error:
-        # Of the array alone, which names no file.
+        # Errors of the array do not name the file.
         message = f"{path}: {error}"
         error.args, error.complaints = (message,), ((error.key, message),)
         raise
@@ -98,7 +100,7 @@ def _is_there(path: Path) -> bool:
     try:
         return path.exists()
     except OSError:
-        # Reading it raises the right error.
+        # Reading the file raises the proper error.
         return True
 
 
@@ -109,17 +111,18 @@ CALIBRATED_KEYS: dict[str, tuple[str, ...]] = {
     "thresholds": ("perception.threshold_ma", "perception.comfort_ma"),
     "contact": ("output.impedance_kohm", "output.masked"),
 }
-"""Keys that each calibration measures."""
-_A_LINE = 8  # numbers of a long list on one line
+"""Keys measured by each calibration."""
+_A_LINE = 8  # numbers on one line of a long list
 
 
 def as_toml(profile: Profile) -> str:
-    """Return all values of a profile, defaults included, as they would stand in a file."""
+    """Return all values of a profile as TOML, including defaults."""
     return tomlkit.dumps(profile.model_dump(exclude={"name"}, exclude_none=True))
 
 
 def difference(one: Profile, other: Profile) -> str | None:
-    """Return the first key in which two profiles differ, apart from calibrations and defaults."""
+    """Return the first key in which two profiles differ, except calibrations and defaults of
+    commands."""
     measured = {key for keys in CALIBRATED_KEYS.values() for key in keys}
     values, others = dict(_flat(one)), dict(_flat(other))
     for key in values | others:
@@ -131,7 +134,7 @@ def difference(one: Profile, other: Profile) -> str | None:
 
 
 def in_rows(values: Sequence[Any]) -> Array:
-    """Return a list as TOML, a long one in rows."""
+    """Return a list as TOML, in several rows if it is long."""
     rows = tomlkit.array()
     if len(values) <= _A_LINE:
         rows.extend(values)

@@ -1,4 +1,4 @@
-"""Base of all tables of a profile, and the message that lists what is wrong in a file."""
+"""Base class of the tables of a profile, and error messages for invalid files."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -11,9 +11,8 @@ from smarttouch.base.files import read_toml
 
 
 class UnfitError(ValueError):
-    """A value in a profile that does not fit the rest of it. Reading a file makes a `ProfileError`
-    of it with the same attributes; the key and its value need not be given where pydantic knows
-    them."""
+    """An inconsistent value in a profile. Loading a file converts it to a `ProfileError` with the
+    same attributes. Key and value may be left out if pydantic knows them."""
 
     def __init__(self, message: str, **attributes: Any) -> None:
         super().__init__(message)
@@ -21,7 +20,7 @@ class UnfitError(ValueError):
 
 
 class AllUnfitError(ValueError):
-    """All values in a profile that do not fit."""
+    """All inconsistent values in a profile."""
 
     def __init__(self, errors: tuple[UnfitError, ...]) -> None:
         super().__init__("; ".join(map(str, errors)))
@@ -29,7 +28,7 @@ class AllUnfitError(ValueError):
 
 
 def raise_all(errors: Iterable[UnfitError]) -> None:
-    """Raise all errors together, if there are any."""
+    """Raise all errors together, if any."""
     complaints = tuple(errors)
     if complaints:
         raise AllUnfitError(complaints)
@@ -50,14 +49,14 @@ Positive = Annotated[float, Field(gt=0), AfterValidator(_require_sensible)]
 
 
 class Table(BaseModel):
-    """Table of the file: read only, without unknown keys, NaN or infinite numbers."""
+    """Read-only table of a file, without unknown keys, NaN or infinite numbers."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False
     )
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy with other values, checked as those of a file are."""
+        """Return a copy with other values, validated like a file."""
         if not update:
             return super().model_copy(deep=deep)
         set_fields = {name: getattr(self, name) for name in self.model_fields_set}
@@ -67,18 +66,18 @@ class Table(BaseModel):
 _LAYOUTS = ("grid", "hexagon-61", "lines", "free")
 _KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
 _WHOLE_KINDS = ("bool", "int", "float", "str", "SlotPolicy")
-"""Kinds of value that pydantic names between the keys of the file."""
+"""Names of types that pydantic inserts between the keys of the file."""
 _NOT_OF_KIND = ("float_type", "tuple_type")
-"""Choices that are named for each kind that a value fails to be."""
+"""Errors that pydantic reports for alternatives of a union that do not match."""
 _MOST_IN_A_SENTENCE = 8
 
 _Error = TypeVar("_Error", bound=TableError)
 _Table = TypeVar("_Table", bound=BaseModel)
-Found = tuple[str, dict[str, Any]]  # words on a fault, and attributes of its error
+Found = tuple[str, dict[str, Any]]  # message, and attributes of the error
 
 
 def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
-    """Load a TOML file as a model, with further values."""
+    """Load a TOML file as a model, with additional values."""
     table = read_toml(path, ProfileError)
     try:
         return kind.model_validate(table | more)
@@ -87,7 +86,7 @@ def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
 
 
 def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
-    """Return the error that lists all that is wrong in a file."""
+    """Return an error that lists everything wrong in a file."""
     details = [*_complaints(error)]
     sentences = [words for words, _ in details[:_MOST_IN_A_SENTENCE]]
     if len(details) > len(sentences):
