@@ -1,1 +1,1 @@
-"""Emulated boards on a model of the skin, and emulated sensors, behind a port."""
+"""Emulated boards with a model of the skin, and emulated sensors, at a port."""

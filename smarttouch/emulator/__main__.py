@@ -1,5 +1,5 @@
-"""``python -m smarttouch.emulator URL``: ``smarttouch devices emulate`` for programs, which prints
-the port's name alone."""
+"""``python -m smarttouch.emulator URL``: like ``smarttouch devices emulate``, but for programs: it
+prints only the name of the port."""
 
 import sys
 
@@ -8,7 +8,7 @@ from smarttouch.emulator.devices import emulate
 
 
 def main() -> None:
-    """Run the device of the URL in the command line until its host is gone."""
+    """Emulate the device of a URL until its host is gone."""
     try:
         if len(sys.argv) != 2:
             raise SmartTouchError("give the URL of one device, for example link?electrodes=16")

@@ -1,4 +1,4 @@
-"""The device end of a line: a pseudo-terminal or a TCP connection, for emulators."""
+"""Device end of a line for emulators: a pseudo-terminal or a TCP connection."""
 
 import contextlib
 import os
@@ -22,19 +22,19 @@ def _written(number: int, data: bytes) -> bytes:
 
 
 class PtyLine:
-    """A serial port of this machine, raw from the start."""
+    """Pseudo-terminal as a serial port of this machine."""
 
     def __init__(self) -> None:
         self._master, slave = pty.openpty()
         self.name: str = os.ttyname(slave)
-        # Bytes must pass unchanged even before the host sets up its end.
+        # Raw mode: bytes must pass unchanged even before the host configures the port.
         tty.setraw(slave)
         os.set_blocking(self._master, False)
-        # With our end of the slave closed, the host's last close shows as a hang-up.
+        # Close our copy of the slave, so that the host's last close appears as a hang-up.
         os.close(slave)
 
     def close(self) -> None:
-        """Remove the port: the host's end hangs up."""
+        """Remove the port; the host sees a hang-up."""
         master, self._master = self._master, -1
         if master >= 0:
             os.close(master)
@@ -46,7 +46,7 @@ class PtyLine:
         try:
             return os.read(self._master, LARGEST_READ)
         except BlockingIOError:
-            # A hang-up looks readable; the host has opened the port since.
+            # After a hang-up the port was readable, but the host has opened it again.
             return b""
         except OSError:
             time.sleep(0.002)
@@ -58,7 +58,7 @@ class PtyLine:
 
 
 class TcpLine:
-    """A TCP port of this machine, for one host at a time."""
+    """TCP port of this machine, for one host at a time."""
 
     def __init__(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0), backlog=1)

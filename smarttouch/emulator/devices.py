@@ -1,5 +1,5 @@
-"""Emulated devices by URLs, as in ``smarttouch devices emulate "link?electrodes=16"``, the sensors
-among them, and what serves them on a line."""
+"""Emulated devices by URL, as in ``smarttouch devices emulate "link?electrodes=16"``: boards,
+sensors, and the server that connects them to a line."""
 
 import math
 import signal
@@ -29,29 +29,29 @@ BOARDS = {"link": (64, 1, 4096), "kajimoto61": (61, 61, 61), "etactilekit": (32,
 """Default, smallest and largest number of electrodes of each board."""
 SENSORS = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
 """Default rate of each sensor, Hz."""
-COUNTS_PER_N, ZERO_COUNTS = 50_000.0, 80_000.0  # of a load cell, as are counts of noise
+COUNTS_PER_N, ZERO_COUNTS = 50_000.0, 80_000.0  # of a load cell
 _NOISE_COUNTS, _LARGEST_RAW = 60.0, 2**23 - 1
 _LONGEST_WAIT_S = 0.02
-_BEHIND_NS = 100_000_000  # after this delay the schedule restarts, as hardware sends no burst
+_BEHIND_NS = 100_000_000  # delay after which the schedule restarts, without a burst
 _BLOCK, _SIDE, _PATTERN_SIDE = 4, 64, 1024
 _PATTERN_PIXELS_S = 40
-_FIRST_HOST_S = 8.0  # time beyond its lingering that a server waits for the first host
+_FIRST_HOST_S = 8.0  # additional time that a server waits for the first host
 _WRITE_EVERY_NS = 50_000_000
-_FULL_WAIT_S = 0.0005  # time after which the rest of a message is tried again
+_FULL_WAIT_S = 0.0005  # pause before the rest of a message is written again
 
 
 def emulate(url: str, advise: bool = False) -> None:
-    """Emulate the device of a URL behind a port whose name is printed, until it ends.
+    """Emulate the device of a URL, and print the name of its port.
 
-    The options of a URL are those of `emulate_board` or `emulate_sensor`. With ``advise``, the
-    command that uses the port is printed with it.
+    Options of the URL are those of `emulate_board` or `emulate_sensor`. With ``advise``, the
+    command that uses the port is printed, too.
     """
     name = choice_of("emulator", url.partition("?")[0], (*BOARDS, *SENSORS))
     device = emulate_board if name in BOARDS else emulate_sensor
     address, options = read_options(device, url, SmartTouchError)
     if address.lower() != name:
         known = ", ".join(sorted(options_of(device)))
-        raise SmartTouchError(f"{url!r} has an option that {name} has not: choose {known}")
+        raise SmartTouchError(f"{url!r} has an option that {name} does not have: choose {known}")
     device(name, advise, **options)
 
 
@@ -67,11 +67,11 @@ def emulate_board(
     books: Path | None = None,
     linger: float = math.inf,
 ) -> None:
-    """Emulate a board on skin until Ctrl-C, or for ``linger`` seconds without a host.
+    """Emulate a board on skin until Ctrl-C, or until ``linger`` seconds have passed without a host.
 
-    ``output`` and ``ramp_ms``, the least time from zero to full, are of a link board; ``firmware``
-    is of an eTactileKit. With ``tcp``, the port is one of the network. Each ``event`` is as in
-    `skin`, and ``books`` is an existing folder for the delivery log.
+    ``output`` and ``ramp_ms``, the shortest time from zero to full intensity, are for link boards;
+    ``firmware`` is for the eTactileKit. With ``tcp``, the port is a TCP port. Each ``event`` is a
+    text as in `skin`. ``books`` is an existing folder for the delivery log.
     """
     default, least, largest = BOARDS[name]
     electrodes = default if electrodes is None else electrodes
@@ -83,14 +83,14 @@ def emulate_board(
         raise SmartTouchError(message)
     firmware = choice_of("firmware", firmware or FIRMWARES[0], FIRMWARES)
     if books is not None and not books.is_dir():
-        raise SmartTouchError(f"{books} is not a folder: make it first")
+        raise SmartTouchError(f"{books} is not a folder: create it first")
     log, finger = DeliveryLog(electrodes, books), EmulatedFinger(electrodes, event)
     if name == "kajimoto61":
         device: Firmware = Kajimoto61Firmware(log, finger)
     elif name == "etactilekit":
         device = ETactileKitFirmware(log, finger, firmware=firmware)
     else:
-        # Kernels of all classes, however many electrodes there are.
+        # Large enough for the kernels of all classes.
         room = Room(kernels=max(Room.kernels, len(Afferent) * electrodes))
         device = LinkFirmware(kind, log, finger, ramp_ms=ramp_ms, room=room)
     _serve(name, device, linger, advise, TcpLine if tcp else PtyLine)
@@ -103,8 +103,8 @@ def emulate_sensor(
     force: float = 0.5,
     linger: float = math.inf,
 ) -> None:
-    """Emulate a sensor as `emulate_board` does a board; ``rate`` is in Hz, and ``force`` in newtons
-    on a load cell."""
+    """Emulate a sensor, like `emulate_board`. ``rate`` is in Hz; ``force`` is the force on a load
+    cell, N."""
     rate_hz = SENSORS[name] if rate is None else rate
     require_within(SmartTouchError, "rate", rate_hz, 0.01, 2000.0)
     require_within(SmartTouchError, "force", force, -1e9, 1e9)
@@ -122,7 +122,7 @@ def _serve(
     line: type[PtyLine | TcpLine] = PtyLine,
 ) -> None:
     require_within(SmartTouchError, "linger", linger_s, 0, math.inf)
-    # Circuits and images are small: a second thread would only slow down the host.
+    # Arrays are small: a second thread would only slow down the host.
     with closing(line()) as opened, threadpool_limits(1):
         url = f"{name}:{opened.name}"
         use = f"live --board {url} --force fixed:0.9" if name in BOARDS else f"devices show {url}"
@@ -136,14 +136,14 @@ class Server:
     def __init__(self, firmware: Firmware, line: PtyLine | TcpLine) -> None:
         self._firmware, self._line = firmware, line
         self._hosted = False
-        self._waiting = b""  # of messages that the line has not taken yet
+        self._waiting = b""  # bytes that the line has not taken yet
 
     def serve(self, linger_s: float, said: str = "") -> None:
-        """Print the port's name, or what is said of it, and run until SIGTERM, or ``linger_s``
-        without a host.
+        """Print the port's name, or ``said``, and run until SIGTERM or until ``linger_s`` without a
+        host.
 
-        While there is a host, Ctrl-C is meant for the host, which ends with a stop and a closed
-        port. It ends the device only if that would linger for ever.
+        Ctrl-C ends the device only if ``linger_s`` is infinite: otherwise it is meant for the host,
+        which stops the board and closes the port.
         """
         ended = False
 
@@ -155,7 +155,7 @@ class Server:
         signal.signal(signal.SIGINT, end)
         books = self._firmware.books
         books.write()
-        # Handlers come first: a reader of the name may signal at once.
+        # Print after setting handlers: a reader of the name may send a signal at once.
         print(said or self._line.name, flush=True)
         clock = DeviceClock(self._firmware.longest_step_ns)
         host_ns, written_ns = _FIRST_HOST_S * 1e9, 0
@@ -176,7 +176,7 @@ class Server:
         books.write()
 
     def step(self, data: bytes | None, now_ns: int) -> None:
-        """Execute what is due, with the bytes of the host; None if there is no host."""
+        """Execute what is due, with bytes from the host; None if there is no host."""
         firmware, had_host = self._firmware, self._hosted
         self._hosted = data is not None
         if data is None:
@@ -188,7 +188,7 @@ class Server:
             return
         self._push()
         message = firmware.feed(data, now_ns) if data else firmware.advance(now_ns)
-        # A message for which there is no room is dropped whole.
+        # Drop the complete message if the backlog is full.
         if len(self._waiting) < firmware.backlog:
             self._waiting += message
             self._push()
@@ -199,9 +199,9 @@ class Server:
 
 
 class SensorFirmware(Firmware):
-    """Sends what a sensor measures at absolute deadlines, without waiting."""
+    """Base of sensors, which send measurements at absolute deadlines."""
 
-    # Its time never stands still: hosts compare it with their own.
+    # Its clock never stands still, as hosts compare it with theirs.
     longest_step_ns: int = 2**63
     backlog = 1
 
@@ -232,11 +232,11 @@ class SensorFirmware(Firmware):
 
     @abstractmethod
     def packet(self, number: int, time_s: float) -> bytes:
-        """Return the next bytes for the line."""
+        """Return the next message for the line."""
 
 
 class SensorArray(SensorFirmware):
-    """A sensor array of 64 x 64 pixels under random blocks that pass from right to left."""
+    """Sensor array of 64 x 64 pixels that sees random blocks move from right to left."""
 
     def __init__(self, rate_hz: float) -> None:
         super().__init__(rate_hz)
@@ -251,8 +251,8 @@ class SensorArray(SensorFirmware):
 
 
 class EmulatedLoadCell(SensorFirmware):
-    """A load cell with its converter under a force, N. ``framed`` sends packets instead of lines of
-    text."""
+    """Load cell with its converter, under a constant force, N. If ``framed``, it sends packets
+    instead of lines of text."""
 
     def __init__(self, force_n: float, framed: bool = False, rate_hz: float = 80.0) -> None:
         super().__init__(rate_hz)

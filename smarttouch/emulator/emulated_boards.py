@@ -1,4 +1,4 @@
-"""Emulated boards as drivers: in this process with simulated time, or in one of their own."""
+"""Drivers of emulated boards: in this process with simulated time, or in their own process."""
 
 import select
 import subprocess
@@ -28,20 +28,19 @@ from smarttouch.emulator.link_rules import Room
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
 
-_BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest silence of the host
-_STEP_NS = 20_000  # of time while a sequence waits for the one before
+_BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest pause between packets of the host
+_STEP_NS = 20_000  # time step of a wait for the sequence before
 _LONGEST_GAP_NS = 1000 * (link_rules.KEPT_US + link_rules.SECOND_US)
-"""Gap after which a board has forgotten all but its session: a longer one is cut to this."""
+"""Longest simulated pause: after it a board remembers only its session."""
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
-"""Sequence of each slot (N,), its width (N,) µs, and its delivered current (N, E) µA, positive
-cathodic.
-"""
+"""Sequence number of each slot, (N,); width, (N,) µs; and delivered current, (N, E) µA, positive
+cathodic."""
 
 
 @dataclass
 class _KeptBooks(DeliveryLog):
-    """Delivery log that keeps every pulse in memory until it is taken."""
+    """Delivery log that stores each pulse in memory until it is taken."""
 
     _kept: list[tuple[int, float, NDArray[np.int16]]] = field(default_factory=list, repr=False)
 
@@ -59,13 +58,13 @@ class _KeptBooks(DeliveryLog):
 
 
 class _DirectSession(LinkSession):
-    """Session with firmware in the same thread, with the time that both go by."""
+    """Session with firmware in the same thread, with a common simulated time."""
 
     def power_up(self, firmware: LinkFirmware) -> None:
         self._firmware, self._now_ns, self._said_ns = firmware, 0, 0
 
     def _listen(self) -> None:
-        """Take each answer where the packet is sent."""
+        """Do nothing: answers are taken when a packet is sent."""
 
     def now_s(self) -> float:
         return self._now_ns / 1e9
@@ -87,7 +86,7 @@ class _DirectSession(LinkSession):
             self.take(self._firmware.feed(packet, self._now_ns))
 
     def wait_until(self, end_ns: int) -> None:
-        """Let time pass, with heartbeats."""
+        """Advance the time, with heartbeats."""
         while end_ns - self._said_ns > _BEAT_NS:
             self._now_ns = self._said_ns + _BEAT_NS
             self.send(MessageKind.HEARTBEAT)
@@ -96,11 +95,11 @@ class _DirectSession(LinkSession):
 
 
 class SimulatedDriver(LinkDriver):
-    """Emulated ``link`` board in the same thread: ``simulated:``. Its firmware, its packets and its
-    host are those of ``emulator:``, but time is simulated: a sequence begins when its time stamp
-    says, or at the end of the one before, and is over as soon as it has been computed."""
+    """Emulated ``link`` board in the same thread: ``simulated:``. Firmware, packets and session are
+    those of ``emulator:``, but time is simulated. A sequence begins at its time stamp, or at the
+    end of the one before, and is over as soon as it is computed."""
 
-    room: Room = Room()  # what the board has room for
+    room: Room = Room()  # capacity of the board
     _session: _DirectSession
 
     def __init__(
@@ -111,7 +110,7 @@ class SimulatedDriver(LinkDriver):
         self.port = None
         self._session = _DirectSession(self._receive)
         self._books = _KeptBooks(limits.electrodes)
-        self._numbers = [0]  # of the board's sequences, by the numbers of their packets
+        self._numbers = [0]  # sequence number by packet number
 
     def take_pulses(self) -> Pulses:
         """Return all pulses delivered since the last call."""
@@ -120,7 +119,7 @@ class SimulatedDriver(LinkDriver):
 
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
         can = super().open(line, limits)
-        # Until it reports the finger's force.
+        # Wait until the board reports the finger's force.
         self._session.wait_until(protocol.ALIVE_MS * 1_000_000)
         return can
 
@@ -136,7 +135,7 @@ class SimulatedDriver(LinkDriver):
         self._session.power_up(self._firmware)
         self._number, self._numbers = 0, [0]
         self._stamp_ns = self._ahead_ns = 0
-        """Time stamp of the last sequence, and by how much such stamps are ahead of time here."""
+        """Time stamp of the last sequence, and the offset of time stamps from simulated time."""
 
     def write(self, proved: ProvedSequence) -> None:
         session, sequence = self._session, proved.sequence
@@ -156,30 +155,29 @@ class SimulatedDriver(LinkDriver):
             raise self._line.fault(self._suspicion)
 
     def _start_ns(self, stamp_ns: int) -> int:
-        """Return when a sequence with a time stamp begins."""
+        """Return the start of a sequence with this time stamp."""
         now_ns, before_ns, self._stamp_ns = self._session.now_ns(), self._stamp_ns, stamp_ns
         if not self._number or stamp_ns < before_ns:
-            # Time stamps have started again, as they may.
+            # Time stamps may start again from zero.
             self._ahead_ns = stamp_ns - now_ns
         gap_ns = stamp_ns - self._ahead_ns - now_ns
         self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)
         return now_ns + min(max(0, gap_ns), _LONGEST_GAP_NS)
 
     def zero(self) -> None:
-        # A stop from another thread waits for the end of the sequence.
+        # The lock makes a stop from another thread wait for the end of the sequence.
         with self._line.current():
             super().zero()
 
 
-_STARTS_WITHIN_S = 30.0  # time limit of the start, long enough for a busy computer
+_STARTS_WITHIN_S = 30.0  # longest start of the process, on a busy computer
 _ENDS_WITHIN_S = 3.0
-_SPEAKS_WITHIN_S = 5.0  # longest silence: it may wait for a processor
+_SPEAKS_WITHIN_S = 5.0  # host timeout: the process may wait for a processor
 
 
 class EmulatorDriver(LinkDriver):
-    """Driver of a board that a process of its own emulates: ``emulator:``. ``books`` is an existing
-    folder for its delivery log, and ``events`` of the finger are as ``smarttouch devices emulate``
-    takes them."""
+    """Driver of a board emulated in its own process: ``emulator:``. ``books`` is an existing folder
+    for the delivery log. ``events`` of the finger are texts as in `skin`."""
 
     def __init__(
         self,
@@ -215,7 +213,7 @@ class EmulatorDriver(LinkDriver):
 
 
 class EmulatorProcess:
-    """Process that emulates the board of a URL, see `commands`, as long as it is open."""
+    """Process that emulates the board of a URL, see `devices`, while its port is open."""
 
     def __init__(self, url: str) -> None:
         self._url = url
@@ -232,19 +230,19 @@ class EmulatorProcess:
         return self._process is not None and self._process.poll() is not None
 
     def start(self, line: Line) -> str:
-        """Return the name of its port, as soon as it is printed; a stop ends the wait."""
+        """Start the process, and return the name of its port; a stop ends the wait."""
         if line.reopened:
             if self.has_ended:
                 raise BoardError("the emulator's process has ended")
             return self._port
         command = [sys.executable, "-m", "smarttouch.emulator", self._url]
-        # A session of its own: the terminal's Ctrl-C must not reach the board.
+        # A new session, so that Ctrl-C in the terminal does not reach the board.
         process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
         self._process = process
         try:
             self._port = self._printed_port(process, line)
         except BaseException:
-            # No host will come.
+            # No host will connect.
             process.terminate()
             self.end()
             raise
@@ -266,7 +264,7 @@ class EmulatorProcess:
         return printed.decode().strip()
 
     def end(self) -> None:
-        """Wait until it ends, which it does without its host, and end it if it does not."""
+        """Wait until the process ends without its host; terminate it if it does not."""
         if self._process is None:
             return
         try:

@@ -1,17 +1,17 @@
-"""Emulated firmware of the eTactileKit, exact in bytes and scans, with its faults.
+"""Emulated firmware of the eTactileKit, exact in bytes and scans, including its faults.
 
-It refuses nothing: a wrong byte is a wrong current. A scan is fixed when it starts; later commands
-count from the next one. A pulse without a width still takes the time of switching on and off.
-Voltages are those of the slots as they pass, not of a finished scan.
+It checks nothing: a wrong byte is a wrong current. A scan is fixed at its start; later commands
+apply to the next one. A pulse of width 0 still takes the time of switching on and off. Reported
+voltages are those of the slots so far, also in an unfinished scan.
 
-The firmware of commit 71adee2 parses nothing while it scans, so a scan that takes longer than its
-period is followed by the next at once and ends its parser for good; and it repeats its last pattern
-for ever. The newest one parses on a second processor core, and puts every amplitude at zero half a
-second after the host fell silent. (On USB, silence is that the host's port is closed; here, on a
-pseudo-terminal, that no byte comes.)
+The firmware of commit 71adee2 does not parse during a scan. If a scan takes longer than its period,
+the next follows at once, and the parser never runs again. The firmware repeats its last pattern
+forever. The newest firmware parses on a second core, and sets all amplitudes to zero half a second
+after the host is gone. On USB the host is gone if it closed the port; on this pseudo-terminal, if
+no byte arrives.
 
-Where the published source does not say: outputs are grounded between pulses if there is any
-discharge, else left unconnected; outputs beyond the electrode count are unconnected.
+Two assumptions are not in the published source: outputs are grounded between pulses if the
+discharge time is above 0, else unconnected; and outputs beyond the electrode count are unconnected.
 """
 
 import math
@@ -25,7 +25,7 @@ from smarttouch.emulator.skin import COMPLIANCE_V, EmulatedFinger
 UA_PER_COUNT = 9.99
 SWITCHING_NS = 10_000
 FORGETS_NS, SILENCE_NS = 2_000_000_000, 500_000_000
-DUMMY_OHM = 66e3  # load fitted in parallel with the skin
+DUMMY_OHM = 66e3  # load in parallel with the skin
 RATE_HZ = 100
 _MOST = 255
 FIRMWARES = ("71adee2", "newest")
@@ -34,7 +34,7 @@ SENSE_HEIGHT, SENSE_WIDTH, DISCHARGE, RATE, CHIPS, ECHO = 0xF9, 0xF8, 0xF7, 0xF6
 BIPHASIC, SENSE_ONLY = 1, 2
 SHORTEST_US = 6.6  # time to switch the source on and off
 _SIZES = dict.fromkeys(range(RATE, PATTERN), 1) | {WIDTH: 2, RATE: 2}
-"""Bytes after each op-code that sets a number."""
+"""Number of bytes after each op-code that sets a value."""
 _Pulse = tuple[int, float, tuple[int, ...]]  # height in counts, width µs, signs (+ cathodic)
 
 
@@ -42,19 +42,18 @@ _Pulse = tuple[int, float, tuple[int, ...]]  # height in counts, width µs, sign
 class _Scan:
     """Settings of a scan, fixed at its start."""
 
-    pulses: list[_Pulse]  # of each electrode
-    starts_ns: list[int]  # of each slot; the last is the end
+    pulses: list[_Pulse]  # one for each electrode
+    starts_ns: list[int]  # start of each slot, and the end
     discharge_us: int
     done: int = 0
     pulsed: bool = False
 
 
 class ETactileKitFirmware(KitFirmware):
-    """The kit between its line and its electrodes, which are all the outputs of its log;
-    ``firmware`` is one of `FIRMWARES`, and an infinite ``dummy_ohm`` is no load beside the
-    skin."""
+    """Firmware of the kit with its skin. The delivery log lists all outputs. ``firmware`` is one of
+    `FIRMWARES`; an infinite ``dummy_ohm`` means no load in parallel with the skin."""
 
-    longest_step_ns = 400_000_000  # its scans go on by its own clock while its process waits
+    longest_step_ns = 400_000_000  # hardware continues its scans while this process waits
     codes = range(ECHO, 256)
 
     def __init__(
@@ -145,7 +144,7 @@ class ETactileKitFirmware(KitFirmware):
                 self._next_ns = max(now_ns, self._started_ns + self._period_ns())
         elif code == COUNT:
             if self._newest:
-                # In the newest, electrodes that join the scan begin at zero.
+                # In the newest firmware, electrodes added to the scan start at zero.
                 self._heights[count:value] = [0] * max(0, value - count)
             self._set[COUNT] = value
         else:
@@ -155,7 +154,7 @@ class ETactileKitFirmware(KitFirmware):
     # -- scanning ----------------------------------------------------------
 
     def _pulses(self) -> list[_Pulse]:
-        """Return the pulse of each electrode in a scan that starts now."""
+        """Return the pulse of each electrode for a scan that starts now."""
         numbers, sign = self._set, -1 if self._set[POLARITY] else 1
         heights = self._heights[: numbers[COUNT]]
         if numbers[MODE] == SENSE_ONLY:
@@ -166,7 +165,7 @@ class ETactileKitFirmware(KitFirmware):
         return [(height, width_us, phases) for height in heights]
 
     def _silent(self) -> bool:
-        """Return whether a scan that starts now has no pulse."""
+        """Return whether a scan that starts now has no pulses."""
         return not any(height for height, _, _ in self._pulses())
 
     def _settle(self, reason: str) -> None:
@@ -195,7 +194,7 @@ class ETactileKitFirmware(KitFirmware):
             for _, width_us, phases in pulses
         ]  # fmt: skip
         if not any(height for height, _, _ in pulses) and not any(self._readings):
-            # Scans without pulses are skipped at once.
+            # Skip scans without pulses in one step.
             each_ns = max(self._period_ns(), sum(lengths_ns))
             self._next_ns += (now_ns - self._next_ns) // each_ns * each_ns
         starts_ns = [self._next_ns]
@@ -205,7 +204,7 @@ class ETactileKitFirmware(KitFirmware):
         self._scan = _Scan(pulses, starts_ns, discharge_us)
 
     def _go_on(self, scan: _Scan, now_ns: int) -> bool:
-        """Run the slots that are due; return whether the scan is over."""
+        """Execute the slots that are due; return whether the scan is over."""
         while scan.done < len(scan.pulses):
             if scan.starts_ns[scan.done] > now_ns:
                 return False

@@ -1,4 +1,4 @@
-"""Base of the firmware of every emulated device, the log of what flowed, and the source of kits."""
+"""Base classes of emulated firmware, and the delivery log."""
 
 import json
 import math
@@ -18,15 +18,16 @@ from smarttouch.emulator.skin import Delivered, EmulatedFinger, SkinCircuit
 STATE_FILE = "state.json"
 DELIVERED_FILE = "delivered.bin"
 SAFE_PULSE, SAFE_RECHARGE = (5000, 200, 0.5), (500, 20_000, 2.0)
-"""Largest µA, µs and µC on any electrode that are safe, whatever the firmware allows."""
-RECHARGE = 0xFFFF  # slot and site of a recharge phase
+"""Largest safe current, width and charge of a pulse, µA, µs and µC, whatever the firmware
+allows."""
+RECHARGE = 0xFFFF  # slot number and site that mark a recharge phase
 _ROUNDING = 1 + 1e-6
 _FLOWS_UA = 0.5
 
 
 @dataclass
 class DeliveryLog:
-    """Counters, maxima and state; with a folder they are kept on disk as well."""
+    """Counters and maxima of delivered pulses; with a folder they are written to disk, too."""
 
     electrodes: int
     folder: Path | None = None
@@ -34,22 +35,22 @@ class DeliveryLog:
     slots: int = 0
     pulses: int = 0
     violations: int = 0  # number of sequences that the firmware refused
-    unsafe: int = 0  # number of delivered pulses above a safe value, one for each pulse of a slot
+    unsafe: int = 0  # number of delivered pulses above `SAFE`
     framing_errors: int = 0
-    old_packets: int = 0  # refused by a link board
-    foreign_packets: int = 0  # as `old_packets`, but of another session
+    old_packets: int = 0  # packets refused as old by a link board
+    foreign_packets: int = 0  # packets refused because they are from another session
     max_current_ma: float = 0.0
     max_charge_uc: float = 0.0
-    max_net_charge_uc: float = 0.0  # largest charge that was left on an electrode after a slot
-    max_volts: float = 0.0  # largest voltage of a source between its poles
-    recharges: int = 0  # recharge phases; not counted in slots, pulses or maxima
+    max_net_charge_uc: float = 0.0  # largest charge left on an electrode after a slot
+    max_volts: float = 0.0  # largest voltage between the poles of a source
+    recharges: int = 0  # number of recharge phases, which other counters and maxima leave out
     passed_uc: NDArray[np.float64] = field(init=False)
-    """Net charge that sources have driven through each electrode, (E,), positive cathodic:
-    pulses and recharge phases, without what flows back while all electrodes are shorted."""
+    """Net charge driven through each electrode by sources, (E,), positive cathodic: pulses and
+    recharge phases, without discharge by shorting."""
     state: str = "shorted"
     reason: str = "start"
-    zero_after_ms: float = 0.0  # from the host's last sign of life to the last cut-off
-    stood_still_ms: float = 0.0  # for which the board's clock stood still with its process
+    zero_after_ms: float = 0.0  # from the host's last sign of life to the last shutdown
+    stood_still_ms: float = 0.0  # time for which the board's clock stood still with its process
     _delivered: bytearray = field(default_factory=bytearray, repr=False)
 
     def __post_init__(self) -> None:
@@ -67,10 +68,10 @@ class DeliveryLog:
         *,
         more: bool = False,
     ) -> None:
-        """Record one pulse of a slot, with the charge left on each electrode, (E,), after the
-        slot's discharge and its start by the board's clock; ``more`` if another pulse of the slot
-        follows. The slot `RECHARGE` is a recharge phase, or the part of it before it was cut
-        off."""
+        """Record one pulse of a slot. ``residual_uc``, (E,), is the charge left on each electrode
+        after the discharge. The start is on the board's clock. ``more`` means that another pulse of
+        the slot follows. The slot number `RECHARGE` marks a recharge phase, or its part up to an
+        interruption."""
         recharges = slot == RECHARGE
         magnitude_ua = np.abs(delivered.current_ua)
         peak_ua = float(magnitude_ua.max(initial=0))
@@ -100,7 +101,7 @@ class DeliveryLog:
             self._delivered += np.array([record], _record(self.electrodes)).tobytes()
 
     def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
-        """Take a pulse; for subclasses."""
+        """Store a pulse; for subclasses."""
 
     def write(self) -> None:
         if self.folder is None:
@@ -117,18 +118,17 @@ class DeliveryLog:
 
 
 def read_state(folder: Path) -> dict[str, object]:
-    """Return the last state that an emulator wrote."""
+    """Read the last state that an emulator wrote."""
     state: dict[str, object] = json.loads((folder / STATE_FILE).read_text(encoding="utf-8"))
     return state
 
 
 def read_slots(folder: Path, recharges: bool = False) -> NDArray[Any]:
-    """Return every pulse of a slot that an emulator delivered, or every recharge phase, a
-    structured array (N,).
+    """Read all delivered pulses, or all recharge phases, as a structured array (N,).
 
-    Its fields are ``number``, ``slot``, ``site``, ``time_us``, and per electrode (E,)
+    Fields are ``number``, ``slot``, ``site``, ``time_us`` and, for each electrode, (E,):
     ``current_ua`` (mean over the pulse), ``charge_uc`` of the pulse, ``volts`` (against the tissue
-    at its end) and ``residual_uc`` (charge left after the discharge), all positive cathodic.
+    at its end) and ``residual_uc`` (charge left after the discharge). All are positive cathodic.
     """
     kind = _record(int(str(read_state(folder)["electrodes"])))
     data = (folder / DELIVERED_FILE).read_bytes()
@@ -149,11 +149,11 @@ def _record(electrodes: int) -> np.dtype[np.void]:
 
 
 class Firmware(ABC):
-    """A device between its line and what it touches; it has no clock of its own."""
+    """Firmware of a device, without its own clock."""
 
     books: DeliveryLog
-    longest_step_ns = 10_000_000  # a process kept waiting for longer stops the device's time
-    backlog = 65536  # as soon as so many bytes wait for the host, messages are dropped
+    longest_step_ns = 10_000_000  # longer delays of the process stop the device's clock
+    backlog = 65536  # number of bytes waiting for the host above which messages are dropped
 
     @property
     def busy(self) -> bool:
@@ -170,14 +170,14 @@ class Firmware(ABC):
 
     @abstractmethod
     def advance(self, now_ns: int) -> bytes:
-        """Execute all that is due; return what there is to send."""
+        """Execute everything that is due; return the bytes to send."""
 
     def idle(self, now_ns: int) -> None:
-        """Let time pass without a line; what would be sent is lost."""
+        """Advance the time without a host; bytes to send are lost."""
         self.advance(now_ns)
 
     def hang_up(self, now_ns: int) -> None:
-        """Handle the end of the line to the host, which a device may not detect."""
+        """Handle a closed line; some devices do not detect it."""
         self.idle(now_ns)
 
     def zero(self, reason: str, now_ns: int) -> None:
@@ -186,9 +186,9 @@ class Firmware(ABC):
 
 
 class DeviceClock:
-    """The device's time, from 0 on, which stands still while the machine runs other processes for
-    longer than ``longest_step_ns``: hardware never waits, so a delay of the emulator must not count
-    as the host's silence or as delivered pulses."""
+    """Clock of a device, which starts at 0. It stands still while the process is delayed for longer
+    than ``longest_step_ns``: hardware is never delayed, so a delay must not count as a silent host
+    or as delivered pulses."""
 
     def __init__(self, longest_step_ns: int = Firmware.longest_step_ns) -> None:
         self._longest_step_ns = longest_step_ns
@@ -202,15 +202,15 @@ class DeviceClock:
         return now - self._begun - self.stood_still_ns
 
 
-VOLTS_PER_COUNT = 0.0893  # scale of the eTactileKit's converter; assumed for its relative's as well
+VOLTS_PER_COUNT = 0.0893  # scale of the eTactileKit's converter, assumed for both kits
 LARGEST_READING = 4095
 
 
 class KitFirmware(Firmware):
-    """Base of kits: commands, and one source with the skin connected; a shunt is a load beside the
-    skin."""
+    """Base of kits: parser of commands, and one current source with the skin. A shunt is a load in
+    parallel with the skin."""
 
-    codes: Collection[int]  # first bytes of commands; others are skipped between these
+    codes: Collection[int]  # first bytes of commands; other bytes are skipped
 
     def __init__(
         self,
@@ -229,7 +229,7 @@ class KitFirmware(Firmware):
 
     @abstractmethod
     def _length(self) -> int:
-        """Return the length of the command that has begun."""
+        """Return the length of the command at the start of the buffer."""
 
     def _next_command(self) -> bytes | None:
         received = self._received
@@ -242,7 +242,7 @@ class KitFirmware(Firmware):
         return command
 
     def zero(self, reason: str, now_ns: int) -> None:
-        """Forget everything, as at a loss of power."""
+        """Reset everything, as after a loss of power."""
         super().zero(reason, now_ns)
         self._received.clear()
         self.books.zero_after_ms = (now_ns - self._fed_ns) / 1e6
@@ -261,12 +261,12 @@ class KitFirmware(Firmware):
         grounded: bool = True,
         more: bool = False,
     ) -> int:
-        """Deliver a pulse, ground all outputs for the rest after it, and record both; return the
-        converter's reading at its end.
+        """Deliver a pulse, ground all outputs during the rest after it, and record both.
 
-        Current is positive cathodic; the first ``among`` electrodes take part, one against the
-        others. Before it, outputs were ``grounded`` or unconnected; with ``more``, another pulse of
-        the slot follows. The slot's number is the electrode's if not given.
+        Return the converter's reading at the end of the pulse. Current is positive cathodic and
+        flows between one electrode and all others of the first ``among``. Before the pulse, outputs
+        were ``grounded`` or unconnected. ``more`` means that another pulse of the slot follows. The
+        slot number defaults to the electrode.
         """
         self._finger.at(start_ns / 1e9, self._skin)
         if start_ns > self._rested_ns:

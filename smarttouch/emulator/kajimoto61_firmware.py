@@ -1,10 +1,10 @@
-"""Emulated firmware of the 61-electrode ESP32 kit, exact in bytes, with its faults.
+"""Emulated firmware of the 61-electrode ESP32 kit, exact in bytes, including its faults.
 
-It waits for ever for the rest of a short packet, checks nothing, and its readings wrap. From
-power-on until the first STIMULATE, which it executes, it tests its source without driving an
-electrode; a MEASURE is answered meanwhile. The test's last value stays in the converter until the
-end of the first pulse or MEASURE, also after a packet of zeros: the electrode that pulses first is
-connected to it until its own value has been loaded.
+It waits forever for the rest of a short packet, checks nothing, and its readings wrap. From
+power-on until the first STIMULATE, it tests its source without driving an electrode, and answers
+MEASURE. The last value of the test stays in the converter until the end of the first pulse or
+MEASURE, also after a packet of zeros. So the electrode that pulses first briefly carries the
+current of the test, until its own value is loaded.
 """
 
 from collections import deque
@@ -17,17 +17,17 @@ ELECTRODES = 61
 STIMULATE, MEASURE = 0xFF, 0xFE
 PACKET = 1 + ELECTRODES
 LARGEST = 200
-UA_PER_STEP = 16 * 10_000 / 4096  # a step is 16 DAC counts; 4096 are nominally 10 mA
+UA_PER_STEP = 16 * 10_000 / 4096  # a step is 16 DAC counts; 4096 counts are nominally 10 mA
 WIDTH_US, GROUNDED_US, SWITCHING_US = 50, 150, 8
-TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3  # left by the self-test, as observed; time to load
+TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3  # current left by the self-test; loading time
 MEASURE_UA, MEASURE_US = 2500, 25
-MEASURE_NS, WIRE_NS = 1_400_000, 670_000  # from a MEASURE to its reply; that on the wire
-BUFFER = 384  # bytes kept during a scan: 128 of the chip, 256 of its driver. An estimate.
+MEASURE_NS, WIRE_NS = 1_400_000, 670_000  # from MEASURE to the reply; of the reply on the wire
+BUFFER = 384  # bytes buffered during a scan: 128 in the chip, 256 in its driver (an estimate)
 
 
 @dataclass
 class _Scan:
-    """Scan of one electrode after another, each with its current in µA, positive cathodic."""
+    """Scan of all electrodes one after another, with currents in µA, positive cathodic."""
 
     number: int
     pulses: list[tuple[int, float]]
@@ -47,7 +47,7 @@ class _Scan:
 
 
 class Kajimoto61Firmware(KitFirmware):
-    """The kit between its serial line and its electrodes."""
+    """Firmware of the kit with its skin."""
 
     codes = (STIMULATE, MEASURE)
 
@@ -73,7 +73,7 @@ class Kajimoto61Firmware(KitFirmware):
         self._fed_ns = now_ns
         self._received += data
         self._run(now_ns)
-        # Whole packets wait only while a scan runs; what exceeds the buffer is lost.
+        # Packets wait while a scan runs; bytes beyond the buffer are lost.
         del self._received[BUFFER:]
         return self._take_replies(now_ns)
 
@@ -143,7 +143,7 @@ class Kajimoto61Firmware(KitFirmware):
             self.books.sequences += 1
 
     def _connect_early(self, scan: _Scan, electrode: int, start_ns: int) -> int:
-        """Deliver what the converter still holds; return its duration, ns."""
+        """Deliver the current that the converter still holds; return its duration, ns."""
         self._pulse(
             scan.number, electrode, -self._loaded_ua, LOADING_US, start_ns, among=ELECTRODES,
             rest_us=0, grounded=False, more=True,

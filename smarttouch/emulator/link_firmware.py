@@ -1,7 +1,6 @@
-"""Emulated firmware of the ``link`` board: a state machine with no clock of its own.
+"""Emulated firmware of the ``link`` board: a state machine without its own clock.
 
-It checks every sequence again, by its own rules and in its own code: a host
-that proves its sequences safe must not be the only one who looks.
+It checks each sequence by its own rules and its own code, independently of the host.
 """
 
 from dataclasses import dataclass, field
@@ -45,22 +44,22 @@ NAME = "SmartTouch board emulator 1"
 
 @dataclass
 class _AtHand:
-    """Sequence that executes, or waits to."""
+    """Sequence that executes or waits."""
 
     number: int
     sequence: ReceivedSequence
-    load: Load  # of a pass
-    left: int  # number of remaining scans, with the current one
+    load: Load  # load of one pass
+    left: int  # number of remaining scans, including the current one
     came_ns: int
     starts_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    over_ns: int = 0  # end of the last slot or recharge phase of the pass at hand
+    over_ns: int = 0  # end of the last slot or recharge phase of this pass
     end_ns: int = 0
     done: int = 0
     volts: list[float] = field(default_factory=list)
-    recharge_ns: int | None = None  # start of its recharge phase, until that has been recorded
+    recharge_ns: int | None = None  # start of the recharge phase, until it is recorded
 
     def begin(self, start_ns: int, scan_end_ns: int) -> None:
-        """Begin a pass; that of a scan's further part ends when the scan does."""
+        """Begin a pass; a later part of a scan ends with the scan."""
         sequence = self.sequence
         lengths = sequence.width_us + sequence.discharge_us
         self.done = 0
@@ -75,24 +74,24 @@ class _AtHand:
 
 
 class LinkFirmware(Firmware):
-    """The board between its serial line and its electrodes.
+    """Firmware of the board with its skin.
 
-    ``switch_open`` says whether somebody holds its emergency switch open.
+    ``switch_open`` is whether the emergency switch is open.
     """
 
     def __init__(
         self,
         output: Output,
         books: DeliveryLog,
-        finger: EmulatedFinger | None = None,  # events of the skin while it runs
+        finger: EmulatedFinger | None = None,  # finger with its events
         session: BoardSession | None = None,
-        # least time from zero to full intensity; 0 for tests whose time is what they claim
+        # shortest time from zero to full intensity; 0 in tests with their own time
         ramp_ms: int = RAMP_MS,
         room: Room | None = None,
     ) -> None:
         self._electrodes = electrodes = books.electrodes
         self._output, self.books = output, books
-        # To judge a sequence takes time that grows with the electrodes, and is no delay.
+        # The time to check a sequence grows with the electrodes, and is not a delay.
         self.longest_step_ns += 10_000 * electrodes
         self._room = room = room or Room()
         self._rules = LinkRules(electrodes, output, room, ramp_ms)
@@ -106,10 +105,10 @@ class LinkFirmware(Firmware):
         self._waiting: _AtHand | None = None
         self._scan_end_ns = 0
         self._last, self._last_start_ns = (-1, False), 0
-        """Number of the last sequence accepted, whether it has begun, and when."""
+        """Number of the last accepted sequence, whether it has begun, and its start."""
         self._refusing: Refusal | None = Refusal.STOPPED
-        self._received_ns = 0  # time of the last sign of life
-        self._packet_ns = 0  # time of the first byte of the present packet
+        self._received_ns = 0  # time of the host's last sign of life
+        self._packet_ns = 0  # time of the first byte of the current packet
         self._alive_ns = 0
         self._greeted = False
         self._shorted_since_ns = 0
@@ -122,7 +121,7 @@ class LinkFirmware(Firmware):
 
     @property
     def at_hand(self) -> int:
-        """Number of sequences that execute or wait."""
+        """Number of executing and waiting sequences."""
         return (self._running is not None) + (self._waiting is not None)
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
@@ -146,7 +145,7 @@ class LinkFirmware(Firmware):
         return self._take_answers()
 
     def advance(self, now_ns: int) -> bytes:
-        """Execute all that is due, stop if the host is silent; return the answer."""
+        """Execute everything that is due; stop after the host timeout; return the answer."""
         self._pass_time(now_ns)
         return self._take_answers()
 
@@ -162,7 +161,7 @@ class LinkFirmware(Firmware):
             running = self._running
             recharge_ns = None if running is None else running.recharge_ns
             if recharge_ns is not None and recharge_ns <= self._executed_ns:
-                # Nothing that was due since then begins, but this phase has gone on until now.
+                # Do not begin anything due since then; the current phase has lasted until now.
                 self._executed_ns = now_ns
             self._end(Refusal.EMERGENCY, "emergency", now_ns)
             self._refuse(0, Refusal.EMERGENCY)
@@ -181,7 +180,7 @@ class LinkFirmware(Firmware):
             self._answers.append(alive)
 
     def hang_up(self, now_ns: int) -> None:
-        """End the session, as the host has closed the line."""
+        """End the session after the host closed the line."""
         self.advance(now_ns)
         if self._refusing is not Refusal.STOPPED:
             self._end(Refusal.STOPPED, "host closed", now_ns)
@@ -192,7 +191,7 @@ class LinkFirmware(Firmware):
         self._refusing, self._session.live = refusing, False
 
     def zero(self, reason: str, now_ns: int) -> None:
-        """Drop everything that waits and short all electrodes."""
+        """Drop all sequences and short all electrodes."""
         if self._running is not None:
             self._recharge(self._running, self._executed_ns)
             self._second.end(min(now_ns, self._running.over_ns) // 1000)
@@ -211,7 +210,7 @@ class LinkFirmware(Firmware):
             table.done = max(table.done, due)
             end_ns, waiting = table.end_ns, self._waiting
             if waiting is not None and waiting.sequence.goes_on:
-                # With its slots, as the next part waits.
+                # The scan's next part waits, so it begins after these slots.
                 end_ns = max(table.over_ns, waiting.came_ns)
             if until_ns < end_ns:
                 return
@@ -266,7 +265,7 @@ class LinkFirmware(Firmware):
         )  # fmt: skip
 
     def _recharge(self, table: _AtHand, until_ns: int) -> None:
-        """Execute the recharge phase, or the part of it before it was cut off."""
+        """Execute the recharge phase, or its part up to an interruption."""
         sequence, start_ns = table.sequence, table.recharge_ns
         if sequence.recharge_ua is None or start_ns is None or until_ns <= start_ns:
             return
@@ -274,7 +273,7 @@ class LinkFirmware(Firmware):
         width_us = min(sequence.recharge_us, (until_ns - start_ns) / 1000)
         self._skin.short(max(0, start_ns - self._shorted_since_ns) / 1000)
         delivered = self._skin.pulse(sequence.recharge_ua.astype(np.float64), width_us)
-        # Nothing else comes before the end of the scan, also where it is cut off.
+        # Short all electrodes until the end of the scan.
         self._skin.short((table.end_ns - start_ns) / 1000 - width_us)
         self._shorted_since_ns = table.end_ns
         self.books.enter(
@@ -297,7 +296,7 @@ class LinkFirmware(Firmware):
                 refused = BrokenRule(Rule.NONE).nak(Refusal.EMERGENCY)
                 self._answers.append(session.refuse_begin(message, refused))
                 return
-            # A new host begins from zero, whatever the one before left.
+            # A new session starts at zero.
             session.begin(message)
             if self._running is not None:
                 self.zero("begin", now_ns)
@@ -326,7 +325,7 @@ class LinkFirmware(Firmware):
 
     def _take_kernels(self, message: Message) -> None:
         size, keep = protocol.KERNELS.size, self._rules.keep
-        # What a sequence is made of stays as it is until that is over.
+        # Do not change kernels while a sequence uses them.
         if len(message.payload) >= size and not self.at_hand and self._refusing is None:
             identity, whole_size, offset = protocol.KERNELS.unpack_from(message.payload)
             keep.take(identity, whole_size, offset, message.payload[size:])
@@ -358,7 +357,7 @@ class LinkFirmware(Firmware):
             self.books.violations += 1
 
     def _judged(self, number: int, payload: bytes, now_ns: int) -> _AtHand | None:
-        """Return what a payload asks for, or refuse it."""
+        """Decode and check a sequence; return None and send NAK if it is refused."""
         try:
             sequence = decode_lists(payload, self._electrodes, self._output != "weighted")
         except ValueError:
@@ -366,9 +365,9 @@ class LinkFirmware(Firmware):
             return None
         start_ns, running = now_ns, self._running
         if running is not None:
-            # A further part of a scan begins after the slots of the part before.
+            # A later part of a scan begins after the slots of the part before.
             start_ns = max(now_ns, running.over_ns if sequence.goes_on else running.end_ns)
-        # Time that stood still with this process has passed on the skin.
+        # While the board's clock stood still, time passed for the skin.
         rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
         broken = self._rules.judge(sequence, start_ns // 1000, rise_us)
         if isinstance(broken, Load):
@@ -377,7 +376,7 @@ class LinkFirmware(Firmware):
         return None
 
     def _acknowledge(self) -> None:
-        """Report that the last sequence has begun, and when."""
+        """Report the start of the last sequence."""
         began = protocol.ACK.pack(self._last_start_ns // 1000)
         self._say(MessageKind.ACK, self._last[0], began)
 

@@ -1,6 +1,6 @@
-"""Packets of ``link`` as an emulated board reads them: sessions, kernels and sequences.
+"""Packets of ``link`` as read by an emulated board: sessions, kernels and sequences.
 
-Like its rules, written independently of the host, so that it checks what the host computes.
+This code is independent of the host's, so that it checks what the host computes.
 """
 
 import struct
@@ -35,7 +35,7 @@ from smarttouch.boards.link import (
     encode,
 )
 
-MOST_HOSTS = 8  # number of hosts with separate HELLO records
+MOST_HOSTS = 8  # number of hosts for which HELLO packets are remembered
 _MS = 1_000_000
 _PAIR = struct.Struct("<HH")
 _NOTHING = bytes(16)
@@ -47,22 +47,22 @@ def encode_volts(volts: NDArray[np.float64]) -> bytes:
 
 
 class BoardSession:
-    """The latest session, and the challenge for the next; ``draw`` returns 32 random bits, not all
-    0, new ones each time."""
+    """The current session, and the challenge for the next. ``draw`` returns 32 random bits that are
+    not all 0."""
 
     def __init__(self, draw: Callable[[], int] = draw_half) -> None:
-        self.state = 0  # of the board, in each of its packets
-        # Of the session, 0 before the first; packets refused as old and as of another session.
+        self.state = 0  # state of the board, in each of its packets
+        # Session number, 0 before the first; packets refused as old; packets of other sessions.
         self.number: int = 0
         self.old: int = 0
         self.foreign: int = 0
-        self.live: bool = False  # whether its host is there; what ends it sets this to False
+        self.live: bool = False  # whether the session is open
         self._draw = draw
         self._challenge = draw()
         self._taken = self._said = 0
         self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // ALIVE_MS)
-        """Time in ns and number of each of the last ALIVE packets."""
-        self._hellos: dict[int, tuple[int, int]] = {}  # last number and count, by the host's half
+        """Time, ns, and number of each of the last ALIVE packets."""
+        self._hellos: dict[int, tuple[int, int]] = {}  # last number and count, by host
 
     def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the board's next packet of the session."""
@@ -71,13 +71,13 @@ class BoardSession:
         return encode(message)
 
     def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
-        """Return the next ALIVE; its echo dates what the host has received."""
+        """Return the next ALIVE packet; its echo proves when the host received it."""
         packet = self.encode(MessageKind.ALIVE, 0, payload)
         self._alive.append((now_ns, self._said))
         return packet
 
     def offer(self, hello: Message, capabilities: bytes) -> bytes | None:
-        """Return the answer to HELLO; None if it is refused."""
+        """Return the answer to HELLO, or None if it is refused."""
         half = hello.session & HALF
         if self.live:
             self.foreign += 1
@@ -95,17 +95,17 @@ class BoardSession:
         return encode(Message(kind, 0, session, 0, hello.number, capabilities, self.state))
 
     def would_begin(self, begin: Message) -> bool:
-        """Return whether a BEGIN may open a session."""
+        """Return whether BEGIN may open a session."""
         fits = begin.session >> 32 == self._challenge and bool(begin.session & HALF)
         return not self.live and fits and begin.version == VERSION
 
     def refuse_begin(self, begin: Message, payload: bytes) -> bytes:
-        """Return the NAK of a BEGIN that changes nothing."""
+        """Return the NAK for a BEGIN that is refused."""
         kind = MessageKind.NAK
         return encode(Message(kind, 0, begin.session, 0, begin.number, payload, self.state))
 
     def begin(self, begin: Message) -> None:
-        """Open the session of a BEGIN that may."""
+        """Open the session of a BEGIN that was allowed."""
         half = begin.session & HALF
         self._hellos.pop(half, None)
         self._count_strangers()
@@ -120,8 +120,8 @@ class BoardSession:
         self._hellos.clear()
 
     def take(self, message: Message, began_ns: int) -> Refusal | None:
-        """Take a packet of the session, or return why it is refused; ``began_ns`` is when its first
-        byte came."""
+        """Accept a packet of the session, or return the reason to refuse it. ``began_ns`` is the
+        time of its first byte."""
         refusal = self._judge(message, began_ns)
         self.old += refusal is Refusal.OLD
         self.foreign += refusal is Refusal.FOREIGN
@@ -130,7 +130,7 @@ class BoardSession:
         return refusal
 
     def promises(self, head: bytes, began_ns: int, now_ns: int) -> bool:
-        """Return whether an incomplete packet is a sign of life, as those of long kinds are."""
+        """Return whether an incomplete packet counts as a sign of life, as long packets do."""
         message, early = decode_head(head), now_ns - began_ns <= LONGEST_PACKET_MS * _MS
         fresh = self._judge(message, began_ns) is None
         return message.kind in (MessageKind.SEQUENCE, MessageKind.KERNELS) and early and fresh
@@ -138,37 +138,37 @@ class BoardSession:
     def _judge(self, message: Message, began_ns: int) -> Refusal | None:
         if message.version != VERSION or not self.number or message.session != self.number:
             return Refusal.FOREIGN
-        # ALIVE packets that are too old to confirm.
+        # ALIVE packets whose confirmation comes too late.
         faded = (number for sent_ns, number in self._alive if sent_ns < began_ns - LATE_MS * _MS)
-        # A stop is never too late: it counts even from a host that receives nothing.
+        # STOP is never late: it must work even if the host receives nothing.
         late = message.kind != MessageKind.STOP and message.heard <= max(faded, default=-1)
         return Refusal.OLD if late or message.number <= self._taken else None
 
 
 @dataclass(frozen=True, eq=False)
 class ReceivedSequence:
-    """Sequence of S slots as received, with P pairs of a kernel and its amplitude.
+    """Received sequence of S slots, with P pairs of kernel and amplitude.
 
-    ``recharge_ua`` is (E,), None without a recharge phase.
+    ``recharge_ua`` is (E,), or None without a recharge phase.
     """
 
     period_us: int
     times: int
     intensity: int
     measure: bool
-    more: bool  # whether the scan goes on in the next sequence
-    goes_on: bool  # whether it is a further part of the scan before it
+    more: bool  # whether the scan continues in the next sequence
+    goes_on: bool  # whether it continues the scan of the sequence before
     recharge_us: int
     recharge_ua: NDArray[np.int64] | None
-    kind: NDArray[np.int64]  # (S,): 0 a point, 1 one sum, 2 currents, 3 states
+    kind: NDArray[np.int64]  # (S,): 0 point, 1 sum, 2 currents, 3 states
     site: NDArray[np.int64]
-    source_ua: NDArray[np.int64]  # (S,): of switched boards
+    source_ua: NDArray[np.int64]  # (S,): current of the source, on switched boards
     width_us: NDArray[np.int64]
     discharge_us: NDArray[np.int64]
     rows: NDArray[np.int64]
-    """(S, E): currents, positive cathodic and 0 in slots of kernels until these are looked up;
-    of switched boards states, 1 cathode, −1 anode, 0 insulated, 2 not a state."""
-    pairs: NDArray[np.int64]  # (P, 3): slot, kernel and amplitude, in order of the slots
+    """(S, E): currents, positive cathodic, 0 in slots of kernels until kernels are filled in. On
+    switched boards states: 1 cathode, −1 anode, 0 insulated, 2 invalid."""
+    pairs: NDArray[np.int64]  # (P, 3): slot, kernel and amplitude, sorted by slot
 
     @property
     def slots(self) -> int:
@@ -176,7 +176,7 @@ class ReceivedSequence:
 
 
 class _Reader:
-    """Reads a payload from its start; raises ValueError where that is too short."""
+    """Reads a payload from its start. Raises ValueError if it is too short."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self._at = data, 0
@@ -196,7 +196,7 @@ class _Reader:
 
 
 def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSequence:
-    """Return the sequence in a payload; raise ValueError if that is not exactly one."""
+    """Decode a sequence. Raises ValueError unless the payload is exactly one sequence."""
     rest = _Reader(payload)
     period_us, times, intensity, flags, count = SEQUENCE.unpack(rest.take(SEQUENCE.size))
     recharges, part = flags & RECHARGE, flags & (MORE | GOES_ON)
@@ -248,13 +248,13 @@ def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8
 
 
 def rounded(every: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return weights times amplitudes, (…, E), as currents in whole µA that sum to zero."""
-    # Rounded down, by 131,072.
+    """Round sums of weights times amplitudes, (…, E), to currents in µA that sum to zero."""
+    # Divide by 131,072 and round.
     return np.diff((np.cumsum(every, axis=-1) + 65_536) >> 17, axis=-1, prepend=0)
 
 
 class KernelStore:
-    """Kernels that a board keeps from one session to the next."""
+    """Kernels stored on a board, also between sessions."""
 
     def __init__(self, electrodes: int, room: int, most: int) -> None:
         self._electrodes, self._room, self._most = electrodes, room, most
@@ -262,8 +262,8 @@ class KernelStore:
 
     def _forget(self) -> None:
         self._data, self._size = bytearray(), 0
-        self.identity: bytes = _NOTHING  # of what is being kept; zeros if nothing
-        self.weights: NDArray[np.int16] | None = None  # (K, E), once all of it is there
+        self.identity: bytes = _NOTHING  # hash of the stored kernels; zeros if there are none
+        self.weights: NDArray[np.int16] | None = None  # (K, E), once complete
         self.site: NDArray[np.uint16] = np.zeros(0, np.uint16)  # (K,)
 
     @property
@@ -272,11 +272,11 @@ class KernelStore:
 
     @property
     def count(self) -> int:
-        """Number of kernels; 0 until all of them are there."""
+        """Number of kernels; 0 until all are received."""
         return len(self.site)
 
     def take(self, identity: bytes, size: int, offset: int, data: bytes) -> None:
-        """Take a part of the kernels; one that does not continue the part before is dropped."""
+        """Store a part of the kernels; drop it if it does not continue the part before."""
         if (identity, size) != (self.identity, self._size):
             self._forget()
             if size > self._room:
@@ -293,8 +293,8 @@ class KernelStore:
                 self._forget()
 
     def proof(self, session: int) -> bytes:
-        """Return the digest that proves to a session's host which kernels are kept; zeros if they
-        are not complete."""
+        """Return a digest that proves to the host which kernels are stored; zeros if they are
+        incomplete."""
         return _NOTHING if self.weights is None else digest_of(bytes(self._data), session)
 
     def _read(self) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:

@@ -1,7 +1,7 @@
-"""Rules of the ``link`` board, in whole numbers and in the order of the page: limits, loads, what
-is remembered of the last second, the session and the rise, and the judgement of a sequence.
+"""Rules of the ``link`` board in integers, in the order of the protocol's page: limits, loads, the
+last second, the session, the ramp, and the check of a sequence.
 
-All times are on the board's own clock, in whole microseconds, and charges in pC.
+Times are on the board's clock, in µs; charges are in pC.
 """
 
 from collections import deque
@@ -30,23 +30,23 @@ BURST_US = 40_000
 MIN_RAMP_MS, MAX_RAMP_MS = 500, 10_000
 MAX_SESSION_S, MAX_SESSION_UC = 3600, 1_800_000
 MAX_RECHARGE_UA = 500
-"""Limit of a recharge phase, a tenth of the strongest pulse, as the board has no thresholds."""
+"""Limit of a recharge phase, a tenth of the strongest pulse: the board does not know thresholds."""
 MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
-STRENGTH = 4  # multiple of a pulse's share of a full one that its strength is at most
+STRENGTH = 4  # largest ratio of a pulse's strength to its charge relative to a full pulse
 BUCKET_US = 50_000
-BUCKETS = 20  # whole buckets before the one at hand: a second, and up to a twentieth of one more
+BUCKETS = 20  # complete buckets before the current one: 1 s to 1.05 s
 SECOND_US = 1_000_000
 MOST_CHARGE_PC = 500_000_000
 MOST_NET_PC = 50_000_000
-RAMP_MS = 500  # least time from zero to full
-CATCH_UP_US = 150_000  # time by which a rise may be ahead of that, as packets may be late
-KEPT_US = 15_000_000  # time without current after which a level is closed
-_LEEWAY = 2  # of an intensity in 1/65,535, for its rounding
+RAMP_MS = 500  # shortest time from zero to full intensity
+CATCH_UP_US = 150_000  # time by which a ramp may be ahead, as packets may be late
+KEPT_US = 15_000_000  # time without current after which the ramp restarts
+_LEEWAY = 2  # tolerance for the rounding of an intensity, in 1/65,535
 
 
 class BrokenRule(NamedTuple):
-    """First rule that a sequence breaks."""
+    """Violation of a rule by a sequence."""
 
     rule: Rule
     slot: int = NOTHING
@@ -55,7 +55,7 @@ class BrokenRule(NamedTuple):
     allowed: int = 0
 
     def nak(self, reason: Refusal = Refusal.UNSAFE) -> bytes:
-        """Return the payload of NAK."""
+        """Return the payload of a NAK."""
         value, allowed = (min(number, 0x7FFFFFFF) for number in self[3:])
         return NAK.pack(reason, *self[:3], value, allowed)
 
@@ -63,8 +63,8 @@ class BrokenRule(NamedTuple):
 def first_above(
     rule: Rule, value: NDArray[np.int64] | int, allowed: Any, slot: int = NOTHING
 ) -> BrokenRule | None:
-    """Return a rule as broken if a value is above the allowed; of electrodes, (E,), at the first
-    whose value is."""
+    """Return a violation if a value exceeds the allowed one, else None; for (E,) the first
+    electrode that does."""
     values, allowed_each = np.broadcast_arrays(np.atleast_1d(value), allowed)
     if not len(over := np.flatnonzero(values > allowed_each)):
         return None
@@ -74,18 +74,18 @@ def first_above(
 
 
 class Load(NamedTuple):
-    """What a pass of a sequence brings, or of the parts of a scan."""
+    """Load of one pass of a sequence, or of the parts of a scan."""
 
     each: NDArray[np.int64]
-    """(3, E): felt pulses, charge of either sign and net charge, positive cathodic, pC; the
-    charges with the recharge phase."""
-    peak_ua: int  # strongest current, and largest charge of one pulse; 0 if no current flows
+    """(3, E): number of perceptible pulses, absolute charge, pC, and net charge, pC, positive
+    cathodic. Charges include the recharge phase."""
+    peak_ua: int  # largest current and largest charge of a pulse; 0 without current
     peak_pc: int
-    busy_us: int  # time of its slots and recharge phase, and of their current
+    busy_us: int  # duration of slots and recharge phase, and of their current
     pulses_us: int
 
     def after(self, before: "Load") -> "Load":
-        """Return the load of both one after the other."""
+        """Return the sum of both loads, one after the other."""
         return Load(
             before.each + self.each, max(before.peak_ua, self.peak_ua),
             max(before.peak_pc, self.peak_pc), before.busy_us + self.busy_us,
@@ -95,7 +95,7 @@ class Load(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SessionLimits:
-    """Limits of a session: the host's, or the board's own where these are stricter."""
+    """Limits of a session: the stricter ones of host and board."""
 
     period_us: int
     total_ua: int
@@ -113,7 +113,7 @@ class SessionLimits:
 
     @classmethod
     def of(cls, payload: bytes, electrodes: int, output: Output) -> "SessionLimits | None":
-        """Return the limits in a payload; None if it is invalid."""
+        """Decode limits; return None if the payload is invalid."""
         if len(payload) != LIMITS.size + 8 * electrodes:
             return None
         (
@@ -134,35 +134,36 @@ class SessionLimits:
         )  # fmt: skip
 
     def strength(self, intensity: int, peak_pc: int) -> int:
-        """Return what an intensity amounts to with pulses of such a charge, of `FULL`."""
+        """Return the strength of an intensity with this largest charge of a pulse, relative to
+        `FULL`."""
         share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
         return min(FULL, max(share, min(intensity, STRENGTH * share)))
 
     def intensity(self, intensity: int, load: "Load") -> "BrokenRule | None":
-        """Return the rule that pulses break which are too strong for an intensity."""
+        """Return a violation if pulses are too strong for the stated intensity."""
         allowed_ua = self.full_ua * intensity // FULL + self.rounding_ua
         return first_above(Rule.INTENSITY, load.peak_ua, allowed_ua)
 
 
 class LastSecond:
-    """Passes of the last second, and the dose of the session."""
+    """Loads of the last second and of the session."""
 
     def __init__(self, electrodes: int) -> None:
-        # Bucket in which a pass was over and its load, (3, E), of each; and of that which executes.
+        # Bucket at the end of each pass, with its load, (3, E); and the executing pass.
         self._over: deque[tuple[int, NDArray[np.int64]]] = deque()
         self._running: NDArray[np.int64] | None = None
         self._starts_us: deque[int] = deque()
         self._none = np.zeros((3, electrodes), np.int64)
-        self.most_net_pc: int = 0  # largest net charge of an electrode within a second so far
+        self.most_net_pc: int = 0  # largest net charge of an electrode within any second so far
         self.begin_session()
 
     def begin_session(self) -> None:
-        """Reset the dose of the session; the last second still counts."""
+        """Reset the load of the session; the last second stays."""
         self.session_us: int = 0
-        self.session: NDArray[np.int64] = self._none  # (3, E) as of a load: its passes so far
+        self.session: NDArray[np.int64] = self._none  # (3, E): sum of the loads of the session
 
     def begin(self, start_us: int, period_us: int, load: Load, goes_on: bool) -> None:
-        """Enter a pass that begins. Start and time of a scan are those of its first part."""
+        """Add a pass that begins. Start and period of a scan are those of its first part."""
         if not goes_on:
             self._starts_us.append(start_us)
             self.session_us += period_us * (load.busy_us > 0)
@@ -178,13 +179,13 @@ class LastSecond:
         self.session = self.session + load.each
 
     def end(self, end_us: int) -> None:
-        """Take the pass that executes as over since a time."""
+        """Mark the executing pass as over since a time."""
         if self._running is not None:
             self._over.append((end_us // BUCKET_US, self._running))
             self._running = None
 
     def _in_window(self, start_us: int) -> NDArray[np.int64]:
-        """Return the loads that count at a time, (N, 3, E), the last one first."""
+        """Return the loads within the last second, (N, 3, E), the latest first."""
         first = start_us // BUCKET_US - BUCKETS
         loads = [] if self._running is None else [self._running]
         loads += [load for bucket, load in reversed(self._over) if bucket >= first]
@@ -193,8 +194,8 @@ class LastSecond:
     def complaint(
         self, start_us: int, sequence: ReceivedSequence, load: Load, limits: SessionLimits
     ) -> BrokenRule | None:
-        """Return the first rule that a sequence whose first pass begins at ``start_us`` breaks with
-        what was before it, if any."""
+        """Return the first violation by a sequence that begins at ``start_us``, together with
+        earlier passes, or None."""
         period_us, times, broken = sequence.period_us, sequence.times, None
         starts_us = range(start_us, start_us + min(times * period_us, SECOND_US), period_us)
         if load.busy_us:
@@ -230,15 +231,15 @@ class LastSecond:
 
 
 def _most_net(window: NDArray[np.int64], net_pc: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the largest net charge that any last passes and then a charge (E,) make."""
+    """Return the largest net charge of any number of latest passes plus a charge, (E,)."""
     runs = np.cumsum([net_pc, *window[:, 2]], axis=0)
     return np.asarray(np.abs(runs).max(axis=0))
 
 
 class Ramp:
-    """Rise of intensity by delivered current, and no higher than its strength.
+    """Ramp: intensity rises only while current flows, and no higher than its strength.
 
-    ``ramp_ms`` is the least time from zero to full; 0 for tests whose time is what they claim.
+    ``ramp_ms`` is the shortest time from zero to full; 0 in tests with their own time.
     """
 
     def __init__(self, ramp_ms: int = RAMP_MS) -> None:
@@ -246,12 +247,12 @@ class Ramp:
         self.restart(ramp_ms)
 
     def restart(self, ramp_ms: int) -> None:
-        """Begin at zero, with at least so long a ramp."""
+        """Restart at zero, with at least this ramp."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
         self._level = self._strength = self._since_us = self._span_us = 0
 
     def _risen(self, now_us: int) -> tuple[int, int]:
-        """Return the level, and for how long current has flowed since the last sequence."""
+        """Return the level, and the time of current since the last sequence, µs."""
         on_us = max(0, min(now_us - self._since_us, self._span_us))
         if now_us - self._since_us - on_us > KEPT_US:
             return 0, on_us
@@ -259,14 +260,14 @@ class Ramp:
         return max(self._level, risen), on_us
 
     def allowed(self, now_us: int) -> int:
-        """Return the largest strength that may begin at a time."""
+        """Return the largest allowed strength at a time."""
         if not self._ramp_us:
             return FULL
         ahead = CATCH_UP_US * FULL // self._ramp_us
         return min(FULL, self._risen(now_us)[0] + ahead + _LEEWAY)
 
     def note(self, intensity: int, strength: int, now_us: int, span_us: int) -> None:
-        """Record a sequence that begins at a time, and for how long its current flows."""
+        """Record a sequence that begins at a time; ``span_us`` is the duration of its current."""
         if not self._ramp_us:
             return
         risen, on_us = self._risen(now_us)
@@ -280,7 +281,7 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Room:
-    """What a board has room for: a small one gets a scan in parts."""
+    """Capacity of a board; a small board receives a scan in parts."""
 
     slots: int = MAX_SLOTS
     packet_bytes: int = 1 << 20
@@ -290,16 +291,16 @@ class Room:
 
 @dataclass
 class _Scan:
-    """Parts of a scan that were accepted: to the rules they are one sequence with those to come."""
+    """Accepted parts of a scan; the rules treat all parts as one sequence."""
 
-    last: ReceivedSequence  # the last of these parts
-    rise_us: int  # when it was to begin, on the skin
-    rise: Ramp  # as it was before the scan
+    last: ReceivedSequence  # latest part
+    rise_us: int  # planned start, in time of the skin
+    rise: Ramp  # ramp before the scan
     load: Load
 
 
 class LinkRules:
-    """What a board keeps to judge sequences by, and its judgement."""
+    """State of a board for checking sequences, and the checks."""
 
     def __init__(self, electrodes: int, output: Output, room: Room, ramp_ms: int) -> None:
         self._none = Load(np.zeros((3, electrodes), np.int64), 0, 0, 0, 0)
@@ -316,14 +317,14 @@ class LinkRules:
         self.second.begin_session()
 
     def take_limits(self, payload: bytes) -> None:
-        """Take the limits of a session; the first valid ones hold."""
+        """Set the limits of a session; only the first valid ones count."""
         if self.limits is None:
             self.limits = SessionLimits.of(payload, self._none.each.shape[1], self._output)
             self._ramp.restart(0 if self.limits is None else self.limits.ramp_ms)
 
     def judge(self, sequence: ReceivedSequence, start_us: int, rise_us: int) -> BrokenRule | Load:
-        """Fill in what kernels make; return the first broken rule, or the load of a pass of what is
-        accepted. It begins at ``start_us``, on the skin at ``rise_us``."""
+        """Fill in currents of kernels; return the first violation, or the load of an accepted pass.
+        The pass begins at ``start_us``, in time of the skin at ``rise_us``."""
         scan, limits = self._scan, self.limits
         if not sequence.goes_on:
             scan = _Scan(sequence, rise_us, copy(self._ramp), self._none)
@@ -384,19 +385,19 @@ class LinkRules:
         missing: NDArray[np.int64],
         amplitude: NDArray[np.int64],
     ) -> BrokenRule | None:
-        """Return the first broken rule of the first slot that breaks one."""
+        """Return the first violation in the first slot that has one."""
         kind, switched = sequence.kind, self._output != "weighted"
         if switched:
             odd = (Rule.STATES, self._no_circuit(sequence.rows), 0 * kind, 0)
             total_ua = sequence.source_ua
-            # Of one source any electrode may be the last that still touches the skin.
+            # With a single source, each electrode may be the last one in contact with the skin.
             through_ua = np.where(each_ua > 0, total_ua[:, None], 0)
         else:
             sums_ua = sequence.rows.sum(axis=1)
             odd = (Rule.BALANCE, sums_ua != 0, sums_ua, 0)
             total_ua, through_ua = each_ua.sum(axis=1) // 2, each_ua
         charge_pc = through_ua * sequence.width_us[:, None]
-        # Each with where it is broken and the values, (S,) or (S, E), and what is allowed.
+        # Rule, mask of violations, values, (S,) or (S, E), and allowed values.
         rules: list[tuple[Rule, NDArray[np.bool_], NDArray[np.int64], Any]] = [
             (Rule.KIND, (kind == STATES) != switched, kind, 0),
             (Rule.KERNEL, missing >= 0, missing, self.keep.count),
@@ -421,8 +422,8 @@ class LinkRules:
         return first_above(rule, values[slot], allowed, slot)
 
     def _fill_in(self, sequence: ReceivedSequence) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Fill in what kernels make; return of each slot, (S,), the first kernel that is not kept,
-        else -1, and the sum of amplitudes."""
+        """Fill in currents of kernels. Return for each slot, (S,), the first kernel that is not
+        stored, or -1, and the sum of amplitudes."""
         keep, (slot, kernel, amplitude) = self.keep, sequence.pairs.T
         missing, sums = np.full((2, sequence.slots), [[-1], [0]], np.int64)
         np.add.at(sums, slot, amplitude)
@@ -444,7 +445,8 @@ class LinkRules:
         return np.asarray(odd)
 
     def _currents(self, sequence: ReceivedSequence) -> NDArray[np.int64]:
-        """Return the currents, (S, E) µA; of one source equal shares, rounded away from 0."""
+        """Return the currents, (S, E) µA. A single source is divided equally and rounded away from
+        0."""
         rows, source_ua = sequence.rows, sequence.source_ua
         if self._output == "weighted":
             return rows
@@ -456,7 +458,7 @@ class LinkRules:
     def _recharged(
         self, sequence: ReceivedSequence, limits: SessionLimits, load: Load
     ) -> BrokenRule | None:
-        """Return the first broken rule of the recharge phase of a sequence and its load."""
+        """Return the first violation by the recharge phase of a sequence with this load."""
         width_us, recharge_ua = sequence.recharge_us, sequence.recharge_ua
         if recharge_ua is None:
             return None
@@ -479,7 +481,7 @@ class LinkRules:
 def _load_of(
     sequence: ReceivedSequence, signed_ua: NDArray[np.int64], limits: SessionLimits
 ) -> Load:
-    """Return the load of a pass of a sequence with these currents, (S, E)."""
+    """Return the load of one pass with these currents, (S, E)."""
     width_us, each_ua = sequence.width_us, np.abs(signed_ua)
     strongest_ua, pulses_us = each_ua.max(axis=1, initial=0), int(width_us.sum())
     felt = ((each_ua >= limits.felt_ua) & (each_ua > 0)).sum(axis=0)

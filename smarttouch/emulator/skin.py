@@ -1,14 +1,14 @@
-"""Electrical circuit of the electrodes on the skin, and the finger that touches them.
+"""Electrical circuit of electrodes on skin, and the finger with its events.
 
-Each electrode is a series resistance and behind it the horny layer, a
-resistance and a capacitance side by side; all meet in one node, the tissue::
+Each electrode has a series resistance R_s and the horny layer, a resistance R_p in parallel with a
+capacitance C_p. All electrodes meet in one node, the tissue::
 
     output ── R_s ──┬─ R_p ─┬── tissue
                     └─ C_p ─┘
 
 Currents and voltages are positive cathodic, each electrode against the tissue.
 
-Events of the finger are texts, a time in seconds and what happens then::
+An event of the finger is a text with a time in seconds::
 
     2.0 lift            the finger leaves all electrodes
     3.0 touch           and is back
@@ -32,21 +32,23 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import BoardError
 
 SERIES_OHM = 2.0e3
-"""Spreading resistance of a 1 mm disc on skin of 0.43 S/m, 1/(4 σ a) = 1.16 kΩ; the rest, the
-tissue below and the contact, is an estimate of ours."""
+"""Series resistance: 1.16 kΩ is the spreading resistance 1/(4 σ a) of a 1 mm disc on skin of 0.43
+S/m; the rest is our estimate for tissue and contact."""
 PARALLEL_OHM = 50e3
 CAPACITANCE_F = 1.0e-9
-"""Horny layer under a 1 mm disc on a moist fingertip. Estimates of ours: 2.4 mA for 200 µs then
-needs about 125 V, what displays of this kind supply."""
-SPREAD = 0.15  # largest relative difference of electrodes of one array. An estimate of ours.
+"""Horny layer under a 1 mm disc on a moist fingertip. Our estimate: 2.4 mA for 200 µs then needs
+about 125 V, as supplied by such displays."""
+SPREAD = 0.15  # largest relative difference between electrodes of an array (our estimate)
 COMPLIANCE_V = 300.0
 _CONSTANT = (1, 1.0, 1.0)
 _SHARED = (6, 1.3, 0.6)
 _CAPPED = (24, 1.15, 1.0)
-"""Steps of a pulse, their growth ratio, and the place in each at which its current fits: the
-coarsest within 3 % of a fine solution, and the end where no step may pass the compliance."""
+"""Number of steps of a pulse, their growth ratio, and the point within a step at which the current
+is fitted. Results are within 3 % of a fine solution; at the compliance limit the end of the step is
+fitted."""
 _SHORT_STEPS, _SHORT_GROWTH = 3, 3.0
-"""Steps of a short circuit: within 1 % of what was there where electrodes differ by 15 %."""
+"""Steps of a short circuit: errors are below 1 % of the initial charge if electrodes differ by 15
+%."""
 _LONGEST_SHORT_US = 2000.0
 _MOST_WIDTHS = 64
 
@@ -57,15 +59,15 @@ class Delivered:
 
     current_ua: NDArray[np.float64]  # (E,): mean over the pulse, positive cathodic
     charge_pc: NDArray[np.float64]
-    # (E,): each electrode against the tissue at the end of the pulse, positive cathodic
+    # (E,): electrodes against tissue at the end of the pulse, positive cathodic
     volts: NDArray[np.float64]
-    source_v: float  # between the poles of the source at the end of the pulse
+    source_v: float  # voltage between the poles of the source at the end of the pulse
 
 
 class _Steps(NamedTuple):
-    """A pulse cut into K steps of constant current, (K,) and (K, E) each; the last, of no length,
-    is its end. A step turns the capacitor's voltage v into v·decay + I·rise; its current is fitted
-    late in it, where an electrode has v·late + I/admittance."""
+    """Pulse divided into K steps of constant current, (K,) and (K, E) each; the last has length 0.
+    A step changes the capacitor's voltage v to v·decay + I·rise. The current is fitted at a point
+    late in the step, where an electrode has v·late + I/admittance."""
 
     length_s: NDArray[np.float64]
     decay: NDArray[np.float64]
@@ -75,8 +77,8 @@ class _Steps(NamedTuple):
 
 
 class SkinCircuit:
-    """Voltages of the E electrodes, updated pulse by pulse. Impedances differ between electrodes by
-    the share ``spread`` at most, always in the same way."""
+    """Voltages of E electrodes, updated pulse by pulse. Impedances differ between electrodes by at
+    most ``spread`` (relative), in a fixed pattern."""
 
     def __init__(
         self, electrodes: int, *, compliance_v: float = COMPLIANCE_V, spread: float = SPREAD
@@ -89,7 +91,7 @@ class SkinCircuit:
         self.scale(np.ones(electrodes), np.ones(electrodes))
 
     def scale(self, resistance: NDArray[np.float64], capacitance: NDArray[np.float64]) -> None:
-        """Set impedances to multiples (E,) of the healthy ones; voltages stay."""
+        """Scale impedances by factors, (E,), from their initial values; voltages stay."""
         series, parallel, capacity = self._healthy
         self.series_ohm: NDArray[np.float64] = series * resistance
         self.parallel_ohm: NDArray[np.float64] = parallel * resistance
@@ -99,18 +101,18 @@ class SkinCircuit:
 
     @property
     def residual_uc(self) -> NDArray[np.float64]:
-        """Charge left on each electrode's capacitance, (E,) µC."""
+        """Charge on the capacitance of each electrode, (E,) µC."""
         return np.asarray(1e6 * self.capacitance_f * self._volts)
 
     def pulse(self, current_ua: NDArray[np.float64], width_us: float) -> Delivered:
-        """Drive the current (E,) of each electrode's own source for a time. Where that would exceed
-        the compliance, less flows; poles that differ in total carry the smaller one."""
+        """Drive each electrode by its own source, (E,), for a time. Currents are reduced at the
+        compliance limit. If the totals of the poles differ, both carry the smaller one."""
         asked_ua = _balance(np.asarray(current_ua, np.float64))
         amps = asked_ua * 1e-6
         steps = self._steps_of(width_us, *_CONSTANT)
         end = self._volts * steps.decay[0] + amps * steps.rise_ohm[0]
         drop = amps * self.series_ohm
-        # Between its ends the voltage of a constant current is monotonic.
+        # The voltage of a constant current is monotonic, so check the start and the end.
         need = max(np.abs(drop + self._volts).max(), np.abs(drop + end).max())
         if need <= self.compliance_v:
             self._volts = end
@@ -141,15 +143,15 @@ class SkinCircuit:
         shunt_ohm: float = np.inf,
     ) -> Delivered:
         """Drive one source for a time; its current divides by the impedances of each pole.
-        ``state`` is (E,): 1 cathode, −1 anode, 0 insulated; with one pole missing nothing flows. A
-        shunt beside the skin takes its part."""
+        ``state``, (E,), is 1 for cathode, −1 for anode, 0 for insulated. No current flows if a pole
+        is missing. A shunt is in parallel with the skin."""
         poles = np.array([state > 0, state < 0])
         if not poles.any(axis=1).all() or not width_us:
             self.idle(width_us)
             nothing = np.zeros(self.electrodes)
             return Delivered(nothing, nothing, self._volts, 0.0)
         steps = self._steps_of(width_us, *_SHARED)
-        # Per step: what each pole's node gives an electrode, and what its own voltage takes.
+        # For each step: the current into an electrode by its pole's voltage, and by its own.
         weights = steps.admittance[:, None, :] * poles
         pulls = weights * steps.late[:, None, :]
         lifts = weights * steps.rise_ohm[:, None, :]
@@ -174,19 +176,20 @@ class SkinCircuit:
         return Delivered(charge_pc / width_us, charge_pc, ends_v, source_v)
 
     def idle(self, duration_us: float) -> None:
-        """Leave all electrodes unconnected; each capacitance discharges by its own resistance."""
+        """Leave all electrodes unconnected; each capacitance discharges through R_p."""
         self._volts = self._volts * np.exp(
             -duration_us * 1e-6 / (self.parallel_ohm * self.capacitance_f)
         )
 
     def short(self, duration_us: float) -> None:
-        """Short all electrodes: each capacitance discharges by R_p, and R_s to the common node.
+        """Short all electrodes: each capacitance discharges through R_p, and through R_s to the
+        common node.
 
-        The node's voltage is held in each step such that no charge is lost or made.
+        In each step the voltage of the node is constant and conserves charge.
         """
         if duration_us < 1e-6:
             return
-        # What is left after many of the slowest time constants is nothing.
+        # After many time constants the rest is negligible.
         level, steps = self._shorts_of(min(duration_us, _LONGEST_SHORT_US))
         for lost, share in steps:
             self._volts = self._volts + lost * (level * (share @ self._volts) - self._volts)
@@ -194,15 +197,15 @@ class SkinCircuit:
     def _find_shorts(
         self, duration_us: float
     ) -> tuple[NDArray[np.float64], list[tuple[NDArray[np.float64], NDArray[np.float64]]]]:
-        """Return the share of the node's voltage that an electrode ends at, and for each step what
-        it loses and its share of the node's voltage."""
+        """Return the final voltage of each electrode relative to the node, and for each step its
+        loss and its coupling to the node."""
         series = 1 / self.series_ohm
         rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
         level = series / (rate * self.capacitance_f)
         share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
         length = (share * (duration_us * 1e-6 / share.sum()))[:, None]
         lost = -np.expm1(-rate * length)
-        # Charge that leaves by an electrode's own volt, and that comes by the node's.
+        # Charge that leaves per volt of the electrode, and that arrives per volt of the node.
         out = series * lost / rate
         back = series * length * (1 - level) + level * out
         return level, list(zip(lost, out / back.sum(axis=1, keepdims=True), strict=True))
@@ -233,7 +236,7 @@ class SkinCircuit:
 
 
 def _balance(current: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return currents that sum to zero: the stronger pole is lowered in proportion."""
+    """Return currents that sum to zero: scale down the stronger pole."""
     if not current.sum():
         return current
     cathodic, anodic = np.maximum(current, 0), np.maximum(-current, 0)
@@ -246,7 +249,7 @@ def _balance(current: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-FORCE_N = 1.0  # default force: a firm reading pressure, which does not reduce the current
+FORCE_N = 1.0  # default force: a firm pressure at which the current is not reduced
 OPEN_FACTOR = 5e5  # impedance factor of an open electrode: about 1 GΩ
 SHORT_FACTOR = 1e-4  # impedance factor of a shorted electrode: a few ohm to the tissue
 
@@ -257,7 +260,7 @@ FORMS = {
 
 
 class FingerEvent(NamedTuple):
-    """One event: its time, s, its kind, its electrode, 0 if it is of none, and its force, N."""
+    """One event: time, s; kind; electrode, or 0; and force, N."""
 
     time_s: float
     kind: str
@@ -266,7 +269,7 @@ class FingerEvent(NamedTuple):
 
 
 def parse_event(text: str) -> FingerEvent:
-    """Return the event of a text."""
+    """Parse an event."""
     words = text.split()
     kind = "".join(words[1:2])
     if kind not in FORMS:
@@ -288,19 +291,19 @@ def parse_event(text: str) -> FingerEvent:
 
 
 class EmulatedFinger:
-    """Finger on the electrodes, with the state of each contact; events, see the module, come in any
-    order."""
+    """Finger on the electrodes, with the state of each contact. Events, see the module, may be in
+    any order."""
 
     def __init__(self, electrodes: int, events: Iterable[str] = ()) -> None:
         parsed = sorted(parse_event(text) for text in events)
         if beyond := [event.electrode for event in parsed if event.electrode >= electrodes]:
             raise BoardError(
-                f"an event is of electrode {beyond[0]}, the board has 0 to {electrodes - 1}"
+                f"an event names electrode {beyond[0]}, but the board has 0 to {electrodes - 1}"
             )
         self._switched = [event for event in parsed if event.kind in ("emergency", "release")]
         self._due = deque(event for event in parsed if event not in self._switched)
         self._touches, self._pressure_n = True, FORCE_N
-        self._factor = np.ones(electrodes)  # of each resistance
+        self._factor = np.ones(electrodes)  # factor of each resistance
 
     @property
     def force_n(self) -> float:
@@ -308,12 +311,12 @@ class EmulatedFinger:
         return self._pressure_n if self._touches else 0.0
 
     def opens_switch(self, now_s: float) -> bool:
-        """Return whether the emergency switch is open at a time."""
+        """Return whether the emergency switch is open."""
         before = [event.kind for event in self._switched if event.time_s <= now_s]
         return before[-1:] == ["emergency"]
 
     def at(self, now_s: float, skin: SkinCircuit) -> None:
-        """Apply all events to the skin that are due; times must not decrease."""
+        """Apply all due events to the skin; times must not decrease."""
         due = len(self._due)
         while self._due and self._due[0].time_s <= now_s:
             event = self._due.popleft()
@@ -327,5 +330,5 @@ class EmulatedFinger:
                 )
         if len(self._due) < due:
             factor = self._factor if self._touches else 0 * self._factor + OPEN_FACTOR
-            # What is shorted keeps its capacitance.
+            # A short circuit does not change the capacitance.
             skin.scale(factor, 1 / np.maximum(factor, 1))
