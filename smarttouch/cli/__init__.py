@@ -1,4 +1,4 @@
-"""The command line: parsing and printing, one function per command, heavy imports only inside."""
+"""Command line: one function for each command, with heavy imports inside the functions."""
 
 import os
 import sys
@@ -53,11 +53,11 @@ def smarttouch(
         ),
     ] = False,
 ) -> None:
-    """Touch what a sensor sees: print becomes current in the skin of a fingertip."""
+    """Touch what a sensor sees: print becomes currents on a fingertip."""
 
 
 def main() -> None:
-    """Run the command line; what a user can cause ends in one sentence and exit 2."""
+    """Run the command line. Errors of the user end with one sentence and exit status 2."""
     with guarded_output():
         status = _run()
         try:
@@ -71,7 +71,7 @@ def main() -> None:
 
 @cache
 def _built() -> Callable[..., Any]:
-    """Return the command line, built once however often a process runs it."""
+    """Return the command line, built once for each process."""
     return typer.main.get_command(app)
 
 
@@ -88,18 +88,18 @@ def _run() -> int:
 
 
 def _outcome(error: BaseException) -> int:
-    """Print in one sentence how the program ended; return its exit status."""
+    """Print one sentence about the error; return the exit status."""
     if isinstance(error, KeyboardInterrupt):
         return 130
     if isinstance(error, BrokenPipeError):
-        # The reader of the output is gone, so nothing can be printed.
+        # Output has no reader, so nothing can be printed.
         return 1
     if isinstance(error, SmartTouchError):
         complaints = error.complaints if isinstance(error, TableError) else [("", str(error))]
         for _, sentence in complaints:
             _say(sentence)
     elif isinstance(error, MemoryError):
-        _say("this machine has too little memory: give less at once")
+        _say("not enough memory: give less at once")
     elif isinstance(error, OSError):
         about = f"{error.filename}: " if error.filename else ""
         _say(f"{about}{error.strerror or error}; all electrodes are off")
@@ -114,7 +114,7 @@ def _outcome(error: BaseException) -> int:
 
 
 def _drop_output() -> None:
-    """Drop output that cannot be written, of which the interpreter would complain at its end."""
+    """Drop output that cannot be written: the interpreter would report it at its end."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

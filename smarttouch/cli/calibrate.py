@@ -1,4 +1,4 @@
-"""``smarttouch calibrate``: one device on one finger, measured, and written to a profile."""
+"""``smarttouch calibrate``: measure a device on a finger, and write a profile."""
 
 import sys
 from collections.abc import Iterator
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions(OptionGroup):
-    """Options of every calibration."""
+    """Options of all calibrations."""
 
     output: Annotated[Path | None, option("Write this profile.", "FILE.toml")] = None
     profile: Annotated[str | None, option("Start a new profile from this one.", "NAME|FILE")] = None
     overwrite: Annotated[
-        bool, option("Measure again what the profile already has.", None, "--overwrite")
+        bool, option("Replace an earlier calibration of this kind.", None, "--overwrite")
     ] = False
 
     def file(
         self, part: str, simulated: bool = False, board_url: str = "simulated:"
     ) -> "ProfileFile":
-        """Return the profile file that a calibration reads and writes."""
+        """Open the profile that a calibration changes."""
         from smarttouch.boards.open import default_profile
         from smarttouch.experiments.calibration import file_to_calibrate
 
         if self.output is None:
-            raise CalibrationError("give a file FILE.toml for what is measured")
+            raise CalibrationError("give a FILE.toml for the results")
         fallback = default_profile(board_url)
         return file_to_calibrate(
             part, self.profile, fallback, self.output, self.overwrite, simulated=simulated
@@ -50,7 +50,7 @@ class CalibrationOptions(OptionGroup):
 
 
 def _weights_laid() -> Iterator[float]:
-    """Yield the grams that a user lays on a load cell and types in."""
+    """Yield the weights, g, that the user lays on a load cell and types."""
     from smarttouch.experiments.calibration import parse_grams
 
     while answer := _answer("Grams on the cell, at rest (Enter: no more)"):
@@ -61,7 +61,7 @@ def _answer(question: str) -> str:
     try:
         return str(typer.prompt(question, default="", show_default=False))
     except typer.Abort:
-        message = "nobody answered, nothing was written: use a terminal"
+        message = "there was no answer, so nothing was written: use a terminal"
         raise CalibrationError(message) from None
 
 
@@ -72,7 +72,7 @@ def finish(
     simulated: bool = False,
     others: dict[Path, bytes] | None = None,
 ) -> None:
-    """Write the profile; print what was found and the paths."""
+    """Write the profile; print the result and the paths."""
     result = f"simulated: {found}" if simulated else found
     file.note(what, result)
     file.write(others)
@@ -85,8 +85,8 @@ calibrate: Commands = Commands(
 )
 
 _SIMULATED = ("emulator:", "simulated:", "memory:")
-_FRAMES = 16  # that are averaged
-_REPEATS = 5  # measurements of impedance
+_FRAMES = 16  # frames to average
+_REPEATS = 5  # number of measurements of impedance
 _SourceUrl = Annotated[str | None, option("Take frames from this source, such as camera:0.", "URL")]
 _BoardUrl = Annotated[
     str,
@@ -100,14 +100,15 @@ def optics(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
 ) -> None:
-    """Measure dark level and gain of every pixel, covered and on blank white paper."""
+    """Measure dark level and gain of each pixel, with the sensor covered and on blank white
+    paper."""
     from smarttouch.experiments import sensor_optics
 
     file = calibration.file("optics")
     if source is None:
         raise CalibrationError("give --source")
     seen = []
-    for asked in ("Cover the sensor: no light.", "Put it on blank white paper, in usual light."):
+    for asked in ("Cover the sensor: no light.", "Put it on blank white paper, in normal light."):
         _answer(f"{asked} Then press Enter")
         seen.append(sensor_optics.images_of(source, file.profile, _FRAMES, corrected=False))
     flat_field = sensor_optics.measure_optics(*seen)
@@ -121,9 +122,9 @@ def optics(
 def registration(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
-    target: Annotated[Path | None, option("Write the target, to be printed.", "FILE.png")] = None,
+    target: Annotated[Path | None, option("Write the target for printing.", "FILE.png")] = None,
 ) -> None:
-    """Find each electrode's position in the sensor's image with a printed target."""
+    """Find the position of each electrode in the sensor's image, with a printed target."""
     from smarttouch.experiments.sensor_optics import images_of, register, target_for
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources.preprocess import mean_image
@@ -145,8 +146,7 @@ def registration(
     if source is None:
         raise CalibrationError("give --source")
     _answer(
-        "Lay the target under the sensor, its text on top, its middle under the array's. Then "
-        "press Enter"
+        "Lay the target under the sensor, text upright, centered under the array. Then press Enter"
     )
     mean = mean_image(images_of(source, file.profile, _FRAMES, corrected=True))
     image = mean.round().astype("uint8")
@@ -187,11 +187,11 @@ def thresholds(
     calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",
     electrodes: Annotated[
-        str | None, option("Measure these electrodes; all that are not masked otherwise.", "0-7,12")
+        str | None, option("Measure these electrodes (default: all that are not masked).", "0-7,12")
     ] = None,
     force: ForceOption = None,
 ) -> None:
-    """Measure at each electrode the weakest current felt and the strongest comfortable one."""
+    """Measure the detection threshold and the comfort level of each electrode."""
     from smarttouch.boards.open import default_profile
     from smarttouch.experiments.thresholds import ThresholdProcedure
     from smarttouch.profile.profile import require_driven
@@ -224,7 +224,7 @@ def contact(
     calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",
 ) -> None:
-    """Find the electrodes that touch the skin, by repeated measurements of their impedance."""
+    """Find the electrodes that touch the skin, by repeated measurements of impedance."""
     from smarttouch.experiments.calibration import judge_contact, measure_contact
     from smarttouch.running.display import open_display
 
@@ -235,9 +235,9 @@ def contact(
     masked = judged.masked(chosen)
     still = sorted(set(chosen.output.masked) - set(judged.broken))
     if still:
-        typer.echo(f"Masked before, and still: {still}; if they are good, remove them by hand.")
+        typer.echo(f"Still masked: {still}. Remove good ones from output.masked by hand.")
     if masked != list(chosen.output.masked):
-        typer.echo(f"Masked now: {masked}; kernels are designed without them at the next start.")
+        typer.echo(f"Masked: {masked}. At the next start kernels are designed without them.")
     file.set("output.impedance_kohm", judged.impedances(chosen))
     file.set("output.masked", masked)
     finish(file, "contact", judged.sentence(), simulated)
@@ -246,17 +246,17 @@ def contact(
 @calibrate.command()
 def scale(
     url: Annotated[str, argument("kajimoto61:PORT, link:PORT, ...", "URL")],
-    volts: Annotated[float, option("State the measured peak voltage.", "V")],
+    volts: Annotated[float, option("Peak voltage that you measured.", "V")],
     ohm: Annotated[
-        float, option("State the resistance between the electrode and all others.", "OHM")
+        float, option("Resistance between the electrode and all others.", "OHM")
     ] = 1000.0,
-    current_ma: Annotated[float, option("State the nominal current.", "MA")] = 1.0,
+    current_ma: Annotated[float, option("Nominal current of the pulses.", "MA")] = 1.0,
     profile: ProfileOption = None,
 ) -> None:
-    """Calculate the scale of a board's current from the voltage across a resistor.
+    """Compute the scale of a board's current from the voltage across a resistor.
 
-    With the resistor in place of the finger, devices test --electrode N --current-ma 1 makes the
-    pulses.
+    Connect the resistor in place of the finger, and make pulses with devices test --electrode N
+    --current-ma 1.
     """
     from smarttouch.boards.kits import measured_scale
     from smarttouch.running.display import open_display

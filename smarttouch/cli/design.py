@@ -1,4 +1,5 @@
-"""``smarttouch design`` and ``profiles``: kernels as tables, JSON and pictures; profiles."""
+"""``smarttouch design`` and ``profiles``: kernels as tables, JSON and pictures; lists of
+profiles."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,25 +25,25 @@ if TYPE_CHECKING:
 
 def design(
     site: Annotated[
-        int | None, argument("A site to show with all its weights; all sites otherwise.", "SITE")
+        int | None, argument("Show all weights of this site (default: list all sites).", "SITE")
     ] = None,
     profile: ArrayOption = "electric-mouse",
     mode: Annotated[
         str | None,
-        option("Choose the class that is reached: RA, SAI or PC; all otherwise.", "RA|SAI|PC"),
+        option("Choose the class to stimulate: RA, SAI or PC (default: all).", "RA|SAI|PC"),
     ] = None,
     any_node: Annotated[
-        bool, option("Search for the best node to activate, too.", None, "--any-node")
+        bool, option("Also search for the best target node.", None, "--any-node")
     ] = False,
     json_file: JsonOption = None,
     plot_file: Annotated[
         Path | None,
-        output_file("Draw the kernels of the site, or of the middle one.", "PNG", "--plot"),
+        output_file("Draw the kernels of the site (default: the middle one).", "PNG", "--plot"),
     ] = None,
 ) -> None:
-    """Show kernels: currents that reach one class.
+    """Show kernels: currents that stimulate one class.
 
-    All of a new profile are designed once and kept for its runs.
+    The kernels of a new profile are designed once and stored for later runs.
     """
     from smarttouch.base.files import write_json
     from smarttouch.kernels import kernel_tables
@@ -105,18 +106,17 @@ def list_profiles(context: typer.Context) -> None:
         rows.append((name + star, profile.title, board))
     print_table(
         rows,
-        ("name", "what it is", "board"),
+        ("name", "description", "board"),
         left=3,
     )
     print(
-        "Make your own with 'smarttouch profiles new FILE --like NAME', and give its file to "
-        "--profile."
+        "Make your own with 'smarttouch profiles new FILE --like NAME', and use it with --profile."
     )
 
 
 @profiles.command()
 def show(name: _Name = "") -> None:
-    """Print all values of a profile, defaults included, and what calibrations measured."""
+    """Print all values of a profile, including defaults and calibrations."""
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.profile.toml_files import as_toml
 
@@ -128,7 +128,7 @@ def new(
     files: Annotated[
         list[Path],
         argument(
-            "A table with columns x_mm, y_mm and perhaps diameter_mm, if the array is another one; "
+            "For another array a CSV table with columns x_mm, y_mm and optionally diameter_mm; "
             "then the profile to write.",
             "[TABLE.csv] FILE.toml",
         ),
@@ -138,7 +138,7 @@ def new(
     like: Annotated[str, option("Start from this profile.", "NAME|FILE")] = "electric-mouse",
     overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
 ) -> None:
-    """Write a profile for editing: a copy with its comments, or one with another array."""
+    """Write a new profile: a copy with comments, or one with another array."""
     from smarttouch.base.errors import ProfileError
     from smarttouch.base.files import write_bytes
     from smarttouch.experiments.calibration import ProfileFile

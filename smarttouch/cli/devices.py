@@ -1,4 +1,4 @@
-"""``smarttouch devices``: boards, sensors and cameras found, looked at, measured and tried."""
+"""``smarttouch devices``: list, show, measure, test and emulate boards, sensors and cameras."""
 
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,7 +29,7 @@ devices: Commands = Commands(
 
 @devices.callback()
 def list_devices(context: typer.Context) -> None:
-    # Nothing is opened, and no unknown device gets a byte.
+    # Do not open ports: unknown devices must not receive bytes.
     if context.invoked_subcommand is not None:
         return
     from serial.tools import list_ports
@@ -44,12 +44,12 @@ def list_devices(context: typer.Context) -> None:
     rows = sorted((port.device, port.description) for port in ports)
     rows += [(f"camera:{number}", name) for number, name in cameras()]
     if rows:
-        print_table(rows, ("port", "what the system says of it"), left=2)
+        print_table(rows, ("port", "description by the system"), left=2)
     else:
         typer.echo("No serial port and no camera.")
     names = ", ".join(f"{serial_port}:" for serial_port in BOARDS.names)
     typer.echo(
-        f"\nDrivers: {names}. You choose which one fits what is plugged in, for example "
+        f"\nDrivers: {names}. Choose the one for your board, for example "
         "--board kajimoto61:/dev/ttyUSB0.\nWithout hardware: smarttouch devices emulate kajimoto61"
     )
 
@@ -65,7 +65,7 @@ def emulate(
         ),
     ],
 ) -> None:
-    """Emulate a board on skin, or a sensor, at a port until Ctrl-C."""
+    """Emulate a board on skin, or a sensor, at a port, until Ctrl-C."""
     from smarttouch.emulator.devices import emulate as emulate_device
 
     emulate_device(device, advise=True)
@@ -74,7 +74,7 @@ def emulate(
 _Url = Annotated[str, argument("kajimoto61:PORT, etactilekit:PORT, link:PORT", "URL")]
 
 _WALK_MA = 0.5
-_ENDS = ("q", "\x03", "\x04", "")  # keys that end a walk; the empty one is a terminal that is gone
+_ENDS = ("q", "\x03", "\x04", "")  # keys that end the test; empty: the terminal is gone
 
 
 @devices.command()
@@ -86,10 +86,10 @@ def show(
             "A board, a source of frames or a load cell: link:PORT, camera:0, hx711:PORT.", "URL"
         ),
     ],
-    seconds: Annotated[float, option("Watch a sensor for this time.", "S")] = 2.0,
+    seconds: Annotated[float, option("Read a sensor for this time.", "S")] = 2.0,
     profile: ProfileOption = None,
 ) -> None:
-    """Show what a board is and can do, or what a sensor or load cell delivers."""
+    """Show the capabilities of a board, or the readings of a sensor or load cell."""
     from smarttouch.base.errors import require_within
     from smarttouch.boards.open import BOARDS
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
@@ -128,14 +128,14 @@ def _describe_board(url: str, profile: str | None) -> None:
 
 @devices.command()
 def clear(url: _Url, profile: ProfileOption = None) -> None:
-    """Clear the latched fault of a board, once the board has been checked."""
+    """Clear the latched fault of a board. Check the board first."""
     from smarttouch.boards.reports import clear_latch
     from smarttouch.running.display import open_display
 
     device = open_display(url, profile).board.device
     latch = clear_latch(device)
     if latch is None:
-        typer.echo(f"{url} is not latched.")
+        typer.echo(f"{url} has no latched fault.")
     else:
         typer.echo(f"Cleared ({device}): {latch}.")
 
@@ -143,7 +143,7 @@ def clear(url: _Url, profile: ProfileOption = None) -> None:
 @devices.command()
 @drives_a_board
 def measure(url: _Url, profile: ProfileOption = None) -> None:
-    """Measure the impedance of every electrode on the finger, with small currents."""
+    """Measure the impedance of each electrode on the finger, with small currents."""
     from smarttouch.running.display import open_display
 
     with open_display(url, profile).opened() as board:
@@ -158,7 +158,7 @@ def measure(url: _Url, profile: ProfileOption = None) -> None:
     if impedance.lifted:
         typer.echo("No electrode touches anything: put the finger on, and measure again.")
     elif impedance.broken:
-        typer.echo("Open or shorted electrodes. To plan around them, in the profile:\n")
+        typer.echo("Open or shorted electrodes. To exclude them, write in the profile:\n")
         typer.echo(f"[output]\nmasked = {list(impedance.broken)}")
 
 
@@ -167,13 +167,13 @@ def measure(url: _Url, profile: ProfileOption = None) -> None:
 def try_out(
     url: _Url,
     current_ma: Annotated[
-        float | None, option("Raise the current through each electrode to this.", "MA")
+        float | None, option("Raise the current of each electrode up to this.", "MA")
     ] = None,
     seconds: Annotated[
         float | None,
-        option("Stay at each electrode for this time; a key continues otherwise.", "S"),
+        option("Stay at each electrode for this time (default: until a key is pressed).", "S"),
     ] = None,
-    electrode: Annotated[int | None, option("Drive this electrode alone.", "N")] = None,
+    electrode: Annotated[int | None, option("Drive only this electrode.", "N")] = None,
     force: ForceOption = None,
     profile: ProfileOption = None,
 ) -> None:
@@ -190,7 +190,7 @@ def try_out(
     require_site(display.profile, sites[-1])
     if not sys.stdin.isatty() and (seconds is None or current_ma is None):
         raise SmartTouchError(
-            "there is no keyboard to go on and to end it with: give --seconds and --current-ma, "
+            "there is no keyboard to continue or stop: give --seconds and --current-ma, "
             f"for example {_WALK_MA:g}"
         )
     current_ma = _WALK_MA if current_ma is None else current_ma
@@ -216,5 +216,5 @@ def try_out(
         followers = [OnEvent(say), *as_listeners([note_pulses])]
         run_walk(walk, display, listeners=followers, stop=stop, force=force)
     if missed := [str(site) for site in tried if site not in pulsed]:
-        typer.echo(f"Electrodes that were sent no pulse: {', '.join(missed)}.")
+        typer.echo(f"Electrodes without a pulse: {', '.join(missed)}.")
     typer.echo("All electrodes are at zero.")

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from smarttouch.experiments.findings import Finding
 
 _ANATOMY = "paper"
-_FINGER = 2  # full RA pulses of the concentric electrode reach no afferent of the first
-_FREE_HZ = 50.0  # rate to begin with
+_FINGER = 2  # finger 1 has no afferent that full RA pulses of the concentric electrode reach
+_FREE_HZ = 50.0  # initial pulse rate
 
 
 experiment: Commands = Commands(
@@ -41,12 +41,13 @@ experiment: Commands = Commands(
 
 @dataclass(frozen=True, kw_only=True)
 class _Participant(OptionGroup):
-    """Who answers, and the file of the answers."""
+    """Options for the participant and the file of answers."""
 
     subject: Annotated[str, option("Name the participant.", "NAME")] = ""
     session: Annotated[str, option("Name the session.", "NAME")] = ""
     output: Annotated[
-        Path | None, option("Write the answers to this file; it is named after both otherwise.")
+        Path | None,
+        option("Write the answers to this file (default: named by participant and session)."),
     ] = None
     simulate: Annotated[
         str | None,
@@ -55,7 +56,7 @@ class _Participant(OptionGroup):
 
     @property
     def name(self) -> str:
-        """Name in the file, where a simulated participant does not go on for a person."""
+        """Name in the file; a simulated participant gets its own, so that files are not mixed."""
         who = self.simulate and f"simulated-{self.simulate}"
         return "-".join(filter(None, (self.subject, who)))
 
@@ -69,19 +70,19 @@ def run_listed(
     text: Annotated[
         str | None,
         argument(
-            "An experiment, free, or a file of yours; all are listed without one. Options "
+            "An experiment, free, or your own file (default: list all). Options "
             "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27', "
-            "also rate_hz, where it is not compared, trials, train_s, gap_s and answer_s.",
+            "also rate_hz (unless rates are compared), trials, train_s, gap_s and answer_s.",
             "NAME|FILE.py",
         ),
     ] = None,
     mode: ClassOption = "RA",
 ) -> None:
-    """Run an experiment; the same command continues it later.
+    """Run an experiment; repeat the command to continue it.
 
-    Keys: the answers that the screen names, and those of live; q to continue another time. With
-    free: ↑ ↓ for the amplitude, ← → for the rate, [ ] for the site, 1 to 9 to mark what is
-    perceived; every change is an event of the recording.
+    The screen names the keys for answers; the keys of live work, too; q ends the session. With
+    free: ↑ ↓ change the amplitude, ← → the rate, [ ] the site, 1 to 9 mark percepts; each change is
+    an event in the recording.
     """
     if text is None:
         _list_all()
@@ -100,13 +101,13 @@ def _list_all() -> None:
 
     for name, entry in CATALOG.items():
         typer.echo(f"{name:13} {entry.about} [{', '.join(entry.procedures)}]")
-    typer.echo(f"{'free':13} turn amplitude, rate and mode by hand")
+    typer.echo(f"{'free':13} set amplitude, rate and mode by hand")
 
 
 def _run_trials(
     run: RunOptions, who: _Participant, name: str, mode: str, options: dict[str, Any]
 ) -> None:
-    """Run an experiment of trials from the first without an answer."""
+    """Run the remaining trials of an experiment."""
     from smarttouch.base.afferent import Afferent
     from smarttouch.experiments import experiment_session as sessions
     from smarttouch.experiments.observers import make_observer
@@ -123,13 +124,13 @@ def _run_trials(
         choice_of("simulate", simulate, ("model", "random"))
         if not run.board_url.startswith("simulated:"):
             raise ExperimentError(
-                "a simulation never drives a board that a finger may be on: not "
+                "a simulated participant never drives a board that a finger may be on: not "
                 f"{run.board_url!r}, only simulated:"
             )
     afferent = parse_afferent(mode)
     is_default = run.profile is None and run.load_profile().name == DEFAULT_PROFILE
     if name == "frequency" and afferent is Afferent.RA and is_default:
-        # The electrode of the paper's own experiment (III-C).
+        # The electrode of the paper's experiment (III-C).
         run = replace(run, profile="concentric")
     setup = Setup(run.load_profile(), afferent, **options)
     stem, setup.seed = sessions.session_name(
@@ -159,7 +160,7 @@ def _run_trials(
 
 
 def _run_free(run: RunOptions, who: _Participant, mode: str, options: dict[str, Any]) -> None:
-    """Let a user turn the current by hand, up to the device's own limit (paper, III-A)."""
+    """Let a user set the current by hand, up to the device's limit (paper, III-A)."""
     from smarttouch.base.afferent import Mode
     from smarttouch.experiments.experiment_session import numbered
     from smarttouch.experiments.free_stimulation import FreeSource, raise_to_device_limits
@@ -170,16 +171,16 @@ def _run_free(run: RunOptions, who: _Participant, mode: str, options: dict[str, 
 
     if who.simulate is not None or who.output is not None:
         raise ExperimentError(
-            "free stimulation has no answers, and nobody is simulated: leave out --simulate and "
+            "free stimulation has neither answers nor simulations: leave out --simulate and "
             "--output, and use --record"
         )
     if not sys.stdin.isatty() and run.seconds is None:
-        message = "there is no keyboard, by which this would end: use a terminal, or give --seconds"
+        message = "there is no keyboard to end the run: use a terminal, or give --seconds"
         raise ExperimentError(message)
     record = run.record or numbered(Path("free.mcap"))
     run = replace(run, profile=run.profile or "line-8", record=record)
     if run.intensity is None and not run.on_a_finger:
-        # Adjusted by hand, from zero here too.
+        # Start at zero on simulated boards, too.
         run = replace(run, intensity=0.0)
     profile = raise_to_device_limits(run.load_profile())
     with bank_progress() as progress:
@@ -197,21 +198,20 @@ def _run_free(run: RunOptions, who: _Participant, mode: str, options: dict[str, 
 @experiment.command()
 def fit(
     files: Annotated[
-        list[Path], argument("CSV files of answers, one of each condition.", "FILE...")
+        list[Path], argument("CSV files of answers, one for each condition.", "FILE...")
     ],
-    x: Annotated[str, option("Name the column of what was compared.", "COLUMN")] = "comparison",
-    y: Annotated[str, option("Name the column of answers: 1, 0 or empty.", "COLUMN")] = "success",
+    x: Annotated[str, option("Column of the comparison.", "COLUMN")] = "comparison",
+    y: Annotated[str, option("Column of answers: 1, 0 or empty.", "COLUMN")] = "success",
     at: Annotated[
         float | None,
-        option("Set the share of successes at the threshold, not halfway from guessing.", "0..1"),
+        option("Share of successes at the threshold (default: halfway from chance to 1).", "0..1"),
     ] = None,
     plot: Annotated[Path | None, output_file("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Fit thresholds with intervals to answers.
 
-    Several files, for example of RA and PC mode, share one table and one picture, where each has
-    its name.
+    Several files, for example of RA and PC mode, are shown in one table and one picture.
     """
     from smarttouch.base.files import write_json
     from smarttouch.experiments.answers import read_table, usual_model
@@ -247,7 +247,7 @@ def _print(fitted: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
         if rows:
             terminal.print_table(rows, heading, left=0)
         if table.cut:
-            console.print("the last line of the file is not whole, and is left out", style="dim")
+            console.print("the last line of the file is incomplete and is left out", style="dim")
         for finding in findings:
             about = f"{finding.answers.standard:g}: " if compares else ""
             if finding.verdict is not None:

@@ -1,4 +1,4 @@
-"""``smarttouch live``, ``replay`` and ``stop``: current in the skin, again, and its end."""
+"""``smarttouch live``, ``replay`` and ``stop``: run a source, replay a recording, stop all runs."""
 
 from functools import partial
 from pathlib import Path
@@ -26,21 +26,21 @@ def live(
         argument(
             "A file, words, or a source by its URL: page:, text:, camera:, video:, "
             "frames:, serial-array:, brltty:, socket:, recording:, texture:, vibration:. Options "
-            "follow: 'scan.png?dpi=300&speed_mm_s=40'. A sample page is shown without one.",
+            "follow: 'scan.png?dpi=300&speed_mm_s=40'. The default is a sample page.",
             "SOURCE",
             callback=or_standard_input,
         ),
     ] = None,
     mode: Annotated[
         str | None,
-        option("Choose the class that is stimulated: RA (usual), SAI, PC or natural.", "CLASS"),
+        option("Choose the class to stimulate: RA (default), SAI, PC or natural.", "CLASS"),
     ] = None,
 ) -> None:
     """Show on the finger what a source sees.
 
-    It ends with its source, or when you press q or Ctrl-C. A page is read again and again, at some
-    30 words a minute, on a screen or in a window if nothing is written to files;
-    'text:Hello?passes=1' is read once.
+    The run ends with its source, or when you press q or Ctrl-C. A page is read at about 30 words a
+    minute. On a screen it is repeated, unless files are written; 'text:Hello?passes=1' is read
+    once.
     """
     from smarttouch.base.files import data_folder
 
@@ -69,7 +69,7 @@ def _show(run: RunOptions, url: str, mode: str | None) -> None:
             raise SourceError("motion=page follows the pointer over the run's page: add --window")
         suits = {"mode": asked or "RA"} | dict(opened.settings)
         if asked is not None and suits["mode"] != asked:
-            message = f"{opened.title} chooses its classes by itself: leave out the mode"
+            message = f"{opened.title} chooses its own classes: leave out --mode"
             raise SourceError(message)
         config = run.config(**suits)
         if "rate_hz" in taken:
@@ -84,18 +84,16 @@ def _show(run: RunOptions, url: str, mode: str | None) -> None:
 @takes_options
 def replay(
     run: RunOptions,
-    file: Annotated[Path, argument("A recording, whole or cut off.", "FILE")],
+    file: Annotated[Path, argument("A recording, complete or cut off.", "FILE")],
     check: Annotated[
-        bool, option("Compare today's sequences with the recorded ones, exactly.", None, "--check")
+        bool, option("Compute all sequences again and compare them exactly.", None, "--check")
     ] = False,
-    info: Annotated[
-        bool, option("Show what was delivered to whom and when, and events.", None, "--info")
-    ] = False,
+    info: Annotated[bool, option("Print a summary and the events.", None, "--info")] = False,
 ) -> None:
-    """Play a recording, check that it gives the same, or show what it holds.
+    """Play a recording, compute it again and compare, or print its summary.
 
-    Without --profile it is played with the recorded one, which never raises the limits of a real
-    board. The recorded force counts on simulated boards only; --intensity scales what was recorded.
+    The default is the recorded profile, which never raises the limits of a real board. The recorded
+    force is used on simulated boards only; --intensity scales the recorded intensity.
     """
     from smarttouch.running.recorded_source import RecordedControls, RecordingSource
     from smarttouch.running.recording import RecordedRun
@@ -117,7 +115,7 @@ def replay(
 
 
 def _check(file: Path, profile: str | None) -> None:
-    """Print the outcome; exit 1 where sequences differ."""
+    """Print the result; exit with status 1 if sequences differ."""
     from smarttouch.kernels.bank import load_bank
     from smarttouch.profile import load_profile
     from smarttouch.running.check_recording import check_recording
@@ -134,14 +132,12 @@ def _check(file: Path, profile: str | None) -> None:
 
 
 def stop(
-    url: Annotated[
-        str | None, argument("A board to set to zero as well, by its URL.", "BOARD")
-    ] = None,
+    url: Annotated[str | None, argument("URL of a board to set to zero as well.", "BOARD")] = None,
 ) -> None:
-    """Put every run of this user at zero for good, and wait until each has confirmed that.
+    """Stop all runs of this user, and wait until each has confirmed zero.
 
-    Programs that are still starting open no board. The exit code is 0 only if a run was found, or a
-    board named, and all have confirmed zero.
+    Programs that are still starting will not open a board. The exit status is 0 only if there was a
+    run or a named board, and all have confirmed zero.
     """
     from smarttouch.boards.run_registry import registry_folder, stop_all
 
@@ -161,7 +157,7 @@ def stop(
 
 @drives_a_board
 def _zero(url: str) -> None:
-    """Open a board and close it, which puts it at zero."""
+    """Set a board to zero by opening and closing it."""
     from smarttouch.running.display import open_display
 
     with open_display(url).opened():

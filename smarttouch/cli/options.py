@@ -1,4 +1,4 @@
-"""Options that several commands share, the parts of a run made by them, and help in plain lines."""
+"""Options shared by several commands, the parts of a run that they make, and plain help."""
 
 import inspect
 import sys
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     from smarttouch.sources.source_contract import Source
 
 _T = TypeVar("_T")
-_MOST_BYTES = 256_000_000  # of standard input
+_MOST_BYTES = 256_000_000  # largest standard input
 
 
 def option(says: str, metavar: str | None = None, *names: str, **more: Any) -> Any:
-    """Return an option of a command; in the list of a parameter's ``Annotated``."""
+    """Return an option of a command, for a parameter's ``Annotated``."""
     return typer.Option(*names, help=says, metavar=metavar, **more)
 
 
 def output_file(says: str, metavar: str, *names: str) -> Any:
-    """Return an option of a file to be written, whose folder must exist."""
+    """Return an option for an output file, whose folder must exist."""
     return option(says, metavar, *names, callback=_in_a_folder)
 
 
@@ -45,16 +45,16 @@ def _in_a_folder(path: Path | None) -> Path | None:
 
 
 def argument(says: str, metavar: str | None = None, **more: Any) -> Any:
-    """Return an argument of a command, as `option` does."""
+    """Return an argument of a command, for a parameter's ``Annotated``."""
     return typer.Argument(help=says, metavar=metavar, **more)
 
 
 class OptionGroup:
-    """Base of frozen dataclasses whose fields are options, annotated as typer wants them."""
+    """Base of frozen dataclasses whose fields are options, annotated for typer."""
 
 
 def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
-    """Let a command take the options of the groups among its parameters, each as one object."""
+    """Let a command receive each option group as one object (decorator)."""
     taken: list[inspect.Parameter] = []
     groups: dict[str, tuple[Any, list[str]]] = {}
     for parameter in inspect.signature(command).parameters.values():
@@ -72,7 +72,7 @@ def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
 
     expanded.__name__, expanded.__doc__ = command.__name__, command.__doc__
     expanded.__annotations__ = {parameter.name: parameter.annotation for parameter in taken}
-    # Typer reads it; the type of a function has no such attribute.
+    # Typer reads the signature; type checkers do not know the attribute.
     vars(expanded)["__signature__"] = inspect.Signature(taken)
     return expanded
 
@@ -80,57 +80,57 @@ def takes_options(command: Callable[..., _T]) -> Callable[..., _T]:
 def read_form(
     form: Callable[..., Any], text: str, error: type[SmartTouchError], but: Collection[str] = ()
 ) -> tuple[str, dict[str, Any]]:
-    """Return a name, and the options of a function that follow it after ``?``."""
+    """Parse a name, and the options after ``?`` for the parameters of a function."""
     from smarttouch.base.urls import options_of, read_options
 
     name, accepted = read_options(form, text, error, but)
     if "?" in name:
         known = ", ".join(sorted(options_of(form, but)))
-        raise error(f"{name!r} has an option that there is not: choose {known}")
+        raise error(f"{name!r} has an unknown option: choose {known}")
     return name, accepted
 
 
 def parse_mode(mode: str) -> Mode:
-    """Return a mode by its name; only modes that images can drive."""
+    """Parse a mode that images can drive."""
     return choice_of("mode", mode, [known for known in Mode if known is not Mode.COLOR])
 
 
 def parse_afferent(mode: str) -> Afferent:
-    """Return a class of afferents by its name."""
+    """Parse an afferent class."""
     return Afferent[choice_of("mode", mode, Afferent.__members__)]
 
 
 def require_site(profile: "Profile", site: int) -> None:
-    """Raise unless a profile's array has such a site."""
+    """Raise SmartTouchError unless the array has this site."""
     words = f"site {site} of {profile.name}"
     require_within(SmartTouchError, "site", site, 0, len(profile.electrodes) - 1, words)
 
 
 ProfileOption = Annotated[
-    str | None, option("Use this device and finger; the board's usual one otherwise.", "NAME|FILE")
+    str | None, option("Use this profile (default: the board's own).", "NAME|FILE")
 ]
 ArrayOption = Annotated[
-    str, option("Use this device and finger; smarttouch profiles lists them.", "NAME|FILE")
+    str, option("Use this profile; smarttouch profiles lists them.", "NAME|FILE")
 ]
-ClassOption = Annotated[str, option("Choose the class that is stimulated: RA, SAI or PC.", "CLASS")]
+ClassOption = Annotated[str, option("Choose the class to stimulate: RA, SAI or PC.", "CLASS")]
 ModeOption = Annotated[
-    str, option("Choose the class that is stimulated: RA, SAI, PC or natural.", "CLASS")
+    str, option("Choose the class to stimulate: RA, SAI, PC or natural.", "CLASS")
 ]
 JsonOption = Annotated[Path | None, output_file("Write the results as JSON.", "FILE", "--json")]
 ForceOption = Annotated[
     str | None,
-    option("Measure finger force by hx711:PORT or loadcell:PORT, or state it by fixed:N.", "URL"),
+    option("Measure finger force with hx711:PORT or loadcell:PORT, or assume fixed:N.", "URL"),
 ]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(OptionGroup):
-    """Options of every command that runs, as typed."""
+    """Options of all commands that run a source, as typed."""
 
     board: Annotated[
         str | None,
         option(
-            "Drive this board: simulated: (usual), emulator:, kajimoto61:PORT, "
+            "Drive this board: simulated: (default), emulator:, kajimoto61:PORT, "
             "etactilekit:PORT, link:PORT.",
             "URL",
         ),
@@ -143,17 +143,17 @@ class RunOptions(OptionGroup):
     seconds: Annotated[float | None, option("End the run after this time.", "S")] = None
     felt: Annotated[
         Path | None,
-        output_file("Draw what was seen, delivered, and felt by a simulated finger.", "PNG"),
+        output_file("Draw the page, the pulses and the spikes of a simulated finger.", "PNG"),
     ] = None
     record: Annotated[Path | None, output_file("Record the whole run.", "MCAP")] = None
     json_file: JsonOption = None
-    window: Annotated[
-        bool, option("Open a page in the browser that shows and steers the run.", None, "--window")
-    ] = False
+    window: Annotated[bool, option("Show and steer the run in a browser.", None, "--window")] = (
+        False
+    )
     plain: Annotated[
         bool | None,
         option(
-            "Print one line for each event and draw nothing, for screen readers.", None, "--plain"
+            "Print one line for each event, without drawing, for screen readers.", None, "--plain"
         ),
     ] = None
     set_: Annotated[
@@ -161,7 +161,7 @@ class RunOptions(OptionGroup):
         option(
             "Change a setting: rate_hz=HZ, scan=points, hold=charge|energy, softness=0..1, "
             "balance, light_on_dark, seed=N, note=WORDS, finger=[ANATOMY:]SEED, vibrators=WAV, "
-            "paced=no (as fast as it can).",
+            "paced=no (as fast as possible).",
             "NAME=VALUE",
             "--set",
         ),
@@ -174,7 +174,7 @@ class RunOptions(OptionGroup):
 
     @property
     def board_url(self) -> str:
-        """URL of the board: that given, that of the profile given, or the simulated one."""
+        """URL of the board: from the options, from the profile, or simulated."""
         return self.board or (self._chosen and self._chosen.defaults.board) or "simulated:"
 
     @property
@@ -186,7 +186,7 @@ class RunOptions(OptionGroup):
 
     @property
     def is_watched(self) -> bool:
-        """True if the run is only watched, on a screen or in a window, and kept in no file."""
+        """True if the run writes no files."""
         return (self.window or (draws() and not self.plain)) and not self.files
 
     @cached_property
@@ -196,7 +196,7 @@ class RunOptions(OptionGroup):
         return None if self.profile is None else load_profile(self.profile)
 
     def load_profile(self) -> "Profile":
-        """Return the profile that was asked for, or the board's usual one."""
+        """Return the chosen profile, or the board's default."""
         from smarttouch.boards.open import default_profile
         from smarttouch.profile import load_profile
 
@@ -209,14 +209,14 @@ class RunOptions(OptionGroup):
         return Display(self.board_url, profile)
 
     def config(self, mode: str, **more: Any) -> "RunConfig":
-        """Return the configuration of a run that somebody watches; --set replaces what a command
-        has as usual."""
+        """Return the configuration of an interactive run; ``more`` are defaults of the command,
+        which --set replaces."""
         from smarttouch.running.config import RunConfig
 
         return RunConfig(**({"mode": mode, "paced": True} | more | self.settings()))
 
     def settings(self) -> dict[str, Any]:
-        """Return the settings of `RunConfig` that were given."""
+        """Return the settings of `RunConfig` given by --set."""
         from smarttouch.running.config import RunConfig
 
         texts = [text for text in self.set_ or () if text.partition("=")[0] not in _NOT_OF_CONFIG]
@@ -230,7 +230,7 @@ class RunOptions(OptionGroup):
 
     @property
     def vibrators(self) -> str | None:
-        """WAV file or sound card of a vibrator that drives PC."""
+        """WAV file or sound card of the vibrator for PC."""
         return self._set("vibrators")
 
     def finger(self, usual: str = "branched", seed: int = 1) -> tuple[str, int]:
@@ -240,7 +240,7 @@ class RunOptions(OptionGroup):
         return (anatomy or usual, int(seed_text)) if seed_text.isdecimal() else (text, seed)
 
     def _outputs(self) -> "Iterator[Listener]":
-        """Yield a listener for each output that is wanted."""
+        """Yield a listener for each requested output."""
         if self.felt is not None:
             from smarttouch.views.delivered_drawing import DeliveredPicture
 
@@ -263,7 +263,7 @@ class RunOptions(OptionGroup):
         ready: "Display | None" = None,
         **more: Any,
     ) -> None:
-        """Run a source in the terminal until its end, as `run_in_terminal` does with `more`."""
+        """Run a source in the terminal until its end, see `run_in_terminal`."""
         from smarttouch.views.terminal_session import run_in_terminal
 
         if self.on_a_finger:
@@ -278,13 +278,14 @@ class RunOptions(OptionGroup):
         )  # fmt: skip
 
 
-_NOT_OF_CONFIG = ("finger", "vibrators")  # of --set, and no settings of `RunConfig`
+_NOT_OF_CONFIG = ("finger", "vibrators")  # names for --set that are not settings of `RunConfig`
 
 
 def or_standard_input(ctx: typer.Context, value: str | None) -> str | None:
-    """Return the value of an argument; for ``-``, a file with the content of standard input.
+    """Return the value of an argument.
 
-    It is removed when the command ends.
+    For ``-``, write standard input to a temporary file, and return its path; the file is removed
+    when the command ends.
     """
     return str(ctx.with_resource(_file_of_standard_input())) if value == "-" else value
 
@@ -295,11 +296,11 @@ def _file_of_standard_input() -> Iterator[Path]:
     data = sys.stdin.read().encode() if stream is None else stream.read(_MOST_BYTES + 1)
     if not data:
         raise SmartTouchError(
-            "standard input holds nothing: give a file, or pipe a text or a page into the command"
+            "standard input is empty: give a file, or pipe a text or a page into the command"
         )
     if len(data) > _MOST_BYTES:
         raise SmartTouchError(
-            f"standard input holds more than {_MOST_BYTES / 1e6:,.0f} MB: give a file"
+            f"standard input is larger than {_MOST_BYTES / 1e6:,.0f} MB: give a file"
         )
     with tempfile.TemporaryDirectory(prefix="smarttouch-") as folder:
         path = Path(folder) / "standard input"
@@ -308,10 +309,10 @@ def _file_of_standard_input() -> Iterator[Path]:
 
 
 class PlainGroup(TyperGroup):
-    """Commands under one name."""
+    """Group of commands with plain help."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write each with its first sentence."""
+        """List each command with the first sentence of its help."""
         with formatter.section("Commands"):
             formatter.write_dl(
                 [
@@ -322,7 +323,7 @@ class PlainGroup(TyperGroup):
 
 
 class Commands(typer.Typer):
-    """Commands whose help is plain, without boxes or colors."""
+    """Command-line program with plain help, without boxes or colors."""
 
     def __init__(self, **settings: Any) -> None:
         context = {"help_option_names": ["-h", "--help"]}

@@ -1,4 +1,4 @@
-"""``smarttouch read``, ``braille`` and ``braille-display``: text under a finger."""
+"""``smarttouch read``, ``braille`` and ``braille-display``: read text with a fingertip."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +33,7 @@ _TESSERACT = {
     "ko": "kor", "nl": "nld", "pl": "pol", "pt": "por", "ru": "rus", "sv": "swe", "tr": "tur",
     "uk": "ukr",
 }  # fmt: skip
-"""Languages as Tesseract names them, by their tags."""
+"""Tesseract's names of languages, by language tag."""
 _TAGS = {code: tag for tag, code in _TESSERACT.items()}
 
 
@@ -44,18 +44,18 @@ class DocumentOptions(OptionGroup):
     password_file: Annotated[
         str | None,
         option(
-            "Read the password of a locked PDF from this file, or from standard input (-). It is "
-            "asked for at a terminal otherwise.",
+            "Read the password of a PDF from this file, or from standard input (-) (default: "
+            "ask at the terminal).",
             "FILE|-",
         ),
     ] = None
     languages: Annotated[
         str | None,
-        option("Name the language of the text, such as en or fr.", "TAG", "--language"),
+        option("Language of the text, such as en or fr.", "TAG", "--language"),
     ] = None
 
     def recognition(self, source: str) -> "tuple[str, RecognitionOptions]":
-        """Return the document, and its options: these, and those that follow its name."""
+        """Return the document and its options, including those after its name."""
         from smarttouch.base.urls import all_options
         from smarttouch.pages.document import password_of
         from smarttouch.pages.text_file import FileKind, file_kind
@@ -82,21 +82,21 @@ class DocumentOptions(OptionGroup):
 TableOption = Annotated[
     str | None,
     option(
-        "Choose the Braille table; --tables lists them. The language chooses one otherwise.",
+        "Choose the Braille table; --tables lists them (default: by language).",
         "NAME",
     ),
 ]
 
 
 def table_of(table: str | None, language: str | None) -> str:
-    """Return the name of the Braille table: that given, or that of the first language."""
+    """Return the Braille table: the given one, or that of the first language."""
     first = (language or "en").partition("+")[0]
     return table or _TAGS.get(first, first)
 
 
 @dataclass(frozen=True)
 class _Form:
-    """Options that follow the name of a form in ``--as``."""
+    """Options after the name of a form in ``--as``."""
 
     table: str | None = None
     speed_mm_s: float | None = None
@@ -104,7 +104,7 @@ class _Form:
 
 @dataclass(frozen=True, kw_only=True)
 class FormOptions(OptionGroup):
-    """Options of letter shapes and Braille."""
+    """Options for letter shapes and Braille."""
 
     kind: Annotated[
         str | None,
@@ -119,9 +119,9 @@ class FormOptions(OptionGroup):
     def presentation(
         self, usual: str, language: str | None = None
     ) -> "tuple[Shapes | Braille, float | None]":
-        """Return letter shapes or Braille, and the speed asked for, mm/s.
+        """Return letter shapes or Braille, and the requested speed, mm/s.
 
-        Without a table, it is that of the language.
+        The default table is that of the language.
         """
         from smarttouch.reading.braille_lines import Braille
         from smarttouch.reading.letter_shapes import Shapes
@@ -149,13 +149,13 @@ def read(
         ),
     ],
     pause_s: Annotated[
-        float, option("Rest this long after each line; inf waits for a key.", "S", "--pause")
+        float, option("Pause this long after each line; inf waits for a key.", "S", "--pause")
     ] = 1.0,
     mode: ModeOption = "RA",
 ) -> None:
     """Read a page with a fingertip, line by line.
 
-    Keys: arrows choose a line, r repeats it, and those of live.
+    Arrow keys choose a line, r repeats it; the keys of live work, too.
     """
     from smarttouch.imaging.array_window import profile_for_reading
     from smarttouch.reading.line_source import ReadingSource
@@ -180,7 +180,7 @@ def read(
 
 
 def _at_level(config: "RunConfig", shown: object, on_a_finger: bool) -> "RunConfig":
-    """Return the configuration at the level that suits most simulated fingers, if none is given."""
+    """Return the configuration with a default intensity that suits most simulated fingers."""
     from smarttouch.base.afferent import Mode
     from smarttouch.reading.letter_shapes import UNKNOWN_LEVEL, Shapes
 
@@ -205,13 +205,13 @@ def braille(
     table: TableOption = None,
     back: Annotated[bool, option("Translate cells back into text.", None, "--back")] = False,
     output: Annotated[
-        Path | None, output_file("Write a .brf file, instead of printing cells.", "FILE")
+        Path | None, output_file("Write a .brf file instead of printing cells.", "FILE")
     ] = None,
     columns: Annotated[
-        int | None, option("Set the number of cells in a line, usually 40.", "N")
+        int | None, option("Set the number of cells in a line (default: 40).", "N")
     ] = None,
     rows: Annotated[
-        int | None, option("Set the number of lines on a page, usually 25.", "N")
+        int | None, option("Set the number of lines on a page (default: 25).", "N")
     ] = None,
     tables: Annotated[bool, option("List the Braille tables.", None, "--tables")] = False,
 ) -> None:
@@ -227,11 +227,11 @@ def braille(
         _print_tables()
         return
     if source is None:
-        raise BrailleError("nothing to read is given: give a text or a file, or --tables")
+        raise BrailleError("there is nothing to read: give a text or a file, or --tables")
     if output is not None and (back or output.suffix.lower() != ".brf" or output.exists()):
         raise BrailleError(
-            f"cannot write {output}: only cells are written, to a .brf file that is not there yet; "
-            "redirect what is printed instead"
+            f"cannot write {output}: cells are only written to a new .brf file; "
+            "redirect the output instead"
         )
     say = partial(typer.echo, err=True)
     code = open_table(table_of(table, document.languages))
@@ -254,7 +254,7 @@ def braille(
 
 
 def _print_cells(lines: list[str]) -> None:
-    """Print lines of cells, as ASCII Braille where the output cannot show cells."""
+    """Print lines of cells, as ASCII Braille if the output's encoding has no cells."""
     import sys
 
     from smarttouch.braille.brf import ascii_braille
@@ -277,13 +277,13 @@ def _print_tables() -> None:
             (name + " (default)" * (name == DEFAULT_TABLE), name.partition("-")[0], title)
             for name, title in known_tables().items()
         ],
-        ("name", "language", "what it is"),
+        ("name", "language", "description"),
         left=3,
     )
     if version:
-        print(f"Or any table file of liblouis {version}, or the tag of a language, such as pt.")
+        print(f"Or give a table file of liblouis {version}, or a language tag such as pt.")
     else:
-        print(f"liblouis is not here: of these only en-1 works. For all: {louis.INSTALL}")
+        print(f"liblouis is not installed, so only en-1 works. For all tables: {louis.INSTALL}")
 
 
 @drives_a_board
@@ -300,9 +300,9 @@ def braille_display(
     ] = "35752",
     mode: ModeOption = "RA",
 ) -> None:
-    """Be the Braille display of a screen reader, by BRLTTY.
+    """Act as the Braille display of a screen reader, through BRLTTY.
 
-    Two commands, in two terminals:
+    Run two commands in two terminals:
 
         smarttouch braille-display
 

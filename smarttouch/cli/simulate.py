@@ -1,4 +1,4 @@
-"""``smarttouch simulate``: pages on simulated fingers, and choices compared."""
+"""``smarttouch simulate``: pages on a simulated board, and studies of simulated fingers."""
 
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +19,7 @@ from smarttouch.cli.options import (
 from smarttouch.cli.read import DocumentOptions
 
 simulate: Commands = Commands(
-    help="Put pages on a simulated board, or a study on simulated fingers.",
+    help="Run a page on a simulated board, or a study on simulated fingers.",
     no_args_is_help=True,
 )
 
@@ -39,9 +39,7 @@ def simulate_page(
     profile: ArrayOption = "electric-mouse",
     truth: Annotated[
         Path | None,
-        option(
-            "Compare with this text; with what Tesseract reads on the page otherwise.", "FILE.txt"
-        ),
+        option("Compare with this text (default: read the page with Tesseract).", "FILE.txt"),
     ] = None,
     mode: ModeOption = "RA",
     json_file: JsonOption = None,
@@ -80,24 +78,21 @@ def simulate_page(
         ("error rate, page", "-" if true_text is None else f"{legibility.page_error_rate:.3f}"),
         ("error rate, delivered", f"{legibility.character_error_rate:.3f}"),
     ], left=2)  # fmt: skip
-    typer.echo(f"\nWhat was read from the delivered pulses:\n{legibility.text}")
+    typer.echo(f"\nText recognized from the delivered pulses:\n{legibility.text}")
     for note in notes:
         typer.echo(note, err=True)
 
 
 @simulate.command()
 def study(
-    plan: Annotated[
-        Path, argument("The plan: what is compared, and on which fingers.", "STUDY.toml")
-    ],
-    output: Annotated[
-        Path, option("Write to this folder; a study that is there continues.", "DIR")
-    ],
+    plan: Annotated[Path, argument("Plan of the study.", "STUDY.toml")],
+    output: Annotated[Path, option("Write to this folder; a study in it is continued.", "DIR")],
     cluster: Annotated[
-        str | None, option("Compute on the Dask scheduler at tcp://HOST:8786.", "ADDRESS")
+        str | None,
+        option("Compute on the Dask cluster of the scheduler at tcp://HOST:8786.", "ADDRESS"),
     ] = None,
 ) -> None:
-    """Run a grid of fingers, profiles, modes, scans and letters, or continue one."""
+    """Run or continue a study of fingers, profiles, modes, scans and letters."""
     from smarttouch.experiments.study import (
         ROWS_FILE,
         TABLE_NOTE,

@@ -92,7 +92,7 @@ def test_without_liblouis(program_here, monkeypatch):
     ("a --columns=1", says(BrailleError, " 1 x 25 cells", "2 columns")),
     ("a --output=a.ebrl", says(BrailleError, "a.ebrl", ".brf")),
     ("a --output=none/a.brf", says(value=Path("none/a.brf"))),
-    ("a --output=old.brf", says(BrailleError, "old.brf", "not there yet")),
+    ("a --output=old.brf", says(BrailleError, "old.brf", "new .brf file")),
     ("⠁ --back --output=a.brf", says(BrailleError, "a.brf", "redirect")),
 ])  # fmt: skip
 def test_bad_input(program_here, tmp_path, arguments, wrong):
