@@ -33,12 +33,12 @@ SOURCES = Registry(
         "video": "smarttouch.sources.video:open_video",
     },
 )
-_NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display", "vibrated")  # of the whole run
+_NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display", "vibrated")  # options of a run
 _SUFFIXES = {"recording": (".mcap",), "video": (".avi", ".mkv", ".mov", ".mp4", ".webm")}
 
 
 def kind_of(path: Path) -> str:
-    """Return the kind of source that shows a file or a folder."""
+    """Return the kind of source for a file or folder."""
     if path.is_dir():
         return "frames"
     suffix = path.suffix.lower()
@@ -49,12 +49,12 @@ _KIND = re.compile("[A-Za-z0-9_-]+")
 
 
 def source_url(name: str) -> str:
-    """Return the URL of a source: itself, or that of a file, a folder or words named without one.
+    """Return the URL of a source from a URL, a file, a folder or words.
 
-    Raises a SourceError for what may be a misspelt kind of source or a missing file.
+    Raises SourceError if the name looks like a misspelt kind or a missing file.
     """
     kind, colon, rest = name.partition(":")
-    # "Note: this" and "3:30 p.m." are words.
+    # Texts such as "Note: this" and "3:30 p.m." are words.
     if colon and _KIND.fullmatch(kind) and not (rest[:1].isspace() or kind.isdecimal()):
         return name
     address = name.rpartition("?")[0] or name
@@ -68,7 +68,7 @@ def source_url(name: str) -> str:
 
 
 def options_taken(url: str) -> set[str]:
-    """Return the options that a source takes beside those in its URL, by name."""
+    """Return the names of options that a source accepts in addition to those in its URL."""
     opener, rest = SOURCES.find(source_url(url))
     in_url = read_options(opener, rest, SourceError, but=_NOT_IN_URLS)[1]
     return inspect.signature(opener).parameters.keys() - in_url
@@ -82,20 +82,20 @@ def open_source(
     Parameters
     ----------
     url : str
-        Kind and place of the source; options of its kind may follow, as in
-        ``page:scan.png?dpi=300``, except ``light_on_dark``, which imaging needs as well. A file, a
-        folder or words may stand without their kind: ``scan.png``, ``Hello``.
+        Kind and place of the source, with options of the kind, as in ``page:scan.png?dpi=300``,
+        except ``light_on_dark``, which imaging needs, too. The kind may be left out for a file, a
+        folder or words: ``scan.png``, ``Hello``.
     profile : Profile or str
-        Its optics and the finger's force, or its name or file.
+        Optics of the source and force law of the finger; or the name or file of a profile.
     light_on_dark : bool
-        Whether print is lighter than paper, for sources that detect print themselves.
+        Whether print is lighter than paper; for sources that detect print themselves.
     **options
-        Options of this kind of source, see its module; None means not given.
+        Options of this kind of source, see its module; None means the default.
 
     Raises
     ------
     SourceError
-        If the kind or an option of it is unknown, or it cannot be opened.
+        If the kind or an option is unknown, or the source cannot be opened.
 
     Examples
     --------
@@ -116,12 +116,12 @@ def open_source(
 
 
 def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) -> Source:
-    """Return the source that a program asks for.
+    """Return a source from an object, a URL, a path or images.
 
     Parameters
     ----------
     given : Source, str, Path, ndarray or iterable
-        A source; its URL; the path of an image, document, video, folder of images or recording;
+        A source; a URL; the path of an image, document, video, folder of images or recording;
         images (N, H, W) uint8 or, in color, (N, H, W, 3); or an iterable of images or frames.
     profile : Profile
         Its optics and the finger's force.
@@ -131,7 +131,7 @@ def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) ->
     Raises
     ------
     SourceError
-        If it is nothing of these, or cannot be opened.
+        If it is none of these, or cannot be opened.
     """
     if isinstance(given, Source):
         return given
@@ -140,11 +140,11 @@ def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) ->
         return open_source(url, profile, light_on_dark=light_on_dark)
     if isinstance(given, np.ndarray) and given.ndim < 3:
         raise SourceError(
-            f"an array of {given.dtype} {given.shape} is no row of images: give (N, H, W) uint8"
+            f"an array of {given.dtype} {given.shape} does not hold images: give (N, H, W) uint8"
         )
     if not isinstance(given, Iterable) or isinstance(given, bytes | dict):
         raise SourceError(
-            f"a {type(given).__name__} is no source: give a Source, a URL such as 'text:Hello', a "
+            f"{type(given).__name__} is not a source: give a Source, a URL such as 'text:Hello', a "
             "path, or images"
         )
     return Images(given, profile)

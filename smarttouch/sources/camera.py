@@ -1,4 +1,4 @@
-"""Cameras, through OpenCV."""
+"""Cameras by OpenCV."""
 
 import os
 import sys
@@ -15,17 +15,17 @@ from smarttouch.pages.grey_image import GreyConverter
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 
-BUFFERS = 1  # images buffered by the driver: older ones are of no use
-FAILURES = 5  # reads without an image in a row after which the camera is lost
+BUFFERS = 1  # images buffered by the driver: older ones are useless
+FAILURES = 5  # consecutive reads without an image after which the camera counts as lost
 _PAUSE_S = 0.02
 COMPRESSED = float(cv2.VideoWriter.fourcc(*"MJPG"))
-"""Coding that fits more images a second through USB; cameras without it keep theirs."""
+"""Encoding that allows higher frame rates over USB; other cameras keep their own."""
 _MANUAL_EXPOSURE = 1
-"""Manual value of V4L2_CID_EXPOSURE_AUTO, as OpenCV passes it on (3 is automatic)."""
+"""Value of V4L2_CID_EXPOSURE_AUTO for manual exposure (3 is automatic)."""
 _BELIEVED_AGE_NS = 2_000_000_000
 _MOST_PIXELS = 100_000_000
 _BACKENDS = {"linux": cv2.CAP_V4L2, "darwin": cv2.CAP_AVFOUNDATION}
-"""Fixed, so that OpenCV never takes a camera for a file or a network address."""
+"""Backend of OpenCV; others could take a camera's name for a file or an address."""
 
 
 def open_camera(
@@ -38,16 +38,16 @@ def open_camera(
 ) -> LiveSource:
     """Open ``camera:N``, or a camera by its device, as in ``camera:/dev/video2``.
 
-    ``exposure`` is in the camera's own units, 100 µs with most on Linux, ``size`` in pixels; the
-    camera's own settings are used for what is not given.
+    ``exposure`` is in units of the camera, usually 100 µs on Linux; ``size`` is in pixels. The
+    camera's settings are the defaults.
     """
     return LiveSource(CameraDevice(rest, size, exposure, fps), profile)
 
 
 def cameras() -> list[tuple[int, str]]:
-    """Return number and name of the cameras that Linux lists; none is opened.
+    """Return numbers and names of cameras that Linux lists, without opening them.
 
-    Further nodes of a camera, as for its metadata, are left out.
+    Other device nodes of a camera, for example for metadata, are left out.
     """
     nodes = Path("/sys/class/video4linux").glob("video*/index")
     return sorted(
@@ -58,8 +58,8 @@ def cameras() -> list[tuple[int, str]]:
 
 
 def silence_opencv() -> None:
-    """Keep OpenCV's own warnings off the terminal from now on: notes and errors replace them."""
-    # Before OpenCV 4.13 the log level is set in the main module.
+    """Turn off OpenCV's warnings on the terminal: notes and errors replace them."""
+    # Before version 4.13 the log level is set in the main module.
     log = cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2
     log.setLogLevel(0)
 
@@ -74,7 +74,7 @@ def _format(capture: cv2.VideoCapture) -> tuple[int, int, float]:
 
 
 class CameraDevice(ImageDevice):
-    """Images of one camera, in grey; settings that the camera does not accept become a note."""
+    """Gray images of one camera. Settings that the camera does not accept become notes."""
 
     def __init__(
         self,
@@ -100,7 +100,7 @@ class CameraDevice(ImageDevice):
         self._converter = GreyConverter()
 
     def open(self) -> None:
-        # By default the driver waits ten seconds for an image.
+        # The driver's default timeout is ten seconds.
         os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
         silence_opencv()
         try:
@@ -116,7 +116,7 @@ class CameraDevice(ImageDevice):
         self._failures = 0
 
     def _obstacle(self) -> str:
-        """Return why the camera may not open, and what to do."""
+        """Return the probable reason why the camera does not open, and what to do."""
         node = f"/dev/video{self._device}" if isinstance(self._device, int) else self._device
         if Path(node).exists() and not os.access(node, os.R_OK | os.W_OK):
             return (
@@ -124,8 +124,7 @@ class CameraDevice(ImageDevice):
                 "in again"
             )
         return (
-            "check that it is plugged in, that its number is right and that no other program uses "
-            "it"
+            "check that it is connected, that its number is right and that no other program uses it"
         )
 
     def _set_up(self, capture: cv2.VideoCapture) -> None:
@@ -134,9 +133,9 @@ class CameraDevice(ImageDevice):
         self._set_size(capture)
         width, height, given_hz = _format(capture)
         if self._size is not None and (width, height) != tuple(self._size):
-            self._note(f"gives {width} x {height}, not {self._size[0]} x {self._size[1]}")
+            self._note(f"delivers {width} x {height}, not {self._size[0]} x {self._size[1]}")
         if self._fps is not None and given_hz > 0 and abs(given_hz - self._fps) > 0.05 * self._fps:
-            self._note(f"gives {given_hz:g} images a second, not {self._fps:g}")
+            self._note(f"delivers {given_hz:g} images a second, not {self._fps:g}")
         if self._exposure is not None:
             manual = capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
             if not (capture.set(cv2.CAP_PROP_EXPOSURE, self._exposure) and manual):
@@ -159,7 +158,7 @@ class CameraDevice(ImageDevice):
             self.notes.append(note)
 
     def grab(self, timeout_s: float) -> Shot | None:
-        """Return the next image; waits as long as the driver does, a second at most."""
+        """Return the next image; waits for the driver, at most one second."""
         capture = self._capture
         if capture is None:
             raise SourceLostError(f"{self.title} is not open")
@@ -177,7 +176,7 @@ class CameraDevice(ImageDevice):
         return Shot(self._grey(image), self._taken_ns(capture))
 
     def _grey(self, image: NDArray[Any]) -> NDArray[np.uint8]:
-        """Return an image of OpenCV, whose colors are blue, green and red, in grey."""
+        """Convert an image of OpenCV (BGR) to gray."""
         if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] == 2):
             raise SourceError(
                 f"{self.title} gives images of shape {image.shape}: only grey and color can be read"
@@ -188,7 +187,7 @@ class CameraDevice(ImageDevice):
 
     @staticmethod
     def _taken_ns(capture: cv2.VideoCapture) -> int:
-        """Return the driver's time of the image, if it is on our clock; else now."""
+        """Return the driver's time stamp if it is on our clock, else the current time."""
         now_ns = time.perf_counter_ns()
         taken_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
         return taken_ns if 0 <= now_ns - taken_ns <= _BELIEVED_AGE_NS else now_ns

@@ -1,10 +1,10 @@
-"""Finger force from a source other than that of the frames: a load cell, or as stated.
+"""Sources of finger force: load cells, or a stated force.
 
-``hx711:`` reads lines of text as Arduino sketches for the HX711 print them, at 57,600
-baud as in the examples of its library; ``hx711:PORT?baud=115200`` sets another speed.
-``loadcell:`` reads FORCE packets of `smarttouch.sources.serial_array`.
+``hx711:`` reads lines of text from Arduino sketches for the HX711. The default is 57,600 baud, as
+in the examples of its library; ``hx711:PORT?baud=115200`` sets another speed. ``loadcell:`` reads
+FORCE packets of `smarttouch.sources.serial_array`.
 
-The profile's ``force.curve`` turns readings into newtons.
+The profile's ``force.curve`` converts readings to newtons.
 """
 
 import contextlib
@@ -30,15 +30,15 @@ LARGEST_FIXED_N = 20.0
 
 
 class ForceSource(Device, ABC):
-    """Source of finger force, opened by its URL."""
+    """Base of sources of finger force."""
 
     is_live: ClassVar[bool] = True
-    """Whether the force is that of a finger that presses now, measured or stated by a person; any
-    other opens no current on a board that a finger may touch."""
+    """Whether the force is measured on, or stated for, a real finger that presses now. Only such a
+    force allows current on a board that a finger may touch."""
 
     @abstractmethod
     def read(self, time_ns: int) -> float:
-        """Return the force at a time since the start of the run, N; NaN if it is unknown.
+        """Return the force at a time since the start of the run, N; NaN if unknown.
 
         Never waits and never raises.
         """
@@ -65,7 +65,7 @@ def open_force(url: str, profile: Profile) -> ForceSource:
 
 
 class FixedForce(ForceSource):
-    """Constant force, 0 to 20 N, which a person states to be there: ``fixed:N``."""
+    """Constant force, 0 to 20 N, stated by the user: ``fixed:N``."""
 
     def __init__(self, text: str, profile: Profile | None = None) -> None:
         try:
@@ -84,17 +84,17 @@ class FixedForce(ForceSource):
         return self._force_n
 
 
-FRESH_S = 0.35  # age up to which a reading is fresh: enough for cells with ten conversions a second
+FRESH_S = 0.35  # age up to which a reading is valid: cells convert at least ten times a second
 FROZEN_READINGS = 20
-FROZEN_S = 2.0  # time of equal readings after which a cell is frozen: a converter always has noise
+FROZEN_S = 2.0  # duration of equal readings that means a frozen cell: converters always have noise
 SATURATED = (float(-(2**23)), float(2**23 - 1))
-"""Ends of the HX711's range: overloaded, or nothing is connected."""
+"""Limits of the HX711's range: it is overloaded, or no cell is connected."""
 
 
 class CellWatch:
-    """Tracks the readings of one cell; the time is passed in each call, warnings go to ``notes``.
+    """Validates the readings of one cell; warnings go to ``notes``.
 
-    ``presses`` says whether a reading means contact: only then are constant readings a fault.
+    ``presses`` returns whether a reading means contact: only then are constant readings a fault.
     """
 
     def __init__(self, title: str, notes: list[str], presses: Callable[[float], bool]) -> None:
@@ -106,12 +106,12 @@ class CellWatch:
         self._same = 0
         self._invalid = 0
         self._warnings = DeviceWarnings(notes)
-        self._longest_s = 0.0  # of the times without a reading
+        self._longest_s = 0.0  # longest time without a reading
 
     def take(
         self, readings: list[float], now_ns: int, garbled: int = 0, last_garbled: str = ""
     ) -> None:
-        """Take new readings, oldest first, or none; ``garbled`` counts input without a reading."""
+        """Add new readings, oldest first; ``garbled`` is the number of inputs without a reading."""
         for value in readings:
             known = self._count(value)
             if known == self._value:
@@ -135,7 +135,7 @@ class CellWatch:
             )
 
     def lose(self, now_ns: int) -> None:
-        """Discard earlier readings at once: the port is lost."""
+        """Discard earlier readings, because the port is lost."""
         if self._last_ns is not None:
             self._note_silence(now_ns - self._last_ns)
         self._value, self._same = math.nan, 0
@@ -149,7 +149,7 @@ class CellWatch:
         )
 
     def reading(self, now_ns: int) -> float:
-        """Return the newest reading; NaN if it is unknown."""
+        """Return the newest reading, or NaN if it is not valid."""
         if self._last_ns is None or now_ns - self._last_ns > FRESH_S * 1e9:
             return math.nan
         return math.nan if self._frozen(now_ns) else self._value
@@ -162,7 +162,7 @@ class CellWatch:
         )
 
     def _count(self, value: float) -> float:
-        """Return a reading, or NaN for an invalid one, with a note."""
+        """Return a reading, or NaN with a note if it is invalid."""
         if value not in SATURATED and not math.isnan(value):
             return value
         self._invalid += 1
@@ -175,11 +175,11 @@ class CellWatch:
 
 
 FIRST_READING_S = 5.0
-"""Time limit of the first reading: some boards restart when the port opens, for two seconds."""
-MUTE_S = 2.0  # least time without a reading after which a cell counts as silent
+"""Time limit of the first reading: some boards restart for two seconds when the port opens."""
+MUTE_S = 2.0  # shortest time without a reading after which a cell counts as silent
 RETRY_S = 0.25  # interval of attempts to reopen a lost port
-JOIN_S = 2.0  # time to wait for a driver that hangs, before it is abandoned
-LARGEST_N = 100.0  # largest plausible force of a finger; with more, the curve is not this cell's
+JOIN_S = 2.0  # longest wait for a driver that hangs
+LARGEST_N = 100.0  # largest plausible force of a finger; above it the curve is wrong
 _WAIT_S = 0.05
 _KINDS: dict[str, tuple[int, type[TextReadings] | type[PacketReadings]]] = {
     "hx711": (57_600, TextReadings),
@@ -193,20 +193,21 @@ def open_hx711(rest: str, profile: Profile) -> ForceSource:
 
 
 def open_load_cell(rest: str, profile: Profile) -> ForceSource:
-    """Open ``loadcell:PORT``, a load cell with the sensors' own format."""
+    """Open ``loadcell:PORT``, a load cell that sends packets of `serial_array`."""
     return LoadCellForce(f"loadcell:{rest}", profile)
 
 
 def open_cell(url: str) -> "LoadCell":
-    """Open a load cell for its raw readings, without a curve."""
-    # Contact is unknown without a curve; a tared sketch sends constant zeros.
+    """Open a load cell for raw readings, without a curve."""
+    # Without a curve contact is unknown; sketches with tare send constant zeros.
     return LoadCell(url, presses=lambda reading: reading != 0)
 
 
 class LoadCell(Closing):
-    """Load cell at ``hx711:PORT`` or ``loadcell:PORT``, either with ``?baud=N``, read by a thread.
+    """Load cell at ``hx711:PORT`` or ``loadcell:PORT``, optionally with ``?baud=N``, read by a
+    thread.
 
-    ``presses`` says whether a reading means contact: only then are constant readings a fault.
+    ``presses`` is as in `CellWatch`.
     """
 
     def __init__(self, url: str, presses: Callable[[float], bool]) -> None:
@@ -232,16 +233,16 @@ class LoadCell(Closing):
             raise
 
     def reading(self) -> float:
-        """Return the newest raw reading; NaN if none is fresh, or the cell is frozen."""
+        """Return the newest raw reading; NaN if it is too old, or the cell is frozen."""
         with self._news:
             return self._watch.reading(time.perf_counter_ns())
 
     def collect(self, seconds: float) -> NDArray[np.float64]:
-        """Wait, and return the raw readings that arrived meanwhile, (N,); one at least."""
+        """Collect raw readings for some seconds, (N,), and until there is at least one."""
         with self._news:
             self._collected = []
         self._closing.wait(seconds)
-        # A pause of this computer is no fault of the cable.
+        # The computer itself may pause.
         patience_s = max(seconds, MUTE_S)
         with self._news:
             self._news.wait_for(lambda: bool(self._collected), patience_s - seconds)
@@ -308,7 +309,7 @@ class LoadCell(Closing):
 
 
 class LoadCellForce(ForceSource):
-    """Force of a load cell by the profile's ``force.curve``."""
+    """Force from a load cell and the profile's ``force.curve``."""
 
     def __init__(self, url: str, profile: Profile) -> None:
         if profile.force.curve is None:
@@ -324,14 +325,14 @@ class LoadCellForce(ForceSource):
         self._beyond = False
 
     def read(self, time_ns: int) -> float:
-        """Return the force by the newest reading, N; NaN if it is unknown."""
+        """Return the force from the newest reading, N; NaN if unknown."""
         newtons = self._newtons(self._cell.reading())
         if newtons > LARGEST_N or math.isinf(newtons):
             if not self._beyond:
                 self._beyond = True
                 self.notes.append(
-                    f"{self.title}: {newtons:.3g} N by force.curve, more than any finger: that "
-                    "is not this cell's curve, run smarttouch calibrate force"
+                    f"{self.title}: {newtons:.3g} N by force.curve, more than any finger: it "
+                    "is not the curve of this cell, run smarttouch calibrate force"
                 )
             return math.nan
         return newtons if math.isnan(newtons) else max(0.0, newtons)
@@ -348,7 +349,7 @@ class LoadCellForce(ForceSource):
 
 
 def _parse(url: str) -> tuple[str, str, int]:
-    """Return the kind, port and speed in a URL."""
+    """Parse kind, port and speed from a URL."""
     kind, _, rest = url.partition(":")
     if kind not in _KINDS:
         kinds = " or ".join(f"{known_kind}:PORT" for known_kind in _KINDS)

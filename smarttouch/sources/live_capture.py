@@ -1,4 +1,4 @@
-"""Capture from a live device on a thread of its own; the newest image wins."""
+"""Capture from a live device by a thread; a run gets the newest image."""
 
 import math
 import threading
@@ -20,7 +20,7 @@ from smarttouch.sources.source_contract import (
     OpticalSource,
 )
 
-STALE_NS = 500_000_000  # time without a new image after which the last one is stale
+STALE_NS = 500_000_000  # age above which an image is stale
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +30,11 @@ class Shot:
     Attributes
     ----------
     image : ndarray, (H, W) uint8
-        Grey; the device does not write to it again.
+        Gray levels; the device does not change them afterwards.
     taken_ns : int
-        `time.perf_counter_ns` when it was taken or came in.
+        `time.perf_counter_ns` when it was taken or received.
     missed : int
-        Images of the device that were lost or skipped since the shot before.
+        Number of images lost or skipped since the shot before.
     """
 
     image: NDArray[np.uint8]
@@ -43,23 +43,23 @@ class Shot:
 
 
 class ImageDevice(ABC):
-    """Device that a live source takes its images from; used by one thread at a time."""
+    """Device that delivers images to a live source; used by one thread at a time."""
 
     title: str
     """Name of the device, in a few words."""
 
     @cached_property
     def notes(self) -> list[str]:
-        """Warnings for the user; `LiveSource` passes them on as its own."""
+        """Warnings for the user, which `LiveSource` passes on."""
         return []
 
     @abstractmethod
     def open(self) -> None:
-        """Open the device, or reopen it after a loss; raise SourceError if that fails."""
+        """Open the device, or reopen it after a loss. Raises SourceError."""
 
     @abstractmethod
     def grab(self, timeout_s: float) -> Shot | None:
-        """Return the next image; None if none came within ``timeout_s``.
+        """Return the next image, or None after ``timeout_s``.
 
         Raises
         ------
@@ -69,26 +69,25 @@ class ImageDevice(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Close the device. Never raises, in any state."""
+        """Close the device, in any state. Never raises."""
 
 
-FIRST_IMAGE_S = 2.0  # time limit of the first read, as devices start slowly
-GRAB_S = 0.1  # longest wait for a device in one call, so that closing is prompt
+FIRST_IMAGE_S = 2.0  # time limit of the first read: devices start slowly
+GRAB_S = 0.1  # longest wait in one call, so that closing is fast
 RETRY_S = 0.25  # interval of attempts to reopen a lost device
 JOIN_S = 2.0  # time to wait for a driver that hangs, before it is abandoned
 
 
 class LiveSource(OpticalSource):
-    """Newest frame wins: a thread grabs images, `read` takes the newest.
+    """Source of the newest image: a thread grabs images, and `read` returns the latest.
 
-    The thread begins with the first `read`; images from before a run are discarded.
-    Motion is followed from every image to the next, also those that are never read,
-    and summed into the pose, which begins at (0, 0).
+    The thread starts with the first `read`; earlier images are discarded. Motion is measured from
+    each image to the next, including unread ones, and summed to the pose, which starts at (0, 0).
 
     Parameters
     ----------
     device : ImageDevice
-        Not open yet. The source opens it, at once, and closes it.
+        Closed device, which the source opens at once and closes at the end.
     profile : Profile
         Optics: scale of the motion, flat field.
     replug_s : float, s
@@ -138,14 +137,14 @@ class LiveSource(OpticalSource):
             raise
 
     def read(self, time_ns: int) -> Frame | None:
-        """Return the newest frame, without waiting; None once it is closed.
+        """Return the newest frame without waiting; None after closing.
 
-        The first read waits for the first image. ``force_n`` is not known.
+        The first read waits for the first image. ``force_n`` is NaN.
 
         Raises
         ------
         SourceError
-            If no first image came in time, the device is lost, or it failed.
+            If there is no first image in time, or the device is lost or fails.
         """
         with self._changed:
             if self._closed:
@@ -184,10 +183,10 @@ class LiveSource(OpticalSource):
             return
         self._thread.join(JOIN_S)
         if self._thread.is_alive():
-            self.notes.append(f"{self.title} did not answer within {JOIN_S:g} s and was left open")
+            self.notes.append(f"{self.title} did not respond within {JOIN_S:g} s and was left open")
 
     def _grab_all(self) -> None:
-        """Grab image after image; any exception is raised by `read`."""
+        """Grab all images; `read` raises exceptions of this thread."""
         try:
             while not self._stop.is_set():
                 shot = self._grab()
@@ -226,7 +225,7 @@ class LiveSource(OpticalSource):
         return shot
 
     def _await_return(self, lost_ns: int, shot: Shot | None) -> None:
-        """Count a device as back when an image comes, not when it can be opened."""
+        """Reopen a device; it counts as returned when it delivers an image."""
         gone_s = (self._now_ns() - lost_ns) / 1e9
         self._warnings.put(f"lost {lost_ns}", f"{self.title} was disconnected for {gone_s:.1f} s")
         if shot is not None:

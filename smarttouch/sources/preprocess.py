@@ -1,4 +1,4 @@
-"""Preprocessing of every incoming image: flat field, motion and pose."""
+"""Preprocessing of images: flat-field correction, motion and pose."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -16,26 +16,26 @@ from smarttouch.base.files import MOST_ARRAY_BYTES, open_file
 from smarttouch.profile import Optics, Profile
 from smarttouch.sources.source_contract import Pose
 
-DEAD_SHARE = 0.25  # part of the median response to light below which a pixel is dead
-HOT_LEVELS = 24.0  # grey levels above the median dark level from which a pixel is hot
-LEAST_SPAN = 40.0  # least difference of white and dark, in grey levels
+DEAD_SHARE = 0.25  # response to light, relative to the median, below which a pixel is dead
+HOT_LEVELS = 24.0  # gray levels above the median dark level at which a pixel is hot
+LEAST_SPAN = 40.0  # smallest difference of white and dark, gray levels
 SATURATED = 254.0
 MOST_SATURATED = 0.01
-MOST_BROKEN = 0.02  # largest part of broken pixels
+MOST_BROKEN = 0.02  # largest share of broken pixels
 
 
 class FlatField:
-    """Dark level and gain of every pixel, (H, W) float32; the gain of dead and hot ones is 0.
+    """Dark level and gain of each pixel, (H, W) float32.
 
-    Such a pixel shows the median of those around it.
+    The gain of dead and hot pixels is 0; they are replaced by the median of their neighbors.
     """
 
     def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:
         fits = dark.ndim == 2 and dark.shape == gain.shape and gain.any()
         if not (fits and np.isfinite([dark, gain]).all() and (gain >= 0).all()):
             raise SourceError(
-                f"a dark level of shape {dark.shape} and a gain of shape {gain.shape} are no flat "
-                "field, or hold no good pixel, or numbers that are negative or not finite: "
+                f"a dark level of {dark.shape} and a gain of {gain.shape} are not a flat "
+                "field, or have no good pixel, or numbers that are negative or not finite: "
                 "calibrate the optics again"
             )
         self.dark: NDArray[np.float32] = np.ascontiguousarray(dark, np.float32)
@@ -47,11 +47,11 @@ class FlatField:
         return int((self.gain == 0).sum())
 
     def correct(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a corrected image, with the same response of every pixel."""
+        """Return an image corrected to equal responses of all pixels."""
         if image.shape != self.gain.shape:
             (rows, columns), (height, width) = image.shape[:2], self.gain.shape
             raise SourceError(
-                f"the flat field is for frames of {width} × {height}, this one has {columns} × "
+                f"the flat field is for frames of {width} × {height}, but this one has {columns} × "
                 f"{rows}: calibrate the optics again, or remove optics.flat_field"
             )
         level = np.subtract(image, self.dark, dtype=np.float32)
@@ -67,22 +67,22 @@ class FlatField:
     def measure(
         cls, dark_images: Sequence[NDArray[np.uint8]], white_images: Sequence[NDArray[np.uint8]]
     ) -> Self:
-        """Return the flat field by images in the dark and of blank white paper.
+        """Compute the flat field from images in the dark and of blank white paper.
 
-        White stays as bright as it was on most pixels.
+        White keeps its typical level.
         """
         dark, white = mean_image(dark_images), mean_image(white_images)
         if dark.shape != white.shape:
             raise CalibrationError(
-                f"the dark frames are {dark.shape[1]} × {dark.shape[0]}, the white ones "
+                f"the dark frames are {dark.shape[1]} × {dark.shape[0]}, but the white ones "
                 f"{white.shape[1]} × {white.shape[0]}: use one source for both"
             )
         span = white - dark
         typical = float(np.median(span))
         if typical < LEAST_SPAN:
             raise CalibrationError(
-                f"white is only {typical:.0f} grey levels brighter than dark, {LEAST_SPAN:.0f} are "
-                "needed: is the light on, the sensor covered for the dark and on white paper "
+                f"white is only {typical:.0f} gray levels above dark, and {LEAST_SPAN:.0f} are "
+                "needed: is the light on, the sensor covered for dark frames and on white paper "
                 "after?"
             )
         saturated = float((white >= SATURATED).mean())
@@ -95,21 +95,21 @@ class FlatField:
         if broken.mean() > MOST_BROKEN:
             raise CalibrationError(
                 f"{int(broken.sum())} of {broken.size} pixels are dead or hot: is the field of "
-                "view free, lit evenly enough and really dark when covered?"
+                "view free, lit evenly, and dark when covered?"
             )
         level = float(np.median(white[~broken]))
         gain = np.where(broken, 0.0, level / np.where(broken, 1.0, span))
         return cls(dark.astype(np.float32), gain.astype(np.float32))
 
     def to_bytes(self) -> bytes:
-        """Return the flat field as the bytes of its file."""
+        """Return the content of a flat-field file."""
         file = BytesIO()
         np.savez_compressed(file, dark=self.dark, gain=self.gain)
         return file.getvalue()
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Return the flat field of a file."""
+        """Load a flat field from a file."""
         if not Path(path).exists():
             message = (
                 f"no flat field {path}: put it beside the profile, or remove optics.flat_field"
@@ -120,7 +120,7 @@ class FlatField:
                 stored = np.load(file, allow_pickle=False)
                 dark, gain = (np.asarray(stored[name], np.float32) for name in ("dark", "gain"))
             except Exception:
-                # A damaged archive fails in a dozen ways, down to those of its compression.
+                # A damaged archive can raise many errors.
                 raise SourceError(
                     f"{path} is not a flat field: calibrate the optics again, or remove "
                     "optics.flat_field"
@@ -142,34 +142,34 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
 
 
 MOST_PIXELS = 64
-"""Longest side; larger images are reduced: more pixels cost time and add little accuracy."""
+"""Longest side of the working image: more pixels take time and add little accuracy."""
 FINER = 2
-"""Images of half that or less are enlarged so much: linear interpolation between their own pixels
-costs 16 x 16 sensors four fifths of the accuracy."""
+"""Smaller images are enlarged up to this side: with linear interpolation alone, 16 x 16 sensors
+lose 80 % of the accuracy."""
 LEAST_SLOPE = 6.0
-"""Mean square of the grey levels' slope, (levels/pixel)², below which a direction shows no print:
-noise of 2 levels and uneven light make some 1.5."""
-MOST_UNEXPLAINED = 0.25  # share of the grey levels' variance that the shift may leave unexplained
+"""Mean squared gradient, (levels/pixel)², below which a direction shows no print: noise of 2 levels
+and uneven light give about 1.5."""
+MOST_UNEXPLAINED = 0.25  # largest share of variance that a shift may leave unexplained
 _STEPS = 6
-_CLOSE = 0.02  # length of a step, in pixels, below which the iteration ends
+_CLOSE = 0.02  # step, in pixels, below which the iteration ends
 _LONGEST_STEP = 4.0
-_LEAST_OVERLAP = 0.5  # least share of either side common to two images: a longer jump is rejected
+_LEAST_OVERLAP = 0.5  # smallest overlap of two images, relative to each side
 _FEWEST_COMMON = 2
 _FEWEST_PIXELS = 4
-_NOISE = 4.0  # variance of a sensor's noise, levels²
+_NOISE = 4.0  # variance of sensor noise, levels²
 _COARSER = 2
 
 Image = NDArray[np.float32]
 Floats = NDArray[np.float64]
-Shift = tuple[float, float]  # to the right and down
+Shift = tuple[float, float]  # pixels right and down
 Common = tuple[slice, slice]
 
 
 class Matcher:
-    """Finds the shift between an image and the one before, in pixels of the working image.
+    """Measures the shift between successive images, in pixels of the working image.
 
-    Correlation finds it to a pixel; Gauss–Newton steps on the grey levels refine it (inverse
-    compositional: Baker and Matthews, Lucas-Kanade 20 Years On, 2004).
+    Correlation finds it to one pixel. Gauss–Newton steps on gray levels refine it (inverse
+    compositional algorithm: Baker and Matthews, Lucas-Kanade 20 Years On, 2004).
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -183,10 +183,10 @@ class Matcher:
         self._before = self._image = np.zeros(self.shape, np.float32)
         self._beside = np.linspace(-1, 1, columns, dtype=np.float32)
         self._below = np.linspace(-1, 1, rows, dtype=np.float32)[:, None]
-        self._usual: Shift = (0.0, 0.0)  # the last accepted shift: fingers move steadily
+        self._usual: Shift = (0.0, 0.0)  # last accepted shift, as fingers move steadily
 
     def match(self, image: NDArray[np.uint8], first: bool) -> Shift:
-        """Return the shift of the content; zeros if unknown, or for a first image."""
+        """Return the shift of the content; zeros if it is unknown or the image is the first."""
         if image.shape != self.shape:
             size = self.shape[::-1]
             image = np.asarray(cv2.resize(image, size, interpolation=self._method), np.uint8)
@@ -197,7 +197,7 @@ class Matcher:
         return shift or (0.0, 0.0)
 
     def _find(self) -> Shift | None:
-        """Return the shift that explains the image; None if there is none."""
+        """Return the shift that explains the image, or None."""
         begin = self._begin()
         common = None if begin is None else self._common(begin, 1)
         if begin is None or common is None:
@@ -218,13 +218,13 @@ class Matcher:
                 break
         if unexplained > MOST_UNEXPLAINED:
             return None
-        # Only the part across print is known.
+        # Only the component along the gradient is known.
         x, y = (steep @ shift) @ steep
         return float(x), float(y)
 
     def _slopes(self, common: Common) -> tuple[Floats, Image]:
-        """Return the directions in which the grey levels show a shift, (K, 2), and how the levels
-        change with a shift in each and with light, (K + 3, N)."""
+        """Return the directions in which a shift is visible, (K, 2), and derivatives of the gray
+        levels by shifts in these directions and by illumination, (K + 3, N)."""
         along_x, along_y = (
             np.asarray(cv2.Sobel(self._before, cv2.CV_32F, *way, ksize=3, scale=1 / 8)[common])
             for way in ((1, 0), (0, 1))
@@ -233,14 +233,14 @@ class Matcher:
         squares, directions = np.linalg.eigh(np.cov(gradient, bias=True))
         steep = directions.T[squares > self._least_slope]
         level = self._before[common]
-        # Light fixed to the sensor moves over the print, and must not be taken for motion.
+        # Illumination is fixed to the sensor, and must not be taken for motion.
         light = level, level * self._beside[common[1]], level * self._below[common[0]]
         slopes = np.vstack([steep @ gradient, [light_map.ravel() for light_map in light]])
         return steep, (slopes - slopes.mean(axis=1, keepdims=True)).astype(np.float32)
 
     def _rest(self, shift: Floats, common: Common) -> tuple[Image, float]:
-        """Return the difference of the images at a shift, (N,) levels, without its mean, and the
-        share of their variance that it is."""
+        """Return the difference of the images at a shift, (N,) levels, with mean 0, and its
+        variance relative to that of the images."""
         to_now = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
         laid_back = cv2.warpAffine(
             self._image, to_now, self.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
@@ -253,13 +253,13 @@ class Matcher:
         return rest, float(rest @ rest) / rest.size / (contrast + _NOISE)
 
     def _begin(self) -> Shift | None:
-        """Return the best of the usual shift, zero, and the peak of the covariance."""
+        """Return the best of three: the last shift, zero, and the peak of the covariance."""
         far = _largest_covariance(self._before, self._image)
         best = max((self._correlation(by), by) for by in {far, self._usual, (0.0, 0.0)})
         return best[1] if best[0] > 0 else None
 
     def _correlation(self, shift: Shift) -> float:
-        """Return the correlation at a shift in whole pixels; -1 if the overlap is too small."""
+        """Return the correlation at an integer shift; -1 if the overlap is too small."""
         common = self._common(shift)
         if common is None:
             return -1.0
@@ -271,7 +271,7 @@ class Matcher:
         return float(correlation[0, 0])
 
     def _common(self, shift: Shift, border: int = 0) -> Common | None:
-        """Return rows and columns of the image before that both show, without a border."""
+        """Return rows and columns of the earlier image in the overlap, without a border."""
         slices = []
         for side, by in zip(self.shape, map(round, shift[::-1]), strict=True):
             start, stop = border + max(0, -by), side - border - max(0, by)
@@ -283,7 +283,7 @@ class Matcher:
 
 
 def _largest_covariance(before: Image, now: Image) -> Shift:
-    """Return the shift, in whole pixels of the halved images, of the largest covariance."""
+    """Return the integer shift with the largest covariance, in pixels of the halved images."""
     rows, columns = (side // _COARSER for side in before.shape)
     first, second = (
         np.asarray(cv2.resize(levels, (columns, rows), interpolation=cv2.INTER_AREA), np.float32)
@@ -297,9 +297,9 @@ def _largest_covariance(before: Image, now: Image) -> Shift:
 
 
 def page_per_pixel(optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the motion on the page that shifts the image by one pixel, (2, 2) mm.
+    """Return the motion on the page for one pixel of shift, (2, 2) mm.
 
-    ``shape`` is that of the image that spans the field of view; a homography counts as in its
+    ``shape`` is the shape of the image of the field of view; a homography is linearized at its
     middle.
     """
     rows, columns = shape
@@ -307,7 +307,7 @@ def page_per_pixel(optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64
         turn = math.radians(optics.rotation_deg)
         cos, sin = math.cos(turn), math.sin(turn)
         pixel_mm = optics.field_width_mm / columns, optics.field_height_mm / rows
-        # From image to page: the transpose of the turn in imaging.registration.
+        # Image to page: the transpose of the rotation in imaging.registration.
         return np.array([[cos, sin], [-sin, cos]]) * pixel_mm
     to_pixel = np.reshape(optics.homography, (3, 3))
     middle = to_pixel[:2, 2] / to_pixel[2, 2]
@@ -317,10 +317,10 @@ def page_per_pixel(optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64
 
 
 class FramePreprocessor:
-    """Corrects images by the profile's flat field, and sums the motion between them to a pose.
+    """Corrects images by the profile's flat field, and sums their motion to a pose.
 
-    Motion that cannot be measured counts as none: on blank paper, along a straight edge that fills
-    the patch, or where two images have too little in common.
+    Motion counts as zero if it cannot be measured: on blank paper, along a straight edge that fills
+    the image, or if two images overlap too little.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -335,7 +335,7 @@ class FramePreprocessor:
         self._x_mm = self._y_mm = 0.0
 
     def take(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Pose]:
-        """Return the corrected image, and its pose."""
+        """Return the corrected image and its pose."""
         if self._correct is not None:
             image = self._correct(image)
         x_mm, y_mm = self.follow(image)
@@ -344,11 +344,10 @@ class FramePreprocessor:
         return image, Pose(self._x_mm, self._y_mm)
 
     def follow(self, image: NDArray[np.uint8]) -> tuple[float, float]:
-        """Return the motion of the patch on the page since the last image, mm along its rows and
-        columns.
+        """Return the motion of the sensor on the page since the last image, mm right and down.
 
-        When the print moves left in the image, the patch has moved right. An image of another size
-        starts again.
+        If print moves left in the image, the sensor has moved right. An image of another size
+        restarts the measurement.
         """
         if self._matcher is None or image.shape != self._shape:
             self._shape = image.shape
@@ -361,5 +360,5 @@ class FramePreprocessor:
         return x_mm, y_mm
 
     def interrupt(self) -> None:
-        """Ignore the motion to the next image, after an unknown time."""
+        """Ignore the motion up to the next image."""
         self._is_first = True

@@ -1,8 +1,8 @@
-"""Wire format of sensors; a specification for firmware.
+"""Wire format of sensors, as a specification for firmware.
 
-The device streams on its own, over a USB or any other serial line; the host sends
-nothing. A packet is COBS-encoded and ends with one 0x00, so a receiver that has
-lost its place resynchronizes at the next zero. Decoded, all little endian::
+The device streams over a USB or other serial line; the host sends nothing. A packet is COBS-encoded
+and ends with one 0x00, so receivers resynchronize at the next zero. The decoded packet is little
+endian::
 
     u8  version = 1
     u8  type
@@ -20,28 +20,28 @@ type name  payload
            −2147483648 means none
 ==== ===== ==================================================================
 
-What a device does:
+Rules for the device:
 
-- It sends a FRAME as soon as it has one, whole, and never queues: one that cannot
-  be sent in time is dropped, and its number with it.
-- Device time is when the frame or reading was taken, on any clock that does not
-  stop; it wraps after 71.6 minutes. The host counts age from the arrival.
-- A device with a patch and a load cell may send both over one line. Packets of other
-  types are ignored.
+- It sends each FRAME at once and never queues. A frame that cannot be sent in time is dropped
+  together with its number.
+- Device time is the time of capture, on a clock that does not stop; it wraps after 71.6 minutes.
+  The host measures age from the arrival.
+- A device with an image sensor and a load cell may send both over one line. Other types of packets
+  are ignored.
 
-A FRAME of 64 × 64 is up to 4,130 bytes on the line, so 200 a second need 826 kB/s: USB.
-921,600 baud carry 22 of them a second, 88 of 32 × 32, 335 of 16 × 16 and 2,700 of 4 × 4.
+A FRAME of 64 × 64 has up to 4,130 bytes, so 200 a second need 826 kB/s, which is possible over USB.
+921,600 baud allow 22 of them a second, 88 of 32 × 32, 335 of 16 × 16 and 2,700 of 4 × 4.
 
-Text is what HX711 sketches print, one reading to a line::
+Sketches for the HX711 print text, one reading per line::
 
     HX711 reading: -8388        the library's own example
     Reading: 12.34 g
     one reading:        4.5     | average:      4.6
     0.00 kg
 
-The first number that is not part of a word counts, so the 711 of ``HX711`` does not. A line
-that ends with a colon is a label, its value comes in the next one. Text has no checksum: a
-lost digit passes for a smaller number. A FORCE packet has one.
+The reading is the first number that is not part of a word such as ``HX711``. A line that ends with
+a colon is a label for the value in the next line. Text has no checksum, so a lost digit goes
+unnoticed; FORCE packets have one.
 """
 
 import contextlib
@@ -65,7 +65,7 @@ from smarttouch.sources.source_contract import DeviceWarnings
 VERSION = 1
 MOST_PIXELS_A_SIDE = 255
 NO_READING = -(2**31)
-LARGEST_BODY = MOST_PIXELS_A_SIDE**2 + 16  # most bytes of a packet, with head and CRC
+LARGEST_BODY = MOST_PIXELS_A_SIDE**2 + 16  # largest packet with head and CRC, bytes
 NUMBERS = 2**32
 
 _FRAME = struct.Struct("<BBI")
@@ -73,15 +73,13 @@ _FORCE = struct.Struct("<iI")
 
 
 class PacketKind(IntEnum):
-    """Types of packets."""
-
     FRAME = 0x41
     FORCE = 0x42
 
 
 @dataclass(frozen=True, eq=False)
 class ArrayFrame:
-    """One frame of a sensor array, read-only; number and device time are modulo 2³²."""
+    """One read-only frame of a sensor array; number and device time are modulo 2³²."""
 
     number: int
     time_us: int
@@ -90,7 +88,7 @@ class ArrayFrame:
 
 @dataclass(frozen=True)
 class CellReading:
-    """One reading of a load cell; None where the device has none."""
+    """One reading of a load cell; the value is None if the device has none."""
 
     number: int
     time_us: int
@@ -101,7 +99,7 @@ Message = ArrayFrame | CellReading
 
 
 def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
-    """Return a frame, (H, W) uint8 with 1 to 255 rows and columns, in its wire format."""
+    """Encode a frame, (H, W) uint8 with 1 to 255 rows and columns."""
     if image.ndim != 2 or image.dtype != np.uint8:
         raise SourceError(
             f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}"
@@ -117,7 +115,7 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
 
 
 def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
-    """Return a load cell's reading in its wire format."""
+    """Encode a reading of a load cell."""
     value = NO_READING if reading is None else reading
     if not NO_READING <= value < 2**31:
         raise SourceError(f"reading {value} does not fit 32 bits: scale it down")
@@ -126,7 +124,8 @@ def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
 
 
 def decode(packet: WirePacket) -> Message | None:
-    """Return a packet's message; None if it is malformed or of an unknown kind or version."""
+    """Return the message in a packet; None if it is malformed, or its kind or version is
+    unknown."""
     if packet.version != VERSION:
         return None
     if packet.kind == PacketKind.FRAME:
@@ -148,19 +147,17 @@ def _decode_frame(number: int, payload: bytes) -> ArrayFrame | None:
 
 
 def gap(before: int, number: int) -> int:
-    """Return the number of packets missing between two numbers.
-
-    A device that has restarted, or an old packet, is no gap.
-    """
+    """Return the number of packets missing between two numbers; 0 if the device has restarted or
+    the packet is old."""
     missing = (number - before - 1) % NUMBERS
     return missing if missing < NUMBERS // 2 else 0
 
 
 class MessageStream:
-    """Parser of messages in a stream that may start in the middle of one.
+    """Parser of messages in a stream that may start within a message.
 
-    ``broken`` counts pieces between zeros that were no packet or a malformed one, but not the
-    first, which may have lost its start. Packets of other kinds are ignored.
+    ``broken`` counts malformed pieces between zeros, without the first one, whose start may be
+    missing. Packets of other kinds are ignored.
     """
 
     def __init__(self) -> None:
@@ -169,7 +166,7 @@ class MessageStream:
         self._begun = False
 
     def feed(self, data: bytes) -> list[Message]:
-        """Return the messages completed by these bytes."""
+        """Return the messages that these bytes complete."""
         messages: list[Message] = []
         before = self._deframer.errors
         for packet in self._deframer.feed(data):
@@ -194,11 +191,11 @@ _LARGEST_READ = 65536
 
 
 def read_available(port: Port, title: str) -> bytes:
-    """Return the bytes that have arrived; wait for the first up to the port's timeout."""
+    """Return the received bytes; wait for the first one up to the port's timeout."""
     try:
-        # Waiting for one byte more than has arrived would take the whole timeout.
+        # Do not ask for more bytes than there are: that would wait for the timeout.
         data = bytes(port.read(port.in_waiting or 1))
-        # Over TCP pyserial never reports how much has arrived.
+        # pyserial does not report the number of received bytes for TCP.
         wire = getattr(port, "_socket", None)
         if data and wire is not None:
             with contextlib.suppress(BlockingIOError):
@@ -209,16 +206,15 @@ def read_available(port: Port, title: str) -> bytes:
 
 
 LONGEST_LINE = 240
-LARGEST_READING = 1e9  # largest plausible reading; the converter itself ends at 8,388,607
+LARGEST_READING = 1e9  # largest plausible reading; the converter's range ends at 8,388,607
 _NUMBER = re.compile(rb"(?<![\w.+-])[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?(?![\d.])")
 _NOT_A_NUMBER = re.compile(rb"(?<!\w)[+-]?(?:nan|inf|ovf)(?!\w)", re.IGNORECASE)
 _TEXT = re.compile(rb"[\t\x20-\x7e]*")
 
 
 def parse_line(line: bytes) -> float | None:
-    """Return the reading of a line without its end; NaN if it reports none, None if it is
-    invalid.
-    """
+    """Parse a line without its end: return the reading, NaN for a line without one, or None for an
+    invalid line."""
     if not _TEXT.fullmatch(line):
         return None
     number, none = _NUMBER.search(line), _NOT_A_NUMBER.search(line)
@@ -231,10 +227,10 @@ def parse_line(line: bytes) -> float | None:
 
 
 class TextReadings:
-    """Readings in lines of text.
+    """Parser of readings in lines of text.
 
-    The first line is ignored, as it may have lost its start, and so is the first reading after
-    bytes that are no text, as garbage has digits, too.
+    It ignores the first line, whose start may be missing, and the first reading after bytes that
+    are not text, as noise contains digits, too.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Contract of sources: frames, stimuli, poses and warnings."""
+"""Base classes of sources, with frames, stimuli, poses and warnings."""
 
 import math
 from abc import ABC, abstractmethod
@@ -24,10 +24,10 @@ from smarttouch.profile.electrodes import ElectrodeArray
 
 @dataclass(frozen=True)
 class Pose:
-    """Position of the sensor patch's center on the page.
+    """Position of the sensor's center on the page.
 
-    ``x_mm`` runs right and ``y_mm`` down from the page's top left corner;
-    ``angle_rad`` turns the patch clockwise as seen on the page.
+    ``x_mm`` counts right and ``y_mm`` down from the top left corner of the page; ``angle_rad``
+    rotates the sensor clockwise on the page.
     """
 
     x_mm: float
@@ -42,22 +42,22 @@ class Frame:
     Attributes
     ----------
     image : ndarray, (H, W) uint8
-        Grey levels, bright is white.
+        Gray levels; 255 is white.
     time_ns : int
-        Requested time, since the start of the run.
+        Time of the read, since the start of the run.
     pose : Pose
         Pose of the sensor.
     force_n : float, N
         Force of the finger; NaN if unknown.
     number : int
-        Of the image at its source, from 0; the same number is the same image again.
+        Number of the image at its source, from 0; equal numbers mean the same image.
     age_ns : int
         Age of the image when it was read.
     stale : bool
-        Whether the source has gone silent and the image may be outdated.
+        Whether the image may be outdated, because the source delivers no new one.
     period_us : int, µs, optional
-        Time to the next read, in which every active class pulses once. None: the mode's classes
-        pulse at the profile's rates.
+        Time to the next read, in which each active class pulses once. None means that classes pulse
+        at the profile's rates.
     """
 
     __repr__ = one_line
@@ -74,16 +74,16 @@ class Frame:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stimulus(TactileImage):
-    """Tactile image of a source, with an optional period of its own: see `TactileImage`.
+    """Tactile image delivered by a source.
 
     Attributes
     ----------
     activation, time_ns, force_n, level
         See `TactileImage`; the force is NaN if unknown.
     pose, number, age_ns, stale, period_us
-        See `Frame`; equal numbers mean the same place or part.
+        See `Frame`; equal numbers mean the same place or part of the source.
     image : ndarray, (H, W) uint8, optional
-        Grey levels under the finger, for display.
+        Gray levels under the finger, for display.
     """
 
     pose: Pose = Pose(0.0, 0.0)
@@ -93,23 +93,23 @@ class Stimulus(TactileImage):
     image: NDArray[np.uint8] | None = None
 
 
-Input = Frame | Stimulus  # input of a run, read once for each sequence
+Input = Frame | Stimulus  # input of a run, read for each sequence
 
 
 class Device(Closing):
-    """Base of sources that are opened by URL, closed, and have notes for the user.
+    """Base of sources and forces, which have notes for the user and can be closed.
 
     Parameters
     ----------
     title : str
-        Name in a few words.
+        Short name.
 
     Attributes
     ----------
     url : str
         URL by which it was opened.
     notes : list of str
-        Warnings after a run, a sentence each.
+        Warnings after a run, one sentence each.
     """
 
     def __init__(self, title: str) -> None:
@@ -122,14 +122,14 @@ class Device(Closing):
 
 
 class DeviceWarnings:
-    """Warnings that are updated instead of being repeated, in a list to which others may append."""
+    """List of warnings in which a new warning replaces the earlier one with the same cause."""
 
     def __init__(self, notes: list[str]) -> None:
         self._notes = notes
         self._places: dict[str, int] = {}
 
     def put(self, cause: str, sentence: str) -> None:
-        """Set the warning of a cause, in the place of the earlier one."""
+        """Set the warning for a cause."""
         if cause in self._places:
             self._notes[self._places[cause]] = sentence
         else:
@@ -139,9 +139,9 @@ class DeviceWarnings:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A page or a line that lies under the finger: its picture, and where it is for poses.
+    """Page or line under the finger: its picture, and its place in the coordinates of poses.
 
-    ``number`` changes with the picture; ``corner_mm`` is the place of its top left corner.
+    ``number`` changes with the picture; ``corner_mm`` is the top left corner.
     """
 
     number: int
@@ -150,86 +150,85 @@ class Sheet:
 
 
 class Pointer(Protocol):
-    """Part of a source that the pointer over the `sheet` moves, once a window shows it."""
+    """Part of a source that follows the pointer over the `sheet` in a window."""
 
     is_shown: bool
 
     def move(self, x_mm: float, y_mm: float) -> None:
-        """Move to a place on the sheet; ValueError outside of it."""
+        """Move to a place on the sheet. Raises ValueError outside of it."""
 
 
 class Source(Device, ABC):
     """Base of all sources.
 
-    Everything that a source delivers is either read or dropped: at the end ``frames``
-    is the number of distinct inputs read plus ``dropped_frames``.
+    At the end ``frames`` is the number of distinct inputs read plus ``dropped_frames``.
     """
 
     duration_s: float | None = None
-    """Duration; None if it never ends by itself."""
+    """Duration; None if endless."""
     ended: ClassVar[str] = "the source has ended"
-    """Message at its end."""
+    """Message at the end."""
     emit: Emit = staticmethod(lambda _event: None)
-    """Receives events of the source; set by the run."""
+    """Function that receives events of the source; set by the run."""
     afferents: tuple[Afferent, ...] = tuple(Afferent)
-    """Classes that the next input may drive; set by the run."""
+    """Classes that the next input may stimulate; set by the run."""
     knows_force: bool = False
-    """Whether its inputs have a force."""
+    """Whether inputs contain the force."""
     measures_force: bool = False
-    """Whether that force is measured on a finger during the run. Any other force counts only on
+    """Whether that force is measured on a finger during the run. Any other force is used only on
     boards that no finger can touch."""
     frames: int = 0
-    """Distinct frames or stimuli that it delivered."""
+    """Number of distinct frames or stimuli delivered."""
     dropped_frames: int = 0
-    """Frames or stimuli that arrived but were never read."""
+    """Number of frames or stimuli that were never read."""
     pointer: Pointer | None = None
-    """What the pointer over a page of the window moves, if anything."""
+    """Part that follows the pointer in a window, if any."""
     fixed_mode: ClassVar[bool] = False
-    """Whether it chooses the classes that it drives, so that the user cannot."""
+    """Whether the source, instead of the user, chooses the classes to stimulate."""
     notes_told: int = 0
-    """Number of its `notes` that were reported as they arose."""
+    """Number of `notes` already reported."""
     settings: Mapping[str, Any] = MappingProxyType({})
-    """Settings of a run that suit it, as `RunConfig` names them, where no others are asked for."""
+    """Default settings of `RunConfig` for this source."""
     keys_help: ClassVar[str] = ""
-    """Help text for its keys."""
+    """Help text for the keys."""
 
     @property
     def sheet(self) -> Sheet | None:
-        """Return what lies under the finger, if that is known; from any thread."""
+        """Return the page or line under the finger, if known; from any thread."""
         return None
 
     @property
     def words(self) -> str:
-        """Return the text that is read, if it is known."""
+        """Return the current text, if known."""
         return ""
 
     @property
     def account(self) -> str:
-        """Return in words what it has delivered, for users who cannot see it; empty if unknown."""
+        """Return a summary of what was delivered, for users who cannot see it; empty if unknown."""
         return ""
 
     def tell_notes(self, time_ns: int) -> None:
-        """Report the notes that have come up since the last call."""
+        """Report new notes."""
         for words in self.notes[self.notes_told :]:
             self.emit(Advice(time_ns, words))
             self.notes_told += 1
 
     def narrowed(self, profile: Profile) -> Profile:
-        """Return the profile used to plan this source's stimulation; never with wider limits."""
+        """Return a copy of the profile for this source, never with wider limits."""
         return profile
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Functions of single keys, callable from any thread; none if it has no controls."""
+        """Functions by key, callable from any thread."""
         return {}
 
     @abstractmethod
     def read(self, time_ns: int) -> Input | None:
-        """Return the input at ``time_ns`` since the start; None at the end."""
+        """Return the input at ``time_ns`` since the start of the run; None at the end."""
 
 
 class OpticalSource(Source):
-    """Source of frames, which imaging turns into tactile images."""
+    """Base of sources of frames, which imaging converts to tactile images."""
 
     @abstractmethod
     def read(self, time_ns: int) -> Frame | None:
@@ -237,7 +236,7 @@ class OpticalSource(Source):
 
 
 class StimulusSource(Source):
-    """Source of stimuli, which also chooses the classes that they drive."""
+    """Base of sources of stimuli, which also choose the classes."""
 
     fixed_mode = True
 
@@ -247,9 +246,9 @@ class StimulusSource(Source):
 
 
 def checked_input(given: Any, who: object, electrodes: int) -> Input:
-    """Return a frame or stimulus that a source ``who`` returned, for (E,) electrodes.
+    """Check the frame or stimulus that a source ``who`` returned.
 
-    Raises a SourceError for anything else, with what it is.
+    Raises SourceError if it is anything else or invalid.
     """
     if isinstance(given, Frame):
         image = given.image
@@ -265,10 +264,10 @@ def checked_input(given: Any, who: object, electrodes: int) -> Input:
 
 
 def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
-    """Return an image as gray levels, (H, W) uint8, 0 black: from bool, gray, RGB or RGBA.
+    """Convert a bool, gray, RGB or RGBA image to gray levels, (H, W) uint8, 0 is black.
 
-    The ground under transparent print is chosen so that it is seen. Raises a SourceError for other
-    types and shapes: which number is white would be a guess.
+    Transparent images get a background on which they are visible. Raises SourceError for other
+    types and shapes, for which the value of white is unknown.
     """
     if not (
         isinstance(image, np.ndarray)
@@ -284,7 +283,8 @@ def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
 
 
 def checked_activation(activation: Any, who: object, electrodes: int) -> NDArray[np.float32]:
-    """Return the activation of (3, E) electrodes as float32, of numbers in [0, 1] alone."""
+    """Return an activation as (3, E) float32. Raises SourceError unless all numbers are in [0,
+    1]."""
     shape = len(Afferent), electrodes
     if (
         not isinstance(activation, np.ndarray)
@@ -304,11 +304,11 @@ def checked_activation(activation: Any, who: object, electrodes: int) -> NDArray
     return activation if activation.dtype == np.float32 else activation.astype(np.float32)
 
 
-Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]  # what a source can be made of
+Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]  # accepted by `source_of`
 
 
 class Images(OpticalSource):
-    """Images one after another, one for each sequence; at the finger's full force."""
+    """Successive images, one for each sequence, at full force."""
 
     frames: int
     knows_force = True
@@ -332,7 +332,7 @@ class Images(OpticalSource):
 
 
 Imaging = Callable[[Frame, ElectrodeArray], NDArray[np.floating[Any]]]
-"""Returns the activation of each class at each electrode, (3, E) in [0, 1], of a frame."""
+"""Function that converts a frame to activation, (3, E) in [0, 1]."""
 
 
 _OF_THE_SOURCE = (
@@ -341,7 +341,8 @@ _OF_THE_SOURCE = (
 
 
 class OwnImaging(StimulusSource):
-    """Stimuli that a function makes of an optical source's frames; recordings keep both."""
+    """Stimuli that a function computes from the frames of an optical source; recordings contain
+    both."""
 
     def __init__(self, source: Source, imaging: Imaging, profile: Profile) -> None:
         super().__init__(source.title)
@@ -351,7 +352,7 @@ class OwnImaging(StimulusSource):
         self._who = getattr(imaging, "__qualname__", type(imaging).__name__)
 
     def read(self, time_ns: int) -> Stimulus | None:
-        """Return what the function makes of the next frame; None at the end."""
+        """Return the function's stimulus for the next frame; None at the end."""
         source_frame = self._source.read(time_ns)
         self._count()
         if source_frame is None:
@@ -360,7 +361,7 @@ class OwnImaging(StimulusSource):
         frame = checked_input(source_frame, self._source, electrodes)
         if not isinstance(frame, Frame):
             raise SourceError(
-                f"{self.title} gives tactile images, which need no imaging: leave it out"
+                f"{self.title} delivers tactile images, which need no imaging: leave it out"
             )
         activation = self._imaging(frame, self._electrodes)
         return Stimulus(
@@ -376,7 +377,7 @@ class OwnImaging(StimulusSource):
 
     @property
     def emit(self) -> Emit:
-        """Receives the source's events."""
+        """Function that receives events of the source."""
         return self._source.emit
 
     @emit.setter

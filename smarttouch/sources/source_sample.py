@@ -1,4 +1,4 @@
-"""Sample of a source of frames or force over some seconds: rates, ages and forces."""
+"""Statistics of a source of frames or force over some seconds."""
 
 import time
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ READ_HZ = 100.0  # rate at which a source is read
 
 
 def sample_source(source: Source, seconds: float) -> list[tuple[str, str]]:
-    """Read an open source for a time, or until it ends; return names and values, in words."""
+    """Read an open source for some seconds, or until it ends; return pairs of name and value."""
     frames = []
     for time_ns in _ticks(seconds):
         frame = source.read(time_ns)
@@ -43,7 +43,7 @@ def sample_source(source: Source, seconds: float) -> list[tuple[str, str]]:
 
 
 def sample_force(source: ForceSource, seconds: float) -> list[tuple[str, str]]:
-    """Read an open source of force for a time; return names and values, in words."""
+    """Read an open source of force for some seconds; return pairs of name and value."""
     force_n = np.array([source.read(time_ns) for time_ns in _ticks(seconds)])
     unknown = int(np.isnan(force_n).sum())
     return [
@@ -54,7 +54,7 @@ def sample_force(source: ForceSource, seconds: float) -> list[tuple[str, str]]:
 
 
 def _ticks(seconds: float) -> Iterator[int]:
-    """Yield nanoseconds since the first read, at absolute deadlines."""
+    """Yield nanoseconds since the first read, each at its time."""
     yield 0
     start_ns = time.perf_counter_ns()
     for count in range(1, round(seconds * READ_HZ) + 1):

@@ -1,4 +1,4 @@
-"""Videos and folders of images, at their own pace or as fast as they are read."""
+"""Videos and folders of images, at their frame rate or as fast as they are read."""
 
 import contextlib
 import itertools
@@ -32,12 +32,12 @@ SUFFIXES = (
 )  # fmt: skip
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
-MOST_DECODED = 8  # images behind the one that is due from which they are skipped undecoded
-_MISSING = 0.05  # accepted part of missing frames; containers only estimate how many they hold
+MOST_DECODED = 8  # number of images behind schedule above which images are skipped without decoding
+_MISSING = 0.05  # accepted share of missing frames: containers only estimate their number
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")
-# Silences the decoder's messages on damaged frames; read once, when a process first opens a video.
+# Suppress the decoder's messages; it reads this when the process opens its first video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-# Without playlists, which could open other files, pipes and addresses.
+# Forbid playlists, which could open other files, pipes and addresses.
 os.environ.setdefault(
     "OPENCV_FFMPEG_CAPTURE_OPTIONS",
     "protocol_whitelist;file|format_whitelist;3gp,asf,avi,flv,gif,h264,hevc,ivf,m4v,matroska,mjpeg,"
@@ -45,14 +45,15 @@ os.environ.setdefault(
 )
 
 
-Image = NDArray[np.uint8]  # grey, (H, W)
+Image = NDArray[np.uint8]  # gray, (H, W)
 
 
 @dataclass
 class Clip:
-    """Sequence of images, to be read once: each is a function that decodes it, None if it cannot.
+    """Sequence of images that can be read once.
 
-    ``count`` is the number of images, 0 if it is not known; a video's is often an estimate.
+    Each item is a function that decodes the image, or returns None if it is damaged. ``count`` is
+    the number of images, often an estimate for videos; 0 if unknown.
     """
 
     title: str
@@ -68,7 +69,7 @@ def video_clip(path: Path) -> Clip:
     _require_file(path)
     silence_opencv()
     capture = cv2.VideoCapture(str(path))
-    # Any text is a video to some decoders.
+    # Some decoders accept any text as a video.
     if not capture.isOpened() or int(capture.get(cv2.CAP_PROP_FOURCC)) == _TEXT:
         capture.release()
         message = f"{path} is not a readable video: give an MP4, AVI, MKV or MOV"
@@ -78,7 +79,7 @@ def video_clip(path: Path) -> Clip:
     clip.close = capture.release
     if not 0 < rate_hz <= FASTEST_HZ:
         clip.rate_hz = USUAL_HZ
-        clip.notes.append(f"{path.name} does not state its frame rate: {USUAL_HZ:g} Hz is assumed")
+        clip.notes.append(f"{path.name} does not state its frame rate: assuming {USUAL_HZ:g} Hz")
     images = _grabbed(capture, clip)
     first = next(images, lambda: None)()
     if first is None or min(first.shape) < _FEWEST_PIXELS:
@@ -89,7 +90,7 @@ def video_clip(path: Path) -> Clip:
 
 
 def _grabbed(capture: cv2.VideoCapture, clip: Clip) -> Iterator[Callable[[], Image | None]]:
-    """Go through a video; note where it breaks off."""
+    """Yield the images of a video; add a note if it breaks off."""
     converter, read = GreyConverter(), 0
 
     def decode() -> Image | None:
@@ -110,7 +111,7 @@ def _grabbed(capture: cv2.VideoCapture, clip: Clip) -> Iterator[Callable[[], Ima
 
 
 def folder_clip(path: Path, rate_hz: float) -> Clip:
-    """Open a folder of images of one size, in natural order of their names."""
+    """Open a folder of images of one size, in natural order of names."""
     files, converter = _images(path), GreyConverter()
     shape = _load(files[0], converter).shape
 
@@ -118,8 +119,8 @@ def folder_clip(path: Path, rate_hz: float) -> Clip:
         image = _load(file, converter)
         if image.shape != shape:
             raise SourceError(
-                f"{file} has {image.shape[1]} x {image.shape[0]} pixels, {files[0].name} has "
-                f"{shape[1]} x {shape[0]}: all images of a folder must be of one size"
+                f"{file} has {image.shape[1]} x {image.shape[0]} pixels, but {files[0].name} has "
+                f"{shape[1]} x {shape[0]}: all images of a folder must have one size"
             )
         return image
 
@@ -133,7 +134,7 @@ def _require_file(path: Path) -> None:
 
 
 def _images(folder: Path) -> list[Path]:
-    """Return the images of a folder, 2.png before 10.png."""
+    """Return the images of a folder in natural order: 2.png before 10.png."""
     if folder.is_file():
         raise SourceError(f"{folder} is a file: give a folder of images, or video:{folder}")
     try:
@@ -155,7 +156,7 @@ def _images(folder: Path) -> list[Path]:
 
 def _natural(file: Path) -> list[tuple[int, int, str]]:
     parts = re.findall(r"([0-9]+)|([^0-9]+)", file.name)
-    # Names that differ in leading zeros alone still have one order.
+    # The name itself decides between names that differ only in leading zeros.
     return [(0, int(digits), "") if digits else (1, 0, text) for digits, text in parts] + [
         (2, 0, file.name)
     ]
@@ -185,7 +186,8 @@ def _require_pixels(file: Path, width: int, height: int) -> None:
 
 
 def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> OpticalSource:
-    """Open ``video:FILE``, any video that OpenCV reads; ``unpaced`` gives one frame a read."""
+    """Open ``video:FILE``, a video that OpenCV can read. With ``unpaced``, each read returns the
+    next frame."""
     return ClipSource(video_clip(Path(rest)), profile, unpaced)
 
 
@@ -194,7 +196,7 @@ def open_frames(
 ) -> OpticalSource:
     """Open ``frames:DIR``, a folder of images of one size, in natural order of their names.
 
-    ``fps`` is 30 if not given; ``unpaced`` gives one image a read.
+    ``fps`` defaults to 30. With ``unpaced``, each read returns the next image.
     """
     rate_hz = USUAL_HZ if fps is None else fps
     words = f"a rate of {rate_hz:g} images a second"
@@ -203,10 +205,10 @@ def open_frames(
 
 
 class ClipSource(OpticalSource):
-    """Shows the image of a clip that is due at the time of the read, or the next at each read.
+    """Returns the image of a clip that is due, or with ``unpaced`` the next one.
 
-    Images in between are decoded as well, so that motion is followed, but for those that are far
-    behind; all of them count as dropped.
+    Images in between count as dropped, but are decoded to measure motion, unless the source is far
+    behind.
     """
 
     ended = "end of the clip"
@@ -225,7 +227,7 @@ class ClipSource(OpticalSource):
             self.duration_s = clip.count / clip.rate_hz
 
     def read(self, time_ns: int) -> Frame | None:
-        """Return the frame at a time since the start; None at the end."""
+        """Return the frame at a time since the start of the run; None at the end."""
         due = self.frames if self._unpaced else int(time_ns * self._clip.rate_hz / 1e9)
         while self.frames <= due and not self._is_over:
             self._take(far_behind=due - self.frames >= MOST_DECODED)
@@ -237,7 +239,7 @@ class ClipSource(OpticalSource):
         return replace(self._frame, time_ns=time_ns, age_ns=age_ns)
 
     def _take(self, far_behind: bool) -> None:
-        """Take the next image, or skip it undecoded."""
+        """Take the next image; skip it without decoding if far behind."""
         decode = next(self._clip.images, None)
         image = None if decode is None or far_behind else decode()
         if decode is None or (image is None and not far_behind):
@@ -255,7 +257,7 @@ class ClipSource(OpticalSource):
         self.frames += 1
 
     def close(self) -> None:
-        """Close the file, and count an unread frame as dropped."""
+        """Close the file; count an unread frame as dropped."""
         self.dropped_frames += self._is_unread
         self._is_unread = False
         self._is_over = True

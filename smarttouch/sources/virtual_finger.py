@@ -1,4 +1,4 @@
-"""A virtual finger over a page: its path, and frames like those of a photo-sensor patch."""
+"""Virtual finger that moves over a page, and the frames of its optical sensor."""
 
 import math
 from collections.abc import Callable
@@ -25,20 +25,20 @@ from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 
 Floats = NDArray[np.float64]
 
-RETURN_MM_S = 200.0  # speed of the lifted finger on its way to the next line
-SETTLE_S = 0.75  # time of rest at the start of a line
+RETURN_MM_S = 200.0  # speed of the lifted finger to the next line
+SETTLE_S = 0.75  # rest at the start of a line
 LIFT_S = 0.15
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
 _PRESS = 1.1  # reading force, relative to the profile's full force
-_STEP_MM = 2.0  # distance of the points of a path along a line: its bend between them is negligible
+_STEP_MM = 2.0  # distance between points of a path, small against the bend of lines
 _COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
 
 
 class FingerPath(NamedTuple):
     """Path of a finger over a page."""
 
-    table: Floats  # (5, N) time s, x and y mm, angle rad, force N
-    lines: tuple[TextLine, ...] = ()  # that it follows, if it reads
+    table: Floats  # (5, N): time s, x mm, y mm, angle rad, force N
+    lines: tuple[TextLine, ...] = ()  # lines that it follows, if any
 
     @property
     def duration_s(self) -> float:
@@ -48,10 +48,10 @@ class FingerPath(NamedTuple):
 def reading_path(
     page: Page, profile: Profile, speed_mm_s: float, light_on_dark: bool = False
 ) -> FingerPath:
-    """Return the path along the lines of a page, one after another; in strips without lines."""
+    """Return a path along the lines of a page, or in parallel strips if there are none."""
     require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
     field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
-    # Without a word of it, print may still be light: else the dark between letters is read.
+    # Detect light print even if not requested: otherwise the dark gaps would be read.
     lines = find_lines(page, light_on_dark or None) or [_printed(page, light_on_dark)]
     sweeps = tuple(sweep for line in lines for sweep in _sweeps(line, field[1]))
     rows: list[tuple[float, float, float, float, float]] = []
@@ -77,7 +77,7 @@ def reading_path(
 
 
 def recorded_path(path: Path) -> FingerPath:
-    """Return the path in a CSV file with the columns time_s, x_mm, y_mm, angle_deg, force_n."""
+    """Load a path from a CSV file with columns time_s, x_mm, y_mm, angle_deg and force_n."""
     table = np.array([*read_csv(path, SourceError, _COLUMNS).values()])
     table[0] -= table[0, 0]
     table[3] = np.radians(table[3])
@@ -85,7 +85,7 @@ def recorded_path(path: Path) -> FingerPath:
 
 
 def _printed(page: Page, light_on_dark: bool) -> TextLine:
-    """Return all print of a page without lines as one line; all of a page without print."""
+    """Return the printed area of a page as one line, or the complete page if there is no print."""
     ink = separate_ink(page.grey, light_on_dark).ink
     x, y, width, height = cv2.boundingRect(ink.view(np.uint8))
     if not width:
@@ -95,8 +95,8 @@ def _printed(page: Page, light_on_dark: bool) -> TextLine:
 
 
 def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
-    """Cut a line that is taller than the field into parallel strips."""
-    # Ascenders that reach just beyond the field need no second pass.
+    """Divide a line that is taller than the sensor's field into parallel strips."""
+    # Tolerate ascenders slightly beyond the field.
     count = max(1, math.ceil(line.height_mm / height_mm - 0.15))
     step = line.height_mm / count
     return [
@@ -111,8 +111,8 @@ def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
 
 
 def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return x, y, angle of a finger along the middle of a line, and the distance covered."""
-    # Its first letters are under the finger while it rests: intensity rises with their pulses.
+    """Return x, y and angle of a finger along the middle of a line, and the distance covered."""
+    # The finger rests on the first letters, so that their pulses raise the intensity.
     start, end = line.left_mm, line.right_mm + field_mm / 2
     x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))
     y = line.baseline_mm(x) + (line.descent_mm - line.ascent_mm) / 2
@@ -120,21 +120,21 @@ def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Float
     return x, y, np.arctan(line.slope(x)), passed_mm
 
 
-OVERSAMPLING = 2  # samples per pixel and axis; their mean is the pixel's aperture
-BLUR_MM = 0.06  # standard deviation of the optics' blur
-NOISE_LEVELS = 2.0  # standard deviation of the read noise, in grey levels
+OVERSAMPLING = 2  # samples per pixel and axis, averaged over the pixel's aperture
+BLUR_MM = 0.06  # standard deviation of optical blur
+NOISE_LEVELS = 2.0  # standard deviation of read noise, gray levels
 USUAL_MM_S = 40.0
 READER_MM_S = 7.0
-"""Speed at which the sample page is read at some 30 words a minute: its 20 words take 39 s."""
-AGAIN_S = 1.0  # time for which the lifted finger rests before it reads the page again
+"""About 30 words a minute on the sample page: its 20 words take 39 s."""
+AGAIN_S = 1.0  # pause of the lifted finger before it reads the page again
 MOST_PASSES = 10_000
-_SHADE = 0.1  # relative loss of light at the corners of the patch
+_SHADE = 0.1  # relative loss of light at the corners (vignetting)
 _SLOPE = 0.03
 _PRINT_MM, _USUAL_PRINT_MM = (1.5, 9.0), 3.7
-"""Heights of lines, ascenders to descenders, that a page of assumed size may have, and that of 11
-points, which it gets otherwise."""
+"""Plausible heights of lines, ascender to descender, on a page of assumed size; and the height of
+11 points, to which others are scaled."""
 _CHOSEN_DPI = (97.0, 700.0)
-"""Range of resolutions that an image states because it has them; beyond, programs put their own."""
+"""Range of plausible resolutions stated by images; others are defaults of programs."""
 _MARGIN_MM = 4.0
 _MOST_PIXELS = 60_000_000
 
@@ -152,10 +152,10 @@ def open_page(
     passes: int = 1,
     password_file: str | None = None,
 ) -> "PageSource":
-    """Open ``page:FILE``; options are those of `PageSource`, its scale, passes and password.
+    """Open ``page:FILE``; options are those of `PageSource`, scale, number of passes and password.
 
-    Of a photograph the sheet is shown, laid flat. Ink is separated once, in all of the page: that
-    is nearer to the truth than in single frames.
+    A sheet on a photograph is rectified. Ink is detected once on the complete page, which is more
+    reliable than in single frames.
     """
     notices: list[str] = []
     page, assumed = load_or_guess(Path(rest), dpi, page_width_mm, notices.append, password_file)
@@ -167,7 +167,7 @@ def open_page(
     corners = None if path is not None or light_on_dark else find_sheet(page.grey)
     if corners is not None:
         flat = flattened(page.grey, corners)
-        # A width that was given or assumed is that of the sheet.
+        # A given or assumed width is the width of the sheet.
         of_sheet = page_width_mm is not None or assumed
         page = Page(flat, page.size_mm[0] / flat.shape[1] if of_sheet else page.mm_per_pixel)
         notices.append(LAID_FLAT)
@@ -192,9 +192,9 @@ def load_or_guess(
     note: Callable[[str], None],
     password_file: str | None = None,
 ) -> tuple[Page, str]:
-    """Return a page, and a sentence if its scale is guessed or doubtful.
+    """Load a page; return it with a warning if its scale is guessed or doubtful.
 
-    A text without a scale is printed; ``note`` gets what is left out of it.
+    A text is printed; ``note`` is told of omitted parts.
     """
     kind = file_kind(path) if path.is_file() else None
     if kind is FileKind.STRUCTURED:
@@ -223,7 +223,7 @@ def open_text(
     light_on_dark: bool = False,
     passes: int = 1,
 ) -> "PageSource":
-    """Open ``text:STRING``, a page printed from a text."""
+    """Open ``text:STRING``, a page with the printed text."""
     page = print_text(rest)
     source = PageSource(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
     source.text = rest
@@ -234,7 +234,7 @@ def open_text(
 class PageSource(OpticalSource):
     """Frames of a finger that moves over a page line by line, or along a recorded path.
 
-    The seed is that of noise: the same one gives the same frames, in whatever order they are read.
+    The seed is for noise; frames do not depend on the order of reads.
     """
 
     ended = "end of the page"
@@ -254,7 +254,7 @@ class PageSource(OpticalSource):
     ) -> None:
         super().__init__(title)
         self.page = page
-        self.text: str = ""  # text of the page, if it is known
+        self.text: str = ""  # text of the page, if known
         self.notes: list[str] = [notice] if notice else []
         self.path: FingerPath = (
             reading_path(page, profile, speed_mm_s, light_on_dark)
@@ -281,17 +281,17 @@ class PageSource(OpticalSource):
 
     @property
     def words(self) -> str:
-        """Return the text of the page, if it is known."""
+        """Return the text of the page, if known."""
         return self.text
 
     def repeat(self, passes: int) -> None:
-        """Let the finger read the page so often; without end if 0."""
+        """Let the finger read the page this many times; 0 means endlessly."""
         require_within(SourceError, "passes", passes, 0, MOST_PASSES)
         lasts_s = self._lasts_s
         self.duration_s = (passes - 1) * (lasts_s + AGAIN_S) + lasts_s if passes else None
 
     def read(self, time_ns: int) -> Frame | None:
-        """Return the frame at a time since the start; None when the path is over."""
+        """Return the frame at a time since the start of the run; None after the end of the path."""
         if self.duration_s is not None and time_ns / 1e9 > self.duration_s:
             return None
         time_s, lasts_s = time_ns / 1e9, self._lasts_s
@@ -300,7 +300,7 @@ class PageSource(OpticalSource):
         *place, force_n = map(float, map(partial(np.interp, at_s, table[0]), table[1:]))
         pose = Pose(*place)
         if again_s > lasts_s:
-            # Between two passes the finger is lifted.
+            # The finger is lifted between two passes.
             force_n = 0.0
         cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
         step_x, step_y = self._step
@@ -325,7 +325,7 @@ class PageSource(OpticalSource):
 
 
 def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, int]:
-    """Return the page blurred by the optics, its scale, and the margin around it."""
+    """Return the page blurred by the optics, its scale, and its margin."""
     height, width = page.grey.shape
     scale = page.mm_per_pixel / finest_mm
     scale = min(scale, np.sqrt(_MOST_PIXELS / (height * width)))
@@ -337,7 +337,7 @@ def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, in
         cv2.GaussianBlur(surface, (0, 0), BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE),
         np.uint8,
     )
-    # The paper continues beyond the page's edges, in their usual grey.
+    # The margin has the median gray of the page's edges.
     edges = np.concatenate([surface[0], surface[-1], surface[:, 0], surface[:, -1]])
     margin, paper = round(_MARGIN_MM / surface_mm), float(np.median(edges))
     whole = cv2.copyMakeBorder(surface, *4 * (margin,), cv2.BORDER_CONSTANT, value=paper)
@@ -345,6 +345,6 @@ def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, in
 
 
 def _light(shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Return the light on each pixel: a vignette and a slope, fixed to the sensor."""
+    """Return the illumination of each pixel: vignetting and a gradient, fixed to the sensor."""
     y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in shape), indexing="ij")
     return np.asarray(0.97 - _SHADE / 2 * (x * x + y * y) + _SLOPE * x, np.float32)
