@@ -1,1 +1,1 @@
-"""Texts, pages and screens pass under the finger; tests of what can be read of them."""
+"""Reading of texts, pages and screens with a fingertip, and measures of legibility."""

@@ -1,4 +1,4 @@
-"""Braille of texts, files and pages: paragraphs of cells, and lines of cells under the finger."""
+"""Braille for texts, files and pages: paragraphs of cells, and lines of cells under the finger."""
 
 import itertools
 from collections.abc import Iterator
@@ -30,18 +30,18 @@ from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import Note, recognized_lines
 
 DOT_MM, CELL_MM = 2.34, 6.2
-"""Distances from dot to dot and cell to cell (NLS Specification 800)."""
+"""Distances between dots and between cells (NLS Specification 800)."""
 
 
 @dataclass(frozen=True)
 class DocumentCells:
-    """A document as paragraphs of cells, and the pages that a BRF file has them on."""
+    """A document as paragraphs of cells, and its pages if it is a BRF file."""
 
     paragraphs: list[str]
     pages: Pages | None = None
 
     def laid_out(self, columns: int | None, rows: int | None, indent: int = INDENT) -> Pages:
-        """Return pages of so many cells and lines, by default those of its file, or 40 and 25."""
+        """Return pages of the given size; the default is the file's, or 40 cells and 25 lines."""
         if self.pages is not None and columns is None and rows is None:
             return self.pages
         columns, rows = COLUMNS if columns is None else columns, ROWS if rows is None else rows
@@ -49,10 +49,10 @@ class DocumentCells:
 
 
 def document_cells(source: ReadingMaterial, table: BrailleTable, progress: Note) -> DocumentCells:
-    """Return a text, a file of cells or a document as cells.
+    """Convert a text, a file of cells or a document to cells.
 
-    What is left out is named by the source's ``note``. ``progress`` is called as pages of a
-    document are done.
+    The source's ``note`` is told of omitted parts. ``progress`` is called when pages of a document
+    are done.
     """
     if source.holds_cells:
         pages = read_brf(Path(source.name), source.note)
@@ -69,16 +69,16 @@ def document_cells(source: ReadingMaterial, table: BrailleTable, progress: Note)
 
 @dataclass(frozen=True)
 class CellLayout:
-    """Places of the dots of cells on a grid of electrodes; distances are counted in electrodes."""
+    """Layout of the dots of cells on a grid of electrodes; distances are in electrodes."""
 
     rows: int
     columns: int
     dot_x: int  # from dot to dot
     dot_y: int
     cell: int  # from cell to cell
-    eight: bool  # dots a cell, or six
-    pitch_mm: tuple[float, float]  # of the electrodes, across and down
-    pixel_mm: float  # of the images that are drawn
+    eight: bool  # whether cells have eight dots, not six
+    pitch_mm: tuple[float, float]  # pitch of the electrodes, across and down
+    pixel_mm: float  # pixel size of drawn images
 
     @property
     def height(self) -> int:
@@ -94,11 +94,11 @@ class CellLayout:
 
     @property
     def margin(self) -> int:
-        """Number of columns of the array to the left of a cell in its middle."""
+        """Number of columns to the left of a cell in the middle of the array."""
         return (self.columns - self.dot_x - 1) // 2
 
     def line(self, cells: str, text: str = "") -> TouchLine:
-        """Return cells to be moved under the finger."""
+        """Draw cells as a line that moves under the finger."""
         dots = np.full((self.rows, max(1, len(cells) * self.cell)), 255, np.uint8)
         dots[self.dots_of(cells)] = 0
         across, down = (pitch / self.pixel_mm for pitch in self.pitch_mm)
@@ -110,26 +110,26 @@ class CellLayout:
 
 
 def cell_layout(profile: Profile, eight: bool = False) -> CellLayout:
-    """Return the layout of Braille on an array, at the distances of Braille on paper."""
+    """Return the layout of Braille on an array, with distances as on paper."""
     electrodes = profile.electrodes
     rows, columns = (
         len(np.unique(np.round(electrodes.position_mm[:, axis], 6))) for axis in (1, 0)
     )  # fmt: skip
     if rows * columns != len(electrodes):
         raise ReadingError(
-            f"the electrodes of {profile.name} are no grid of rows and columns, dots would fall "
+            f"the electrodes of {profile.name} are not a grid of rows and columns, dots would fall "
             "between them: choose another profile, or read letter shapes"
         )
     pitch_x, pitch_y = electrodes.cell_mm
     dot_x, dot_y = max(1, round(DOT_MM / pitch_x)), max(1, round(DOT_MM / pitch_y))
-    # Cells must be farther apart than their dots to be distinguishable.
+    # Gaps between cells must be wider than gaps between dots.
     cell = max(2 * dot_x + 1, round(CELL_MM / pitch_x))
     layout = CellLayout(
         rows, columns, dot_x, dot_y, cell, eight, (pitch_x, pitch_y), pixel_pitch_mm(profile)
     )
     if layout.height > rows or dot_x + 1 > columns:
         raise ReadingError(
-            f"{profile.name} has {rows} x {columns} electrodes, Braille with "
+            f"{profile.name} has {rows} x {columns} electrodes, but Braille with "
             f"{8 if eight else 6} dots needs {layout.height} x {dot_x + 1}: choose another profile"
         )
     return layout
@@ -137,16 +137,17 @@ def cell_layout(profile: Profile, eight: bool = False) -> CellLayout:
 
 @dataclass(frozen=True)
 class Braille:
-    """Braille presentation: cells under the finger, by a table of `open_table`."""
+    """Presentation as Braille cells, with a table of `open_table`."""
 
     table: str = DEFAULT_TABLE
     tone: ClassVar[Tone] = Tone(0.5, 0.5, prepared=True)
-    """Tone curve from dots to activation: one electrode each, on or off."""
+    """Tone curve from dots to activation: electrodes are on or off."""
 
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
     ) -> LineMotion:
-        """Return the motion of cells: as fast as shapes, electrode by electrode."""
+        """Return the motion of cells: from electrode to electrode, at the speed of letter
+        shapes."""
         speed_mm_s = usual_speed_mm_s(profile, rate_hz) if speed_mm_s is None else speed_mm_s
         return LineMotion(speed_mm_s, cell_layout(profile).pitch_mm[0])
 
@@ -159,7 +160,7 @@ class Braille:
                 yield cell_layout(profile, eight).line(cells, text)
 
     def _cells_of(self, source: ReadingMaterial) -> Iterator[tuple[str, str]]:
-        """Yield lines of cells and their texts, which are empty where they are not known."""
+        """Yield lines of cells with their texts, which are empty if unknown."""
         table = open_table(self.table)
         if table.note and not source.holds_cells:
             source.note(table.note)

@@ -1,10 +1,10 @@
-"""``brltty:``: the cells of a screen reader, BRLTTY, move through under the finger.
+"""``brltty:``: Braille display for the screen reader BRLTTY.
 
-BRLTTY's virtual driver connects to a port of this process. The display sends ``cells 20``, names
-of BRLTTY's commands, and ``quit``. BRLTTY sends the content of the display as ``Visual "Hello"``
-and ``Braille "1257|15|123|123|135"``: the dots of each cell between bars, and a space where there
-are none. Quotes and backslashes follow a backslash. BrlAPI cannot replace this: its clients write
-to a display, and cannot read what it shows.
+BRLTTY's virtual driver connects to a port of this process. The display sends ``cells 20``, names of
+BRLTTY's commands, and ``quit``. BRLTTY sends the content of the display as ``Visual "Hello"`` and
+``Braille "1257|15|123|123|135"``: the dots of each cell, separated by bars, with a space for an
+empty cell. A backslash escapes quotes and backslashes. BrlAPI cannot replace this: its clients
+write to a display, but cannot read it.
 """
 
 import contextlib
@@ -30,11 +30,11 @@ from smarttouch.reading.braille_lines import CellLayout, cell_layout
 from smarttouch.reading.line_source import FASTEST_MM_S, LINE_GAP_MM, SLOWEST_MM_S
 from smarttouch.sources.source_contract import Pose, Sheet, Stimulus, StimulusSource
 
-LONGEST_LINE = 16_384  # bytes of a message
+LONGEST_LINE = 16_384  # longest message, bytes
 MOST_CELLS = 255
-USUAL_CELLS, USUAL_PORT = 20, 35752  # BRLTTY's virtual driver connects to this port by default
+USUAL_CELLS, USUAL_PORT = 20, 35752  # default port of BRLTTY's virtual driver
 _DOT_PX = 4  # side of a dot in the picture of a line
-REST_S = 0.3  # time for which the first cell after a jump stays before the others follow
+REST_S = 0.3  # rest on the first cell after a jump
 _ACCEPT_S, _JOIN_S = 0.25, 1.0
 _MESSAGE = re.compile(r'(Braille|Visual) "(.*)"\s*')
 _DOTS = re.compile(r" ?|1?2?3?4?5?6?7?8?")
@@ -43,24 +43,24 @@ _CURSOR = 0b1100_0000
 
 @dataclass(frozen=True)
 class DisplayContent:
-    """Content of the display: cells, their text, the count of updates, and when it arrived."""
+    """Content of the display: cells, text, number of the update, and time of arrival."""
 
     cells: str = ""
     text: str = ""
     number: int = 0
-    time_ns: int = 0  # of time.perf_counter_ns; 0 if unknown
+    time_ns: int = 0  # by time.perf_counter_ns; 0 if unknown
 
     @property
     def cursor(self) -> int | None:
-        """Index of the cursor, the only cell with dots 7 and 8; None without one."""
+        """Index of the cursor, which is the only cell with dots 7 and 8, or None."""
         under = [index for index, cell in enumerate(self.cells) if ord(cell) & _CURSOR == _CURSOR]
         return under[0] if len(under) == 1 else None
 
     def first_new(self, before: "DisplayContent") -> int | None:
-        """Return the first cell to be presented again; None if nothing but a cursor has changed.
+        """Return the index of the first cell to present again; None if only the cursor changed.
 
-        A cursor at the first change or right behind it means typing: that cell; otherwise the
-        line is another one, presented from its beginning.
+        If the cursor is at the first changed cell or behind it, the user is typing, and that cell
+        is first. Otherwise the line is new, and is presented from the beginning.
         """
         size = max(len(self.cells), len(before.cells))
         now, former = (content.cells.ljust(size, BLANK) for content in (self, before))
@@ -72,7 +72,7 @@ class DisplayContent:
 
 
 def parse_message(line: bytes) -> tuple[str, str]:
-    """Return the kind of a message, ``Visual`` or ``Braille``, and its text or cells.
+    """Parse a message: return its kind, ``Visual`` or ``Braille``, and its text or cells.
 
     Both are empty if the line is not a message.
     """
@@ -88,27 +88,26 @@ def parse_message(line: bytes) -> tuple[str, str]:
 
 
 class BrailleDisplaySource(StimulusSource):
-    """Presents the cells that BRLTTY shows, one electrode a dot.
+    """Source of the cells that BRLTTY shows, with one electrode for each dot.
 
-    Changed cells are presented from the first that is new, and where only the cursor moved, from
-    there, up to the last cell. Nothing is presented without BRLTTY; it may end and connect again.
+    After a change, cells are presented from the first new one, or from the cursor if only that
+    moved, to the last one. BRLTTY may disconnect and connect again; meanwhile nothing is presented.
 
     Parameters
     ----------
     address : str
-        ``PORT`` of this machine, or ``HOST:PORT`` of one of its addresses, where BRLTTY connects;
-        35752 by default.
+        ``PORT`` or ``HOST:PORT`` of this machine, where BRLTTY connects; the default is 35752.
     profile : Profile
         Array, for `profile_for_reading`.
     cells : int
         Width reported to BRLTTY.
     speed_mm_s : float, mm/s, optional
-        Follows the profile's pulse rate if not given.
+        By default derived from the profile's pulse rate.
 
     Attributes
     ----------
     shown : DisplayContent, optional
-        Newest content; None without a connection.
+        Current content; None without a connection.
     """
 
     knows_force = True
@@ -145,7 +144,7 @@ class BrailleDisplaySource(StimulusSource):
         self._taken = DisplayContent()
         self._dots = np.zeros((self.layout.rows, 0), np.bool_)
         self._first, self._since_s = 0, 0.0
-        """Cell at the start of the motion, and its duration so far."""
+        """Cell at the start of the motion, and duration of the motion."""
         self._cursor: int | None = None
         self._before_ns: int | None = None
         self._paused = False
@@ -164,7 +163,7 @@ class BrailleDisplaySource(StimulusSource):
         self._thread.start()
 
     def _listen(self, listener: socket.socket) -> None:
-        """Wait for BRLTTY, again and again."""
+        """Accept connections from BRLTTY."""
         with listener:
             while not self._closing.is_set():
                 with contextlib.suppress(OSError), listener.accept()[0] as line:
@@ -188,14 +187,14 @@ class BrailleDisplaySource(StimulusSource):
                     self.shown = DisplayContent(content, text, number, time.perf_counter_ns())
 
     def send(self, command: str) -> None:
-        """Send a command of BRLTTY's, such as ``fwinrt``; it is dropped without a connection."""
+        """Send a command of BRLTTY, such as ``fwinrt``; does nothing without a connection."""
         line = self._line
         if line is not None:
             with contextlib.suppress(OSError):
                 line.sendall(f"{command}\r\n".encode())
 
     def close(self) -> None:
-        """End the connection; BRLTTY tries to reconnect by itself."""
+        """Close the connection."""
         self._closing.set()
         if self._line is not None:
             with contextlib.suppress(OSError):
@@ -209,7 +208,8 @@ class BrailleDisplaySource(StimulusSource):
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
-        """Commands to BRLTTY and to the finger, callable from any thread."""
+        """Functions by key, which send commands to BRLTTY or move the finger; callable from any
+        thread."""
         commands = {"right": "fwinrt", "left": "fwinlt", "n": "lndn", "p": "lnup", "h": "home"}
         return {
             **{key: partial(self.send, command) for key, command in commands.items()},
@@ -231,12 +231,12 @@ class BrailleDisplaySource(StimulusSource):
         light = np.where(self._dots, 0, 255).astype(np.uint8)
         grey = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         top_mm = self._jumps * (rows * down + LINE_GAP_MM) - rows * down / 2
-        # Both only rise: it changes with either.
+        # Both only increase, so the number changes with each of them.
         number = self._jumps + self._taken.number
         return Sheet(number, Page(grey, across / _DOT_PX), (0.0, top_mm))
 
     def read(self, time_ns: int) -> Stimulus | None:
-        """Return the cells under the array at a time; stale while BRLTTY is away."""
+        """Return the cells under the array at a time; stale without a connection."""
         shown, age_ns = self.shown, 0
         elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
         self._before_ns = time_ns
@@ -252,7 +252,7 @@ class BrailleDisplaySource(StimulusSource):
             self._place = (self._taken.number, step)
             self.frames += 1
         self.title: str = f"{self._name}: {self._taken.text if shown else 'waiting for it'}"
-        # Columns of the text under the array; blank where there are none.
+        # Columns of the text under the array; columns outside of the text are blank.
         left = step - layout.margin
         window = np.zeros((layout.rows, layout.columns), np.bool_)
         first, last = max(left, 0), min(left + layout.columns, self._dots.shape[1])
@@ -261,7 +261,7 @@ class BrailleDisplaySource(StimulusSource):
         image = cv2.resize(light, self._shape, interpolation=cv2.INTER_NEAREST)
         activation = np.zeros((len(Afferent), window.size), np.float32)
         activation[:] = window.ravel()
-        # Every jump is a line of the sheet on which poses are.
+        # In the coordinates of poses each jump is a new line of the sheet.
         across, down = layout.pitch_mm
         pose = Pose(
             (left + layout.columns / 2) * across, self._jumps * (layout.rows * down + LINE_GAP_MM)
@@ -279,7 +279,7 @@ class BrailleDisplaySource(StimulusSource):
         self._first, self._since_s = cell, 0.0
 
     def _take(self, shown: DisplayContent) -> None:
-        """Take over what BRLTTY shows, and go to its first new cell."""
+        """Store new content, and go to its first new cell."""
         before, self._taken = self._taken, shown
         if shown.number == before.number:
             return
@@ -298,7 +298,7 @@ class BrailleDisplaySource(StimulusSource):
             self._go_to(new)
 
     def _step(self) -> int:
-        """Return the column of the text in the middle of the array; at last, that behind it."""
+        """Return the column of the text in the middle of the array, at most one behind the text."""
         moved_s = max(0.0, self._since_s - REST_S)
         step = self._first * self.layout.cell + int(moved_s * self._columns_a_s + 1e-6)
         return min(step, self._dots.shape[1] + self.layout.margin)

@@ -1,4 +1,4 @@
-"""Legibility: the part of pages and letters that can be read from delivered pulses or spikes."""
+"""Legibility: how much of pages and letters can be read from delivered pulses or from spikes."""
 
 import math
 import unicodedata
@@ -47,27 +47,26 @@ _SAME_SIGNS = str.maketrans(
     | dict.fromkeys("‐‑‒–—―−", "-")
     | {"\N{SOFT HYPHEN}": ""}
 )
-"""Signs that differ only by typeface or style."""
+"""Characters that differ only by typeface or style."""
 
 
 def normalize(text: str) -> str:
-    """Return a text without differences of typeface.
+    """Return a text without typographic differences.
 
-    Signs are taken apart and together again by Unicode's NFKC (ligatures become
-    letters, an ellipsis three points), quotation marks and dashes become their
-    plain forms, and white space, line breaks too, becomes single spaces. Upper
-    and lower case stay.
+    The text is normalized by Unicode's NFKC (ligatures become letters, an ellipsis three points).
+    Quotation marks and dashes become plain ones, and white space, including line breaks, becomes
+    single spaces. Upper and lower case stay.
     """
-    # Before NFKC, which makes a space and a joining accent of a lone one, and after, as it makes
-    # some of these signs from others.
+    # Translate before NFKC, which splits a lone accent, and after it, as it may create such
+    # characters.
     text = unicodedata.normalize("NFKC", text.translate(_SAME_SIGNS)).translate(_SAME_SIGNS)
     return " ".join(text.split())
 
 
 def character_error_rate(truth: str, text: str) -> float:
-    """Return the Levenshtein distance of normalized texts per character of the truth.
+    """Return the Levenshtein distance of normalized texts per character of the true text.
 
-    It is 0 for equal texts and above 1 where more was read than is there.
+    It is 0 for equal texts, and may exceed 1 if too much was read.
     """
     wanted = normalize(truth)
     if not wanted:
@@ -76,7 +75,7 @@ def character_error_rate(truth: str, text: str) -> float:
 
 
 def _levenshtein() -> Any:
-    """Return the function for the distance of two sequences, from the extra ``legibility``."""
+    """Import the distance function of the extra ``legibility``."""
     return import_extra(
         "rapidfuzz.distance.Levenshtein", "an error rate", "legibility", ReadingError
     ).distance
@@ -84,27 +83,27 @@ def _levenshtein() -> Any:
 
 @dataclass(frozen=True)
 class LineDelivery:
-    """Presentation of lines under the finger, for a profile of `profile_for_reading`."""
+    """Settings of a simulated delivery of lines; the profile is from `profile_for_reading`."""
 
     profile: Profile
     bank: KernelBank
-    tone: Tone  # from ink to activation
+    tone: Tone  # tone curve from ink to activation
     motion: LineMotion
     mode: Mode = Mode.RA
     sharing: SlotPolicy = NO_SHARING
-    intensity: float = 1.0  # in [0, 1], of the highest comfortable current
+    intensity: float = 1.0  # in [0, 1], relative to full current
 
 
 @dataclass(frozen=True, eq=False)
 class DeliveredLine:
-    """A line as it was delivered to the skin, sequence by sequence."""
+    """Pulses of a line as delivered to the skin."""
 
     picture: LinePicture
     length_mm: float
-    poses: dict[int, Pose]  # by number of the sequence
-    meant: dict[int, NDArray[np.bool_]]  # (E,) electrodes that were to stimulate, likewise
-    answers: dict[int, NDArray[np.float32]]  # (E,) in [0, 1], by number of the sequence
-    numbers: NDArray[np.uint32]  # (N,), sequence of each delivered slot
+    poses: dict[int, Pose]  # by sequence number
+    meant: dict[int, NDArray[np.bool_]]  # (E,) requested electrodes, by sequence number
+    answers: dict[int, NDArray[np.float32]]  # (E,) responses in [0, 1], by sequence number
+    numbers: NDArray[np.uint32]  # (N,), sequence number of each delivered slot
     width_us: NDArray[np.float32]  # (N,)
     current_ua: NDArray[np.int16]  # (N, E), positive is cathodic
 
@@ -112,12 +111,12 @@ class DeliveredLine:
 def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
     """Read a line with a virtual finger on a simulated board.
 
-    Frames, kernels, pressure gate, soft start, the proof of safety, the bytes and the board's own
-    check are those of a live run; only the clock is virtual.
+    Everything except the clock is as in a live run: frames, kernels, pressure gate, ramp, safety
+    gate, packets and the checks of the board.
     """
     profile = reading.profile
     source = ReadingSource("a line", profile, iter([line]), reading.motion)
-    # Wait for the end of the text, too, so that the frames do not depend on the computer's speed.
+    # Also wait for the end of the text, so that frames do not depend on the computer's speed.
     source.line(1, wait=True)
     poses: dict[int, Pose] = {}
     meant: dict[int, NDArray[np.bool_]] = {}
@@ -148,21 +147,21 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
 
 
 def deliver_lines(lines: Sequence[TouchLine], reading: LineDelivery) -> Iterator[DeliveredLine]:
-    """Deliver many lines on all cores; yield each as it is ready."""
-    # A process takes longer to start than one line to deliver.
+    """Deliver lines on all cores; yield each when it is done."""
+    # For a single line starting a process takes too long.
     work = Parallel(n_jobs=-1 if len(lines) > 1 else 1, return_as="generator", max_nbytes=None)
     yield from work(delayed(deliver_pulses)(line, reading) for line in lines)
 
 
-_LINE_PIXELS = 56  # height of delivered lines for recognition: ascender to descender
+_LINE_PIXELS = 56  # height of delivered lines for recognition, ascender to descender
 _GAP = 0.45  # gap between lines for recognition, relative to their height
 
 
 @dataclass(frozen=True)
 class Legibility:
-    """Legibility of letter shapes: error rates of what Tesseract read, and its texts.
+    """Legibility of letter shapes: error rates and texts recognized by Tesseract.
 
-    ``page_error_rate`` is that of the page itself, None where the other is compared with its text.
+    ``page_error_rate`` is for the page itself; None if its text serves as the true text.
     """
 
     character_error_rate: float
@@ -179,13 +178,14 @@ def legibility_of_shapes(
     truth: str | None = None,
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Legibility:
-    """Deliver letter shapes, and compare the text recognized in what was delivered with the truth.
+    """Deliver letter shapes, recognize text in the delivered pulses, and compare it with the true
+    text.
 
-    The truth is Tesseract's text of the page itself if not given. ``progress`` is told how many
-    lines are done, of how many.
+    The default true text is what Tesseract reads on the page. ``progress`` is called with the
+    numbers of lines done and in all.
     """
     require_rows(reading.profile, source.note)
-    _levenshtein()  # before a long run that would end without it
+    _levenshtein()  # fail before the long run if the extra is missing
     options = source.options
     page_texts: list[str] = []
     texts: list[str] = []
@@ -213,10 +213,10 @@ def legibility_of_shapes(
 
 
 def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
-    """Return the text of pictures placed below each other, as on a page.
+    """Recognize the text of pictures placed below each other, as on a page.
 
-    Tesseract reads such soft lines with the help of those around them; it reads nothing from a
-    single line without ascenders.
+    Tesseract recognizes blurred lines better with neighbors; it cannot read a single line without
+    ascenders.
     """
     strips = [picture.picture(_LINE_PIXELS) for picture in pictures]
     gap = round(_GAP * _LINE_PIXELS)
@@ -229,23 +229,23 @@ def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
 
 
 _PERIODS = 10
-"""Periods of a letter that a finger feels: noise and refractoriness differ between them."""
+"""Number of periods for which a letter is presented; noise and refractory state vary."""
 _OPENING_US = MOST_STEP_NS // 1000
-"""Of the pulses that open the intensity: longer ones would open no more of it."""
+"""Period of the pulses that raise the intensity; the ramp does not count longer ones."""
 
 
 @dataclass(frozen=True)
 class LetterResponse:
-    """One letter on one finger.
+    """Response of one finger to one letter.
 
-    A letter is recognized by its correlation with the letters as they were meant, from the spikes,
-    put where the receptors are. No person was asked: errors are of this reader, not of readers.
+    The letter is recognized by correlating the map of spikes at the receptors with letter
+    templates. This is a model, so its errors are not those of people.
     """
 
     letter: str
     seed: int
     quality: ResponseQuality
-    read_as: str  # letter that the spikes resemble most; empty without a spike
+    read_as: str  # best-matching letter; empty without spikes
 
 
 def letter_sequences(
@@ -256,11 +256,11 @@ def letter_sequences(
     scan: str = "auto",
     intensity: float = 1.0,
 ) -> dict[str, tuple[ScanSequence, NDArray[np.bool_]]]:
-    """Return the scan sequence of each letter at full comfort, and its electrodes, (E,)."""
+    """Return the scan sequence of each letter at the comfort level, and its electrodes, (E,)."""
     pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan=scan))
     force_n = profile.force.full_n
     period_us = round(1e6 / profile.pulse.rate_hz)
-    # Pulses open the intensity, as long as they last.
+    # These pulses raise the intensity through the ramp.
     opening = [_OPENING_US] * (math.ceil(1e6 * profile.limits.ramp_s / _OPENING_US) + 2)
     shown, time_ns = {}, 0
     for letter in letters:
@@ -276,8 +276,8 @@ def letter_sequences(
 
 
 def letters_on_finger(
-    finger: Finger,  # its seed is that of the noise, too
-    # slots and electrodes of each letter, see `letter_sequences`
+    finger: Finger,  # its seed also seeds the noise
+    # slots and electrodes by letter, see `letter_sequences`
     shown: Mapping[str, tuple[SlotCurrents, NDArray[np.bool_]]],
     wanted: Sequence[Afferent],
     known: Mapping[str, Floats],  # see `letter_templates`
@@ -299,8 +299,8 @@ def spikes_and_letter(
     known: Mapping[str, Floats],
     periods: int = _PERIODS,
 ) -> tuple[NDArray[np.intp], str]:
-    """Return the spike counts, (A,), of periods of slots with these drives, (A, S), and the letter
-    that they resemble most; none without a spike."""
+    """Return the spike counts, (A,), of ``periods`` repetitions of slots with drives (A, S), and
+    the best-matching letter; "" without spikes."""
     model.reset()
     counts = np.sum([model.fire(slots, above).counts for _ in range(periods)], axis=0)
     places = model.finger.profile.electrodes.position_mm
@@ -308,7 +308,7 @@ def spikes_and_letter(
 
 
 def letter_templates(profile: Profile) -> dict[str, Floats]:
-    """Return the letters of the alphabet as they are meant, with mean 0 and length 1."""
+    """Return the templates of all letters, (E,), with mean 0 and norm 1."""
     return {letter: _centered(draw_letter(letter, profile)) for letter in ALPHABET}
 
 
@@ -320,6 +320,6 @@ def _most_like(values: Floats, known: Mapping[str, Floats]) -> str:
 
 
 def _centered(values: Floats) -> Floats:
-    """Return values of mean 0 and length 1."""
+    """Return values shifted to mean 0 and scaled to norm 1."""
     away = np.asarray(values, np.float32) - values.mean()
     return np.asarray(away / max(float(np.linalg.norm(away)), 1e-9), np.float32)

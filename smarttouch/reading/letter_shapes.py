@@ -1,4 +1,4 @@
-"""Letter shapes: single letters on an array, and lines of print."""
+"""Letter shapes on an array: lines of print, and single letters."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,26 +28,26 @@ from smarttouch.reading.recognition import Note, recognized_lines
 from smarttouch.sources.source_contract import Frame
 
 ENOUGH_ROWS = 8
-"""Sufficient rows: on 4 half of the characters are lost, on 8 hardly one in a hundred."""
-INK_LEVEL = 128  # level of prepared paper below which is ink
+"""Sufficient number of rows: with 4, half of the characters are lost; with 8, about 1 %."""
+INK_LEVEL = 128  # gray level of prepared pages below which is ink
 NIB_PIXELS = PIXELS_PER_CELL - 1  # width of a thinned stroke
 _PLAIN = Tone(0.3, 0.3, prepared=True)
-"""Least ink of an active cell. Half of it, the obvious choice, loses thin strokes: of print in
-8 rows 8 to 20 % of the characters then cannot be read, here 1 to 3 %."""
+"""Smallest share of ink in an active cell. With 0.5, thin strokes are lost, and 8 to 20 % of
+characters on 8 rows cannot be read; with this value 1 to 3 %."""
 _GRADED = Tone(0.0, 1.0, prepared=True)
 _DRAWN = Tone(0.35, 0.35, prepared=True)
-"""Tone of single letters, whose strokes are one cell wide."""
+"""Tone curve of single letters, whose strokes are one cell wide."""
 UNKNOWN_LEVEL = 0.7
-"""Part of comfort at which lines are read best, at the worse of two anatomies, by simulated fingers
-whose level is not known: `examples/studies/reading_pages.py`."""
+"""Intensity, relative to the comfort level, at which simulated fingers read lines best with the
+worse of two anatomies, see `examples/studies/reading_pages.py`."""
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Letter-shape presentation: lines of print under the finger."""
+    """Presentation as lines of print."""
 
     graded: bool = False
-    """Whether activation is in proportion to the ink in a cell, as simulations need it."""
+    """Whether activation is proportional to the ink in a cell, as simulations need."""
 
     @property
     def tone(self) -> Tone:
@@ -57,11 +57,11 @@ class Shapes:
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
     ) -> LineMotion:
-        """Return the motion of lines: smooth, so that every edge passes every electrode."""
+        """Return the motion of lines, which is smooth, so that each edge passes each electrode."""
         return LineMotion(usual_speed_mm_s(profile, rate_hz) if speed_mm_s is None else speed_mm_s)
 
     def lines(self, source: ReadingMaterial, profile: Profile) -> Iterator[TouchLine]:
-        """Yield lines of letter shapes and their words, by Tesseract where these are not known."""
+        """Yield lines of letter shapes with their text, recognized by Tesseract if unknown."""
         require_rows(profile, source.note)
         if source.holds_cells:
             raise ReadingError(f"{source.name} holds Braille, not letters: read it as Braille")
@@ -72,7 +72,7 @@ class Shapes:
 
 
 def _words_of(prepared: PreparedPage, source: ReadingMaterial) -> Iterator[str]:
-    """Yield the words of each line; none without Tesseract."""
+    """Yield the text of each line; empty without Tesseract."""
     try:
         for _, words in recognized_lines(prepared, source.options, source.note):
             yield words
@@ -81,7 +81,7 @@ def _words_of(prepared: PreparedPage, source: ReadingMaterial) -> Iterator[str]:
 
 
 def require_rows(profile: Profile, note: Note) -> None:
-    """Raise unless an array has enough rows for letters; add a note if they are few."""
+    """Raise ReadingError if the array has too few rows for letters; add a note if it has few."""
     rows = _require_fewest_rows(profile, ReadingError)
     if rows < ENOUGH_ROWS:
         note(
@@ -101,7 +101,7 @@ def _require_fewest_rows(profile: Profile, error: type[SmartTouchError]) -> int:
 
 
 def shape_line(prepared: PreparedPage, index: int, profile: Profile, text: str = "") -> TouchLine:
-    """Return a line of print, magnified so that ascender to descender fills the array."""
+    """Return a line of print, scaled so that ascender to descender fills the array."""
     strip = prepared.strip(index, profile.optics.sensor_rows)
     pixel_mm = pixel_pitch_mm(profile)
     half_mm = profile.optics.field_width_mm / 2
@@ -109,7 +109,7 @@ def shape_line(prepared: PreparedPage, index: int, profile: Profile, text: str =
 
 
 def thin(strip: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a strip with one cell's width along the middle of each stroke."""
+    """Return a strip in which strokes are thinned to the width of one cell."""
     middle = skeletonize(strip < INK_LEVEL).astype(np.uint8)
     nib = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (NIB_PIXELS, NIB_PIXELS))
     return np.asarray(255 * (1 - cv2.dilate(middle, nib)), np.uint8)
@@ -120,10 +120,9 @@ _DRAWN_PX = 400
 
 
 def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
-    """Return the activation, (E,) float32, 0 or 1, that draws a letter as large as the array.
+    """Return the activation, (E,) float32, 0 or 1, of a letter that fills the array.
 
-    Drawn in the middle of an array with rows and columns, in its own proportions, with strokes one
-    electrode wide.
+    The letter is centered, keeps its proportions, and has strokes one electrode wide.
     """
     _require_fewest_rows(profile, ExperimentError)
     window = profile_for_reading(profile)

@@ -1,4 +1,4 @@
-"""Lines of text under the finger: a thread prepares them, and a virtual finger sweeps them."""
+"""Source of lines of text: a thread prepares the lines, and a virtual finger moves along them."""
 
 import atexit
 import contextlib
@@ -21,14 +21,14 @@ from smarttouch.pages.page_image import Page
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 
-LAND_S = 0.15  # time of landing on a line, when intensity begins to rise
+LAND_S = 0.15  # time for the finger to land on a line
 SETTLE_S = 0.75
-"""Time of rest at the line's start while intensity rises; a point marks the start meanwhile."""
+"""Rest at the start of a line while intensity rises; meanwhile a point marks the start."""
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
 LINE_GAP_MM = 4.0
-"""Gap between lines where their poses are placed on one sheet, one below the other."""
-AHEAD, BEHIND = 30, 60  # lines prepared in advance, and past lines kept for going back
+"""Gap between lines on the sheet of poses, where lines lie below each other."""
+AHEAD, BEHIND = 30, 60  # numbers of lines prepared in advance, and kept for going back
 _JOIN_S, _AGAIN_S = 0.3, 0.1
 
 
@@ -36,8 +36,8 @@ _JOIN_S, _AGAIN_S = 0.3, 0.1
 class TouchLine:
     """A line of letter shapes or Braille cells, at the size of the array."""
 
-    image: NDArray[np.uint8]  # (H, W), dark on 255, as high as the array
-    start_mm: float  # first and last place of the array's middle, from the image's left edge
+    image: NDArray[np.uint8]  # (H, W), dark on white, as high as the array
+    start_mm: float  # first place of the array's middle, from the image's left edge
     end_mm: float
     text: str = ""
     cells: str = ""
@@ -55,10 +55,10 @@ class LineMotion:
 
 
 class ReadingSource(OpticalSource):
-    """Frames of lines that pass under the finger, for a profile of `profile_for_reading`.
+    """Frames of lines that pass under the finger; the profile is from `profile_for_reading`.
 
-    The pose of a frame is on a sheet on which all lines lie below each other, at the scale of the
-    array. An error of the lines is raised where the finger reaches it.
+    Poses are on a sheet with all lines below each other, at the scale of the array. An error of the
+    iterator is raised when the finger arrives at that line.
 
     Parameters
     ----------
@@ -67,18 +67,18 @@ class ReadingSource(OpticalSource):
     profile : Profile
         Array that reads.
     lines : iterator of TouchLine
-        Lines, taken by a thread a few ahead of the finger.
+        Lines, which a thread takes in advance.
     motion : LineMotion
         Speed and steps.
     pause_s : float, s
-        Pause after each line; if infinite, the next line comes only when a key asks for it.
+        Pause after each line; if infinite, a key starts the next line.
 
     Attributes
     ----------
     index : int
         Index of the line under the finger.
     total : int, optional
-        Number of lines, once all were prepared.
+        Number of lines, once all are prepared.
     """
 
     knows_force = True
@@ -104,7 +104,7 @@ class ReadingSource(OpticalSource):
         self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
         wide_mm, high_mm = profile.electrodes.cell_mm
         self._mark_px = (round(high_mm / self._pixel_mm), round(wide_mm / self._pixel_mm))
-        self._line_s = 0.0  # time spent on the line
+        self._line_s = 0.0  # time on the current line
         self._before_ns: int | None = None
         self._paused = self._again = False
         self._asked: deque[int] = deque()
@@ -118,26 +118,26 @@ class ReadingSource(OpticalSource):
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._prepare, args=(lines,), daemon=True)
         self._thread.start()
-        # An interpreter that exits while a library works on a thread aborts.
+        # The interpreter would abort if a library still works on a thread at exit.
         atexit.register(self._stop)
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
-        """Forward and back by a line, the line again, and a pause."""
+        """Functions by key: next and previous line, repeat, and pause."""
         steps = {"right": 1, "n": 1, "left": -1, "p": -1, "r": 0}
         keys = {key: partial(self._asked.append, step) for key, step in steps.items()}
         return {**keys, " ": self._toggle_pause}
 
     @property
     def account(self) -> str:
-        """Return in words which lines were read, and their text."""
+        """Return the number of lines that were read, and their texts."""
         lines = f"{len(self._texts)} line{'s' * (len(self._texts) != 1)} read"
         words = " / ".join(text for _, text in sorted(self._texts.items()) if text)
         return f"{lines}: {words}" if words else lines
 
     @property
     def words(self) -> str:
-        """Return the text of the line under the finger, if it is known."""
+        """Return the text of the line under the finger, if known."""
         return self._texts.get(self.index, "")
 
     @property
@@ -151,7 +151,7 @@ class ReadingSource(OpticalSource):
 
     @property
     def line_step_mm(self) -> float:
-        """Distance of lines on the sheet, from middle to middle."""
+        """Distance between the middles of lines on the sheet."""
         return self._shape[0] * self._pixel_mm + LINE_GAP_MM
 
     def read(self, time_ns: int) -> Frame | None:
@@ -196,7 +196,7 @@ class ReadingSource(OpticalSource):
         self._thread.join()
 
     def _prepare(self, lines: Iterator[TouchLine]) -> None:
-        """Put the lines into the queue, and what ends them: an error or None."""
+        """Put lines into the queue, and finally an error or None."""
         count, end = 0, None
         try:
             for line in lines:
@@ -216,8 +216,8 @@ class ReadingSource(OpticalSource):
                 return
 
     def line(self, index: int, wait: bool = False) -> TouchLine | None:
-        """Return a line, for the thread that reads; None if there is none, it was long ago, or is
-        not ready without ``wait``."""
+        """Return a line; None if it does not exist, is no longer stored, or (without ``wait``) is
+        not ready. For the thread that calls `read`."""
         while index >= self._count and not self._is_over:
             try:
                 item = self._queue.get(wait)
@@ -241,7 +241,8 @@ class ReadingSource(OpticalSource):
         self.index, self._line_s = index, 0.0
 
     def _go_on(self, beyond_mm: float) -> None:
-        """Go to the next line after the pause; the last line has no pause that waits for a key."""
+        """Go to the next line after the pause. An infinite pause does not apply to the last
+        line."""
         pause_s = self._pause_s
         if pause_s == math.inf and self.line(self.index + 1) is None and self._is_over:
             pause_s = 0.0
@@ -249,7 +250,7 @@ class ReadingSource(OpticalSource):
             self._go_to(self.index + 1)
 
     def _announce(self, line: TouchLine, time_ns: int) -> None:
-        """Name a line by the title, and one that a key asked for again by a note."""
+        """Show a line in the title; emit a note if a key repeated it."""
         if self._under is None or self._under[0] != self.index:
             self._under = (self.index, line)
             self._texts[self.index] = line.text
@@ -261,9 +262,9 @@ class ReadingSource(OpticalSource):
         self._again = False
 
     def _draw(self, line: TouchLine, x_mm: float, image: NDArray[np.uint8]) -> None:
-        """Draw what lies under the array, and the point that marks the line's start.
+        """Draw the image under the array, and the point that marks the start of the line.
 
-        Intensity rises with delivered pulses alone: with those of the point, and not of the text.
+        Only delivered pulses raise the intensity: the point provides them before the text.
         """
         rows, columns = self._shape
         left = x_mm / self._pixel_mm - columns / 2

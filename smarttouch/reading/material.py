@@ -1,4 +1,4 @@
-"""Material to read: images, documents, texts and files of cells, page by page."""
+"""Material to read: images, documents, texts and files of Braille cells."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -20,13 +20,13 @@ from smarttouch.reading.recognition import (
     upright_page,
 )
 
-TEXT = "text:"  # prefix of words that are not a file name
-_PRINTED_AT_ONCE = 20  # lines of a text on one printed page
+TEXT = "text:"  # prefix of a text that is not a file name
+_PRINTED_AT_ONCE = 20  # number of lines of a text on one printed page
 
 
 @dataclass(frozen=True)
 class ReadingMaterial:
-    """Material that can be read: a file, or ``text:`` and words; warnings go to ``note``."""
+    """Material to read: a file, or ``text:`` and words. Warnings go to ``note``."""
 
     name: str
     options: RecognitionOptions = field(default_factory=RecognitionOptions)
@@ -39,7 +39,7 @@ class ReadingMaterial:
 
     @cached_property
     def kind(self) -> FileKind:
-        """Kind of what it holds."""
+        """Kind of the file."""
         return FileKind.TEXT if self.name.startswith(TEXT) else file_kind(Path(self.name))
 
     @property
@@ -59,9 +59,9 @@ class ReadingMaterial:
         return None
 
     def pages(self) -> Iterator[tuple[int, Page]]:
-        """Yield numbers and pages of a document, those that are asked for.
+        """Yield numbers and pages of a document, as selected by the options.
 
-        A scale that the document assumes is not reported: every line is made as high as the array.
+        An assumed scale is not reported, as all lines are scaled to the array.
         """
         options = self.options
         with Document(
@@ -75,8 +75,8 @@ class ReadingMaterial:
                 yield index + 1, document.page(index)
 
     def prepared(self) -> Iterator[PreparedPage]:
-        """Yield pages with print on them, see `upright_page`: of a document, or of a text as it is
-        printed. Raise if no page has any."""
+        """Yield upright pages that have print, see `upright_page`; a text is printed first. Raises
+        ReadingError if no page has print."""
         if self.words is None:
             has_lines: dict[int, bool] = {}
             for number, page in self.pages():
@@ -95,13 +95,13 @@ class ReadingMaterial:
             yield prepare_text(part)
 
     def paragraphs(self, progress: Note) -> list[str]:
-        """Return the paragraphs of a document, whose pages are recognized on all cores.
+        """Return the paragraphs of a document, recognizing pages on all cores.
 
-        ``progress`` is told of pages that are done, but for a single one.
+        ``progress`` is called for each finished page if there are several.
         """
         lines: list[PrintedLine] = []
         has_text: dict[int, bool] = {}
-        # Tesseract is a process of its own, so threads suffice.
+        # Tesseract runs as a process, so threads are sufficient.
         work = Parallel(
             n_jobs=-1, backend="threading", return_as="generator", pre_dispatch="n_jobs"
         )
@@ -117,7 +117,7 @@ class ReadingMaterial:
         return paragraphs(lines if self.options.keep_headers else without_heads(lines, self.note))
 
     def _printed_lines(self, number: int, page: Page) -> tuple[int, list[PrintedLine], list[str]]:
-        """Return the number of a page, its lines, and notes."""
+        """Return the number of a page, its lines, and its notes."""
         notes: list[str] = []
         prepared = upright_page(number, page, self.options, notes.append)
         texts = [text for _, text in recognized_lines(prepared, self.options, notes.append)]
@@ -125,7 +125,7 @@ class ReadingMaterial:
 
 
 def _report_empty_pages(has_text: dict[int, bool], note: Note) -> None:
-    """Report pages by number on which no text was found; raise if it was found on none."""
+    """Report the numbers of pages without text. Raises ReadingError if no page has text."""
     if not any(has_text.values()):
         raise ReadingError(
             "no line of text was found: is it a page of print, sharp, and large enough "

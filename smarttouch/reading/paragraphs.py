@@ -1,4 +1,4 @@
-"""Paragraphs of pages from their lines, without running heads and page numbers."""
+"""Joining of lines to paragraphs, without running heads and page numbers."""
 
 import itertools
 import re
@@ -11,52 +11,52 @@ import numpy as np
 from smarttouch.pages.page_image import TextLine
 from smarttouch.reading.recognition import Note
 
-_GAP = 1.35  # ratio of a distance of lines to the usual one from which a paragraph begins
-_LARGER = 1.2  # ratio of x-heights from which prints differ, as a heading and its text
-_INDENT = 0.8  # least indent of a paragraph in x-heights
-_EVEN = 0.5  # difference of right ends, in x-heights, of lines that are filled
-_SHORT = 0.15  # least free part of a line that ends early before a small letter
-_OPEN = 1 / 3  # part of lines that end early in a sentence, as in verse, addresses and lists
-_LONGEST_VERSE = 60  # characters; longer lines that are full continue
+_GAP = 1.35  # relative line distance above which a paragraph begins
+_LARGER = 1.2  # ratio of x-heights above which sizes differ, as in headings
+_INDENT = 0.8  # smallest indent of a paragraph, in x-heights
+_EVEN = 0.5  # tolerance of the right ends of full lines, in x-heights
+_SHORT = 0.15  # smallest free share of a line that ends early before a lower-case letter
+_OPEN = 1 / 3  # share of lines that end early within a sentence, as in verse, addresses and lists
+_LONGEST_VERSE = 60  # characters; a longer full line continues
 _LEADERS = re.compile(r"(?:\s?[.·…‥•]){4,}\s*;?\s*(?=\S*\d\S*$|[ivxlc]{1,7}\W*$)")
-"""Dots that lead to a page's number or a price, in the same cell or the next."""
+"""Leader dots before a page number or a price, in the same cell or the next."""
 _BLANK = re.compile(r"(?:_{3,}|(?:\s?[.…]){5,})\W*$")
-"""A blank to be filled in at the end of a line."""
+"""Blank to fill in at the end of a line."""
 _BULLETS = r"[•◦▪‣●○■□☐☑☒✓➢\ue000-\uf8ff]"
 _MARK = re.compile(
     rf"{_BULLETS}|\(?\d{{1,3}}(?:\.\d{{1,3}})*[.)]?\s|\(?[ivx]{{1,5}}[.)]\s|"
     r"\(?[a-zA-Z][.)]\s|\[\w{1,5}\]\s|§+\s?\d|[-–—*>+]+\s|>"
 )
-"""Mark of an item in a list."""
+"""Mark of a list item."""
 _HYPHENS = "-\u00ad\u2010\u2011\x02\ufffe¬"
 _AND = frozenset(["and", "or", "und", "oder", "bis", "bzw"])
-"""Words after which the hyphen of "pre- and post-war" stays."""
-_ALONE = frozenset(["self", "well"])  # words that are not divided from their ends
-_SAME_MM = 5.0  # difference of heights at which something repeats on several pages
-_HEAD_GAP = 1.15  # distance of a running head from the text, in usual ones
-_MOST_HEADS = 4  # lines of running heads; more of them mean copies of a page
+"""Words before which a hyphen stays, as in "pre- and post-war"."""
+_ALONE = frozenset(["self", "well"])  # parts of compounds whose hyphen stays
+_SAME_MM = 5.0  # tolerance for lines that repeat at the same height on several pages
+_HEAD_GAP = 1.15  # relative line distance between a running head and the text
+_MOST_HEADS = 4  # largest number of lines of running heads; more mean copies of a page
 
 
 @dataclass(frozen=True)
 class PrintedLine:
-    """Line of a page: its text, the page's number, and its place in mm; see `TextLine`."""
+    """Line of a page: text, page number, and place, mm; see `TextLine`."""
 
     text: str
     page: int
     left_mm: float
     right_mm: float
-    y_mm: float  # of its middle
+    y_mm: float  # middle of the line
     x_height_mm: float
     cell: int = 0
 
     def is_like(self, other: "PrintedLine") -> bool:
-        """Return whether two lines have print of one size."""
+        """Return whether two lines have the same size of print."""
         sizes = sorted((self.x_height_mm, other.x_height_mm))
         return sizes[1] <= _LARGER * sizes[0]
 
 
 def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) -> list[PrintedLine]:
-    """Return the lines of a page with their texts, without empty ones."""
+    """Return the lines of a page that have text."""
     return [
         PrintedLine(
             text.strip(), page, line.left_mm, line.right_mm, (line.top_mm + line.bottom_mm) / 2,
@@ -67,8 +67,8 @@ def printed_lines(page: int, lines: Sequence[TextLine], texts: Iterable[str]) ->
 
 
 def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]:
-    """Return lines without running heads and page numbers: those at the top and bottom of pages
-    that repeat at the same height on two or more, or count the pages there. ``note`` names them."""
+    """Return lines without running heads and page numbers: lines at the top or bottom that repeat,
+    or count, at the same height on two or more pages. ``note`` is told of them."""
     pages = [
         sorted(page, key=lambda line: line.y_mm)
         for _, page in itertools.groupby(lines, lambda line: line.page)
@@ -84,7 +84,7 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
         outer = (_repeated(line, same) for line in edge[: _MOST_HEADS + 1])
         labels = list(itertools.takewhile(bool, outer))
         if len(labels) > _MOST_HEADS:
-            # Of copies of a form, only the page's number goes.
+            # On copies of a form remove only the page number.
             labels = [label for label in labels[:1] if "#" in label]
         steps = np.abs(np.diff([line.y_mm for line in edge]))
         usual_mm = np.median(steps[steps > _EVEN]) if (steps > _EVEN).any() else 0.0
@@ -106,7 +106,7 @@ def without_heads(lines: Sequence[PrintedLine], note: Note) -> list[PrintedLine]
 
 
 def _keys(line: PrintedLine) -> Iterator[str]:
-    """Yield a line's text, and it with each of its numbers relative to the page's."""
+    """Yield a line's text, and variants with one number relative to the page number."""
     yield line.text
     for number in re.finditer(r"\d{1,5}", line.text):
         before, after = line.text[: number.start()], line.text[number.end() :]
@@ -114,7 +114,7 @@ def _keys(line: PrintedLine) -> Iterator[str]:
 
 
 def _repeated(line: PrintedLine, same: dict[str, list[PrintedLine]]) -> str:
-    """Return what a line has in common with one on another page, or ""."""
+    """Return the key that a line shares with a line on another page, or ""."""
     for key in _keys(line):
         for other in same[key]:
             if other.page != line.page and abs(other.y_mm - line.y_mm) < _SAME_MM:
@@ -123,12 +123,12 @@ def _repeated(line: PrintedLine, same: dict[str, list[PrintedLine]]) -> str:
 
 
 def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
-    """Return the paragraphs, headings, items and rows of tables of pages from their lines.
+    """Join lines to paragraphs, headings, list items and rows of tables.
 
-    A paragraph begins after a larger distance or a line that ends early, with an indent, the mark
-    of an item, or print of another size; it continues in the next column and on the next page.
-    Verse, addresses and entries that lead to a number keep their lines. Words that lines divide
-    are joined; a hyphen stays where the text has the word with it.
+    A paragraph begins after a larger line distance or a line that ends early, at an indent, at the
+    mark of an item, or at another size of print. It continues in the next column and on the next
+    page. Verse, addresses and entries with leader dots keep their lines. Divided words are joined;
+    a hyphen stays if the text also contains the hyphenated word.
     """
     layout = _Layout(lines)
     compounds = {word.lower() for line in lines for word in re.findall(r"\w+-\w+", line.text)}
@@ -140,7 +140,7 @@ def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
             current = None
             continue
         if k and line.page != lines[k - 1].page:
-            # Footnotes may stand below the paragraph that continues.
+            # A footnote may stand between the parts of a paragraph.
             alike = (earlier for earlier in reversed(joined) if lines[earlier.last].is_like(line))
             current = next(alike, None)
         text = _LEADERS.sub(" ", line.text)
@@ -157,12 +157,12 @@ def paragraphs(lines: Sequence[PrintedLine]) -> list[str]:
 @dataclass
 class _Paragraph:
     text: str
-    first: int  # indices of its first and last line
+    first: int  # indices of the first and last line
     last: int
 
 
 class _Layout:
-    """Columns and blocks of lines: how far they reach, and which of them keep their lines."""
+    """Columns and blocks of lines: their right margins, and whether they keep their lines."""
 
     def __init__(self, lines: Sequence[PrintedLine]) -> None:
         self._lines = lines
@@ -185,7 +185,7 @@ class _Layout:
             self._judge(block)
 
     def _runs(self, parts: Callable[[PrintedLine, PrintedLine], bool]) -> Iterator[list[int]]:
-        """Yield the indices of successive lines of a page between which nothing parts them."""
+        """Yield runs of indices of successive lines on a page that ``parts`` does not separate."""
         run: list[int] = []
         for k, line in enumerate(self._lines):
             before = self._lines[k - 1]
@@ -197,8 +197,8 @@ class _Layout:
             yield run
 
     def _measure(self, column: Sequence[int], page: Sequence[PrintedLine]) -> None:
-        """Find how far the lines of a column may reach: as far as others of it, and not beyond what
-        stands beside them."""
+        """Find the right margin of the lines of a column: that of its other lines, limited by
+        neighboring columns."""
         lines = self._lines
         for k in column:
             near_mm = self._step_mm[lines[k].page] / 2
@@ -213,7 +213,8 @@ class _Layout:
             )  # fmt: skip
 
     def _judge(self, block: Sequence[int]) -> None:
-        """Find which lines of a block stay as they are, or hang below the first of a paragraph."""
+        """Decide which lines of a block stay separate, and which are hanging lines of a
+        paragraph."""
         lines = [self._lines[k] for k in block]
         pairs = list(itertools.pairwise(block))
         right_mm = np.array([line.right_mm for line in lines[:-1]])
@@ -237,7 +238,7 @@ class _Layout:
         return not (is_near and before.is_like(line)) or bool(line.cell or before.cell)
 
     def _is_ragged(self, before: int, k: int) -> bool:
-        """Return whether the first word of a line would have fitted at the end of that before."""
+        """Return whether the first word of a line would have fitted into the line before."""
         line = self._lines[k]
         word = line.text.split()[0]
         per_character = (line.right_mm - line.left_mm) / len(line.text)
@@ -252,7 +253,7 @@ class _Layout:
         return self._is_ragged(before, k) and not goes_on and not _is_sentence(line.text)
 
     def begins(self, paragraph: _Paragraph, k: int) -> bool:
-        """Return whether a line begins another paragraph."""
+        """Return whether a line begins a new paragraph."""
         first, before, line = (self._lines[j] for j in (paragraph.first, paragraph.last, k))
         if _divides(before.text, line.text):
             return False
@@ -272,7 +273,7 @@ class _Layout:
         return self._ends(paragraph.last, k)
 
     def _is_item(self, paragraph: _Paragraph, k: int) -> bool:
-        """Return whether a line begins with a mark that does not stand within a sentence."""
+        """Return whether a line begins with the mark of an item that is not part of a sentence."""
         text, before = self._lines[k].text, self._lines[paragraph.last].text
         mark = _MARK.match(text)
         return mark is not None and (
@@ -282,7 +283,7 @@ class _Layout:
         )
 
     def _ends(self, before: int, k: int) -> bool:
-        """Return whether a line ends early, as the last of a paragraph or each of a poem."""
+        """Return whether a line ends early, as the last line of a paragraph or a line of a poem."""
         text, after = self._lines[before].text, self._lines[k].text
         is_end = not after[0].islower() or _is_sentence(text)
         is_ragged = self._is_ragged(before, k)
@@ -307,17 +308,17 @@ class _Layout:
 
 
 def _divides(text: str, after: str) -> bool:
-    """Return whether a hyphen divides a word of two lines."""
+    """Return whether a hyphen divides a word between two lines."""
     return text[-1] in _HYPHENS and text[-2:-1].isalnum() and after[0].isalnum()
 
 
 def _is_sentence(text: str) -> bool:
-    """Return whether a line ends as a sentence does."""
+    """Return whether a line ends like a sentence."""
     return text.rstrip("\"'”’»)")[-1:] in tuple(".!?:")
 
 
 def _table_rows(cells: Sequence[PrintedLine]) -> list[str]:
-    """Return the rows of a table with semicolons between cells, and a hyphen for an empty one."""
+    """Return the rows of a table, with semicolons between cells and a hyphen for an empty cell."""
     rows = [
         [cell for _, cell in row]
         for _, row in itertools.groupby(
@@ -343,7 +344,7 @@ def _table_rows(cells: Sequence[PrintedLine]) -> list[str]:
 
 
 def _joined(before: str, after: str, compounds: set[str]) -> str:
-    """Return two lines as one: a hyphen goes where it divides a word, and stays in North-South."""
+    """Join two lines. A dividing hyphen is removed; that of North-South stays."""
     last = before.split()[-1]
     if "://" in last and last[-1] in "/?&=_%#-":
         return before + after

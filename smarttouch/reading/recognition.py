@@ -1,4 +1,4 @@
-"""Recognition of print by Tesseract: the turn that makes a page upright, and its lines as text."""
+"""Text recognition by Tesseract, and the orientation of pages."""
 
 import atexit
 import contextlib
@@ -26,32 +26,32 @@ from smarttouch.pages.prepared_page import PreparedPage, prepare_page
 
 Note = Callable[[str], None]
 Read = tuple[str, float]
-"""A line that was recognized, and the mean confidence of its words in [0, 1]; both may be empty."""
+"""Recognized text of a line, and the mean confidence of its words in [0, 1]."""
 
 PAGE, BLOCK, _LINE = 3, 6, 7  # page segmentation modes of Tesseract
-LARGEST_SIDE = 32_000  # largest side in pixels; Tesseract refuses images with a side above 32,767
-_TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # of a call, and for each further image
+LARGEST_SIDE = 32_000  # largest side, pixels; Tesseract's limit is 32,767
+_TIMEOUT_S, _IMAGE_TIMEOUT_S = 120.0, 10.0  # time limit of a call, and per additional image
 _WORD, _COLUMNS = "5", 12
-"""Level of a word's row in Tesseract's table, and its columns: level, page, block, paragraph,
-line, word, left, top, width, height, confidence, text."""
+"""Level of words in Tesseract's table, and its columns: level, page, block, paragraph, line, word,
+left, top, width, height, confidence, text."""
 STRIP_MARGIN = 0.25
-"""White margin around a strip, relative to its height. Over noisy and blurred strips, 1.6 % of the
-characters were wrong with it, 3.1 % with 0.15 and 2.3 % with 0.45."""
+"""White margin around a strip, relative to its height. On noisy and blurred strips 1.6 % of the
+characters were wrong, but 3.1 % with 0.15, and 2.3 % with 0.45."""
 _STRIP_PX, _NARROWER = 32, 0.85
-"""Height of lines for recognition, ascender to descender, and factor to their width: recognition
-takes as long as a line is wide, and this costs no letters."""
-SURE = 0.6  # mean confidence below which a page is reported as poorly recognized
+"""Height of lines for recognition, ascender to descender, and factor for their width: narrower
+lines are recognized faster, without more errors."""
+SURE = 0.6  # mean confidence below which a warning is given
 _LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "uig", "urd", "yid"])
-"""Tesseract's codes of languages that are read from the right."""
-_FIRST, _LONGEST = 5, 3  # first lines, and longest ones, by which turns are compared
+"""Tesseract's codes of languages written from right to left."""
+_FIRST, _LONGEST = 5, 3  # numbers of lines compared between orientations
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
-"""Mean confidence of letters from which a page is upright, and the fewest that show it."""
-_MORE = 1.15  # factor by which more must be recognized after a turn for it to be kept
+"""Mean confidence above which a page is upright, and the smallest number of letters for it."""
+_MORE = 1.15  # factor by which more must be recognized to accept another orientation
 
 
 @dataclass(frozen=True)
 class RecognitionOptions:
-    """Pages of a document, such as ``1,3-5``, their scale and polarity, and recognition of text."""
+    """Options of a document: pages, such as ``1,3-5``, scale, polarity and text recognition."""
 
     pages: str | None = None
     dpi: float | None = None
@@ -59,7 +59,7 @@ class RecognitionOptions:
     password: str | None = None
     light_on_dark: bool | None = None
     languages: str = "eng"
-    keep_headers: bool = False  # running heads and page numbers stay in a text
+    keep_headers: bool = False  # whether to keep running heads and page numbers
 
 
 def recognize(
@@ -68,20 +68,20 @@ def recognize(
     layout: int = PAGE,
     timeout_s: float = _TIMEOUT_S,
 ) -> str:
-    """Return the lines of text on an image, (H, W) uint8, dark on bright.
+    """Recognize the lines of text on an image, (H, W) uint8, dark on bright.
 
-    ``languages`` are codes as in ``eng+deu``, and ``layout`` is `PAGE` or `BLOCK`. Tesseract does
-    not correct an image: paper should be white and evenly lit, and an x about 20 pixels high.
-    Below 10, enlarge it first, unless it is blurred.
+    ``languages`` are codes such as ``eng+deu``; ``layout`` is `PAGE` or `BLOCK`. Tesseract does not
+    correct images: paper should be white and evenly lit, and an x about 20 pixels high. Enlarge it
+    if it is below 10, unless it is blurred.
     """
     lines = itertools.groupby(_words([image], languages, layout, timeout_s), lambda row: row[1:5])
     return "\n".join(_joined(words)[0] for _, words in lines)
 
 
 def recognize_lines(strips: Sequence[NDArray[np.uint8]], languages: str = "eng") -> list[Read]:
-    """Recognize strips, (h, W_i) uint8, of one straight line each, by one call of Tesseract.
+    """Recognize strips, (h, W_i) uint8, with one straight line each, in one call of Tesseract.
 
-    Strips are dark on white, from ascenders to descenders; a height of 24 pixels is enough.
+    Strips are dark on white, from ascender to descender; a height of 24 pixels is sufficient.
     """
     framed = [
         np.pad(strip, math.ceil(STRIP_MARGIN * len(strip)), constant_values=255) for strip in strips
@@ -95,7 +95,7 @@ def recognize_lines(strips: Sequence[NDArray[np.uint8]], languages: str = "eng")
 def _words(
     images: Sequence[NDArray[np.uint8]], languages: str, layout: int, timeout_s: float
 ) -> list[list[str]]:
-    """Return the rows of words in Tesseract's table, their page being the index of the image.
+    """Return the words of Tesseract's table; the page is the index of the image.
 
     Blank and empty images have no words.
     """
@@ -106,7 +106,7 @@ def _words(
         return []
     options = ["-l", languages, "--psm", str(layout), "tsv"]
     if layout == _LINE:
-        # They are dark on white: a poor line is not read again as light on dark.
+        # Strips are dark on white, so do not try light on dark.
         options[:0] = ["-c", "tessedit_do_invert=0"]
     pages = [Image.fromarray(_fitting(images[k])) for k in shown]
     file = io.BytesIO()
@@ -120,7 +120,7 @@ def _words(
 
 
 def _fitting(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return an image made smaller if a side of it is too long for Tesseract."""
+    """Return an image, reduced if one of its sides is too long for Tesseract."""
     scale = LARGEST_SIDE / max(image.shape)
     if scale >= 1:
         return np.ascontiguousarray(image)
@@ -129,7 +129,7 @@ def _fitting(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _run_tesseract(options: Sequence[str], image: bytes, timeout_s: float) -> str:
-    """Return what Tesseract writes about an image file."""
+    """Run Tesseract on an image; return its output."""
     program = shutil.which("tesseract")
     if program is None:
         raise ReadingError(
@@ -141,13 +141,13 @@ def _run_tesseract(options: Sequence[str], image: bytes, timeout_s: float) -> st
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            # With more threads, most of the time goes into waiting for each other.
+            # More threads mostly wait for each other.
             env={**os.environ, "OMP_THREAD_LIMIT": "1"},
         )
     except OSError as error:
         raise ReadingError(f"{program} does not start: {error.strerror}") from None
     with running:
-        # A program may end before its pages do, and no thread may be waiting then.
+        # End Tesseract with the program, or a waiting thread would keep it alive.
         atexit.register(running.kill)
         try:
             output, messages = (stream.decode("utf-8", "replace")
@@ -159,7 +159,7 @@ def _run_tesseract(options: Sequence[str], image: bytes, timeout_s: float) -> st
         finally:
             atexit.unregister(running.kill)
             running.kill()
-    # Missing ones of several languages do not change its exit status.
+    # If one of several languages is missing, the exit status is still 0.
     missing = re.search(r"Failed loading language '(.+)'", messages)
     if missing is not None:
         package = "tesseract-ocr-" + missing[1].lower().replace("_", "-")
@@ -173,7 +173,7 @@ def _run_tesseract(options: Sequence[str], image: bytes, timeout_s: float) -> st
 
 
 def _joined(words: Iterable[list[str]]) -> Read:
-    """Return words as a line, with spaces between them but for Chinese and Japanese."""
+    """Join words to a line, with spaces except in Chinese and Japanese."""
     text, sure, letters = "", 0.0, 0
     for row in words:
         word = row[-1].strip()
@@ -190,9 +190,9 @@ def _is_ideographic(sign: str) -> bool:
 
 
 def upright_page(number: int, page: Page, options: RecognitionOptions, note: Note) -> PreparedPage:
-    """Return a page straight and upright, ink on white paper, its lines in reading order.
+    """Return a straight and upright page, ink on white paper, with lines in reading order.
 
-    A page that brings its text is so already. A picture of Braille is refused.
+    A page that contains its text is upright already. Raises ReadingError for a picture of Braille.
     """
     for words in page.notes:
         note(f"page {number}: {words}")
@@ -200,14 +200,14 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
         ink = separate_ink(page.grey, options.light_on_dark)
         return PreparedPage(page, ink.cleaned, page.lines, ink.light_on_dark, (), page.words)
     prepared, turn_deg = _turned(page, 0, options), 0
-    # Without Tesseract a page stays as it is.
+    # Without Tesseract the orientation is unknown.
     with contextlib.suppress(ReadingError):
         _recognize(prepared, range(len(prepared.lines)), options)
     legible, letters = _legible(prepared.known.values())
     if letters < _FEWEST_LETTERS or legible < _UPRIGHT * letters:
         if shows_dots(page.grey):
             raise PageError(
-                f"page {number} shows Braille dots, and pictures of Braille are not read: give a "
+                f"page {number} shows Braille dots, and pictures of Braille cannot be read: give a "
                 "text or a .brf file, or leave the page out as in ?pages=1-3"
             )
         with contextlib.suppress(ReadingError):
@@ -223,8 +223,8 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
 def _most_legible(
     page: Page, prepared: PreparedPage, options: RecognitionOptions
 ) -> tuple[PreparedPage, int]:
-    """Return a page turned so that most of a few of its lines is recognized, and that turn in
-    degrees, clockwise."""
+    """Return a page in the orientation in which most of a few lines is recognized, and its rotation
+    in degrees, clockwise."""
     best, most_legible = (prepared, 0), _sampled(prepared, options)
     for turn_deg in (90, 180, 270):
         candidate = _turned(page, turn_deg, options)
@@ -241,7 +241,7 @@ def _turned(page: Page, turn_deg: int, options: RecognitionOptions) -> PreparedP
 
 
 def _sampled(prepared: PreparedPage, options: RecognitionOptions) -> float:
-    """Return how much of a few lines of a page is legible."""
+    """Return how much Tesseract recognizes of a few lines of a page."""
     lines = prepared.lines
     longest = sorted(range(len(lines)), key=lambda k: lines[k].left_mm - lines[k].right_mm)
     sample = sorted({*range(min(_FIRST, len(lines))), *longest[:_LONGEST]})
@@ -250,7 +250,7 @@ def _sampled(prepared: PreparedPage, options: RecognitionOptions) -> float:
 
 
 def _recognize(prepared: PreparedPage, indices: Iterable[int], options: RecognitionOptions) -> None:
-    """Recognize the lines of a page that are not known yet, by one call."""
+    """Recognize lines of a page that are not recognized yet, in one call."""
     unknown = [k for k in indices if k not in prepared.known]
     read = recognize_lines([_strip(prepared, k) for k in unknown], options.languages)
     prepared.known.update(zip(unknown, read, strict=True))
@@ -263,7 +263,7 @@ def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
 
 
 def _legible(read: Iterable[Read]) -> tuple[float, int]:
-    """Return the number of recognized letters, each counted by its confidence, and their number."""
+    """Return the number of recognized letters weighted by confidence, and their number."""
     known = list(read)
     return sum(len(text) * sure for text, sure in known), sum(len(text) for text, _ in known)
 
@@ -282,6 +282,6 @@ def recognized_lines(
     sure = legible / max(1, letters)
     if sure < SURE:
         note(
-            f"the text was recognized with a confidence of {sure:.0%} only: it may be handwriting, "
+            f"the text was recognized with only {sure:.0%} confidence: it may be handwriting, "
             f"a picture, or in another language than {options.languages}"
         )
