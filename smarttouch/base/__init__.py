@@ -1,3 +1,3 @@
-"""Base of all packages: errors, files, clocks, stopping and names, but nothing about touch."""
+"""General modules used by all packages: errors, files, clocks, stopping, URLs and ports."""
 
 __version__ = "1.0.0rc1"

@@ -1,12 +1,12 @@
-"""Classes of afferents, the tactile primary colors that a display mixes."""
+"""Afferent classes (tactile primary colors), and modes that combine them."""
 
 from enum import IntEnum, StrEnum
 
 
 class Afferent(IntEnum):
-    """Class of afferents, a tactile primary color (Kajimoto et al., Section I and Fig. 2).
+    """Afferent class, a tactile primary color (Kajimoto et al., Section I and Fig. 2).
 
-    The value is the row of that class in every ``(3, E)`` array.
+    The value is the row of the class in ``(3, E)`` arrays.
     """
 
     RA = 0
@@ -18,22 +18,22 @@ class Afferent(IntEnum):
 
 
 CLASS_COLORS = {Afferent.RA: "#d55e00", Afferent.SAI: "#0072b2", Afferent.PC: "#009e73"}
-"""Color of each class in pictures, of Okabe and Ito's set for color-blind readers (2008)."""
+"""Color of each class in pictures, from Okabe and Ito's set for color-blind readers (2008)."""
 
 
 class Mode(StrEnum):
-    """Modes: the afferent classes that are driven, and by what."""
+    """Mode: the afferent classes to stimulate, and the input of each."""
 
     RA = "RA"
-    """Ink drives RA alone."""
+    """Ink stimulates RA."""
     SAI = "SAI"
-    """Ink drives SAI alone."""
+    """Ink stimulates SAI."""
     PC = "PC"
-    """Ink drives PC, and with it what lies above: PC cannot be reached alone."""
+    """Ink stimulates PC, and shallower classes with it: PC cannot be stimulated alone."""
     NATURAL = "natural"
-    """Moving edges of the ink drive RA, what stays drives SAI."""
+    """Moving edges stimulate RA, and constant ink stimulates SAI."""
     COLOR = "color"
-    """Each class as stimuli have it: for sources that give these and no images."""
+    """Stimuli contain the activation of each class; for sources without images."""
 
     @property
     def afferents(self) -> tuple[Afferent, ...]:

@@ -1,23 +1,23 @@
-"""Clocks, and waiting for a time."""
+"""Clocks of runs, real and simulated."""
 
 import threading
 import time
 from typing import Protocol
 
 LATE_NS = 100_000_000
-"""Delay after which nothing is sent to a board any more, and intensity restarts at zero."""
+"""Delay after which a sequence is not sent, and the ramp restarts at zero."""
 
 _CLOCK: int | None = getattr(time, "CLOCK_BOOTTIME", getattr(time, "CLOCK_MONOTONIC", None))
-"""Clock that runs on while the machine is suspended, if there is one."""
+"""Clock that continues while the machine is suspended, if the system has one."""
 
 
 def now_ns() -> int:
-    """Return nanoseconds since the machine was started, with its time of sleep."""
+    """Return nanoseconds since the machine started, including suspended time."""
     return time.monotonic_ns() if _CLOCK is None else time.clock_gettime_ns(_CLOCK)
 
 
 class Clock(Protocol):
-    """Interface of a loop's clock; tests use one of their own."""
+    """Interface of a loop's clock."""
 
     def now_ns(self) -> int: ...
 
@@ -25,10 +25,10 @@ class Clock(Protocol):
 
 
 class MonotonicClock:
-    """The machine's clock, for threads that sleep to a deadline.
+    """The machine's clock, for threads that wait for deadlines.
 
-    It never goes back, and runs on while the machine is suspended: what was due before that is late
-    after it.
+    It is monotonic, and continues while the machine is suspended, so that overdue sequences are
+    late afterwards.
     """
 
     now_ns = staticmethod(now_ns)
@@ -39,7 +39,7 @@ class MonotonicClock:
 
 
 class SimulatedClock:
-    """Simulated time that passes only by waiting: a run takes as long as its computation."""
+    """Simulated time that advances only by waiting, so that runs are as fast as possible."""
 
     def __init__(self) -> None:
         self._now_ns = 0

@@ -1,4 +1,4 @@
-"""Errors for the user. A message says what is wrong, with its value, and what to do."""
+"""Errors for the user. Messages state what is wrong, with the value, and what to do."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -9,14 +9,14 @@ _Choice = TypeVar("_Choice", bound=str)
 
 
 class SmartTouchError(Exception):
-    """Base of every error this package raises on purpose.
+    """Base of all errors that this package raises on purpose.
 
     Parameters
     ----------
     message : str
-        What is wrong, with its value, and what to do.
+        What is wrong, with the value, and what to do.
     slot, electrode : int or None
-        Place of the problem, if it has one.
+        Place of the problem, if any.
     """
 
     def __init__(
@@ -28,12 +28,12 @@ class SmartTouchError(Exception):
 
 
 class TableError(SmartTouchError):
-    """A file of keys and values cannot be found or read, or is not valid.
+    """A TOML file cannot be found or read, or is invalid.
 
     Attributes
     ----------
     key : str
-        The first wrong key; "" if the file as a whole is wrong.
+        First wrong key; "" if the complete file is wrong.
     complaints : tuple of tuple
         Key and sentence of each wrong value.
     """
@@ -52,7 +52,7 @@ class TableError(SmartTouchError):
 
 
 class ProfileError(TableError):
-    """A profile cannot be found or read, or is not valid."""
+    """A profile cannot be found or read, or is invalid."""
 
 
 class SourceError(SmartTouchError):
@@ -64,47 +64,46 @@ class SourceLostError(SourceError):
 
 
 class PageError(SmartTouchError):
-    """A page or document cannot be read, or has nothing to read."""
+    """A page or document cannot be read, or is empty."""
 
 
 class BrailleError(SmartTouchError):
-    """A text cannot be put into Braille, or cells not into text."""
+    """A text cannot be translated to Braille, or cells cannot be translated to text."""
 
 
 class ReadingError(SmartTouchError):
-    """A text cannot be read with a fingertip, or not by machine."""
+    """A text cannot be presented to a fingertip, or not be recognized."""
 
 
 class ExperimentError(SmartTouchError):
-    """An experiment cannot be run as asked, or its answers cannot be read."""
+    """An experiment cannot be run with these options, or its answers cannot be read."""
 
 
 class LevelNotReachedError(SmartTouchError):
-    """A level of intensity could not be opened, or was lost while a pattern was shown."""
+    """The ramp did not reach an intensity, or intensity was lost while a pattern was shown."""
 
 
 class CalibrationError(SmartTouchError):
-    """A calibration cannot be done, or its result is implausible."""
+    """A calibration is not possible, or its result is implausible."""
 
 
 class DesignError(SmartTouchError):
-    """No kernel exists for what was asked."""
+    """No kernel exists for this request."""
 
 
 class ScheduleError(SmartTouchError):
-    """A tactile image cannot be turned into a scan sequence."""
+    """A tactile image cannot be converted to a scan sequence."""
 
 
 class SafetyError(SmartTouchError):
-    """A scan sequence breaks a limit; nothing of it was sent.
+    """A scan sequence exceeds a limit; nothing was sent.
 
     Attributes
     ----------
     limit : str
         Name of the limit.
     value, allowed : float
-        Requested and allowed value, in the limit's unit; NaN where neither is a
-        number.
+        Requested and allowed value, in the unit of the limit; NaN if there are none.
     """
 
     def __init__(
@@ -124,39 +123,40 @@ class SafetyError(SmartTouchError):
 
 
 class BoardError(SmartTouchError):
-    """A board cannot be opened, refused a command, or is gone."""
+    """A board cannot be opened, refused a command, or was lost."""
 
 
 class LineLostError(BoardError):
-    """The line to a board broke, or it fell silent; a restart may help."""
+    """The connection to a board was lost, or the board stopped responding; a restart may help."""
 
 
 class SilentBoardError(BoardError):
-    """A board does not answer when it is opened; it may still be starting."""
+    """A board does not respond when it is opened; it may still be starting."""
 
 
 class OtherDeviceError(BoardError):
-    """Another device answers where a board was; it was sent a query and nothing else."""
+    """Another device is at the port of a board; only a query was sent to it."""
 
 
 class BoardRestartedError(BoardError):
-    """A board was lost and is back, at zero: begin again at intensity 0."""
+    """A board was lost and is back, at zero: start again at intensity 0."""
 
 
 class SequenceLateError(BoardRestartedError):
-    """A sequence was too late to be sent, and was dropped: begin again at intensity 0."""
+    """A sequence was late and was dropped: start again at intensity 0."""
 
 
 class BoardFaultError(BoardError):
-    """A board delivered current that was not sent, or contradicts itself: it is latched."""
+    """A board delivered current that was not requested, or its reports are contradictory. It is
+    latched."""
 
 
 class EmergencyStopError(BoardError):
-    """The emergency switch of a board is open: close it, then begin again."""
+    """The emergency switch of a board is open: close it, then start again."""
 
 
 class BoardLatchedError(BoardError):
-    """A board is refused because of an earlier fault, until a person clears it."""
+    """A board cannot be opened because of an earlier fault, until a person clears the fault."""
 
 
 class BoardClosedError(BoardError):
@@ -164,7 +164,7 @@ class BoardClosedError(BoardError):
 
 
 class BoardStoppedError(BoardError):
-    """A board was stopped, and is at zero: nothing is sent to it any more."""
+    """A board was stopped and is at zero; it accepts no more sequences."""
 
 
 class RecordingError(SmartTouchError):
@@ -181,10 +181,9 @@ def require_within(
     *,
     above: bool = False,
 ) -> None:
-    """Raise an error unless a number is in its range; NaN is in none.
+    """Raise an error unless a number is within a range; NaN never is.
 
-    ``words`` is the number with its meaning and unit, for the sentence; ``above`` excludes
-    ``least``.
+    ``words`` is the number with name and unit, for the message. ``above`` excludes ``least``.
     """
     if least <= value <= most and not (above and value == least):
         return
@@ -200,16 +199,16 @@ def choice_of(
     choices: Iterable[_Choice],
     error: type[SmartTouchError] = SmartTouchError,
 ) -> _Choice:
-    """Return the choice that a text is, in capitals or not."""
+    """Return the choice named by a text, ignoring case."""
     known = list(choices)
     for known_name in known:
         if text.lower() == known_name.lower():
             return known_name
-    raise error(f"{name} {text!r} is not offered: choose {' or '.join(known)}")
+    raise error(f"{name} {text!r} is unknown: choose {' or '.join(known)}")
 
 
 def kind_in_words(value: object) -> str:
-    """Return what a value is: "a list", "an array of float32 (8, 8)"."""
+    """Describe a value: "a list", "an array of float32 (8, 8)"."""
     if hasattr(value, "dtype") and hasattr(value, "shape"):
         return f"an array of {value.dtype} {value.shape}"
     name = type(value).__name__
@@ -219,7 +218,7 @@ def kind_in_words(value: object) -> str:
 def import_extra(
     module: str, what: str, extra: str, error: type[SmartTouchError] = SmartTouchError
 ) -> Any:
-    """Import a module of an extra; raises an error that names the extra where it is missing."""
+    """Import a module of an extra. If it is missing, raise an error that names the extra."""
     try:
         return import_module(module)
     except ImportError:

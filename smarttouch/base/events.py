@@ -1,6 +1,6 @@
-"""Events of a run: typed, with the time at which they happened and words for people.
+"""Typed events of a run, with time and text.
 
-The words are what recordings and other programs keep; programs go by the types.
+Recordings store the text; programs should use the types.
 """
 
 from collections.abc import Callable
@@ -12,13 +12,13 @@ from smarttouch.base.afferent import Mode
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened in a run, ``time_ns`` after its start."""
+    """Event of a run, ``time_ns`` after its start."""
 
     time_ns: int
     reveals: ClassVar[bool] = False
-    """Whether it would give the answer of an experiment away to its participant."""
+    """Whether it would reveal an answer to the participant of an experiment."""
     words: ClassVar[str] = ""
-    """What it says, with its fields in braces."""
+    """Text of the event, with fields in braces."""
 
     def __str__(self) -> str:
         return self.words.format(**vars(self)) or type(self).__name__
@@ -26,7 +26,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Note(Event):
-    """A sentence that a user should know."""
+    """A sentence for the user."""
 
     text: str
     words: ClassVar[str] = "{text}"
@@ -34,12 +34,12 @@ class Note(Event):
 
 @dataclass(frozen=True)
 class Advice(Note):
-    """A sentence that a user should read before the run."""
+    """A sentence for the user to read before the run."""
 
 
 @dataclass(frozen=True)
 class Marked(Event):
-    """Somebody marked this instant, with a few words."""
+    """The user marked this instant with some words."""
 
     text: str
     words: ClassVar[str] = "mark: {text}"
@@ -47,7 +47,7 @@ class Marked(Event):
 
 @dataclass(frozen=True)
 class IntensityChanged(Event):
-    """The user asked for another intensity, in [0, 1]."""
+    """The user set another intensity, in [0, 1]."""
 
     level: float
     words: ClassVar[str] = "intensity {level:.2f}"
@@ -69,7 +69,7 @@ class Resumed(Event):
 
 @dataclass(frozen=True)
 class ModeChanged(Event):
-    """The user chose other afferents."""
+    """The user chose another mode."""
 
     mode: Mode
     words: ClassVar[str] = "mode {mode}"
@@ -77,9 +77,9 @@ class ModeChanged(Event):
 
 @dataclass(frozen=True)
 class InputLost(Event):
-    """The image is stale or the force unknown: there is no current."""
+    """The image is stale or the force unknown, so no current flows."""
 
-    image: bool  # whether it is the image
+    image: bool  # whether the image is stale, not the force unknown
 
     def __str__(self) -> str:
         what = "the image is stale" if self.image else "the force is not known"
@@ -95,7 +95,7 @@ class InputRestored(Event):
 
 @dataclass(frozen=True)
 class FingerLifted(Event):
-    """By its voltages, nothing touches the electrodes of the board."""
+    """The board's voltages show that nothing touches the electrodes."""
 
     words: ClassVar[str] = "the finger is lifted"
 
@@ -108,7 +108,7 @@ class _Reasoned(Event):
 
 @dataclass(frozen=True)
 class BoardRestarted(_Reasoned):
-    """The board was lost or a sequence late, and intensity begins at zero."""
+    """The board was lost or a sequence was late, so the ramp restarts at zero."""
 
 
 @dataclass(frozen=True)
@@ -128,4 +128,4 @@ class TrialEvent(Note):
     reveals: ClassVar[bool] = True
 
 
-Emit = Callable[[Event], None]  # sends an event to the listeners of a run
+Emit = Callable[[Event], None]  # passes an event to the listeners of a run

@@ -1,7 +1,4 @@
-"""Files named by users, read up to a limit of size; data of the package.
-
-What is written is for its owner alone.
-"""
+"""Reading of users' files up to a size limit, writing of private files, and data of the package."""
 
 import contextlib
 import csv
@@ -31,17 +28,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MOST_TABLE_BYTES = 16_000_000
-"""Largest CSV or JSON file: a day of numbers, a hundred times a second, is smaller."""
+"""Largest CSV or JSON file: a day of numbers at 100 Hz is smaller."""
 MOST_TOML_BYTES = 1_000_000
-"""Largest profile; that of a thousand electrodes has a tenth. Parsing takes seconds a megabyte."""
-MOST_ARRAY_BYTES = 256_000_000  # largest total of arrays in a file, and largest of its arrays
+"""Largest TOML file; a profile of 1000 electrodes has a tenth. Parsing takes seconds per
+megabyte."""
+MOST_ARRAY_BYTES = 256_000_000  # largest total size of the arrays in a file
 MOST_BANK_BYTES = 700_000_000
-"""The same of a bank of kernels: that of 4,096 electrodes has 605 million, nearly all zero."""
-MOST_DOCUMENT_BYTES = 2_000_000_000  # largest image, PDF or video; only the needed parts are read
+"""Largest total size of the arrays in a kernel bank: that of 4,096 electrodes has 605 MB, nearly
+all zero."""
+MOST_DOCUMENT_BYTES = 2_000_000_000  # largest image, PDF or video
 
 
 def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> None:
-    """Raise unless a path leads to a regular file of at most so many bytes."""
+    """Raise an error unless a path is a regular file of at most ``most_bytes``."""
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError, ValueError):
@@ -58,15 +57,15 @@ def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> N
 
 
 def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
-    """Raise if a new file would replace anything but a file, such as a device."""
+    """Raise an error if a new file would replace something other than a file, such as a device."""
     if path.exists() and not path.is_file():
-        raise error(f"cannot write {path}: it is no file; give another name")
+        raise error(f"cannot write {path}: it is not a file; give another name")
 
 
 def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> BinaryIO:
-    """Open a regular file for reading; see `require_file` for what is refused.
+    """Open a regular file for reading, see `require_file`.
 
-    A device or a pipe is not opened: that may wait, or reset a board.
+    Devices and pipes are not opened: that may block, or reset a board.
     """
     require_file(path, error, most_bytes)
     try:
@@ -78,7 +77,7 @@ def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> Bina
 def read_bytes(
     path: Path, error: type[SmartTouchError], most_bytes: int = MOST_TABLE_BYTES
 ) -> bytes:
-    """Return the content of a file; raises as `open_file` does."""
+    """Read a file. Raises errors like `open_file`."""
     try:
         with open_file(path, error, most_bytes) as file:
             return file.read()
@@ -87,12 +86,12 @@ def read_bytes(
 
 
 def read_text(path: Path, error: type[SmartTouchError], most_bytes: int = MOST_TABLE_BYTES) -> str:
-    """Return a text in UTF-8 without its byte-order mark; raises as `open_file` does."""
+    """Read a UTF-8 text, without its byte-order mark. Raises errors like `open_file`."""
     return decoded(read_bytes(path, error, most_bytes), path, error)
 
 
 def decoded(data: bytes, path: Path, error: type[SmartTouchError]) -> str:
-    """Return the text in UTF-8 that a file holds, without its byte-order mark."""
+    """Decode the UTF-8 text of a file, without its byte-order mark."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as failure:
@@ -109,7 +108,7 @@ _FILE_NAME = re.compile(
 
 
 def named_file(name: str, error: type[SmartTouchError]) -> Path | None:
-    """Return the file that a name stands for, None for words; a missing file is an error."""
+    """Return the file that a name stands for, or None for words. A missing file is an error."""
     there = file_at(name)
     if there is None and (words := _FILE_NAME.fullmatch(name)):
         file = name.removesuffix(words["options"] or "")
@@ -119,7 +118,7 @@ def named_file(name: str, error: type[SmartTouchError]) -> Path | None:
 
 
 def file_at(name: str) -> Path | None:
-    """Return the file or folder of this name, None if there is none."""
+    """Return the file or folder with this name, or None."""
     try:
         return Path(name) if name and Path(name).exists() else None
     except (OSError, ValueError):
@@ -127,7 +126,7 @@ def file_at(name: str) -> Path | None:
 
 
 def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
-    """Return the tables of a TOML file, of which nothing has been checked yet."""
+    """Read a TOML file, without validation."""
     text = read_text(path, error, MOST_TOML_BYTES)
     try:
         return tomllib.loads(text)
@@ -136,14 +135,14 @@ def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
 
 
 def owner_only(path: str, flags: int) -> int:
-    """Open a file that only its owner may read if this creates it: an opener for `open`."""
+    """Opener for `open` that makes new files readable only by their owner."""
     return os.open(path, flags | O_NOCTTY | O_BINARY, 0o600)
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, and those above it, that its owner alone may enter; raises as `Path.mkdir`.
+    """Create a folder and its parents, accessible only by their owner.
 
-    Existing ones stay as they are.
+    Raises errors like `Path.mkdir`. Existing folders are not changed.
     """
     if not path.is_dir():
         make_folder(path.parent)
@@ -151,20 +150,20 @@ def make_folder(path: Path) -> None:
 
 
 def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
-    """Write a file, which is complete on the disk before it replaces an earlier one.
+    """Write a file atomically: it is complete on disk before it replaces an earlier one.
 
-    Also writes into a device, or a pipe as soon as it is read. Raises the given type of error.
+    Also writes to devices and pipes.
     """
     try:
-        # /dev/stdout may lead to a file, which others write, too.
+        # /dev/stdout may be a file to which other programs write, too.
         if path.exists() and (not path.is_file() or path.parent == Path("/dev")):
-            # Not Path.open: no terminal may become this program's.
+            # Do not use Path.open: a terminal must not become the controlling one.
             with open(path, "ab", opener=owner_only) as file:
                 file.write(data)
         else:
             _replace(Path(os.path.realpath(path)), data)
     except ValueError:
-        raise error(f"cannot write {path}: no file has such a name") from None
+        raise error(f"cannot write {path}: a file cannot have this name") from None
     except OSError as failure:
         raise unwritable(error, path, failure) from None
 
@@ -183,10 +182,10 @@ def _replace(path: Path, data: bytes) -> None:
 
 
 def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
-    """Open a file for reading and writing, created if missing, locked for this program.
+    """Open a file for reading and writing, created if missing, with a lock.
 
-    Only its owner may read it from then on. Another program that asks for the same is refused until
-    this one closes the file or ends, however it ends. File systems without locks let both in.
+    Only its owner may read it from then on. Other programs get an error until this one closes the
+    file or ends. On file systems without locks there is no protection.
     """
     while True:
         try:
@@ -194,7 +193,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
             status = os.fstat(file.fileno())
             if user_number() is not None and status.st_mode & 0o077:
-                # Some file systems have no rights; another user's file must not get our data.
+                # Ignore file systems without permissions, but do not write to another user's file.
                 with contextlib.suppress(*[OSError] * (status.st_uid == user_number())):
                     os.fchmod(file.fileno(), 0o600)
         except OSError as failure:
@@ -204,7 +203,7 @@ def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
             raise error(
                 f"{path} is in use by another run: wait until that has ended, or give another file"
             )
-        # Its owner may have removed it just now: that lock then excludes no one.
+        # If the file was removed meanwhile, the lock is useless: try again.
         if path.exists() and os.path.samestat(path.stat(), os.fstat(file.fileno())):
             return file
         file.close()
@@ -221,14 +220,14 @@ def unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> Sm
 
 
 def require_folder(path: Path | None) -> None:
-    """Raise before any work is done if a file could not be written in the end."""
+    """Raise SmartTouchError if the folder of an output file does not exist."""
     if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
         message = f"cannot write {path}: give a file in a folder that exists"
         raise SmartTouchError(message)
 
 
 def write_json(path: Path, figures: Any) -> None:
-    """Write figures as JSON; NaN and infinite numbers become null."""
+    """Write values as JSON; NaN and infinite numbers become null."""
     from pydantic_core import to_json  # help and short commands need none
 
     write_bytes(path, to_json(figures, indent=2, inf_nan_mode="null") + b"\n")
@@ -237,7 +236,7 @@ def write_json(path: Path, figures: Any) -> None:
 def data_folder(name: str) -> Path:
     """Return a shipped data folder, ``calibration`` or ``sample_images``.
 
-    A wheel has the folders inside the package; in a checkout they lie beside it.
+    In a wheel the folders are inside the package; in a checkout they are beside it.
     """
     from importlib.resources import files
 
@@ -254,9 +253,10 @@ def read_csv(
     *,
     rising: bool = True,
 ) -> "dict[str, NDArray[np.float64]]":
-    """Return the needed columns of numbers in a CSV file, and those of the optional ones it has.
+    """Read columns of numbers from a CSV file: all ``needed`` ones, and the ``optional`` ones that
+    exist.
 
-    Others are not used. The first must rise, if ``rising``. Raises the given type of error.
+    With ``rising``, the first column must increase. Raises ``error``.
     """
     import numpy as np  # help and short commands need none
 
@@ -264,7 +264,7 @@ def read_csv(
         reader = csv.reader(io.StringIO(read_text(path, error), newline=""))
         lines = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
     except csv.Error as failure:
-        raise error(f"{path} is no CSV file ({failure}): save it as one in UTF-8") from None
+        raise error(f"{path} is not a CSV file ({failure}): save it as CSV in UTF-8") from None
     head = [cell.strip() for cell in lines[0][1]] if lines else []
     names = [*needed, *(name for name in optional if name in head)]
     if not set(needed) <= set(head):
@@ -279,7 +279,7 @@ def read_csv(
             if rising and len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
                 now, before = rows[-1][0], rows[-2][0]
                 raise ValueError(
-                    f"{names[0]} {now:g} is not above the {before:g} before it: it must rise"
+                    f"{names[0]} {now:g} is not above the {before:g} before it: it must increase"
                 )
         except ValueError as wrong:
             raise error(f"{path}, line {line}: {wrong}") from None
@@ -289,9 +289,9 @@ def read_csv(
 
 
 def _numbers(head: list[str], cells: list[str], names: list[str]) -> list[float]:
-    # A decimal comma shows as one cell too many, and moves all others.
+    # A decimal comma gives one cell too many, and shifts the others.
     if any(map(str.strip, cells[len(head) :])):
-        raise ValueError(f"{len(cells)} cells, where the heading has {len(head)}")
+        raise ValueError(f"{len(cells)} cells, but the heading has {len(head)}")
     row = dict(zip(head, cells, strict=False))
     for name in names:
         if math.isnan(finite(row.get(name, ""))):
@@ -300,7 +300,7 @@ def _numbers(head: list[str], cells: list[str], names: list[str]) -> list[float]
 
 
 def finite(text: str) -> float:
-    """Return the number in a cell; NaN where there is none, or an infinite one."""
+    """Parse a number; return NaN if it is missing, invalid or infinite."""
     try:
         number = float(text)
     except ValueError:

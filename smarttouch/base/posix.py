@@ -1,7 +1,7 @@
-"""What only POSIX has: modules, flags of `os.open`, file locks, users and real-time priority.
+"""Features of POSIX: modules, flags of `os.open`, file locks, users and real-time priority.
 
-On other systems modules are None, flags 0 and the rest does nothing, so that all works that needs
-no terminal and no watchdog process.
+On other systems modules are None, flags are 0, and functions do nothing, so that everything works
+except terminals and the watchdog process.
 """
 
 import ctypes
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # a module cannot be None for a type checker; users of one check first
+if TYPE_CHECKING:  # for type checkers a module cannot be None
     import fcntl
     import pty
     import termios
@@ -36,9 +36,9 @@ O_NOCTTY, O_NONBLOCK, O_NOFOLLOW, O_BINARY = (
 
 
 def try_lock(number: int, shared: bool = False) -> bool:
-    """Lock an open file until it is closed; return False if another process has it locked.
+    """Lock an open file until it is closed; return False if another process holds the lock.
 
-    File systems without locks count as free.
+    Return True on file systems without locks.
     """
     try:
         if fcntl is not None:
@@ -53,13 +53,13 @@ def try_lock(number: int, shared: bool = False) -> bool:
 
 
 def user_number() -> int | None:
-    """Return the number of this process's user; None where users have none."""
+    """Return the user's number; None on systems without it."""
     return os.geteuid() if hasattr(os, "geteuid") else None
 
 
 def write_now(number: int, data: bytes) -> int:
-    """Write to a descriptor while no other Python thread runs, so that nothing delays it; return
-    the number of bytes written. POSIX only."""
+    """Write to a descriptor without releasing the interpreter lock, so that no other thread delays
+    it. Return the number of bytes written. POSIX only."""
     written = int(_write(number, data, len(data)))
     if written < 0:
         failure = ctypes.get_errno()
@@ -73,9 +73,9 @@ if HAS_POSIX:
     _write.restype = ctypes.c_ssize_t
 
 
-# Processes that only compute do not hold up a thread of real-time priority (``SCHED_FIFO``). Linux
-# gives it to root, and to users whose limit ``rtprio`` allows it.
-PRIORITY = 1  # priority of the threads that pace and send: the lowest above all ordinary ones
+# Busy processes do not delay a thread with real-time priority (``SCHED_FIFO``). Linux grants it to
+# root, and to users whose limit ``rtprio`` allows it.
+PRIORITY = 1  # lowest real-time priority, for threads that pace and send
 _FIFO: int | None = getattr(os, "SCHED_FIFO", None)
 _RESET: int = getattr(os, "SCHED_RESET_ON_FORK", 0)
 
@@ -93,9 +93,9 @@ def priority_advice() -> str:
 
 @contextmanager
 def prioritized() -> Iterator[bool]:
-    """Give this thread real-time priority in the block; yield whether that is allowed.
+    """Give this thread real-time priority during the block; yield whether that is allowed.
 
-    Threads and processes that begin meanwhile have the usual priority.
+    New threads and processes have normal priority.
     """
     if _FIFO is None:
         yield False
@@ -109,5 +109,5 @@ def prioritized() -> Iterator[bool]:
     try:
         yield True
     finally:
-        # Without this flag only root may set it: it stays, whatever this thread does.
+        # Only root may clear this flag, so it stays set.
         os.sched_setscheduler(0, before[0] | _RESET, before[1])

@@ -1,4 +1,4 @@
-"""Requests to end a run, by a signal, a key or another thread; base of what is closed."""
+"""Requests to end a run, by a signal, a key or another thread; base class of what can be closed."""
 
 import contextlib
 import signal
@@ -16,7 +16,7 @@ if hasattr(signal, "SIGHUP"):  # not on Windows
 
 
 class RunStopped(SystemExit):
-    """A signal, or a stop that counts as one, ends the program with 128 plus its number."""
+    """A signal, or a stop like a signal, ends the program with status 128 plus its number."""
 
     def __init__(self, number: int, by: str | None = None) -> None:
         super().__init__(by or SIGNALS[signal.Signals(number)])
@@ -26,7 +26,7 @@ class RunStopped(SystemExit):
 
 @dataclass
 class StopRequest:
-    """Request to end a run, set once from any thread; never from a signal's handler."""
+    """Request to end a run, from any thread, but not from a signal handler."""
 
     event: threading.Event = field(default_factory=threading.Event)
     reason: str = ""
@@ -34,29 +34,29 @@ class StopRequest:
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def ask(self, reason: str, *, at_once: bool = True) -> None:
-        """Request the end of the run; ``at_once``: boards go to zero before this returns."""
+        """Request the end of the run. With ``at_once``, boards are at zero before this returns."""
         with self._lock:
-            # The first reason is the true one: a second Ctrl-C changes nothing.
+            # Keep the first reason, also after a second Ctrl-C.
             self.reason = self.reason or reason
-            # Within: a function that is entered meanwhile is among these, or finds it set.
+            # Under the lock, so that a function added meanwhile is called or sees the event.
             self.event.set()
             calls = self._on_stop.copy() if at_once else []
         with contextlib.ExitStack() as stack:
-            # All of them, whatever one raises. A board that cannot be reached is reported when its
-            # thread closes it.
+            # Call all functions even if one raises. A lost board is reported when it is closed.
             for call in reversed(calls):
                 stack.enter_context(contextlib.suppress(SmartTouchError))
                 stack.callback(call)
 
     def always_on_stop(self, tell: Callable[[], None]) -> None:
-        """Call a function whenever the end is requested from now on, before earlier functions: a
-        run must be ended before its board refuses."""
+        """Call a function when the end is requested, before functions added earlier: a run must end
+        before its board refuses sequences."""
         with self._lock:
             self._on_stop.insert(0, tell)
 
     @contextmanager
     def on_stop(self, tell: Callable[[], None]) -> Iterator[None]:
-        """Call a function once the end is requested, during the block or before it."""
+        """Call a function when the end is requested during the block, or at once if it was
+        before."""
         self.always_on_stop(tell)
         try:
             if self.event.is_set():
@@ -67,14 +67,14 @@ class StopRequest:
                 self._on_stop.remove(tell)
 
 
-_writes = 0  # blocks of `uninterrupted` that the main thread is in
+_writes = 0  # number of `uninterrupted` blocks entered by the main thread
 _pending: BaseException | None = None
 
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let no signal's exception be raised within the block, such as a write to a board's line: it
-    is raised at the end of the block."""
+    """Delay exceptions from signal handlers to the end of the block, for example of a write to a
+    board."""
     global _writes, _pending
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -90,7 +90,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 def interrupt(error: BaseException) -> None:
-    """Raise an error in the main thread, from a signal's handler, but never within a write."""
+    """Raise an error in the main thread, from a signal handler, but not within `uninterrupted`."""
     global _pending
     if not _writes:
         raise error
@@ -98,10 +98,10 @@ def interrupt(error: BaseException) -> None:
 
 
 class Closing:
-    """Closes itself at the end of its ``with`` block, whatever has happened in it."""
+    """Base of objects that are closed at the end of a ``with`` block."""
 
     def close(self) -> None:
-        """Release everything held open; a second call does nothing."""
+        """Release all resources; a second call does nothing."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""The tactile image: the touch analogue of an RGB image; records in one line."""
+"""The tactile image, the touch analogue of an RGB image; and one-line reprs."""
 
 from dataclasses import dataclass, fields
 from enum import Enum
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 def one_line(record: Any) -> str:
-    """Return a dataclass's repr in one line: arrays by type and shape, what is long by its type."""
+    """Return the repr of a dataclass in one line: arrays by type and shape, long values by type."""
     shown = [f"{field.name}={_brief(getattr(record, field.name))}" for field in fields(record)]
     return f"{type(record).__name__}({', '.join(shown)})"
 
@@ -33,14 +33,14 @@ class TactileImage:
     activation : ndarray, (3, E) float32, in [0, 1]
         One row for each `Afferent`: RA, SAI, PC.
     time_ns : int
-        Time of what it came from.
+        Time of the frame or stimulus.
     force_n : float, N
         Finger force at that time.
     period_us : int, µs, optional
-        Given, every active class pulses once, now, and the next image comes after this time;
-        else the profile's rates determine when each class pulses.
+        Time to the next image, in which each active class pulses once. None means that classes
+        pulse at the profile's rates.
     level : float, in [0, 1]
-        Of the strongest comfortable current, on top of what the user wishes.
+        Factor that multiplies the user's intensity.
     """
 
     __repr__ = one_line

@@ -1,4 +1,4 @@
-"""Boards, sources and forces by URL: the name before the first colon, and options after ``?``."""
+"""URLs of boards, sources and forces: a name before the first colon, and options after ``?``."""
 
 import inspect
 import re
@@ -15,10 +15,10 @@ from smarttouch.base.files import file_at
 
 
 class Registry:
-    """Names of one kind of device: built-in ones, and entry points of other packages.
+    """Openers of one kind of device by name: built-in ones, and entry points of other packages.
 
-    ``built_in`` has ``module:opener`` for each name; no other package can take these names. What an
-    opener returns must be of the class ``kind``. Problems raise ``error``.
+    ``built_in`` maps names to ``module:opener``; other packages cannot use these names. Openers
+    must return an object of class ``kind``. Problems raise ``error``.
     """
 
     def __init__(
@@ -33,7 +33,7 @@ class Registry:
         return sorted({*self._built_in, *entry_points(group=self._group).names})
 
     def find(self, url: str) -> tuple[Callable[..., Any], str]:
-        """Return the opener of ``url`` and the part of the URL after the name."""
+        """Return the opener for ``url`` and the part of the URL after the name."""
         name, colon, rest = url.partition(":")
         if colon and name in self._built_in:
             return EntryPoint(name, self._built_in[name], self._group).load(), rest
@@ -55,7 +55,7 @@ class Registry:
             ) from broken
 
     def require_kind(self, opened: object, url: str) -> None:
-        """Raise unless an opener, perhaps of another package, has returned the right class."""
+        """Raise an error unless an opener returned an object of the right class."""
         if not isinstance(opened, self._kind):
             raise self._error(
                 f"{url} gives {kind_in_words(opened)}: its package must give a "
@@ -66,20 +66,20 @@ class Registry:
 def unknown(
     kind: str, url: str, known: Sequence[str], error: type[SmartTouchError]
 ) -> SmartTouchError:
-    """Return the error of a URL that begins with no known name."""
+    """Return the error for a URL with an unknown name."""
     name, colon, _ = url.partition(":")
     close = [name] if name in known else get_close_matches(name.lower(), known, 1, 0.75)
     if close:
         way = f"did you mean {close[0]}:{url[len(name) + len(colon) :]}"
     elif kind == "board" and url.startswith("/"):
-        way = f"a port does not say which board is on it; write its kind first, as in link:{url}"
+        way = f"a port does not show which board it has: write its kind first, as in link:{url}"
     else:
         way = "it must begin with one of " + ", ".join(f"{known_name}:" for known_name in known)
     return error(f"unknown {kind} {url!r}: {way}")
 
 
 def refuse_rest(url: str, rest: str, error: type[SmartTouchError]) -> None:
-    """Raise an error if something comes after the colon of a URL that takes nothing there."""
+    """Raise an error if there is text after the colon of a URL that takes none."""
     if rest:
         raise error(f"{url} takes nothing after the colon, not {rest!r}")
 
@@ -87,11 +87,11 @@ def refuse_rest(url: str, rest: str, error: type[SmartTouchError]) -> None:
 def read_options(
     opener: Callable[..., Any], rest: str, error: type[SmartTouchError], but: Collection[str] = ()
 ) -> tuple[str, dict[str, Any]]:
-    """Return what follows the name in a URL without its options, and these in their types.
+    """Split the rest of a URL into its address and its options, with types from the annotations of
+    the opener.
 
-    Types are those of the annotations of the opener. A file that exists under the whole name has no
-    options, nor has what looks like none (``text:Is it so?``), nor what belongs to an opener that
-    takes none: that may have its own. Options in ``but`` are not for URLs.
+    There are no options if a file has the complete name, if the text does not look like options
+    (``text:Is it so?``), or if the opener takes none. Options in ``but`` are not allowed in URLs.
     """
     address, mark, query = rest.rpartition("?")
     known = options_of(opener, but)
@@ -126,9 +126,9 @@ def all_options(
     error: type[SmartTouchError],
     but: Collection[str] = (),
 ) -> tuple[str, dict[str, Any]]:
-    """Return what `read_options` does, with options given beside the URL; None is one not given.
+    """Like `read_options`, with additional options, of which None means the default.
 
-    Raises if the opener does not take one by its name, or if one is given twice.
+    Raises ``error`` for an unknown option, or for one that is also in the URL.
     """
     options = {name: value for name, value in beside.items() if value is not None}
     parameters = inspect.signature(opener).parameters.values()
@@ -144,7 +144,7 @@ def all_options(
 
 
 def parse_size(text: str, error: type[SmartTouchError], name: str) -> tuple[int, int]:
-    """Return width and height, as in 640x480."""
+    """Parse width and height, as in 640x480."""
     match = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", text.lower())
     if match is None:
         raise error(f"{name} {text!r} is not a size: give width and height as 640x480")
@@ -156,7 +156,7 @@ _TRUTHS = {"": True, "1": True, "yes": True, "true": True, "0": False, "no": Fal
 
 
 def options_of(opener: Callable[..., Any], but: Collection[str] = ()) -> dict[str, Any]:
-    """Return the type of each option of an opener that text can be turned into."""
+    """Return the type of each option of an opener that can be given as text."""
     kinds = {}
     for parameter in inspect.signature(opener).parameters.values():
         if parameter.default is inspect.Parameter.empty or parameter.name in but:
@@ -182,4 +182,4 @@ def _read_option(name: str, text: str, kind: Any, error: type[SmartTouchError]) 
         return text if kind is Sequence else kind(text)
     except (ValueError, KeyError):
         needed = {bool: "1 or 0", int: "a whole number", float: "a number"}[kind]
-        raise error(f"?{name}={text} cannot be read: give {needed}, as in ?{name}=1") from None
+        raise error(f"{name}={text} is not valid: give {needed}, as in ?{name}=1") from None

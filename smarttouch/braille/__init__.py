@@ -1,1 +1,1 @@
-"""Text becomes cells of Braille and cells become text: codes, files, and photographs."""
+"""Braille: translation between text and cells, files, and detection in pictures."""

@@ -1,4 +1,4 @@
-"""Files of ASCII Braille (BRF), as this and other programs write them."""
+"""Reading and writing of ASCII Braille files (BRF)."""
 
 import codecs
 import itertools
@@ -11,13 +11,13 @@ from smarttouch.base.errors import BrailleError
 from smarttouch.base.files import read_bytes
 from smarttouch.braille.cells import BLANK, SIX_DOT_PATTERNS, Pages, is_cell, pattern, require_cells
 
-MOST_BYTES = 50_000_000  # largest file; a book has a few million cells
+MOST_BYTES = 50_000_000  # largest file; books have a few million cells
 
-# North American Braille ASCII, as printers take it; in the order of the patterns 0 to 63.
+# North American Braille ASCII, in the order of the patterns 0 to 63
 _CODE = " A1B'K2L@CIF/MSP\"E3H9O6R^DJG>NTQ,*5<-U8V.%[$+X!&;:4\\0Z7(_?W]#Y)="
 _CELL_OF = {ord(code): chr(ord(BLANK) + k) for k, code in enumerate(_CODE)}
 _CELL_OF |= {code + 32: cell for code, cell in _CELL_OF.items() if 64 <= code < 95}
-"""Extension to the lower case of each code."""
+"""Lower-case variants of the codes."""
 _MARKS = {
     codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be",
 }  # fmt: skip
@@ -35,12 +35,12 @@ _DIGITS = str.maketrans("⠁⠃⠉⠙⠑⠋⠛⠓⠊⠚", "1234567890")
 
 
 def read_brf(path: Path, note: Callable[[str], None] = lambda _: None) -> Pages:
-    """Read a BRF file without the numbers of its pages; ``note`` is told of these."""
+    """Read a BRF file without its page numbers; ``note`` is told of them."""
     return without_page_numbers(parse_brf(read_bytes(path, BrailleError, MOST_BYTES), path), note)
 
 
 def ascii_braille(line: str) -> str:
-    """Return a line of cells as ASCII Braille; raise if a cell has dots 7 or 8."""
+    """Convert a line of cells to ASCII Braille. Raises BrailleError if a cell has dots 7 or 8."""
     require_cells(line)
     for column, cell in enumerate(line, 1):
         if pattern(cell) >= SIX_DOT_PATTERNS:
@@ -52,17 +52,17 @@ def ascii_braille(line: str) -> str:
 
 
 def format_brf(pages: Pages) -> bytes:
-    """Return pages in BRF; raise if a cell has dots 7 or 8, which it cannot hold."""
-    # A form feed and an empty line would look like a form feed on a line of its own.
+    """Convert pages to BRF. Raises BrailleError if a cell has dots 7 or 8."""
+    # A form feed before an empty line would look like a form feed on its own line.
     sheets = ("".join(f"{ascii_braille(line)}\r\n" for line in page) for page in pages)
     return "\f".join(re.sub(r"^\r", " \r", sheet) for sheet in sheets).encode("ascii")
 
 
 def parse_brf(data: bytes, name: Path | str = "BRF") -> Pages:
-    """Return the pages of a BRF file; ``name`` is for error messages.
+    """Parse a BRF file; ``name`` is for error messages.
 
-    Lines end in CR, LF or both, and pages in a form feed, which may have a line of its own. Blanks,
-    NUL and ^Z that fill lines and records are dropped. Cells may be Unicode.
+    Lines end with CR, LF or both. Pages end with a form feed, which may be on its own line. Padding
+    by blanks, NUL and ^Z is dropped. Cells may also be Unicode.
     """
     text = re.sub("\r\n?", "\n", _decoded(data))
     text = re.sub(r"[\x00\x1a]+(?=\s*(?:\f|\Z))", "", text).rstrip(" \n\f").removeprefix("\f")
@@ -95,14 +95,14 @@ def _cells(line: str, name: Path | str, line_number: int) -> str:
             kind = _NAMES.get(code) or (repr(code) if code.isprintable() else "a control code")
             raise BrailleError(
                 f"{name}, line {line_number}, column {column}: {number} is {kind}, not ASCII "
-                "Braille: export the file again as BRF, or give print another ending than "
+                "Braille: export the file again as BRF, or give a text another ending than "
                 f"{Path(name).suffix or '.brf'}"
             )
     return cells
 
 
 def _without_padding(pages: Pages) -> Pages:
-    """Return pages without the blank lines that fill them, where indents begin paragraphs."""
+    """Remove blank lines that only fill pages, if indents begin paragraphs."""
     indents = any(line.startswith(BLANK) for page in pages for line in page)
     if indents and any(page[-2:] == ["", ""] for page in pages[:-1]):
         for page in pages[:-1]:
@@ -112,9 +112,9 @@ def _without_padding(pages: Pages) -> Pages:
 
 
 def without_page_numbers(pages: Pages, note: Callable[[str], None]) -> Pages:
-    """Return pages without numbers that count the pages in one corner, on two or more of them.
+    """Remove page numbers in one corner of two or more pages.
 
-    What stands beside such a number goes where it repeats, too. ``note`` is told of both.
+    Repeated text beside such a number is removed, too. ``note`` is told of both.
     """
     for (side, corner), (edge, edge_index) in itertools.product(_CORNERS.items(), _EDGES.items()):
         lines = ((k, corner.fullmatch(page[edge_index])) for k, page in enumerate(pages) if page)

@@ -1,4 +1,4 @@
-"""Cells of Braille and their dots."""
+"""Braille cells and their dots."""
 
 from typing import Any, TypeAlias
 
@@ -10,12 +10,12 @@ from smarttouch.base.errors import BrailleError
 Pages: TypeAlias = list[list[str]]  # pages of lines of cells
 
 BLANK = "\u2800"
-"""The cell without a dot; the pattern of a cell is its distance from it, bit k is dot k + 1."""
+"""The empty cell. The pattern of a cell is its distance from this character; bit k is dot k + 1."""
 PATTERNS = 256
 SIX_DOT_PATTERNS = 64
 
 POSITION = np.array([(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2), (0, 3), (1, 3)])
-"""(8, 2) int, column and row of dots 1 to 8: 1 to 3 run down on the left, 7 and 8 lie below."""
+"""(8, 2) int: column and row of dots 1 to 8."""
 
 
 def is_cell(character: str) -> bool:
@@ -24,12 +24,12 @@ def is_cell(character: str) -> bool:
 
 
 def pattern(cell: str) -> int:
-    """Return the dots of a cell as a number from 0 to 255: bit k is dot k + 1."""
+    """Return the dots of a cell as a number from 0 to 255; bit k is dot k + 1."""
     return ord(cell) - ord(BLANK)
 
 
 def require_cells(line: str) -> None:
-    """Raise unless a line consists of cells."""
+    """Raise BrailleError unless a line consists of cells."""
     for column, character in enumerate(line):
         if not is_cell(character):
             raise BrailleError(
@@ -46,7 +46,7 @@ def cells_to_dots(cells: str) -> NDArray[np.bool_]:
 
 
 def dots_to_cells(dots: NDArray[Any]) -> str:
-    """Return a line of cells from its dots, (N, 8) or (N, 6) bool; column k is dot k + 1."""
+    """Return the cells for dots, (N, 8) or (N, 6) bool; column k is dot k + 1."""
     if dots.ndim != 2 or dots.shape[1] not in (6, 8):
         raise BrailleError(f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)")
     patterns = np.packbits(dots.astype(bool), axis=1, bitorder="little")

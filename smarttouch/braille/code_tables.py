@@ -1,4 +1,4 @@
-"""Tables by name: translation between texts and cells of one Braille code."""
+"""Braille tables by name, which translate between text and cells."""
 
 import re
 import unicodedata
@@ -19,28 +19,29 @@ _MARKS = r"[\u0300-\u036f\u064b-\u065f\u0670\u093c\u09bc\u0a3c\u0b3c\u0cbc\u3099
 _MARKED = re.compile(r"[^\W\d_]" + _MARKS)
 """A letter and its combining marks."""
 _TYPEFORM = re.compile("[⠨⠘⠸][⠂⠆⠶⠄]")
-"""Indicators of emphasis in Unified English Braille (Rules 9.1): no table translates them back."""
-_MOST_NAMED = 12  # signs listed in a note
-_TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")  # tag of a language, with its country or without
-MISSING_NOTE = f"liblouis is not installed: English grade 1 only; for others: {louis.INSTALL}"
+"""Indicators of emphasis in Unified English Braille (Rules 9.1), which no table translates back."""
+_MOST_NAMED = 12  # largest number of characters listed in a note
+_TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")  # language tag, optionally with a country
+MISSING_NOTE = f"liblouis is not installed: only English grade 1 works; for others: {louis.INSTALL}"
 
 
 BrailleCode = Grade1 | LouisCode
-"""Code that translates one line at a time; `goes_back` if it translates cells back, too."""
+"""Code that translates single lines; `goes_back` is whether it also translates cells to text."""
 
 
 @dataclass(frozen=True)
 class BrailleTable:
-    """A Braille code under the name that a user gave."""
+    """Braille code with the name given by the user."""
 
     name: str
     code: BrailleCode
     note: str | None = None  # warning for the user
 
     def to_cells(self, text: str, leave_out: bool = False) -> str:
-        """Return a text as cells, line by line; signs without cells get a plain form.
+        """Translate a text to cells, line by line.
 
-        ``leave_out`` drops those without one; otherwise they are an error. See `losses`.
+        Characters without cells get a plain form. Those without a plain form are dropped with
+        ``leave_out``, else they raise BrailleError. See `losses`.
         """
         plain, forms = self._plain(text)
         if not leave_out and "" in forms.values():
@@ -53,7 +54,7 @@ class BrailleTable:
         return "\n".join(self.code.encode(line) for line in plain.split("\n"))
 
     def losses(self, text: str) -> str:
-        """Return a sentence on the signs of a text that get a plain form or are left out, or ""."""
+        """Return a sentence about characters that get a plain form or are left out, or ""."""
         forms = {sign: form for sign, form in self._plain(text)[1].items() if sign not in QUIET}
         plain = [f"{sign} as {form.strip()}" for sign, form in forms.items() if form]
         lost = [
@@ -64,13 +65,13 @@ class BrailleTable:
             f"{how} {', '.join(signs[:_MOST_NAMED])}{', …' * (len(signs) > _MOST_NAMED)}"
             for how, signs in (("written plainly:", plain), ("left out:", lost)) if signs
         ]  # fmt: skip
-        words = f"table {self.name} has no cells for some signs; {'; '.join(kinds)}"
+        words = f"table {self.name} has no cells for some characters; {'; '.join(kinds)}"
         return words.replace("\xad", "-") if kinds else ""
 
     def paragraphs(self, text: str, note: Callable[[str], None]) -> list[str]:
-        """Return each line of a text as cells; a text of cells stays as it is.
+        """Translate each line of a text to cells; cells stay unchanged.
 
-        ``note`` gets `losses`.
+        ``note`` is told of `losses`.
         """
         if any(map(is_cell, text)) and all(is_cell(sign) or sign in " \t\n" for sign in text):
             cells = re.sub("[ \t]", BLANK, text)
@@ -85,7 +86,8 @@ class BrailleTable:
         return plain, {sign: forms[sign] for sign in dict.fromkeys(text) if sign in forms}
 
     def _lacks(self, sign: str) -> bool:
-        """Return whether a sign has no cells, or those of a plain figure that ends a number."""
+        """Return whether a character has no cells, or only those of a plain digit, as superscripts
+        in some tables."""
         if sign == "\n":
             return False
         if self.code.missing(sign):
@@ -97,11 +99,11 @@ class BrailleTable:
         )  # fmt: skip
 
     def to_text(self, cells: str) -> str:
-        """Return cells as text, line by line; a cell without meaning stays as it is."""
+        """Translate cells to text, line by line; unknown cells stay unchanged."""
         code = self.code
         if not code.goes_back:
             raise BrailleError(
-                f"table {self.name} translates texts into cells only: choose another table to "
+                f"table {self.name} only translates text to cells: choose another table to "
                 "translate back"
             )
         require_cells(cells.replace("\n", ""))
@@ -112,8 +114,8 @@ class BrailleTable:
         return _TYPEFORM.sub("", cells) if self.name in ("en-1", "en-2") else cells
 
     def doubt(self, cells: str, text: str) -> str | None:
-        """Return a sentence on words of a text that is translated back from cells, and would make
-        others; None if there are none."""
+        """Return a sentence about words whose translation from cells is doubtful, because
+        translating them again gives other cells; or None."""
         plain, again = (
             re.split(f"[{BLANK}\n]+", cells_form)
             for cells_form in (self._without_typeforms(cells), self.to_cells(text, leave_out=True))
@@ -129,13 +131,14 @@ class BrailleTable:
 
 
 class _EnglishLouis(LouisCode):
-    """English, encoded by liblouis, which has more signs, and decoded by the built-in code.
+    """English code: encoding by liblouis, which has more characters, decoding by the built-in code.
 
-    Of a thousand sentences liblouis loses the capitals of 77, the built-in code of none.
+    In a test with 1000 sentences liblouis lost capitals in 77, the built-in code in none.
     """
 
     def decode(self, cells: str) -> str:
-        """Return cells as text; words with a cell unknown to the built-in code go to liblouis."""
+        """Translate cells to text; words with cells unknown to the built-in code are decoded by
+        liblouis."""
         text = Grade1().decode(cells)
         if not any(map(is_cell, text)):
             return text
@@ -147,12 +150,12 @@ class _EnglishLouis(LouisCode):
 
 class _Known(NamedTuple):
     title: str
-    file: str  # of liblouis
+    file: str  # table of liblouis
     goes_back: bool
 
 
-# Back-translation was measured on a thousand sentences each: de-2 and en-gb-2 restore none, or one
-# in thirty; de-0 and de-1 all but brackets, and numbers after a colon.
+# Back-translation was measured with 1000 sentences for each table. de-2 and en-gb-2 restore at most
+# one in thirty; de-0 and de-1 all except brackets, and numbers after a colon.
 _KNOWN = {
     "en-1": _Known("English (UEB), uncontracted", "en-ueb-g1.ctb", True),
     "en-2": _Known("English (UEB), contracted", "en-ueb-g2.ctb", True),
@@ -167,14 +170,14 @@ _KNOWN = {
 
 
 def known_tables() -> dict[str, str]:
-    """Return the titles of the tables with a short name."""
+    """Return the titles of tables that have a short name."""
     return {name: known.title for name, known in _KNOWN.items()}
 
 
 def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
-    """Open a table by a short name, the file name of a liblouis table, or a language tag.
+    """Open a table by short name, by file name of a liblouis table, or by language tag.
 
-    A tag such as ``fr`` or ``pt-BR`` gives the plainest table of the language.
+    A tag such as ``fr`` or ``pt-BR`` selects the plainest table of the language.
     """
     if _TAG.fullmatch(name):
         language = name.lower().partition("-")[0]
@@ -198,10 +201,11 @@ def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
 
 
 def _tidy(text: str, code: BrailleCode) -> str:
-    """Return a text with plain spaces and composed letters, nothing invisible but joiners.
+    """Return a text with plain spaces and composed letters, without invisible characters except
+    joiners.
 
-    Marks are composed with their letter where one character is both, and otherwise left in
-    their order: Unicode's normal forms would reorder Arabic marks and decompose Punjabi letters.
+    Combining marks are composed if there is a composed character, and otherwise keep their order:
+    Unicode's normal forms would reorder Arabic marks and decompose Punjabi letters.
     """
     plain = re.sub(r"[^\S\n]", " ", text.replace("\r\n", "\n"))
     visible = "".join(
@@ -225,7 +229,7 @@ def _tidy(text: str, code: BrailleCode) -> str:
 
 @cache
 def _excluded() -> dict[str, str]:
-    """Return the letters that Unicode excludes from composition, by their parts."""
+    """Return the letters that Unicode excludes from composition, by decomposed form."""
     every = map(chr, range(0x0900, 0x1000))
     return {
         parts: character

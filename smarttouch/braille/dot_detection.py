@@ -1,4 +1,4 @@
-"""Detection of Braille in pictures by the places of its dots."""
+"""Detection of Braille dots in pictures."""
 
 import cv2
 import numpy as np
@@ -6,15 +6,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 _SIDES_PX = (350, 700, 1400)
-"""Longer sides to which a picture is scaled in turn, as its dots may be small or large."""
+"""Longer sides to which a picture is scaled in turn, because dots may be small or large."""
 _FEWEST_DOTS = 20
 
 
 def shows_dots(grey: NDArray[np.uint8]) -> bool:
     """Return whether a picture, (H, W), shows a page of Braille, embossed or printed.
 
-    The sheet may be turned. Print, halftones and dotted paper are not taken for Braille; strongly
-    blurred dots and labels of a few cells are not recognized.
+    The sheet may be rotated. Print, halftones and dotted paper give False, but so do strongly
+    blurred dots and labels of a few cells.
     """
     longest, shortest = max(grey.shape), min(grey.shape)
     for side_px in _SIDES_PX:
@@ -28,14 +28,14 @@ def shows_dots(grey: NDArray[np.uint8]) -> bool:
 
 
 def _dots(picture: cv2.typing.MatLike) -> NDArray[np.float64]:
-    """Return the middles, (N, 2), of dark spots if most are round and of one size."""
+    """Return the centers, (N, 2), of dark spots if most are round and have one size."""
     soft = cv2.GaussianBlur(picture, (0, 0), 1).astype(np.float32)
     depth = cv2.blur(soft, (31, 31)) - soft
     dark = (depth > max(4, depth.std())).astype(np.uint8)
     _, _, boxes, middles = cv2.connectedComponentsWithStats(dark)
     width, height, area = boxes[1:, 2:].T
     ascending = np.sort(area)
-    # Half of the ink is in larger spots, so specks of noise do not count.
+    # Take the median weighted by area, which ignores specks of noise.
     typical = ascending[np.searchsorted(ascending.cumsum(), area.sum() / 2)] if len(area) else 0
     alike = (area > typical / 2) & (area < typical * 2)
     alike &= np.maximum(width, height) < 2.5 * np.minimum(width, height)
@@ -46,12 +46,12 @@ def _dots(picture: cv2.typing.MatLike) -> NDArray[np.float64]:
 
 
 def _has_cells(dots: NDArray[np.float64]) -> bool:
-    """Return whether dots stand in cells: most have a neighbor, none has two in its row."""
+    """Return whether dots form cells: most have a neighbor, but none has two in its row."""
     if not len(dots):
         return False
     distance, neighbors = map(np.asarray, cKDTree(dots).query(dots, k=9))
     steps = (dots[neighbors[:, 1:]] - dots[:, None]) @ (1, 1j) / np.median(distance[:, 1])
-    # Rows and columns are at right angles, so the fourth powers of all directions agree.
+    # Rows and columns are perpendicular, so the fourth powers of all directions are equal.
     to_nearest = steps[:, 0] / abs(steps[:, 0])
     steps /= np.exp(1j * np.angle((to_nearest**4).mean()) / 4)
     right, below, left, above = ((abs(steps - 1j**k) < 0.25).any(axis=1) for k in range(4))

@@ -1,4 +1,4 @@
-"""English Braille without contractions (Unified English Braille, grade 1), built in."""
+"""Uncontracted English Braille (Unified English Braille, grade 1)."""
 
 import itertools
 import re
@@ -15,7 +15,7 @@ _ACCENTS = {
     "\u0300": "⠘⠡", "\u0301": "⠘⠌", "\u0302": "⠘⠩", "\u0303": "⠘⠻", "\u0308": "⠘⠒",
     "\u030a": "⠘⠫", "\u030c": "⠘⠬", "\u0327": "⠘⠯",
 }  # fmt: skip
-"""Cells of accents, by the combining mark; they precede the letter."""
+"""Cells of accents by combining mark; they precede the letter."""
 _SIGNS = {
     " ": BLANK, ".": "⠲", ",": "⠂", ";": "⠆", ":": "⠒", "!": "⠖", "'": "⠄", "-": "⠤",
     "–": "⠠⠤", "—": "⠠⠤", "‘": "⠠⠦", "’": "⠠⠴", "«": "⠸⠦", "»": "⠸⠴",
@@ -30,7 +30,7 @@ _CAPITAL, _CAPITAL_WORD, _CAPITAL_PASSAGE, _CAPITALS_END = "⠠", "⠠⠠", "⠠
 _NUMBER, _GRADE_1, _NUMBER_SPACE = "⠼", "⠰", "⠐"
 _ONE_QUOTE_OR_QUESTION, _CLOSING_QUOTE, _ANY_QUOTE, _SURE_QUOTE = "⠦", "⠴", "⠠⠶", "⠘⠦"
 _OPENING = frozenset(" ([{<—-/‘«")
-"""Characters after which a question mark's cell is an opening quote, as at the start (7.5)."""
+"""Characters after which the cell of a question mark is an opening quote, as at the start (7.5)."""
 
 _LETTER_OF = {cell: letter for letter, cell in _LETTERS.items()}
 _DIGIT_OF = {cell: digit for digit, cell in _DIGITS.items()}
@@ -41,20 +41,21 @@ _SIGN_OF = {cells: sign for sign, cells in _SIGNS.items()} | {
 
 
 class Grade1:
-    """Code of letters, accents, numbers, capitals and punctuation; decodes its own cells exactly.
+    """Code for letters, accents, numbers, capitals and punctuation, which decodes its own cells
+    exactly.
 
-    Where print has two forms of one sign, the plain one is decoded: straight double quotes and
-    apostrophes, and one kind of dash.
+    Typographic variants are decoded as the plain form: straight double quotes, apostrophes, and one
+    kind of dash.
     """
 
     goes_back = True
 
     def missing(self, line: str) -> str:
-        """Return the characters of a line that have no cells here, each once."""
+        """Return the characters of a line without cells, each once."""
         return "".join(sign for sign in dict.fromkeys(line) if not _is_known(sign))
 
     def encode(self, line: str) -> str:
-        """Return a line of text as cells."""
+        """Translate a line of text to cells."""
         text = _plain_apostrophes(line)
         before, after = _capitals(text)
         cells: list[str] = []
@@ -89,7 +90,7 @@ class Grade1:
         return "".join(cells)
 
     def decode(self, cells: str) -> str:
-        """Return cells as text; a cell without meaning stays as it is."""
+        """Translate cells to text; unknown cells stay unchanged."""
         text: list[str] = []
         numeric, opening = False, True
         passage = word = capital = False
@@ -134,7 +135,7 @@ class Grade1:
 
 
 def _plain_apostrophes(text: str) -> str:
-    """Turn ’ into an apostrophe wherever it does not close a ‘."""
+    """Replace ’ by an apostrophe unless it closes a ‘."""
     closed = re.sub(r"(‘[^‘’]*(?:’(?=\w)[^‘’]*)*)’(?!\w)", "\\1\0", text)
     return closed.replace("’", "'").replace("\0", "’")
 
@@ -150,7 +151,7 @@ def _is_letter(character: str) -> bool:
 
 @cache
 def _letter(character: str) -> str:
-    """Return the cells of a letter, its accents first; none if it is no letter."""
+    """Return the cells of a letter, accents first; empty if the character is not a letter."""
     spelled = unicodedata.normalize("NFD", character.lower())
     letter, marks = spelled[0], spelled[1:]
     if letter not in _LETTERS or not all(mark in _ACCENTS for mark in marks):
@@ -159,7 +160,7 @@ def _letter(character: str) -> str:
 
 
 def _capitals(text: str) -> tuple[dict[int, str], dict[int, str]]:
-    """Return the indicators of capitals before, and after, characters of a text."""
+    """Return the indicators of capitals before and after characters, by index."""
     before, after = {}, {}
     capital = [_is_letter(character) and character.isupper() for character in text]
     for is_capital, run in itertools.groupby(range(len(text)), capital.__getitem__):
@@ -195,7 +196,7 @@ def _in_number(cell: str, pair: str) -> str:
 
 
 def _letter_at(cells: str, index: int) -> tuple[str, int] | None:
-    """Return the letter at a place, with its accents, and its number of cells."""
+    """Return the letter at an index, with accents, and its number of cells."""
     marks, end = "", index
     while cells[end : end + 2] in _ACCENT_OF:
         marks += _ACCENT_OF[cells[end : end + 2]]
@@ -207,7 +208,8 @@ def _letter_at(cells: str, index: int) -> tuple[str, int] | None:
 
 
 def _sign_at(cells: str, index: int, opening: bool) -> tuple[str, int, bool]:
-    """Return the sign at a place, its number of cells, and whether a quote may open after it."""
+    """Return the character at an index, its number of cells, and whether a quote may open after
+    it."""
     cell, pair = cells[index], cells[index : index + 2]
     if pair == _GRADE_1 + _ONE_QUOTE_OR_QUESTION:
         return "?", 2, False

@@ -1,4 +1,4 @@
-"""Translation by liblouis, where it is installed."""
+"""Translation by liblouis, if it is installed."""
 
 import ctypes
 import ctypes.util
@@ -14,40 +14,40 @@ from smarttouch.braille.cells import BLANK, pattern
 
 INSTALL = "apt install liblouis20 liblouis-data"
 JOINERS = "\u200c\u200d"
-"""Invisible characters that shape their neighbors, and have cells of their own in some codes."""
+"""Invisible joiners, which have cells in some codes."""
 _LIBRARIES = ("liblouis.so.20", "liblouis.so", "liblouis.20.dylib", "liblouis.dylib")
 
-_DOTS = 0x8000  # offset of cells in back-translation, in every version (LOU_DOTS)
+_DOTS = 0x8000  # offset of cells in back-translation, in all versions (LOU_DOTS)
 _DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128  # values of ``translationModes`` in liblouis.h
 _LOG_OFF = 60000
 _LONGEST_NAME = 200
-"""Longest name of a table; file names have at most 255 bytes, and old versions do not check."""
-_ROOMS = (8, 64)  # characters of output per one of input; the second if the first was not enough
+"""Longest name of a table: file names have at most 255 bytes, and old versions do not check."""
+_ROOMS = (8, 64)  # output characters per input character: first attempt, second attempt
 _UNDEFINED = "\uf8ff"
-"""Private character that no table defines, to obtain the output of undefined ones."""
-_ESCAPE = re.compile(r"\\([0-9A-F]*)/")  # output for a cell that a table cannot read: its dots
+"""Private-use character that no table defines, to obtain the output for undefined ones."""
+_ESCAPE = re.compile(r"\\([0-9A-F]*)/")  # output for an undefined cell: its dots
 
 _TAG_OF = {"zh": "cmn-Hans", "cmn": "cmn-Hans", "nb": "no", "nn": "no"}
-"""Tags under which liblouis has languages that others know by a wider or narrower one."""
+"""Language tags of liblouis that differ from common ones."""
 _PLAIN_KINDS = (" contraction:no dots:6", " contraction:no", " grade:1")
 _PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl")
 _ASKED_BACK = {"he": "אבג"}
-"""Letters of languages whose tables have Latin ones beside their own; of all others abc."""
+"""Test letters of languages whose tables also have Latin letters; the default is abc."""
 
-_lock = threading.Lock()  # lock of liblouis, which keeps its state in globals
+_lock = threading.Lock()  # liblouis has global state
 
 
 class LouisCode:
-    """Braille code of a table of liblouis, by its file name, such as ``en-ueb-g2.ctb``."""
+    """Braille code by a table of liblouis, given by file name, such as ``en-ueb-g2.ctb``."""
 
     def __init__(self, table: str, goes_back: bool | None = None) -> None:
         if not has_table(table):
-            raise BrailleError(f"liblouis has no table {table!r} here: {INSTALL}")
+            raise BrailleError(f"liblouis does not have the table {table!r}: {INSTALL}")
         self._table = table
         self.goes_back: bool = _goes_both_ways(table) if goes_back is None else goes_back
 
     def missing(self, line: str) -> str:
-        """Return the characters of a line that the table does not define, each once."""
+        """Return the characters of a line that are not defined, each once."""
         return "".join(
             character for character in dict.fromkeys(line) if not _defines(self._table, character)
         )
@@ -57,7 +57,7 @@ class LouisCode:
         return _translate(self._table, line, _DOTS_IO | _UNICODE_CELLS)
 
     def decode(self, cells: str) -> str:
-        """Return cells as text; a cell that the table cannot read stays as it is."""
+        """Translate cells to text; undefined cells stay unchanged."""
         dots = "".join(chr(_DOTS | pattern(cell)) for cell in cells)
         text = _translate(self._table, dots, _DOTS_IO, back=True)
         if text == _translate(self._table, dots, _DOTS_IO | _NO_UNDEFINED, back=True):
@@ -76,17 +76,17 @@ def _defines(table: str, character: str) -> bool:
     alone, undefined = (
         _translate(table, character_tried, mode) for character_tried in (character, _UNDEFINED)
     )
-    # Some tables translate undefined characters as a question mark or a blank.
+    # Some tables translate undefined characters to a question mark or a blank.
     return alone != undefined or (character.isascii() and bool(undefined))
 
 
 def version() -> str | None:
-    """Return the version of liblouis; None where it is not installed."""
+    """Return the version of liblouis; None if it is not installed."""
     return _query("lou_version") or None
 
 
 def has_table(table: str) -> bool:
-    """Return whether liblouis is installed, and has a usable table of this file name."""
+    """Return whether liblouis is installed and has a usable table of this name."""
     library = _library()
     if library is None or not table.isprintable() or len(table.encode()) > _LONGEST_NAME:
         return False
@@ -98,8 +98,8 @@ def has_table(table: str) -> bool:
 
 
 def find_table(language: str) -> str | None:
-    """Return the file name of the plainest table of a language tag, such as ``pt`` or ``pt-BR``, if
-    need be that of the language itself, or one that is named for it."""
+    """Return the file name of the plainest table for a language tag, such as ``pt`` or ``pt-BR``.
+    Fallbacks are the language without country, and a table named like it."""
     tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
     main_language = tag.partition("-")[0].lower()
 
@@ -108,7 +108,7 @@ def find_table(language: str) -> str | None:
             table_name = _query(
                 "lou_findTable", f"language:{tag_form} type:literary{kind}".encode()
             )
-            # It also finds tables of other languages.
+            # liblouis may return tables of other languages.
             if table_name and main_language == language_of(table_name).partition("-")[0]:
                 yield table_name.rpartition("/")[2]
 
@@ -153,7 +153,7 @@ def _library() -> ctypes.CDLL | None:
 
 
 def _goes_both_ways(table: str) -> bool:
-    """Return whether a table says so, or does so: some are called forward and go back as well."""
+    """Return whether a table states, or shows in a test, that it also translates back."""
     if _query("lou_getTableInfo", table.encode(), b"direction") != "forward":
         return True
     code, asked = LouisCode(table, goes_back=True), _ASKED_BACK.get(language_of(table), "abc")
@@ -189,13 +189,13 @@ def _translate(table: str, text: str, mode: int, back: bool = False) -> str:
             )  # fmt: skip
         if not done:
             break
-        # Cut output fills its room, even where all input was consumed.
+        # A full buffer means that output was cut, even if all input was consumed.
         if read.value == length and written.value <= room // 2:
             return outbuf.raw[: written.value * width].decode(encoding, "replace")
-    way = "cells into a text" if back else "a text into cells"
+    way = "cells to text" if back else "text to cells"
     raise BrailleError(f"liblouis could not translate {way} with {table}: choose another table")
 
 
 def _cell(dots: str) -> str:
-    """Return a cell from the numbers of its dots, as in 1256; invalid ones give no cell."""
+    """Return the cell with these dots, as in 1256; empty if they are invalid."""
     return chr(ord(BLANK) | sum(1 << int(dot) - 1 for dot in dots if dot in "12345678"))

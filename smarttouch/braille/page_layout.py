@@ -1,4 +1,4 @@
-"""Paragraphs of cells laid out as pages of lines, and joined again."""
+"""Layout of paragraphs of cells as pages of lines, and back."""
 
 import re
 from collections.abc import Sequence
@@ -9,17 +9,17 @@ from smarttouch.braille.cells import BLANK, Pages
 COLUMNS = 40
 ROWS = 25  # lines of a North American Braille page
 INDENT = 2
-"""Cells: a paragraph begins in the third and runs over in the first, as Braille is printed."""
+"""Indent in cells: as usual in Braille, a paragraph begins in cell 3."""
 CONTINUED = "⠐"
-"""Mark at the end of a line whose last word continues: UEB's line continuation indicator."""
+"""UEB's line continuation indicator, at the end of a line whose last word continues."""
 
 
 def lay_out(
     paragraphs: Sequence[str], columns: int = COLUMNS, rows: int = ROWS, indent: int = INDENT
 ) -> Pages:
-    """Return paragraphs of cells as pages of lines; an empty one stays an empty line.
+    """Lay out paragraphs of cells as pages of lines; an empty paragraph is an empty line.
 
-    Blank cells around a paragraph are dropped, and ``indent`` of them put before it; without any,
+    Blank cells around a paragraph are replaced by ``indent`` cells before it; without an indent,
     `join` cannot separate paragraphs.
     """
     if columns < indent + 2 or rows < 1:
@@ -32,8 +32,8 @@ def lay_out(
 
 
 def join(pages: Pages, columns: int | None = None) -> list[str]:
-    """Return the paragraphs of laid out pages; a line begins one if it begins with a blank cell or
-    follows an empty line."""
+    """Join lines of pages to paragraphs. A paragraph begins at a line that starts with a blank cell
+    or follows an empty line."""
     lines = [line for page in pages for line in page]
     columns = columns or max(map(len, lines), default=0)
     paragraphs: list[str] = []
@@ -76,5 +76,5 @@ def _fits(line: str, columns: int) -> bool:
 
 
 def _is_continued(line: str, columns: int) -> bool:
-    """Return whether a line marks its last word as continued; only full ones can."""
+    """Return whether a line ends with the continuation indicator; only full lines can."""
     return len(line) == columns and line.endswith(CONTINUED)

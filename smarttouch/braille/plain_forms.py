@@ -1,4 +1,4 @@
-"""Plain forms of signs for which a Braille code has no cells."""
+"""Plain forms of characters for which a Braille code has no cells."""
 
 import itertools
 import re
@@ -9,8 +9,8 @@ QUIET = {
     **dict.fromkeys("“”„‟«»", '"'), **dict.fromkeys("‘’‚‛‹›", "'"), **dict.fromkeys("‐‑–—―", "-"),
     "…": "...", "-": "\u00ad",
 }  # fmt: skip
-"""Forms that differ by typeface only, of which no note is given. The Italian table of liblouis has
-the cell of a hyphen for soft ones."""
+"""Forms that differ only by typeface and are not reported. The soft hyphen is here because
+liblouis' Italian table shows it as a hyphen."""
 _FORMS = QUIET | {
     "−": "-", "⁄": "/", "∕": "/", "×": "x", "÷": "/", "·": ".", "⋅": ".", "≤": "<=", "≥": ">=",
     "≠": "/=", "≈": "~", "±": "+-", "→": "->", "←": "<-", "↔": "<->", "⇒": "=>", "′": "'",
@@ -20,16 +20,17 @@ _FORMS = QUIET | {
     "}": ")", "`": "'", "°": " degrees ", "§": "section ", "©": "(c)", "®": "(R)", "№": "No.",
     "¡": "", "¿": "", **dict.fromkeys("•◦▪‣●○■□▸►❖➢⁃\uf0b7\uf0a7\uf0d8\uf0fc\uf076", "*"),
 }  # fmt: skip
-"""Forms that Unicode does not tell, bullets of symbol fonts among them."""
+"""Forms that Unicode does not define, including bullets of symbol fonts."""
 _LATIN = re.compile(r"LATIN (SMALL|CAPITAL) (?:LETTER|LIGATURE) ([A-Z]{1,2})(?: WITH .*)?")
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (?:.* )?([A-Z]+?)(?: SYMBOL)?(?: WITH .*)?")
 
 
 def plain_forms(text: str, lacks: Callable[[str], bool]) -> tuple[str, dict[str, str]]:
-    """Return a text without the signs that a code lacks, and the form of each; "" if it has none.
+    """Replace characters that a code lacks by plain forms; return the text, and the form of each
+    ("" if it has none).
 
-    A superscript is ``^6``, a subscript ``_2``, a fraction after a number ``1 1/2``: no number
-    becomes another one.
+    A superscript becomes ``^6``, a subscript ``_2``, a fraction after a number ``1 1/2``, so that
+    no number changes its value.
     """
     lacking = set(filter(lacks, set(text)))
     for mark, run in itertools.groupby(text, _script):
@@ -51,21 +52,21 @@ def plain_forms(text: str, lacks: Callable[[str], bool]) -> tuple[str, dict[str,
                 number = parts and parts[-1][-1:].isdigit() and "/" in forms[sign]
                 parts.append(f" {forms[sign]}" if number else forms[sign])
     for k in range(1, len(parts)):
-        # Without brackets a digit that follows would belong to the power.
+        # Without brackets a following digit would belong to the exponent.
         if parts[k][:1].isdigit() and len(parts[k - 1]) > 1 and parts[k - 1][0] in "^_":
             parts[k - 1] = f"{parts[k - 1][0]}({parts[k - 1][1:]})"
     return "".join(parts), forms
 
 
 def _script(sign: str) -> str:
-    """Return ``^`` for a raised sign, ``_`` for a lowered one, "" for others."""
+    """Return ``^`` for a superscript, ``_`` for a subscript, else ""."""
     kind, _, form = unicodedata.decomposition(sign).partition(" ")
     raised = kind == "<super>" and sign not in "ªº" and " " not in form
     return "^" if raised else "_" if kind == "<sub>" else ""
 
 
 def _form(sign: str, lacks: Callable[[str], bool], within: str = "") -> str | None:
-    """Return the first form of a sign for which a code has cells, or a form of its parts."""
+    """Return the first form of a character that the code has, or else a form made of its parts."""
     within += sign
     for form in _candidates(sign):
         if set(form).isdisjoint(within):

@@ -1,1 +1,1 @@
-"""A frame becomes a tactile image: ink separated from paper and averaged under every electrode."""
+"""Conversion of frames to tactile images."""

@@ -1,18 +1,18 @@
-"""Image under the array: a window of its size, without the optics of a source."""
+"""Image under the array, for reading without the optics of a source."""
 
 from smarttouch.imaging.registration import PIXELS_PER_CELL
 from smarttouch.profile import Profile
 
 FEWEST_ROWS = 4  # fewest rows on which letters can be distinguished
-SAMPLES_PER_PITCH = 4  # pulses of an electrode while the text moves by one cell
+SAMPLES_PER_PITCH = 4  # pulses of an electrode while the text moves by one pitch
 _PRESS = 1.1  # reading force of a virtual finger, relative to the profile's full force
 
 
 def profile_for_reading(profile: Profile) -> Profile:
-    """Return a profile whose frames are the image under the array, at a scale of 1.
+    """Return a copy of a profile whose frames are the image under the array, at scale 1.
 
-    Text that is read comes from no optical source, so optics, registration and flat field are
-    not applied.
+    Read text does not come from an optical source, so optics, registration and flat field are
+    removed.
     """
     width_mm, height_mm = profile.electrodes.extent_mm
     pixel_mm = pixel_pitch_mm(profile)
@@ -40,13 +40,13 @@ def pixel_pitch_mm(profile: Profile) -> float:
 
 
 def usual_speed_mm_s(profile: Profile, rate_hz: float | None = None) -> float:
-    """Return the speed at which each electrode pulses often enough per cell width, mm/s."""
+    """Return the speed at which electrodes pulse `SAMPLES_PER_PITCH` times per pitch, mm/s."""
     rate_hz = profile.pulse.rate_hz if rate_hz is None else rate_hz
     return profile.electrodes.cell_mm[0] * rate_hz / SAMPLES_PER_PITCH
 
 
 def reading_force_n(profile: Profile) -> float:
-    """Return the force of a reading finger, N: enough for full intensity."""
+    """Return the force of a virtual finger, N, sufficient for full intensity."""
     return _PRESS * profile.force.full_n
 
 

@@ -1,4 +1,4 @@
-"""Values of electrodes where they passed, put back together into an image."""
+"""Reconstruction of images from the values of moving electrodes."""
 
 import math
 from collections.abc import Callable
@@ -13,7 +13,7 @@ Floats = NDArray[np.float32]
 
 
 class Raster:
-    """Sum of the values at each pixel, or the strongest; values outside are dropped."""
+    """Sum or maximum of values at pixels; values outside are dropped."""
 
     def __init__(self, shape: tuple[int, int], strongest: bool = False) -> None:
         self.value: Floats = np.zeros(shape, np.float32)
@@ -28,24 +28,25 @@ class Raster:
         np.add.at(self.count, (row[on], column[on]), 1)
 
     def mean(self, spread: Callable[[Floats], Floats]) -> Floats:
-        """Return the mean at every pixel after spreading; 0 where there is none."""
+        """Return the mean at each pixel, after blurring sum and count with ``spread``; 0 without
+        values."""
         total, count = spread(self.value), spread(self.count)
         return np.divide(total, count, out=np.zeros_like(total), where=count > 1e-6)
 
 
 def as_ink(values: Floats) -> NDArray[np.uint8]:
-    """Return values in [0, 1] as grey levels; 255 is nothing, 0 the strongest."""
+    """Convert values in [0, 1] to gray levels: 255 is 0, and 0 is the strongest."""
     return np.asarray(np.rint(255 * (1 - np.clip(values, 0, 1))), np.uint8)
 
 
 PIXELS_PER_PITCH = 4
 _BLUR_X, _BLUR_Y = 0.4, 0.55
-"""Standard deviations by which values are spread, in cells: just enough to fill the gap between
-two rows. Found on printed lines."""
+"""Standard deviations of the blur, in cells: just sufficient to fill gaps between rows. Determined
+on printed lines."""
 
 
 class LinePicture:
-    """Averages the values of electrodes at the places they passed along a line."""
+    """Averages the values of electrodes at the places that they passed along a line."""
 
     def __init__(self, electrodes: ElectrodeArray, length_mm: float) -> None:
         self._pixel_mm = min(electrodes.cell_mm) / PIXELS_PER_PITCH
@@ -60,12 +61,12 @@ class LinePicture:
         self._raster = Raster((height, max(1, width)))
 
     def add(self, x_mm: float, values: NDArray[np.float32]) -> None:
-        """Add the activation of electrodes with the array's middle at ``x_mm``, (E,) in [0, 1]."""
+        """Add the activation, (E,) in [0, 1], with the array's middle at ``x_mm``."""
         column = np.rint(self._column + x_mm / self._pixel_mm).astype(np.intp)
         self._raster.add(self._row, column, values)
 
     def values(self) -> NDArray[np.float32]:
-        """Return the mean at every place, (H, W) in [0, 1], interpolated between values."""
+        """Return the mean at each place, (H, W) in [0, 1], interpolated."""
         x, y = self._sigma
         edge = cv2.BORDER_CONSTANT
         return self._raster.mean(
@@ -73,8 +74,8 @@ class LinePicture:
         )
 
     def at(self, x_mm: NDArray[np.floating], y_mm: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the mean at places from the line's left end and the top, (N,)."""
-        # Rounding may be off by a pixel.
+        """Return the mean at places, (N,), measured from the left end and the top."""
+        # Rounding may shift by one pixel.
         total, count = (
             cv2.boxFilter(plane, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
             for plane in (self._raster.value, self._raster.count)
@@ -85,7 +86,7 @@ class LinePicture:
         return np.asarray(total[row, column] / np.maximum(count[row, column], 1), np.float32)
 
     def picture(self, height: int) -> NDArray[np.uint8]:
-        """Return it as grey levels, (height, W) uint8."""
+        """Return the line as gray levels, (height, W) uint8."""
         grey = as_ink(self.values())
         size = (max(1, round(grey.shape[1] * height / grey.shape[0])), height)
         method = cv2.INTER_CUBIC if height > grey.shape[0] else cv2.INTER_AREA

@@ -1,4 +1,4 @@
-"""Registration of sensor to electrodes: the pixels of each electrode."""
+"""Registration of the sensor with the electrodes: the pixels under each electrode."""
 
 import math
 from functools import lru_cache
@@ -13,25 +13,24 @@ from smarttouch.profile import Optics
 from smarttouch.profile.electrodes import ElectrodeArray
 
 PIXELS_PER_CELL = 8
-"""Working pixels across one electrode's cell; finer frames are averaged down first."""
-_SAMPLES = 6  # sub-pixel samples per axis when the overlap of cell and pixel is measured
+"""Pixels across the cell of an electrode; finer frames are reduced to this."""
+_SAMPLES = 6  # samples per pixel and axis for the overlap of cell and pixel
 
 
 class Apertures(NamedTuple):
-    """Pixels under the electrodes of an array, up to P of each."""
+    """Pixels under each electrode, at most P."""
 
     pixel: NDArray[np.intp]  # (P, E)
-    share: NDArray[np.float32]  # (P, E) part of each pixel of 255 in the mean, or 0
+    share: NDArray[np.float32]  # (P, E) weight of each pixel in the mean, divided by 255
 
 
 class Registration:
-    """Averages the ink under each electrode's own aperture.
+    """Averages the ink under the aperture of each electrode.
 
-    A cell of the array, divided by the magnification, is a rectangle on the page, which a tilted
-    camera sees as a quadrilateral. Each electrode gets the area-weighted mean over that; a bare
-    warp would sample single pixels and alias. Frames are binarized at `working_shape`, never finer
-    than `PIXELS_PER_CELL` needs. A homography that no camera over the page can have raises a
-    ProfileError.
+    The aperture is the cell of the array divided by the magnification: a rectangle on the page, a
+    quadrilateral in the image of a tilted camera. The value is the area-weighted mean; sampling
+    single pixels would alias. Frames are binarized at `working_shape`, which follows from
+    `PIXELS_PER_CELL`. Raises ProfileError for an impossible homography.
     """
 
     def __init__(
@@ -53,7 +52,7 @@ class Registration:
         self.apertures: Apertures = _apertures(electrodes, optics, self.working_shape)
 
     def reduce(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a frame averaged to the working shape, overwritten by the next call."""
+        """Reduce a frame to the working shape; the next call overwrites the result."""
         for average, kind in self._averages:
             cv2.resize(image, average.shape[::-1], dst=average, interpolation=kind)
             image = average
@@ -61,22 +60,23 @@ class Registration:
 
 
 def _whole(side: float) -> int:
-    """Return the next whole number, ignoring rounding errors."""
+    """Round up to an integer, with a tolerance for rounding errors."""
     return math.ceil(side * (1 - 1e-9))
 
 
 def _reduced_side(side: int, wanted: int) -> int:
-    """Return ``side`` over the largest whole number, as OpenCV averages faster by these, that
-    leaves ``wanted`` or more."""
+    """Return ``side`` divided by the largest integer that leaves at least ``wanted``: OpenCV
+    reduces faster by integers."""
     factors = range(max(1, side // wanted), 0, -1)
     return side // next(factor for factor in factors if side % factor == 0)
 
 
 def _averages(shape: tuple[int, int], to: tuple[int, int]) -> list[tuple[tuple[int, int], int]]:
-    """Return the shapes by which one is averaged to another, and OpenCV's name of the average.
+    """Return the shapes of the steps that reduce one shape to another, with OpenCV's method for
+    each.
 
-    Halves are averaged ten times faster than other parts, so they come first. Between two pixels
-    a linear interpolation is their mean.
+    Halving is ten times faster than other factors, so it comes first: linear interpolation between
+    two pixels is their mean.
     """
     averages = []
     down, across = shape[0] // to[0], shape[1] // to[1]
@@ -104,7 +104,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
     y = center[:, 1, None] + dy.ravel()
     across_frame, down_frame = _on_frame(x, y, optics)
     column, row = np.floor(across_frame * columns), np.floor(down_frame * rows)
-    # What lies outside the field of view is not seen: those samples count as paper.
+    # Samples outside of the field of view count as paper.
     seen = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     electrode = np.broadcast_to(np.arange(len(electrodes))[:, None], seen.shape)
     pixel = (row[seen] * columns + column[seen]).astype(np.int64)
@@ -114,7 +114,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
     nth = np.arange(len(pixel_index)) - (counts.cumsum() - counts)[electrode]
     pixels = np.zeros((counts.max(initial=0), len(electrodes)), np.intp)
     shares = np.zeros(pixels.shape, np.float32)
-    # One sample's share, added up in single precision.
+    # Multiples of one sample's weight, added in single precision.
     weights = np.full(samples.max(initial=1), 1 / (255 * across * down), np.float32)
     pixels[nth, electrode], shares[nth, electrode] = pixel, weights.cumsum()[samples - 1]
     return Apertures(pixels, shares)
@@ -123,7 +123,7 @@ def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int
 def _on_frame(
     x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], optics: Optics
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return places on the page as parts of a frame's sides, NaN behind a tilted camera."""
+    """Return places on the page relative to the sides of a frame; NaN behind a tilted camera."""
     if optics.homography is None:
         turn = math.radians(optics.rotation_deg)
         cos, sin = math.cos(turn), math.sin(turn)
@@ -132,7 +132,7 @@ def _on_frame(
         return across / optics.field_width_mm + 0.5, down / optics.field_height_mm + 0.5
     a, b, c, d, e, f, g, h, one = optics.homography
     before = g * x_mm + h * y_mm + one
-    # In front of the camera is the side on which the middle of the array lies.
+    # The middle of the array is in front of the camera.
     before = np.where(before * np.sign(one) > 1e-9, before, np.nan)
     column, row = (a * x_mm + b * y_mm + c) / before, (d * x_mm + e * y_mm + f) / before
     return (column + 0.5) / optics.sensor_columns, (row + 0.5) / optics.sensor_rows
@@ -141,9 +141,9 @@ def _on_frame(
 def _field_mm(
     electrodes: ElectrodeArray, optics: Optics, finest: bool = False
 ) -> tuple[float, float]:
-    """Return the width and height of a frame on the page, at one electrode's scale throughout.
+    """Return width and height of a frame on the page, extrapolated from the scale at one electrode.
 
-    A tilted camera sees some electrodes coarser than others: the coarsest counts, or the finest.
+    With a tilted camera the scale varies: take the coarsest or the finest electrode.
     """
     if optics.homography is None:
         return optics.field_width_mm, optics.field_height_mm
@@ -152,12 +152,12 @@ def _field_mm(
     middle = np.array(_on_frame(x_mm, y_mm, optics))
     right = np.array(_on_frame(x_mm + step_mm, y_mm, optics)) - middle
     down = np.array(_on_frame(x_mm, y_mm + step_mm, optics)) - middle
-    # Parts of the frame per millimeter, along its rows and along its columns.
+    # Frame sides per millimeter, along rows and along columns.
     parts = np.hypot(right, down) / step_mm
     chosen = parts.max(axis=1) if finest else parts.min(axis=1)
     if not ((chosen > 0) & (chosen * min(electrodes.cell_mm) <= optics.magnification)).all():
         raise ProfileError(
-            "optics.homography puts some electrode outside the camera's view, or covers less than "
+            "optics.homography puts an electrode outside of the camera's view, or covers less than "
             "one: calibrate the registration again, or remove it",
             key="optics.homography",
         )

@@ -1,4 +1,4 @@
-"""A frame becomes a tactile image: binarized or natural, averaged under every electrode."""
+"""Conversion of frames to tactile images: ink is detected and averaged under each electrode."""
 
 import math
 from dataclasses import dataclass
@@ -14,23 +14,25 @@ from smarttouch.imaging.registration import Registration
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame
 
-LEAST_CONTRAST = 0.115  # of print, relative to white paper
+LEAST_CONTRAST = 0.115  # smallest contrast of print, relative to white paper
 LEAST_GRAINS, PALE = 4.0, 0.3
-"""Least contrast of print in depths of the paper's grain, and contrast above which grain is low."""
-BLURRED = 0.3  # contrast at which blurred ink begins, unless that is above six tenths of its own
-GREY_GUARD = 0.41  # part of a frame with levels between paper and ink, above which it is noise
-BLACK = 0.2  # part of the white below which areas wider than strokes are print, not a dark table
-WHITE_DECAY_PER_S = 0.3  # rate at which the white may fall: it outlasts a black headline
-_SAMPLES = 32  # rows and columns of the sample from which levels are taken
+"""Smallest contrast of print relative to the paper's grain, and contrast above which grain is
+ignored."""
+BLURRED = 0.3  # contrast at which blurred ink begins, at most 0.6 of its own contrast
+GREY_GUARD = 0.41  # share of pixels between paper and ink above which a frame is noise
+BLACK = 0.2  # level, relative to white, below which wide areas are print, not a dark table
+WHITE_DECAY_PER_S = 0.3  # rate at which the white level falls: slow enough for a black headline
+_SAMPLES = 32  # rows and columns of the sample from which levels are estimated
 
 
 class Binarizer:
-    """Separates ink from paper, frame after frame of one shape.
+    """Separates ink from paper in successive frames of one shape.
 
-    The threshold is halfway between paper and ink, or deeper in a blurred frame. The paper is the
-    frame without spots narrower than half of it, so neither a shadow nor a table is ink. Only
-    black areas may be wider: they are compared with the white of the frames before. A frame stays
-    silent if its contrast is low, or if many levels lie between paper and ink, as in noise.
+    The threshold is halfway between paper and ink, or darker in a blurred frame. The paper level is
+    the frame after removal of dark spots narrower than half of it, so that shadows and tables are
+    not ink. Only black areas may be wider: they are compared with the white level of earlier
+    frames. A frame has no ink if its contrast is low, or if many pixels lie between paper and ink,
+    as in noise.
     """
 
     def __init__(self, shape: tuple[int, int], light_on_dark: bool = False) -> None:
@@ -42,9 +44,9 @@ class Binarizer:
         self._time_ns = 0
 
     def ink(self, image: NDArray[np.uint8], time_ns: int, touching: bool) -> NDArray[np.uint8]:
-        """Return 255 where an image, (H, W) uint8, has ink, else 0.
+        """Return a mask, (H, W) uint8, 255 for ink.
 
-        A lifted finger may land anywhere: its white is that of the frame.
+        While the finger is lifted, the white level is that of the frame.
         """
         image = ~image if self._light_on_dark else image
         sample = cv2.blur(image, (3, 3))[self._sample]
@@ -67,20 +69,20 @@ class Binarizer:
 
 
 ADAPTATION_S = 0.04
-"""Time constant of the adaptation to ink that stays. Ours: longer than between two
-pulses of RA, and so short that a stroke at reading speed does not smear over the next letter."""
+"""Time constant of adaptation to constant ink. Our choice: longer than the period of RA pulses, but
+short enough that a stroke at reading speed does not smear over the next letter."""
 LEAVING = 0.4
-"""Drive of leaving ink, relative to arriving: RA responds less to the end of a touch. (At full
-strength the stroke that has just left would be felt beside the one that is there.)"""
-FAINTEST_CHANGE = 0.15  # least change above the sensor's noise
+"""RA drive by leaving ink relative to arriving ink: RA responds less to the end of a touch. At full
+strength, the stroke that has left would be felt beside the current one."""
+FAINTEST_CHANGE = 0.15  # smallest change above sensor noise
 
 
 class NaturalDrive:
-    """Splits a tactile image into its changes and its sustained part.
+    """Splits a tactile image into changes, for RA, and a sustained part, for SAI.
 
-    Each electrode keeps a slow memory of its activation. What differs from it is an edge on the
-    move and drives RA, on arrival and on leaving; what the memory agrees with drives SAI. After
-    `last_ns` of None, as on a finger that has just landed, all is new.
+    Each electrode has a low-pass memory of its activation. The difference from the memory is the
+    change, by ink that arrives or leaves; the rest is sustained. With `last_ns` None, as after the
+    finger landed, all ink is new.
     """
 
     def __init__(self, electrodes: int) -> None:
@@ -94,7 +96,8 @@ class NaturalDrive:
         time_ns: int,
         touching: bool,
     ) -> None:
-        """Fill rows RA and SAI of zeros (3, E) from ink, (E,); without touch all ink is new."""
+        """Set the rows RA and SAI of ``activation``, (3, E), from ink, (E,); without touch all ink
+        is new."""
         if self.last_ns is None or not touching:
             self._slow[:] = 0
         change, sustained = activation[Afferent.RA], activation[Afferent.SAI]
@@ -108,27 +111,27 @@ class NaturalDrive:
         change[change < 0] *= -LEAVING
         change -= FAINTEST_CHANGE
         change *= 1 / (1 - FAINTEST_CHANGE)
-        # On a few numbers, quicker than np.clip.
+        # For small arrays this is faster than np.clip.
         np.maximum(change, 0, out=change)
         np.minimum(change, 1, out=change)
 
 
-FAINTEST_INK = 0.15  # fraction of ink in a cell below which its electrode is not active
-FULLEST_INK = 0.5  # fraction of ink in a cell from which its electrode is fully active
+FAINTEST_INK = 0.15  # share of ink in a cell below which the electrode is not active
+FULLEST_INK = 0.5  # share of ink in a cell above which the electrode is fully active
 
 
 @dataclass(frozen=True)
 class Tone:
     """Tone curve from ink under an electrode to activation."""
 
-    faintest: float = FAINTEST_INK  # fraction of ink in a cell from which its electrode is active
-    # fraction from which it is fully so; if `faintest`, electrodes are on or off
+    faintest: float = FAINTEST_INK  # share of ink above which an electrode is active
+    # share of ink for full activation; if equal to `faintest`, electrodes are on or off
     fullest: float = FULLEST_INK
-    prepared: bool = False  # whether frames are ink on pure white already: nothing is thresholded
+    prepared: bool = False  # whether frames are already ink on pure white, without a threshold
 
 
 class TactileMapper:
-    """Maps frames to tactile images by a profile's array and optics."""
+    """Maps frames to tactile images for a profile's array and optics."""
 
     def __init__(
         self, profile: Profile, light_on_dark: bool = False, tone: Tone | None = None
@@ -150,15 +153,15 @@ class TactileMapper:
         self._inverted = np.empty(self._registration.working_shape, np.uint8)
 
     def map(self, frame: Frame, mode: Mode) -> TactileImage:
-        """Return the activation of each electrode, in the rows that a mode drives.
+        """Return the activation of each electrode, in the rows of the mode's classes.
 
-        Activation rises with the part of the electrode's cell that is ink, as the tone has it:
-        graded edges carry more of a letter's shape than cells that are on or off. Color is a
-        ScheduleError, as only stimuli have the activation of each class.
+        Activation increases with the share of ink in the electrode's cell by the tone curve:
+        gradual edges preserve more of a letter's shape than binary cells. Raises ScheduleError for
+        mode color, which needs stimuli.
         """
         if mode is Mode.COLOR:
             raise ScheduleError(
-                "mode color is for stimuli, and this source gives images: choose RA"
+                "mode color needs stimuli, but this source delivers images: choose RA"
             )
         if frame.image.shape != self._registration.frame_shape:
             self._prepare((frame.image.shape[0], frame.image.shape[1]))
@@ -170,7 +173,7 @@ class TactileMapper:
             inked = np.asarray(cv2.bitwise_not(reduced, dst=self._inverted), np.uint8)
         else:
             inked = self._binarizer.ink(reduced, frame.time_ns, touching)
-        # Row after row, so that the same frame has the same mean to the bit everywhere.
+        # Add row by row, so that results are bitwise equal on all machines.
         pixel, share = registration.apertures
         ink: NDArray[np.float32] = np.add.reduce(inked.reshape(-1).take(pixel) * share, axis=0)
         activation = np.zeros((len(Afferent), len(ink)), np.float32)

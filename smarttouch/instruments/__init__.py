@@ -1,1 +1,2 @@
-"""Textures under a moving hand, vibrations in three primary colors, and drawn patterns."""
+"""Sources of stimuli: textures under a moving hand, vibrations in tactile primary colors, and
+patterns of other programs."""

@@ -1,8 +1,8 @@
-"""Responses of three classes mixed into one train of stimuli, at chosen electrodes.
+"""Mixing of the responses of three classes into one train of stimuli, at chosen electrodes.
 
-Each class keeps its own pulses: RA and PC locked to the phase of the vibration, at every
-cycle or, where cycles come faster than the board can follow, at every second, third ...;
-SAI at the rate that follows pressure. A sequence carries pulses of several classes.
+RA and PC pulses are phase-locked to the vibration: one for each cycle or, if the board is too slow,
+for every second, third ... cycle. The rate of SAI pulses follows pressure. A sequence may contain
+pulses of several classes.
 """
 
 import math
@@ -27,8 +27,8 @@ from smarttouch.stimulation.slots import perceived_at
 
 
 def disc(profile: Profile) -> NDArray[np.intp]:
-    """Return the driven electrodes in the middle of the array, (S,), ascending: the nearest, and
-    all within one pitch."""
+    """Return the driven electrodes within one pitch of the middle of the array, at least one, (S,),
+    ascending."""
     electrodes = profile.electrodes
     off_mm = electrodes.position_mm[profile.driven] - electrodes.position_mm.mean(axis=0)
     away_mm = np.hypot(off_mm[:, 0], off_mm[:, 1])
@@ -36,10 +36,10 @@ def disc(profile: Profile) -> NDArray[np.intp]:
 
 
 def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the electrodes whose stimulation of a class is perceived at sites, (S',).
+    """Return the electrodes to stimulate so that a class is perceived at sites, (S',).
 
-    They differ from the sites where the profile shifts the class (paper, Section III-B.4), and are
-    fewer where the array ends.
+    They differ from the sites by the profile's shift of the class (paper, Section III-B.4).
+    Electrodes beyond the array are left out.
     """
     places = perceived_at(profile, afferent)
     if places is None:
@@ -49,7 +49,7 @@ def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) ->
 
 
 def parse_places(profile: Profile, sites: str | None) -> NDArray[np.intp]:
-    """Return the electrodes that a list such as 27,28,35-36 names, or all, or a `disc`."""
+    """Parse a list of electrodes such as 27,28,35-36, or all; None means `disc`."""
     if sites is None:
         return disc(profile)
     if sites == "all":
@@ -61,7 +61,8 @@ Times = NDArray[np.int64]
 
 
 def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
-    """Return the shortest sequence with so many slots within the profile's limits, µs."""
+    """Return the shortest period of a sequence with this number of slots within the profile's
+    limits, µs."""
     pulse, limits = profile.pulse, profile.limits
     within_us = max(slots * pulse.width_us / limits.duty, 1e6 / limits.rate_hz)
     return timing.shortest_period_us(
@@ -70,10 +71,10 @@ def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
 
 
 def thinned(time_us: Times, least_us: int) -> Times:
-    """Return as many of ascending times as possible that are at least an interval apart."""
+    """Return as many of the ascending times as possible, at least ``least_us`` apart."""
     kept_us, free_us = [], -math.inf
     for pulse_us in time_us.tolist():
-        # Times are whole microseconds: a regular train may tremble by one.
+        # Times are rounded to µs, so tolerate 1 µs.
         if pulse_us >= free_us - 1:
             kept_us.append(pulse_us)
             free_us = pulse_us + least_us
@@ -81,12 +82,13 @@ def thinned(time_us: Times, least_us: int) -> Times:
 
 
 def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.intp]]]:
-    """Return the starts of sequences, and for each train the sequence of each of its pulses.
+    """Merge trains of pulses into sequences.
 
-    A pulse that comes sooner than half of the shortest sequence after a sequence's start joins it,
-    any other starts a new one: when it is due, or when the sequence before is over. So none is
-    moved by more than half of the shortest sequence. Trains are (K,) int64, µs, rising; no two
-    times of one train are closer than `least_us`, less a microsecond.
+    Return the starts of sequences and, for each train, the sequence of each pulse. A pulse within
+    half of the shortest period after the start of a sequence joins it. Any other pulse starts a new
+    sequence, when it is due or when the last sequence is over. So no pulse moves by more than half
+    of the shortest period. Trains are (K,) int64, µs, ascending, with distances of at least
+    `least_us` minus 1 µs.
     """
     events = sorted(
         (pulse_us, row) for row, train in enumerate(trains) for pulse_us in train.tolist()
@@ -104,37 +106,37 @@ def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.i
 
 
 PC_RATE_HZ = 150.0
-"""Most pulses of PC a second, so one for every second cycle at its best frequency. Ours; faster
-ones were of little use to the paper's subjects in PC mode (Section III-C.1, above 100 Hz)."""
-VIBRATION_US = 20_000  # interval of new amplitudes of a vibrator; our own choice
+"""Largest rate of PC pulses: one for every second cycle at its best frequency (our choice). Higher
+rates were of little use to the paper's subjects in PC mode (Section III-C.1, above 100 Hz)."""
+VIBRATION_US = 20_000  # interval between amplitudes for a vibrator (our choice)
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """A train of stimuli."""
+    """Train of stimuli of several classes."""
 
-    time_us: Times  # (R,) int64, µs: when each is to be made, rising
-    drive: NDArray[np.float32]  # (R, 3) float32, in [0, 1]: of each class then; 0 is no pulse
-    sites: NDArray[np.intp]  # (S,): electrodes that pulse
+    time_us: Times  # (R,) int64, µs: time of each stimulus, ascending
+    drive: NDArray[np.float32]  # (R, 3) float32, in [0, 1]: drive of each class; 0 means no pulse
+    sites: NDArray[np.intp]  # (S,): stimulated electrodes
     electrodes: int  # E
-    end_us: int  # when all is over
-    least_us: int  # the shortest sequence that carries pulses of all classes
-    ideal_us: dict[Afferent, Times]  # (K,) int64, µs: when each pulse of a class should be
-    carried: dict[Afferent, NDArray[np.intp]]  # (K,): which stimulus carries it
-    left_out: tuple[Afferent, ...]  # classes that answer, but the board cannot drive
-    vibrated: bool  # whether the row of PC is for a vibrator, held until the next stimulus
+    end_us: int  # end of the last stimulus
+    least_us: int  # shortest period of a sequence with pulses of all classes
+    ideal_us: dict[Afferent, Times]  # (K,) int64, µs: ideal time of each pulse of a class
+    carried: dict[Afferent, NDArray[np.intp]]  # (K,): index of the stimulus with that pulse
+    left_out: tuple[Afferent, ...]  # classes that respond, but that the board cannot stimulate
+    vibrated: bool  # whether the PC drive is for a vibrator, held until the next stimulus
     answers: Mapping[Afferent, ReceptorResponse]  # response of each class to the trace
 
     @property
     def mode(self) -> Mode:
-        """Mode in which its stimuli are processed: of the class, where it is a single one."""
+        """Mode for its stimuli: that of the class if there is a single one, else color."""
         if len(self.ideal_us) == 1 and not self.vibrated:
             return Mode[next(iter(self.ideal_us)).name]
         return Mode.COLOR
 
     @property
     def stimuli(self) -> list[Stimulus]:
-        """All stimuli, of unknown force; each lasts until the next one."""
+        """All stimuli, without force; each lasts until the next one."""
         periods = np.diff(self.time_us, append=self.end_us)
         return [
             Stimulus(self.at_sites(drive), 1000 * int(time), math.nan, int(period))
@@ -142,7 +144,7 @@ class Mixture:
         ]
 
     def at_sites(self, drive: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the activation of each class's drive, (3,), at all sites, (3, E)."""
+        """Return the activation, (3, E), for a drive of each class, (3,), at all sites."""
         activation = np.zeros((len(Afferent), self.electrodes), np.float32)
         activation[:, self.sites] = drive[:, None]
         return activation
@@ -154,13 +156,12 @@ class Mixture:
 
 def mix_colors(
     trace: Trace,
-    # its force law sets the pressure at which SAI is driven in full, its limits how fast sequences
-    # may follow one another
+    # its force law defines the force of full SAI drive, its limits the shortest period
     profile: Profile,
-    bank: KernelBank,  # its kernels determine which classes the board can drive
-    sites: Collection[int] | None = None,  # electrodes that pulse; those of `disc` if not given
-    timing: ScanTiming | None = None,  # scan timing fixed by the board
-    vibrated: bool = False,  # whether a mechanical vibrator drives PC
+    bank: KernelBank,  # its kernels determine which classes the board can stimulate
+    sites: Collection[int] | None = None,  # stimulated electrodes; `disc` by default
+    timing: ScanTiming | None = None,  # timing of the board's scans
+    vibrated: bool = False,  # whether a mechanical vibrator stimulates PC
 ) -> Mixture:
     """Return the pulses that reproduce a trace.
 
@@ -186,9 +187,9 @@ def mix_colors(
     electrical = [afferent for afferent in pulsing if not (shaking and afferent is Afferent.PC)]
     if len(electrical) > 1 and (timing.whole_hz or timing.every_electrode or timing.in_index_order):
         raise ScheduleError(
-            f"{_names(electrical)} respond to this, each at a rate of its own, "
-            "and this board scans all electrodes at one rate: choose another board, or "
-            "a stimulus that one class alone responds to"
+            f"{_names(electrical)} respond to this, each at its own rate, "
+            "but this board scans all electrodes at one rate: choose another board, or "
+            "a stimulus to which only one class responds"
         )
     least_us = shortest_us(profile, len(places) * max(1, len(electrical)), timing)
     ideal = {}
@@ -224,7 +225,7 @@ def _drivable(
     places: NDArray[np.intp],
     vibrated: bool,
 ) -> tuple[list[Afferent], tuple[Afferent, ...]]:
-    """Return the classes that respond and can be driven, and those that cannot."""
+    """Return the responding classes that the board can stimulate, and those that it cannot."""
     drivable = [
         afferent
         for afferent in Afferent
@@ -235,9 +236,9 @@ def _drivable(
     left_out = tuple(afferent for afferent in answering if afferent not in drivable)
     if left_out and len(left_out) == len(answering):
         raise ScheduleError(
-            f"only {_names(left_out)} would respond to this, and the "
+            f"only {_names(left_out)} would respond to this, but the "
             f"board of {profile.name} drives {_names(drivable)} at these "
-            "sites: choose another profile, or a stimulus that others respond to, too"
+            "sites: choose another profile, or a stimulus to which other classes respond"
         )
     return [afferent for afferent in answering if afferent in drivable], left_out
 
@@ -250,13 +251,13 @@ def _drive_at(answer: ReceptorResponse, time_us: Times, duration_s: float) -> ND
 
 
 LONGEST_US = 20_000
-"""Longest time between stimuli without a pulse, so that a lifted finger is noticed."""
+"""Longest time without a stimulus, so that a lifted finger is noticed."""
 
 
 class ColorSource(StimulusSource):
-    """Source of the pulses of a mixture in the course of time.
+    """Source of the pulses of a mixture.
 
-    Pulses wait if sequences take longer than foreseen, and those of several stimuli go together.
+    If sequences take longer than planned, pulses wait, and several stimuli are merged.
     """
 
     frames: int
@@ -284,7 +285,7 @@ class ColorSource(StimulusSource):
         self._next += int(np.searchsorted(mixture.time_us[first:], due_us, side="right"))
         drive = mixture.drive[first : self._next].max(axis=0, initial=0.0)
         if mixture.vibrated and first == self._next > 0:
-            # The vibrator goes on with its last amplitude.
+            # The vibrator keeps its last amplitude.
             drive[Afferent.PC] = mixture.drive[first - 1, Afferent.PC]
         more = self._next < len(mixture.time_us)
         wait_us = int(mixture.time_us[self._next] if more else mixture.end_us) - now_us
@@ -295,11 +296,11 @@ class ColorSource(StimulusSource):
 
 
 def notes(mixture: Mixture) -> list[str]:
-    """Return warnings about a mixture, a sentence each."""
+    """Return warnings about a mixture, one sentence each."""
     sentences = []
     if mixture.left_out:
         names = _names(mixture.left_out)
-        sentences.append(f"{names} would answer too, and this board cannot drive it here: left out")
+        sentences.append(f"{names} would respond, but this board cannot stimulate it here")
     for afferent, ideal_us in mixture.ideal_us.items():
         spikes = len(mixture.answers[afferent].spike_s)
         if afferent is not Afferent.PC and len(ideal_us) < 0.9 * spikes:
@@ -319,11 +320,11 @@ def open_vibration(
     display: Display | None = None,
     vibrated: bool = False,
 ) -> ColorSource:
-    """Open ``vibration:SPEC`` or ``vibration:CSV``: what `open_trace` takes, mixed for each class.
+    """Open ``vibration:SPEC`` or ``vibration:CSV``, a trace as for `open_trace`.
 
-    Each class pulses as it would answer the vibration, at ``sites`` (27,28,35-36 or all). The
-    display's board decides what can be mixed; without one, any board can. If ``vibrated``, a
-    mechanical vibrator drives PC.
+    Each class pulses as its receptors would respond, at ``sites`` (27,28,35-36 or all). The
+    display's board determines which classes can be mixed; without a display there is no
+    restriction. If ``vibrated``, a mechanical vibrator stimulates PC.
     """
     trace = open_trace(rest, seconds)
     bank, places = load_bank(profile), parse_places(profile, sites)
@@ -334,7 +335,7 @@ def open_vibration(
     if mixture.pulses(Afferent.PC):
         worst_other = bank.off_target[Afferent.PC].max()
         source.notes.append(
-            f"PC pulses reach another class up to {worst_other:.1f} times as strongly as PC: "
-            "current cannot drive PC alone"
+            f"PC pulses stimulate another class up to {worst_other:.1f} times as strongly as PC: "
+            "current cannot stimulate PC alone"
         )
     return source

@@ -1,4 +1,4 @@
-"""The electric mouse: pulses where a texture passes under the electrodes, and their picture."""
+"""The electric mouse: electrodes pulse when ridges of a texture pass under them."""
 
 import math
 import re
@@ -30,15 +30,16 @@ from smarttouch.sources.source_contract import (
 )
 from smarttouch.views.delivered_drawing import DeliveredDrawing, Under
 
-_UNBOUNDED_MM = (150.0, 100.0)  # part that is shown of a texture without ends
+_UNBOUNDED_MM = (150.0, 100.0)  # shown part of an unbounded texture
 _LONGEST_PX = 1000
-_ROUNDING_MM = 1.0  # by which a page may be off at the edges
+_ROUNDING_MM = 1.0  # tolerance of the page's pointer at the edges
 
 
 class PageMotion(HandMotion):
-    """Motion of the pointer, from the middle of the texture, which the page shows as `sheet`."""
+    """Motion of the pointer over the texture in the run's window, from the middle of the
+    texture."""
 
-    resolution_mm: float = 0.25  # about a pixel of the page
+    resolution_mm: float = 0.25  # about one pixel of the page
 
     def __init__(self, texture: Texture) -> None:
         super().__init__("the pointer over the page")
@@ -51,18 +52,18 @@ class PageMotion(HandMotion):
         self.sheet: Sheet = Sheet(1, picture, corner)
         self.is_shown: bool = False  # whether a window shows the sheet
         self.origin_mm: tuple[float, float] = middle
-        # The page's thread replaces the tuple at once, so it needs no lock.
+        # Replacing the tuple is atomic, so no lock is needed.
         self._place_mm = middle
 
     def move(self, x_mm: float, y_mm: float) -> None:
-        """Move the hand to a place on the texture; ValueError if the sheet does not show it."""
+        """Move the hand to a place on the texture. Raises ValueError outside of the sheet."""
         sides = zip((x_mm, y_mm), self.sheet.corner_mm, self.sheet.page.size_mm, strict=True)
         if not all(-_ROUNDING_MM <= at - low <= size + _ROUNDING_MM for at, low, size in sides):
             raise ValueError(f"{x_mm:g}, {y_mm:g} mm is not on the texture")
         self._place_mm = (x_mm, y_mm)
 
     def read(self, time_ns: int) -> tuple[float, float]:
-        """Return the displacement of the pointer from the middle."""
+        """Return the displacement of the pointer from the middle of the texture."""
         if not self.is_shown:
             raise SourceError("motion=page follows the pointer over a run's page: open its window")
         x, y = self._place_mm
@@ -70,19 +71,19 @@ class PageMotion(HandMotion):
 
 
 SLIDES = 1.5
-"""Distance, in counts, at which a moving hand is followed: to and fro by one count, along both
-axes (2.8 counts from end to end), is then no motion back."""
+"""Distance, in counts, at which the place follows a moving hand: jitter by one count along both
+axes (2.8 counts from end to end) does not move it back."""
 STICKS = 4.5
-"""Counts by which a resting hand must move: the distance behind, and the same to and fro."""
+"""Counts by which a resting hand must move: the following distance plus jitter."""
 
-_ROUNDING = 1 + 1e-6  # tolerance for rounding, as a slide ends at exactly this distance
+_ROUNDING = 1 + 1e-6  # tolerance for rounding at the end of a slide
 
 
 class Deadband:
-    """Place that follows another as a block follows a rubber band: it sticks, then slides behind.
+    """Filter that follows a place with hysteresis, like a block pulled by a rubber band.
 
-    Once the place has stood still for one read, jitter by one count (`resolution_mm`; 0 follows
-    exactly) along both axes never moves it.
+    After the place has rested for one read, jitter by one count (`resolution_mm`) along both axes
+    does not move the result. A resolution of 0 follows exactly.
     """
 
     def __init__(self, resolution_mm: float) -> None:
@@ -91,7 +92,7 @@ class Deadband:
         self._x_mm = self._y_mm = 0.0
 
     def follow(self, x_mm: float, y_mm: float) -> tuple[float, float]:
-        """Return the steadied place of the hand, mm."""
+        """Return the filtered place of the hand, mm."""
         by_x, by_y = x_mm - self._x_mm, y_mm - self._y_mm
         far_mm = math.hypot(by_x, by_y)
         far_enough_mm = self._slides_mm if self._moves else self._sticks_mm
@@ -104,7 +105,7 @@ class Deadband:
 
 
 class TexturePicture(DeliveredDrawing):
-    """Picture of the strongest response at every place: the pulses are too few to average."""
+    """Draws the strongest response at each place: there are too few pulses for a mean."""
 
     strongest: bool = True
     longest_px: int = 3000
@@ -117,7 +118,7 @@ class TexturePicture(DeliveredDrawing):
         self._least, self._most = np.full(2, np.inf), np.full(2, -np.inf)
 
     def watch(self, sent: StepResult) -> None:
-        """Store the pose of a step and the extent of the hand's motion."""
+        """Record the pose of a step and the extent of the motion."""
         super().watch(sent)
         position_mm = (sent.input.pose.x_mm, sent.input.pose.y_mm)
         self._least, self._most = (
@@ -139,17 +140,17 @@ class TexturePicture(DeliveredDrawing):
 
 USUAL_RATE_HZ = 100.0
 FASTEST_HZ = 100.0
-"""Highest rate of pulses that is interpreted correctly (paper, Sections III-B.3 and V)."""
+"""Highest pulse rate that people interpret correctly (paper, Sections III-B.3 and V)."""
 SLOWEST_RATE_HZ = 10.0
 JUMP_MM = 20.0
-"""Between two frames: 2 m/s at 100 Hz. A place that changes by more was lost, and is found again;
-nothing has passed under the finger."""
+"""Largest motion between two frames: 2 m/s at 100 Hz. Larger changes mean that tracking was lost,
+so no ridge counts as passed."""
 _EARLY = 1e-3
-"""Tolerance of the shortest time between two pulses: frames come at whole microseconds."""
+"""Tolerance of the shortest time between two pulses: times are rounded to µs."""
 
 
 class PulseLimit:
-    """Limit of each electrode's pulse rate to a finger's resolution; counts the pulses left out."""
+    """Limits the pulse rate of each electrode, and counts omitted pulses."""
 
     def __init__(self, electrodes: int, fastest_hz: float) -> None:
         self._shortest_ns = int((1 - _EARLY) * 1e9 / fastest_hz)
@@ -157,7 +158,7 @@ class PulseLimit:
         self.left_out: int = 0
 
     def keep(self, wanted: NDArray[np.float32], time_ns: int) -> NDArray[np.float32]:
-        """Return the pulses allowed now, (E,); zero elsewhere."""
+        """Return the allowed pulses, (E,); others become zero."""
         active = wanted > 0
         due = active & (time_ns - self._last_ns >= self._shortest_ns)
         self._last_ns[due] = time_ns
@@ -166,11 +167,11 @@ class PulseLimit:
 
 
 class MouseSource(StimulusSource):
-    """Source of a pulse at each electrode under which a ridge of the texture passes.
+    """Source in which an electrode pulses when a ridge of the texture passes under it.
 
-    So each electrode pulses spatial frequency times speed times a second, the pattern stays where
-    it is in the world, and a hand at rest gets no pulses (paper, Section IV-C). The pose of a
-    stimulus is the middle of the array on the texture, its image what lies under the array.
+    The pulse rate of an electrode is spatial frequency times speed, the pattern stays in place, and
+    a hand at rest receives no pulses (paper, Section IV-C). The pose of a stimulus is the place of
+    the array's middle on the texture; its image is the texture under the array.
     """
 
     frames: int
@@ -181,13 +182,13 @@ class MouseSource(StimulusSource):
     def __init__(
         self,
         texture: Texture,  # texture under the hand
-        motion: HandMotion,  # an open one, which is closed with this
-        # as `profile_for_reading` returns it: frames show what lies under the array
+        motion: HandMotion,  # open motion; the source closes it
+        # result of `profile_for_reading`, so that images show the area under the array
         profile: Profile,
-        mode: Mode = Mode.RA,  # class that pulses: one of RA, SAI and PC
-        rate_hz: float = USUAL_RATE_HZ,  # frames a second
-        # force of a virtual finger, where the motion does not report it; boards that a finger may
-        # be on need another source
+        mode: Mode = Mode.RA,  # class to stimulate: RA, SAI or PC
+        rate_hz: float = USUAL_RATE_HZ,  # frames per second
+        # Force of a virtual finger if the motion does not report one. Real boards need a real
+        # source of force.
         press_n: float | None = None,
     ) -> None:
         super().__init__(f"{texture.title} under {motion.title}")
@@ -196,7 +197,7 @@ class MouseSource(StimulusSource):
             raise SourceError(message)
         words, most_hz = f"a rate of {rate_hz:g} frames a second", profile.limits.rate_hz
         require_within(SourceError, "rate_hz", rate_hz, SLOWEST_RATE_HZ, most_hz, words)
-        # As many as a finger can resolve, and at most half the frames.
+        # Limited by the finger's resolution and by half of the frame rate.
         self.fastest_hz: float = min(FASTEST_HZ, rate_hz / 2)
         self.duration_s: float | None = motion.duration_s
         self.knows_force: bool = motion.knows_force or press_n is not None
@@ -205,7 +206,7 @@ class MouseSource(StimulusSource):
         self.motion: HandMotion = motion
         self.pointer: PageMotion | None = motion if isinstance(motion, PageMotion) else None
         self.mode: Mode = mode
-        self.merged: int = 0  # ridges that passed under an electrode in the same frame as another
+        self.merged: int = 0  # number of ridges that passed together with another one in a frame
         self._electrodes = len(profile.electrodes)
         self._limit = PulseLimit(self._electrodes, self.fastest_hz)
         self._afferent: Afferent = mode.afferents[0]
@@ -226,7 +227,7 @@ class MouseSource(StimulusSource):
         return None if self.pointer is None else self.pointer.sheet
 
     def read(self, time_ns: int) -> Stimulus | None:
-        """Return what passes under the array at a time; None at the end of the motion."""
+        """Return the pulses at a time; None at the end of the motion."""
         moved = self.motion.read(time_ns)
         if moved is None:
             self._sum_up()
@@ -246,11 +247,11 @@ class MouseSource(StimulusSource):
         )  # fmt: skip
 
     def drawing(self, profile: Profile, bank: KernelBank) -> TexturePicture:
-        """Return the drawing of a run's pulses, which are too few to average."""
+        """Return the drawing for this source, see `TexturePicture`."""
         return TexturePicture(profile, bank, (self._afferent,), self.texture)
 
     def close(self) -> None:
-        """Close the motion, and add a note on omitted pulses."""
+        """Close the motion; add a note about omitted pulses."""
         self._sum_up()
         self.motion.close()
         for note in [*self.texture.notes, *self.motion.notes]:
@@ -258,7 +259,7 @@ class MouseSource(StimulusSource):
 
     def _pulses(self, position_mm: tuple[float, float], time_ns: int) -> NDArray[np.float32]:
         before, self._place = self._place, position_mm
-        # Also the first place, whose distance is NaN.
+        # The distance is NaN for the first place.
         if not math.dist(position_mm, before) <= JUMP_MM:
             self._feeler.place(*position_mm)
             return np.zeros(self._electrodes, np.float32)
@@ -299,7 +300,7 @@ class MouseSource(StimulusSource):
 
 
 def open_motion_over(texture: Texture, url: str, profile: Profile, **options: Any) -> HandMotion:
-    """Open a motion by its URL, with what its kind needs of the texture or the profile.
+    """Open a motion by its URL, with options that follow from the texture or the profile.
 
     ``page`` is the pointer over the page of the run's window.
     """
@@ -319,10 +320,11 @@ _MOTION = re.compile("[?&]motion=")
 def open_texture_source(
     rest: str, profile: Profile, *, mode: Mode = Mode.RA, rate_hz: float | None = None
 ) -> MouseSource:
-    """Open ``texture:WHAT?motion=URL``: what `open_texture` takes, under a hand that moves.
+    """Open ``texture:WHAT?motion=URL``: a texture as for `open_texture`, under a moving hand.
 
-    The motion comes last and may have options, as in ``grating:4mm?motion=sweep:3?speed_mm_s=20``;
-    a virtual hand sweeps over the texture without one.
+    The motion is the last option and may have its own, as in
+    ``grating:4mm?motion=sweep:3?speed_mm_s=20``. The default is a virtual hand that sweeps over the
+    texture.
     """
     what, *motions = _MOTION.split(rest, maxsplit=1)
     surface, reading = open_texture(what or "grating:4mm"), profile_for_reading(profile)

@@ -1,6 +1,7 @@
-"""Motion of a hand, opened by URL: a recorded path, a source's pose, a virtual hand, or a mouse.
+"""Motion of a hand, opened by URL: a recorded path, the pose of a source, a virtual hand, or a
+mouse.
 
-A mouse of this machine is read through Linux's evdev: its counts, before any acceleration.
+A mouse is read through Linux's evdev: raw counts without acceleration.
 """
 
 import contextlib
@@ -27,20 +28,19 @@ if TYPE_CHECKING:
     from evdev import InputDevice
 
 _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
-"""Options of a sweep that follow from the texture."""
+"""Options of a sweep that are derived from the texture."""
 
 
 class HandMotion(Device, ABC):
-    """Source of the displacement of a hand, opened by its URL.
+    """Base of sources of a hand's displacement.
 
-    It starts at `origin_mm` of a texture, from its top left corner, known after the first read; in
-    the middle if that is None. `force_n` is that of the finger at the last read, where
-    `knows_force`.
+    The motion starts at `origin_mm` from the texture's top left corner, set by the first read; None
+    means the middle. If `knows_force`, `force_n` is the finger's force at the last read.
     """
 
-    duration_s: float | None = None  # duration of the motion; None if it never ends by itself
+    duration_s: float | None = None  # duration of the motion; None if endless
     resolution_mm: float = 0.0
-    """Resolution of the motion: at rest it may jump to and fro by so much."""
+    """Resolution of the motion, which is also its jitter at rest."""
 
     def __init__(self, title: str) -> None:
         super().__init__(title)
@@ -50,13 +50,13 @@ class HandMotion(Device, ABC):
 
     @abstractmethod
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return the displacement from the start, right and down, mm; None at the end."""
+        """Return the displacement from the start, mm right and down; None at the end."""
 
 
 def open_motion(url: str, **options: Any) -> HandMotion:
     """Open ``sweep:``, ``evdev:DEVICE``, ``path:CSV``, or any source with a pose.
 
-    Options may stand in the URL, as in ``sweep:?speed_mm_s=20``; None is an option not given.
+    Options may also be in the URL, as in ``sweep:?speed_mm_s=20``; None means the default.
     """
     kind, colon, rest = url.partition(":")
     openers: dict[str, Callable[..., HandMotion]] = {
@@ -70,27 +70,27 @@ def open_motion(url: str, **options: Any) -> HandMotion:
     return opener(rest, **accepted)
 
 
-_PATH_RESOLUTION_MM = 0.01  # resolution of recorded paths; an estimate of ours
+_PATH_RESOLUTION_MM = 0.01  # resolution of recorded paths (our estimate)
 
 
 def open_path(rest: str) -> "PathMotion":
     """Open ``path:CSV``."""
     if not rest:
-        raise SourceError("path: names no file: give one, as in path:way.csv")
+        raise SourceError("path: has no file name: give one, as in path:way.csv")
     return PathMotion(Path(rest))
 
 
 class PathMotion(HandMotion):
     """Motion along the points of a table, in straight lines.
 
-    The heading of the CSV file names the columns ``time_s``, ``x_mm`` and ``y_mm`` (on the texture,
-    from its top left corner) and may name ``force_n``; others are not used.
+    The CSV file has columns ``time_s``, ``x_mm``, ``y_mm`` (from the texture's top left corner) and
+    optionally ``force_n``; other columns are ignored.
     """
 
     resolution_mm = _PATH_RESOLUTION_MM
 
     def __init__(self, path: Path) -> None:
-        super().__init__(f"the way of {path.name}")
+        super().__init__(f"the path of {path.name}")
         columns = read_csv(path, SourceError, ("time_s", "x_mm", "y_mm"), ("force_n",))
         self.knows_force: bool = "force_n" in columns
         table = np.column_stack([*columns.values()])
@@ -111,16 +111,16 @@ class PathMotion(HandMotion):
         return x - self.origin_mm[0], y - self.origin_mm[1]
 
 
-_IMAGE_RESOLUTION_MM = 0.02  # jitter at rest of motion found in images; an estimate of ours
+_IMAGE_RESOLUTION_MM = 0.02  # jitter of image-based motion at rest (our estimate)
 
 
 def open_posed_source(url: str, *, profile: Profile | None = None) -> "SourceMotion":
-    """Open any source that has a pose; its optics are electric-mouse's if none are given."""
+    """Open any source with a pose; the default profile is electric-mouse."""
     return SourceMotion(open_source(url, profile or load_profile(DEFAULT_PROFILE)))
 
 
 class SourceMotion(HandMotion):
-    """Motion by the pose of a source, which is closed with it."""
+    """Motion from the pose of a source, which it closes at the end."""
 
     resolution_mm = _IMAGE_RESOLUTION_MM
 
@@ -134,13 +134,13 @@ class SourceMotion(HandMotion):
         self._first: Pose | None = None
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return how far the source is from where it was first; None after its end."""
+        """Return the displacement of the source since its first frame; None at its end."""
         frame = self._source.read(time_ns)
         if frame is None:
             return None
         if self._first is None:
             self._first = frame.pose
-        # What was seen last may be gone: whether the finger is still there is unknown.
+        # A stale frame does not tell whether the finger is still there.
         self.force_n: float = math.nan if frame.stale else frame.force_n
         return frame.pose.x_mm - self._first.x_mm, frame.pose.y_mm - self._first.y_mm
 
@@ -151,8 +151,8 @@ class SourceMotion(HandMotion):
 
 USUAL_MM_S = 40.0
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 1000.0
-START_S = 0.75  # time of rest before the first stroke: the hand is there before it moves
-REST_S = 0.3  # time of rest between two strokes
+START_S = 0.75  # rest before the first stroke
+REST_S = 0.3  # rest between two strokes
 USUAL_ROUNDS = 1
 _MOST_ROUNDS = 10_000
 _MOST_STROKES = 100_000
@@ -166,10 +166,10 @@ def open_sweep(
     lane_mm: float = 16.0,
     origin_mm: tuple[float, float] | None = None,
 ) -> "SweepMotion":
-    """Open ``sweep:`` or ``sweep:ROUNDS``; options are those of `SweepMotion`, and its origin."""
+    """Open ``sweep:`` or ``sweep:ROUNDS``; options are those of `SweepMotion` and the origin."""
     if rest and not (rest.isdecimal() and 0 < int(rest) <= _MOST_ROUNDS):
         raise SourceError(
-            f"sweep:{rest} is no number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3"
+            f"sweep:{rest} is not a number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3"
         )
     motion = SweepMotion(speed_mm_s, span_mm, lane_mm, int(rest or USUAL_ROUNDS))
     motion.origin_mm = origin_mm
@@ -177,7 +177,7 @@ def open_sweep(
 
 
 def strokes_over(size_mm: tuple[float, float], array_mm: tuple[float, float]) -> dict[str, Any]:
-    """Return options of strokes that take every electrode over a texture, width by height."""
+    """Return options for strokes that move all electrodes over a texture."""
     (width, height), (across, down) = size_mm, array_mm
     return {
         "span_mm": (width + across, height),
@@ -187,14 +187,14 @@ def strokes_over(size_mm: tuple[float, float], array_mm: tuple[float, float]) ->
 
 
 class SweepMotion(HandMotion):
-    """Strokes over an area, lane by lane, and back the same way; rests between strokes."""
+    """Strokes over an area, lane by lane, and back the same way, with rests between strokes."""
 
     def __init__(
         self,
-        speed_mm_s: float = USUAL_MM_S,  # of every stroke
+        speed_mm_s: float = USUAL_MM_S,  # speed of strokes
         span_mm: tuple[float, float] = (60.0, 0.0),  # width and height of the area
-        lane_mm: float = 16.0,  # largest distance of lanes
-        rounds: int = USUAL_ROUNDS,  # number of rounds, forth and back
+        lane_mm: float = 16.0,  # largest distance between lanes
+        rounds: int = USUAL_ROUNDS,  # number of rounds, each forth and back
     ) -> None:
         require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
         super().__init__(f"a virtual hand at {speed_mm_s:g} mm/s")
@@ -208,7 +208,7 @@ class SweepMotion(HandMotion):
         self.duration_s: float = float(self._table[-1, 0])
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return the position of the hand at a time; None after the last rest."""
+        """Return the displacement of the hand at a time; None after the last rest."""
         time_s = time_ns / 1e9
         if time_s > self._table[-1, 0]:
             return None
@@ -217,7 +217,7 @@ class SweepMotion(HandMotion):
 
 
 def _round_trip(span_mm: tuple[float, float], lane_mm: float) -> NDArray[np.float64]:
-    """Return the corners of the path through all lanes and back, (N, 2) mm."""
+    """Return the corners of the path along all lanes and back, (N, 2) mm."""
     width_mm, height_mm = span_mm
     lanes = max(1, math.ceil(height_mm / lane_mm - 0.15)) if height_mm > lane_mm else 1
     forth = [
@@ -238,7 +238,7 @@ def _timed(points: NDArray[np.float64], speed_mm_s: float) -> NDArray[np.float64
     return np.column_stack([times, np.repeat(points, 2, axis=0)])
 
 
-USUAL_CPI = 800.0  # default counts per inch of most mice
+USUAL_CPI = 800.0  # counts per inch of most mice
 _FOLDER = Path("/dev/input")
 _WAIT_S = 0.1
 _LOST = "some motion of the mouse was lost: the machine is too busy"
@@ -246,13 +246,14 @@ _GROUP = "join the group input (sudo usermod -aG input $USER) and log in again"
 
 
 def open_evdev(rest: str, *, cpi: float = USUAL_CPI) -> "EvdevMotion":
-    """Open ``evdev:DEVICE``, or the first mouse found; options are those of `EvdevMotion`."""
+    """Open ``evdev:DEVICE``, or the first mouse if no device is given; options are those of
+    `EvdevMotion`."""
     require_within(SourceError, "cpi", cpi, 10, 100_000, f"a mouse of {cpi:g} counts per inch")
     return EvdevMotion(_open(rest) if rest else _first_mouse(), cpi)
 
 
 class EvdevMotion(HandMotion):
-    """Sum of a mouse's counts, read on a thread."""
+    """Motion of a mouse: a thread adds up its counts."""
 
     def __init__(self, device: "InputDevice[str]", cpi: float) -> None:
         super().__init__(f"{device.name} at {cpi:g} counts per inch")
@@ -268,7 +269,7 @@ class EvdevMotion(HandMotion):
     def read(self, time_ns: int) -> tuple[float, float]:
         """Return the displacement of the mouse since the first read."""
         if self._gone:
-            raise SourceLostError(f"{self._path} is gone: plug the mouse in again")
+            raise SourceLostError(f"{self._path} is gone: connect the mouse again")
         with self._lock:
             across, down = self._counts
         if self._first is None:
@@ -309,13 +310,13 @@ class EvdevMotion(HandMotion):
 def _open(path: str) -> "InputDevice[str]":
     evdev = _evdev()
     if not Path(path).exists():
-        raise SourceError(f"no device {path}: see {_FOLDER}/by-id for what there is")
+        raise SourceError(f"there is no device {path}: see {_FOLDER}/by-id for a list")
     try:
         device: InputDevice[str] = evdev.InputDevice(path, readonly=True)
     except PermissionError:
-        raise SourceError(f"{path} may not be read by you: {_GROUP}") from None
+        raise SourceError(f"you may not read {path}: {_GROUP}") from None
     except OSError as error:
-        raise SourceError(f"{path} is no input device: {error.strerror or error}") from None
+        raise SourceError(f"{path} is not an input device: {error.strerror or error}") from None
     if not _is_mouse(device):
         name = device.name
         device.close()
@@ -331,7 +332,7 @@ def _first_mouse() -> "InputDevice[str]":
             if _is_mouse(device):
                 return device
             device.close()
-    raise SourceError(f"no mouse among what you may read in {_FOLDER}: plug one in, or {_GROUP}")
+    raise SourceError(f"there is no mouse that you may read in {_FOLDER}: connect one, or {_GROUP}")
 
 
 def _is_mouse(device: "InputDevice[str]") -> bool:
@@ -342,4 +343,4 @@ def _is_mouse(device: "InputDevice[str]") -> bool:
 
 
 def _evdev() -> Any:
-    return import_extra("evdev", "evdev:, on Linux alone,", "mouse", SourceError)
+    return import_extra("evdev", "evdev:, only on Linux,", "mouse", SourceError)

@@ -1,11 +1,11 @@
-"""Reliefs: high ground, the pulses of electrodes that move over it, and their opening by name.
+"""Reliefs: textures from images and texts, and the pulses of electrodes that move over them.
 
-A grating has a phase; what else is printed or woven has none. The rule here gives the
-same pulses on gratings and fills areas: **every pulse stands for one grain of way over
-high ground**. High is what exceeds its surroundings; its depth is the distance to where
-it ends, at most half a grain. An electrode pulses where the depth along its way is
-greatest: in the middle of a ridge narrower than a grain, half a grain inside the edge of
-an area, and from there on after each grain of way, also along a ridge or stroke.
+On a grating pulses follow its phase; images have no phase. The rule here gives the same pulses on
+gratings, and also fills areas: **each pulse represents one grain of motion over high ground**. A
+place is high if it exceeds its surroundings. Its depth is the distance to the edge of the high
+ground, at most half a grain. An electrode pulses at the maxima of depth along its path: in the
+middle of a ridge narrower than a grain, or half a grain inside the edge of an area. From there it
+pulses after each grain of motion, also along a ridge or stroke.
 """
 
 import math
@@ -31,15 +31,15 @@ from smarttouch.pages.grey_image import open_image
 from smarttouch.pages.page_image import check_scale_options, read_grey, require_size_mm
 from smarttouch.pages.prepared_page import print_text
 
-LETTER_MM = 12.0  # height of printed letters: wide enough strokes for electrodes 2 mm apart
-_PRINTED_MM = 4.2  # height of the letters of `print_text`, ascender to descender
+LETTER_MM = 12.0  # height of printed letters, with strokes wide enough for electrodes 2 mm apart
+_PRINTED_MM = 4.2  # height of letters by `print_text`, ascender to descender
 _MARGIN_MM = 4.0
 _SCALE = "dpi or width_mm"
-_LEAST_RANGE = 7.65  # least range of grey levels; with less, nothing is shown
+_LEAST_RANGE = 7.65  # smallest range of gray levels of an image that is not flat
 
 
 class Heights(NamedTuple):
-    """Heights of a relief before its grain is known."""
+    """Height map from which a relief is made."""
 
     title: str
     height: NDArray[np.float32]  # (H, W) in [0, 1]
@@ -47,19 +47,19 @@ class Heights(NamedTuple):
 
 
 def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:
-    """Load an image, whose ink is high; the scale is needed where the file has none."""
+    """Load an image in which ink is high. A scale is required if the file does not state one."""
     check_scale_options(dpi, width_mm, "width_mm")
     with open_image(path) as image:
         grey, mm_per_pixel = read_grey(path, image, dpi, width_mm)
     if mm_per_pixel is None:
-        raise PageError(f"{path} does not say how large it is: give {_SCALE}")
+        raise PageError(f"{path} does not state its size: give {_SCALE}")
     rows, columns = grey.shape
     require_size_mm(str(path), columns * mm_per_pixel, rows * mm_per_pixel, _SCALE)
     return Heights(path.name, _stretched(path.name, 255 - grey.astype(np.float64)), mm_per_pixel)
 
 
 def print_heights(text: str, width_mm: float | None = None) -> Heights:
-    """Print a text in large letters, 12 mm high unless the width of the whole is given."""
+    """Print a text in large letters, 12 mm high, or scaled to a given total width."""
     check_scale_options(None, width_mm, "width_mm")
     page = print_text(text)
     mm_per_pixel = page.mm_per_pixel * LETTER_MM / _PRINTED_MM
@@ -76,39 +76,40 @@ def print_heights(text: str, width_mm: float | None = None) -> Heights:
 
 
 def _stretched(name: str, values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return values stretched to 0 to 1, without the few outliers."""
+    """Scale values to 0 to 1; a few outliers are clipped."""
     low, high = np.percentile(values, (0.5, 99.5))
     if high - low <= _LEAST_RANGE:
         low, high = values.min(), values.max()
     if high - low <= _LEAST_RANGE:
-        message = f"{name} is flat: there is nothing on it that could be felt"
+        message = f"{name} is flat: nothing on it could be felt"
         raise PageError(message)
     return np.asarray(np.clip((values - low) / (high - low), 0, 1), np.float32)
 
 
-GRAIN_MM = 2.0  # default grain: the pitch of the paper's electrodes
+GRAIN_MM = 2.0  # default grain, which is the pitch of the paper's electrodes
 _PER_GRAIN = 20  # pixels of the map per grain
 _FINEST_MM, _COARSEST_MM = 0.02, 0.1
 _MOST_PIXELS = 16_000_000
-_LONGEST_SIDE = 32_000  # longest side of a map: OpenCV's sampling counts pixels in 16 bits
+_LONGEST_SIDE = 32_000  # longest side of a map: OpenCV's sampling uses 16-bit coordinates
 _LOWEST, _HIGHEST = 0.25, 0.75
-"""Heights of shapes that are never and always high; between, the surroundings decide."""
-_AROUND = 2.5  # width of the surroundings, in grains; their standard deviation is one grain
-_BLUR_MM = 0.2  # blur against the noise of photographs of shapes; a line half as wide is still high
+"""Heights below which a place is always low, and above which it is always high; between them the
+surroundings decide."""
+_AROUND = 2.5  # width of the surroundings, in grains; the standard deviation is one grain
+_BLUR_MM = 0.2  # blur that removes noise of photographs; a line half as wide stays high
 
 
 class Relief(Texture):
-    """Heights on a map, and the depth of each place within high ground.
+    """Texture with a height map, and the depth of each place within high ground.
 
-    `height` is (H, W) in [0, 1]; `depth`, (H, W) mm, the distance to where the high ground ends, at
-    most half a grain; `pixel_mm` the pitch of the maps.
+    `height` is (H, W) in [0, 1]. `depth`, (H, W) mm, is the distance to the edge of the high
+    ground, at most half a grain. `pixel_mm` is the pixel size of both maps.
     """
 
     def __init__(
         self,
-        heights: Heights,  # heights, drawn dark where high
-        grain_mm: float = GRAIN_MM,  # way between two pulses on wide high ground
-        inverted: bool = False,  # turn high and low
+        heights: Heights,  # height map; high is dark
+        grain_mm: float = GRAIN_MM,  # distance between two pulses on wide high ground
+        inverted: bool = False,  # whether to exchange high and low
     ) -> None:
         rows, columns = heights.height.shape
         wide_mm, high_mm = columns * heights.mm_per_pixel, rows * heights.mm_per_pixel
@@ -156,12 +157,12 @@ class Relief(Texture):
         return np.asarray(drawn, np.uint8)
 
     def _measure_depth(self) -> NDArray[np.float32]:
-        """Return the depth of each place within high ground, mm, at most half a grain."""
+        """Return the depth of each place within high ground, (H, W) mm."""
         half = self.grain_mm / 2
         margin = math.ceil(_AROUND * self.grain_mm / self.pixel_mm)
-        # What is beyond an edge is low, but the surroundings there are as at the edge.
+        # Outside of the map everything is low, but the surroundings continue as at the edge.
         wide = cv2.copyMakeBorder(self.height, *(margin,) * 4, cv2.BORDER_REPLICATE)
-        # Twice a mean over a square is nearly a Gaussian, and takes no longer where it is wide.
+        # Two box filters approximate a Gaussian, in a time that does not depend on their width.
         side = 2 * round(_AROUND * self.grain_mm / self.pixel_mm / 2) + 1
         around = cv2.blur(cv2.blur(wide, (side, side)), (side, side))
         blur_mm = min(self.grain_mm / 10, _BLUR_MM)
@@ -175,20 +176,20 @@ class Relief(Texture):
         return np.asarray(depth[inside].copy(), np.float32)
 
 
-_STROKE = 0.15  # depth of the thinnest stroke that pulses along itself, in grains
-_STEP = 1.25  # distance of samples along the way, in pixels of the map
+_STROKE = 0.15  # smallest depth of a stroke along which an electrode pulses, in grains
+_STEP = 1.25  # distance between samples along the path, in pixels of the map
 _MOST_SAMPLES = 64
 _FULL = 0.96
-"""Share of half a grain from which the depth counts as full: beyond rounding, and the blur."""
+"""Depth, relative to half a grain, above which it counts as full: tolerance for rounding and
+blur."""
 _RISEN = 0.5
-"""Part of its depth by which a ridge must rise, so that a way along its crest passes none."""
+"""Relative rise that makes a ridge: a path along the crest of a ridge must not pass new ones."""
 
 
 class ReliefFeeler:
-    """Samples the depth along each electrode's path, from (E, 2) mm, and finds its maxima."""
+    """Samples the depth along the path of each electrode, and finds its maxima."""
 
-    # Places of the array's middle are complex numbers, x + iy in mm: one number for each
-    # electrode is twice as fast as two.
+    # Places are complex numbers, x + iy in mm, which is twice as fast as two arrays.
 
     def __init__(self, relief: Relief, position_mm: NDArray[np.float64]) -> None:
         self._relief = relief
@@ -200,25 +201,26 @@ class ReliefFeeler:
         self._least_mm = relief.pixel_mm / 2
         self._ground_mm = np.float32(_STROKE * relief.grain_mm)
         self._within_mm = relief.grain_mm / 2 - float(self._ground_mm)
-        """Distance of an electrode over this ground at its first pulse."""
+        """Distance of an electrode over high ground to its first pulse."""
         self._all = np.arange(len(position_mm))
         self._nothing = RidgeCrossing(np.zeros(len(position_mm), np.float32), 0)
         self._nothing.height.flags.writeable = False
         self.place(0.0, 0.0)
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Place the middle of the array; an area under it pulses after one grain of motion."""
+        """Set the place of the array's middle; on high ground electrodes pulse after one grain of
+        motion."""
         self._place = complex(x_mm, y_mm)
         x, y = self._on_map(np.array([self._place]))
         self._before = np.repeat(self._depth(x, y), 2, axis=0)
-        self._lowest = self._before[0].copy()  # lowest depth of each electrode since its last pulse
+        self._lowest = self._before[0].copy()  # smallest depth since each electrode's last pulse
         self._pulsed = np.full(len(self._all), self._place)
         """Place of the array at the last pulse of each electrode."""
         self._entered = self._pulsed.copy()
-        """Place of the array when each electrode came onto high ground."""
+        """Place of the array when each electrode reached high ground."""
 
     def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
-        """Move the middle of the array; motion shorter than a sample is kept for later."""
+        """Move the array; motion shorter than the sample distance is added to the next."""
         by = complex(x_mm, y_mm) - self._place
         samples = int(abs(by) / self._step_mm)
         if not samples:
@@ -226,7 +228,7 @@ class ReliefFeeler:
         step = by * (self._step_mm / abs(by))
         if samples > _MOST_SAMPLES:
             samples, step = _MOST_SAMPLES, by / _MOST_SAMPLES
-        # The first two are those of before: a greatest depth shows one sample later.
+        # Repeat the last two samples: a maximum is known only one sample later.
         places = np.asarray(self._place + step * np.arange(-1, samples + 1), np.complex128)
         x, y = self._on_map(places)
         depth = np.concatenate([self._before, self._depth(x[2:], y[2:])])
@@ -253,7 +255,7 @@ class ReliefFeeler:
             self._lowest = lowest[-1]
             return self._nothing
         self._lowest = np.where(pulsed, depth[-1], lowest[-1])
-        # Frames come later than whole grains: what is over counts for the next.
+        # Carry the motion beyond the last pulse over to the next one.
         gone, grain_mm = places[-1] - self._pulsed, self._relief.grain_mm
         gone_mm = np.maximum(np.abs(gone), grain_mm)
         over = gone_mm - grain_mm < step_mm * (len(places) - 2)
@@ -267,9 +269,10 @@ class ReliefFeeler:
     def _crests(
         self, depth: NDArray[np.float32], lowest: NDArray[np.float32], step_mm: float
     ) -> tuple[NDArray[np.bool_], NDArray[np.intp], int]:
-        """Return which electrodes passed a crest, the sample of the last, and how many more."""
+        """Return which electrodes passed a crest, the sample of the last one, and the number of
+        others."""
         middle = depth[1:-1]
-        # Level ground is no crest before it falls: what is as wide pulses by its way.
+        # Level ground is a crest only when it falls: wide ground pulses by distance.
         crest = (middle >= depth[:-2]) & (middle > depth[2:]) & (middle > self._least_mm)
         crest &= middle - lowest[1:-1] >= _RISEN * middle
         last = len(crest) - crest[::-1].argmax(axis=0)
@@ -284,7 +287,7 @@ class ReliefFeeler:
     def _inside(
         self, places: NDArray[np.complex128], depth: NDArray[np.float32]
     ) -> NDArray[np.bool_]:
-        """Return which electrodes are a grain from their last pulse, and on high ground."""
+        """Return which electrodes are on high ground, one grain from their last pulse."""
         low = depth[1:] < self._ground_mm
         entered = places[len(low) - low[::-1].argmax(axis=0)]
         self._entered = np.where(low.any(axis=0), entered, self._entered)
@@ -297,7 +300,8 @@ class ReliefFeeler:
     def _on_map(
         self, places: NDArray[np.complex128]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the electrodes' places on the map for places of the array, (N, E) pixels each."""
+        """Return columns and rows of electrodes on the map, (N, E) each, for places of the
+        array."""
         x_mm, y_mm = self._relief.scale_mm
         x, y = places.real / x_mm, places.imag / y_mm
         return (
@@ -306,7 +310,7 @@ class ReliefFeeler:
         )
 
     def _depth(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the depth at places on the map, (N, E) mm; full depths are equal."""
+        """Return the depth at places on the map, (N, E) mm; full depths become equal."""
         return np.minimum(self._sample(self._relief.depth, x, y), self._full_mm)
 
     def _sample(
@@ -323,17 +327,16 @@ _NUMBER = r"([0-9]*\.?[0-9]+)"
 def open_texture(
     spec: str,
     *,
-    # dpi, width_mm: scale of a file that states none; width of a text
+    # dpi, width_mm: scale of a file that does not state one; width of a text
     dpi: float | None = None,
     width_mm: float | None = None,
-    # way between two pulses on what is high and wide, 2 mm if not given
+    # distance between two pulses on wide high ground, default 2 mm
     grain_mm: float | None = None,
-    light_on_dark: bool = False,  # whether bright parts are high
+    light_on_dark: bool = False,  # whether bright is high
 ) -> Texture:
-    """Open a texture: a grating, a text or an image, whose ink is high.
+    """Open a texture: ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or an image file.
 
-    ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file. Options may stand behind it,
-    as in ``wood.png?dpi=300``.
+    Ink is high. Options may follow, as in ``wood.png?dpi=300``.
     """
     asked = {
         "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm,
@@ -345,12 +348,12 @@ def open_texture(
     kind, _, rest = spec.partition(":")
     if kind == "grating" and ":" in spec:
         for name in accepted:
-            message = f"{name} is for images, and {spec} is exact: leave it out"
+            message = f"{name} is for images, not for {spec}: leave it out"
             raise PageError(message)
         return _grating(spec, rest)
     if kind == "text" and ":" in spec:
         if dpi is not None:
-            message = "dpi is for images, and a text has no resolution of its own: give its width"
+            message = "dpi is for images, not for texts: give width_mm"
             raise PageError(message)
         heights = print_heights(rest, width_mm)
     else:
@@ -361,7 +364,7 @@ def open_texture(
 def _grating(spec: str, rest: str) -> Texture:
     match = re.fullmatch(rf"\s*{_NUMBER}\s*(mm)?\s*(,\s*([-+]?){_NUMBER}\s*(deg|°)?)?\s*", rest)
     if match is None:
-        message = f"{spec!r} is no grating: write grating:4mm or grating:4mm,30deg"
+        message = f"{spec!r} is not a grating: write grating:4mm or grating:4mm,30deg"
         raise PageError(message)
     pitch_mm, sign, angle = float(match[1]), match[4], float(match[5] or 0)
     return Grating(pitch_mm, -angle if sign == "-" else angle)

@@ -1,7 +1,7 @@
-"""Traces of force and displacement on the skin, from a line of text or a file.
+"""Traces of force and displacement on the skin, and the responses of receptors.
 
-A line of text is like ``tone:30Hz,8um+press:0.5N``. Its parts are added up, and all begin and end
-smoothly, within `RAMP_S`, as no skin can jump::
+A trace is a line of text such as ``tone:30Hz,8um+press:0.5N``, or a file. The parts of a line are
+added. All parts rise and fall within `RAMP_S`::
 
     tone:250Hz,2um            a sinusoid, amplitude as half of peak to peak
     press:0.5N                pressure
@@ -24,16 +24,16 @@ from smarttouch.stimulation.scheduler import SLOWEST
 
 Array = NDArray[np.float64]
 
-SAMPLE_HZ = 4000.0  # lowest sampling rate: four samples a cycle at 1 kHz, above PC's band
+SAMPLE_HZ = 4000.0  # lowest sampling rate: four samples per cycle at 1 kHz, above PC's band
 HIGHEST_SAMPLE_HZ = 20_000.0
 LONGEST_S = 600.0
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """Force and displacement at one place of the skin, evenly sampled from time 0."""
+    """Force and displacement at one place of the skin, sampled at a constant rate from time 0."""
 
-    displacement_um: Array  # (N,) float64, µm: into the skin, from where it is at rest
+    displacement_um: Array  # (N,) float64, µm: into the skin, from the resting position
     force_n: Array  # (N,) float64, N: static and slowly changing pressure
     sample_hz: float = SAMPLE_HZ
     title: str = "a trace"
@@ -52,20 +52,20 @@ _TIME, _DISPLACEMENT, _FORCE = "time_s", "displacement_um", "force_n"
 
 
 def read_trace(path: Path) -> Trace:
-    """Return the trace in a CSV file of ``time_s`` with ``displacement_um``, ``force_n`` or both.
+    """Load a trace from a CSV file with ``time_s`` and ``displacement_um``, ``force_n`` or both.
 
-    Between samples it runs straight. It is resampled at the rate of most samples, but between
-    `SAMPLE_HZ` and `HIGHEST_SAMPLE_HZ`.
+    It is resampled by linear interpolation, at its typical rate within `SAMPLE_HZ` and
+    `HIGHEST_SAMPLE_HZ`.
     """
     columns = read_csv(path, SmartTouchError, (_TIME,), (_DISPLACEMENT, _FORCE))
     time = columns.pop(_TIME)
     if not columns:
         raise SmartTouchError(
-            f"{path} has no displacement_um and no force_n beside time_s: name a column so"
+            f"{path} has no column displacement_um or force_n beside time_s: name one so"
         )
     lasts_s = float(time[-1] - time[0])
     if lasts_s > LONGEST_S:
-        raise SmartTouchError(f"{path} lasts {lasts_s:g} s: at most {LONGEST_S:g}, cut it")
+        raise SmartTouchError(f"{path} lasts {lasts_s:g} s: shorten it to {LONGEST_S:g} s or less")
     sample_hz = float(np.clip(1 / np.median(np.diff(time)), SAMPLE_HZ, HIGHEST_SAMPLE_HZ))
     even = time[0] + np.arange(max(2, round(lasts_s * sample_hz) + 1)) / sample_hz
     rows = {name: np.interp(even, time, column) for name, column in columns.items()}
@@ -74,7 +74,7 @@ def read_trace(path: Path) -> Trace:
     return Trace(displacement, force, sample_hz, str(path))
 
 
-RAMP_S = 0.05  # rise and fall of each part, half a period of a cosine; our own choice
+RAMP_S = 0.05  # rise and fall of each part, half a period of a cosine (our choice)
 HIGHEST_HZ = 1000.0
 _NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
 _AMPLITUDE = rf"{_NUMBER}(?:um|µm|μm)"
@@ -86,16 +86,16 @@ _EXAMPLE = "write for example tone:30Hz,8um+press:0.5N"
 
 
 def open_trace(text: str, seconds: float = 2.0) -> Trace:
-    """Return the trace of a line in this module's syntax, or of a CSV file.
+    """Return the trace for a line in this module's syntax, or from a CSV file.
 
-    `seconds` is the duration of a line; a recorded trace has its own.
+    `seconds` is the duration of a line; a file has its own.
     """
     if not 0 < seconds <= LONGEST_S:
-        message = f"{seconds:g} s are not possible: above 0, at most {LONGEST_S:g}"
+        message = f"{seconds:g} s are not possible: give seconds above 0, at most {LONGEST_S:g}"
         raise SmartTouchError(message)
     if text.partition(":")[0].strip().lower() not in _GRAMMAR:
         if not Path(text).exists():
-            message = f"{text!r} is neither a file nor a trace in a line: {_EXAMPLE}"
+            message = f"{text!r} is neither a file nor a trace: {_EXAMPLE}"
             raise SmartTouchError(message)
         return read_trace(Path(text))
     time = np.arange(max(2, round(seconds * SAMPLE_HZ))) / SAMPLE_HZ
@@ -112,11 +112,11 @@ def open_trace(text: str, seconds: float = 2.0) -> Trace:
 
 
 def _parse(text: str) -> tuple[str, list[float]]:
-    """Return the kind of a part and its numbers: a frequency and an amplitude, or a force."""
+    """Parse a part: return its kind, and a frequency with an amplitude, or a force."""
     kind, _, rest = text.strip().lower().replace(" ", "").partition(":")
     matched = _GRAMMAR[kind].fullmatch(rest) if kind in _GRAMMAR else None
     if matched is None:
-        raise SmartTouchError(f"{text.strip()!r} is no part of a trace: {_EXAMPLE}")
+        raise SmartTouchError(f"{text.strip()!r} is not a part of a trace: {_EXAMPLE}")
     values = [float(number) for number in matched.groups()]
     if kind == "tone" and not 0 < values[0] <= HIGHEST_HZ:
         raise SmartTouchError(
@@ -126,21 +126,22 @@ def _parse(text: str) -> tuple[str, list[float]]:
 
 
 SPAN_DB = 5.0
-"""From threshold to a drive of 1. Ours: a tone of 30 Hz that far above RA's threshold just reaches
-PC's, so that RA alone can be driven in full; it is also about where an afferent that begins to
-fire does so in each cycle."""
+"""Range from threshold to full drive (our choice). A tone of 30 Hz at full RA drive just reaches
+PC's threshold, so RA can be fully driven alone. At about this level, too, an afferent fires in each
+cycle."""
 SAI_FORCE_N = 0.0013
-"""Median force at which human SAI afferents begin to fire (Johansson, Vallbo and Westling, Brain
-Res. 184, 1980)."""
-SAI_FULL_N = 1.0  # force at which SAI is driven in full, if no profile is given; our own choice
+"""Median threshold force of human SAI afferents (Johansson, Vallbo and Westling, Brain Res. 184,
+1980)."""
+SAI_FULL_N = 1.0  # default force of full SAI drive (our choice)
 SAI_FULL_UM = 1500.0
-"""Indentation up to which SAI afferents fire faster (J. Neurophysiol. 101:1033, 2009, Table 1)."""
+"""Indentation at which the rate of SAI afferents saturates (J. Neurophysiol. 101:1033, 2009, Table
+1)."""
 SAI_RATE_HZ = 50.0
-"""Rate at full drive without a profile, the usual ``pulse.sai_rate_hz``; at the lightest touch
-a fifth of it."""
+"""Default rate at full drive, as in ``pulse.sai_rate_hz``; at threshold it is a fifth."""
 _PAD_S = 1.0
-"""Padding that joins the trace's end to its beginning, as the Fourier transform is cyclic."""
-_GAP_S = 0.05  # longest silence between two beats of one vibration
+"""Padding that joins the end of a trace to its beginning, because the Fourier transform is
+cyclic."""
+_GAP_S = 0.05  # longest silence between beats of one vibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,22 +149,22 @@ class ReceptorResponse:
     """Response of one class to a trace."""
 
     afferent: Afferent
-    # (N,) float64, in [0, 1]: drive at each sample of the trace: 0 at threshold and below
+    # (N,) float64, in [0, 1]: drive at each sample of the trace; 0 up to the threshold
     drive: Array
-    rate_hz: Array  # (N,) float64, Hz: firing rate of its afferents
-    spike_s: Array  # (K,) float64, s: when
+    rate_hz: Array  # (N,) float64, Hz: firing rate of afferents
+    spike_s: Array  # (K,) float64, s: times of spikes
 
 
 def split_trace(
     trace: Trace,
-    sai_full_n: float = SAI_FULL_N,  # force at which SAI is driven in full
-    sai_rate_hz: float = SAI_RATE_HZ,  # at which it then fires
+    sai_full_n: float = SAI_FULL_N,  # force of full SAI drive
+    sai_rate_hz: float = SAI_RATE_HZ,  # SAI firing rate at full drive
 ) -> dict[Afferent, ReceptorResponse]:
     """Return the response of each class."""
     if not sai_full_n > SAI_FORCE_N:
         raise ScheduleError(
-            f"full force at {sai_full_n:g} N is no more than the {SAI_FORCE_N:g} N at which SAI "
-            "begins to answer: raise force.full_n of the profile"
+            f"full force at {sai_full_n:g} N is not above the {SAI_FORCE_N:g} N at which SAI "
+            "begins to fire: raise force.full_n of the profile"
         )
     return {
         Afferent.RA: _vibration(trace, Afferent.RA),
@@ -173,7 +174,7 @@ def split_trace(
 
 
 def turning(trace: Trace, afferent: Afferent) -> NDArray[np.complex128]:
-    """Return the vibration as a class sees it, in units of its threshold: an analytic signal."""
+    """Return the vibration relative to the threshold of a class, as an analytic signal."""
     padded, first, frequency_hz = _padded(trace.displacement_um, trace.sample_hz)
     gain = 1 / threshold_um(afferent, frequency_hz)
     half = np.zeros(len(padded), np.complex128)
@@ -182,7 +183,7 @@ def turning(trace: Trace, afferent: Afferent) -> NDArray[np.complex128]:
 
 
 def cycles(wave: NDArray[np.complex128], driven: NDArray[np.bool_], trace: Trace) -> Array:
-    """Return the samples at which each cycle of `turning` begins while driven."""
+    """Return the samples at which cycles of an analytic signal begin while driven."""
     return _upward(wave, driven, round(_GAP_S * trace.sample_hz))
 
 
@@ -195,7 +196,7 @@ def _vibration(trace: Trace, afferent: Afferent) -> ReceptorResponse:
 
 
 def pressed(trace: Trace, full_n: float, rate_hz: float) -> ReceptorResponse:
-    """Return the response of SAI, driven in full at a force and then firing at a rate."""
+    """Return the response of SAI, with full drive at ``full_n`` and firing at ``rate_hz`` there."""
     drives = []
     rows = (
         (trace.force_n, SAI_FORCE_N, full_n),
@@ -208,13 +209,13 @@ def pressed(trace: Trace, full_n: float, rate_hz: float) -> ReceptorResponse:
     drive = np.clip(np.maximum(*drives), 0, 1)
     firing_hz = np.where(drive > 0, rate_hz * np.maximum(SLOWEST, drive), 0.0)
     due = np.cumsum(firing_hz) / trace.sample_hz
-    # A first spike as soon as it is touched.
+    # The first spike is at contact.
     spike = np.flatnonzero(np.diff(np.ceil(due), prepend=0.0) > 0)
     return ReceptorResponse(Afferent.SAI, drive, firing_hz, spike / trace.sample_hz)
 
 
 def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
-    """Return a row padded to a cycle, its offset in it, and the cycle's frequencies."""
+    """Return a signal padded to a cycle, its offset in it, and the frequencies of the cycle."""
     pad = round(_PAD_S * sample_hz)
     length = next_fast_len(len(row) + 2 * pad)
     joint = length - len(row)
@@ -224,15 +225,15 @@ def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
 
 
 def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int) -> Array:
-    """Return the samples of upward zero crossings of the real part while driven, once per cycle,
-    counted on through silences of up to ``gap`` samples."""
+    """Return the samples of upward zero crossings of the real part while driven, one per cycle. The
+    phase continues through silences of up to ``gap`` samples."""
     turns = (np.unwrap(np.angle(turning)) + math.pi / 2) / (2 * math.pi)
     full_turns = np.floor(turns).astype(np.int64)
     on = np.flatnonzero(driven)
     if not len(on):
         return np.empty(0)
-    # Where it trembles back over zero the turn has been counted: only new heights count, stretch
-    # by stretch, each set off above the one before.
+    # Count only new maxima of the unwrapped phase, so that jitter around zero counts once. Offsets
+    # make each stretch start above the last one.
     starts = on[np.diff(on, prepend=-gap - 1) > gap]
     stretch = np.cumsum(np.bincount(starts, minlength=len(driven))) - 1
     height = full_turns - full_turns[starts][stretch] + stretch * (2 * len(driven))
@@ -243,7 +244,7 @@ def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int
 
 
 def _rate_hz(spike_s: Array, trace: Trace, drive: Array) -> Array:
-    """Return the rate between successive spikes at each sample where a class is driven, (N,) Hz."""
+    """Return the rate between successive spikes at each driven sample, (N,) Hz."""
     if len(spike_s) < 2:
         return np.zeros_like(drive)
     between = 1 / np.diff(spike_s)

@@ -1,4 +1,4 @@
-"""``socket:``: a door for other programs of this user, with JSON requests at a Unix socket."""
+"""``socket:``: JSON requests of other programs of this user at a Unix socket."""
 
 import asyncio
 import errno
@@ -21,8 +21,8 @@ from smarttouch.profile import Profile
 from smarttouch.running.program import Pattern, Program, Shown
 from smarttouch.sources.source_contract import Frame
 
-LONGEST_S = 60.0  # of one show, as a client may hang
-MOST_BYTES = 4_000_000  # in one request
+LONGEST_S = 60.0  # longest duration of one show, as a client may hang
+MOST_BYTES = 4_000_000  # longest request
 _LOOK_S = 0.05
 _Gray = Annotated[int, Field(ge=0, le=255)]
 
@@ -36,11 +36,11 @@ class _Request(BaseModel, extra="forbid", strict=True):
 
 
 class SocketSource(Program):
-    """Patterns of the programs that connect to ``socket:PATH``.
+    """Source of patterns from programs that connect to ``socket:PATH``.
 
-    Each request is a JSON object on a line of its own, and so is its answer. Requests use a
-    session's methods, so ramp, force and limits hold. The newest pattern wins: it ends what is
-    being shown. A client that leaves ends what it shows or has put.
+    Each request is a JSON object on one line, and so is its answer. Requests use the methods of a
+    session, so ramp, force and limits apply. A new pattern ends the current one, and so does a
+    client that disconnects.
     """
 
     fixed_mode = True
@@ -51,10 +51,10 @@ class SocketSource(Program):
         self._listener, self._path = _listen(path), Path(path)
         self._closing, self._closed = threading.Event(), False
         self._task: asyncio.Task[None] | None = None
-        self._newest_client: asyncio.StreamWriter | None = None  # of the newest pattern
+        self._newest_client: asyncio.StreamWriter | None = None  # client of the newest pattern
 
     def close(self) -> None:
-        """End all connections and remove the socket."""
+        """Close all connections and remove the socket."""
         if not self._closed:
             self._closed = True
             self._listener.close()
@@ -79,7 +79,7 @@ class SocketSource(Program):
                 writer.close()
 
         server = await asyncio.start_unix_server(connected, sock=self._listener, limit=MOST_BYTES)
-        # Nothing, from now on: screens and recordings follow the time.
+        # Put an empty pattern, so that time advances for screens and recordings.
         self.put(self._nothing, 0)
         while not self._closing.is_set():
             self._require_life()
@@ -87,12 +87,12 @@ class SocketSource(Program):
         server.close()
 
     async def _attend(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Answer one client until it leaves, then end its pulses."""
+        """Serve one client until it disconnects, then end its pulses."""
         try:
             while line := await reader.readline():
                 await self._answer(line, writer)
                 await writer.drain()
-                await asyncio.sleep(0)  # a show begins before the next request may end it
+                await asyncio.sleep(0)  # let a show begin before the next request may end it
         except ValueError:
             _reply(writer, error=f"a request has more than {MOST_BYTES} bytes")
         finally:
@@ -100,13 +100,13 @@ class SocketSource(Program):
                 await self._put_newest(self._nothing, 0)
 
     async def _put_newest(self, pattern: Pattern, stale_s: float = 0.5) -> None:
-        """Put a pattern that ends what is shown."""
+        """Put a pattern, which ends the current show."""
         self._end_task()
-        # In simulated time it waits for its turn.
+        # In simulated time this call waits.
         await asyncio.to_thread(self.put, pattern, stale_s)
 
     async def _answer(self, line: bytes, writer: asyncio.StreamWriter) -> None:
-        """Carry a request out and answer it; a show is answered when it is over."""
+        """Execute a request and answer it; a show is answered at its end."""
         answer: dict[str, Any] = {}
         try:
             asked = _parse(line)
@@ -142,13 +142,14 @@ class SocketSource(Program):
             self._task.cancel()
 
     def _pattern(self, asked: _Request) -> NDArray[np.float32] | Frame:
-        """Return activation or an image; classes that the run does not drive must be at zero."""
+        """Return the activation or image of a request. Rows of classes that the run does not
+        stimulate must be zero."""
         if (asked.pattern is None) == (asked.image is None):
             raise SourceError("give either pattern or image")
         try:
             array = np.array(asked.pattern if asked.image is None else asked.image)
         except ValueError:
-            raise SourceError("the rows are not equally long") from None
+            raise SourceError("the rows differ in length") from None
         if asked.image is not None:
             return self.checked(Frame(array.astype(np.uint8), 0))
         if array.shape == self._nothing.shape and np.delete(array, self.afferents, axis=0).any():
@@ -158,7 +159,7 @@ class SocketSource(Program):
 
 
 async def _shown(show: Awaitable[Shown], writer: asyncio.StreamWriter) -> None:
-    """Answer a show when it is over."""
+    """Wait for the end of a show, and answer it."""
     try:
         _reply(writer, request="show", **asdict(await show))
     except SmartTouchError as error:
@@ -182,7 +183,7 @@ def _reply(writer: asyncio.StreamWriter, **answer: Any) -> None:
 
 
 def _is_ours(line: socket.socket) -> bool:
-    """Return whether a client is of this user, where the system tells."""
+    """Return whether a client belongs to this user, if the system can tell."""
     option = getattr(socket, "SO_PEERCRED", None)
     if option is None:
         return True
@@ -199,7 +200,7 @@ def _listen(path: str) -> socket.socket:
     line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         if Path(path).is_socket() and line.connect_ex(path) == errno.ECONNREFUSED:
-            Path(path).unlink()  # an earlier run left it
+            Path(path).unlink()  # left by an earlier run
         line.bind(path)
         Path(path).chmod(0o600)
         line.listen()

@@ -1,4 +1,4 @@
-"""Textures under the hand, and gratings by formula."""
+"""Textures under the hand, and gratings."""
 
 import math
 from abc import ABC, abstractmethod
@@ -17,25 +17,25 @@ class RidgeCrossing(NamedTuple):
     """Ridges that passed under the electrodes since the last call."""
 
     height: NDArray[np.float32]
-    """Height of the last ridge that passed each electrode, (E,) in [0, 1]; 0 where none did."""
-    merged: int  # number of ridges that passed together with another one of the same electrode
+    """Height of the last ridge that passed each electrode, (E,) in [0, 1]; 0 without a ridge."""
+    merged: int  # number of ridges that passed an electrode together with another one
 
 
 class TextureSampler(Protocol):
-    """Sampler of electrodes over a texture, which stores their last place."""
+    """Detects the ridges of a texture that pass moving electrodes."""
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Place the middle of the array; no ridge counts as passed."""
+        """Set the place of the array's middle; no ridge counts as passed."""
 
     def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
-        """Move the middle of the array in a straight line."""
+        """Move the array's middle in a straight line."""
 
 
 class Texture(ABC):
-    """Surface with ridges that stays in place.
+    """Fixed surface with ridges.
 
-    `size_mm` is its width and height, None where it has no ends; `middle_mm` the middle of it or of
-    one tile; `notes` are assumptions that were made, a sentence each.
+    `size_mm` is width and height, None if unbounded. `middle_mm` is the middle, or the middle of
+    one tile. `notes` are assumptions, one sentence each.
     """
 
     def __init__(
@@ -51,24 +51,24 @@ class Texture(ABC):
 
     @abstractmethod
     def feeler(self, position_mm: NDArray[np.float64]) -> TextureSampler:
-        """Return a sampler for electrodes at (E, 2) mm from the middle of the array."""
+        """Return a sampler for electrodes at places (E, 2) mm from the middle of the array."""
 
     @abstractmethod
     def draw(
         self, left_mm: float, top_mm: float, shape: tuple[int, int], pixel_mm: float
     ) -> NDArray[np.uint8]:
-        """Return a part of it as ink on paper, (H, W) uint8: dark is high."""
+        """Draw a part of the texture, (H, W) uint8; dark is high."""
 
 
 _LEVELS = 256
 _WAVE = np.asarray(
     np.rint(127.5 * (1 - np.cos(2 * np.pi * (np.arange(_LEVELS) + 0.5) / _LEVELS))), np.uint8
 )
-"""Grey levels of one period, dark on the ridge."""
+"""Gray levels of one period; the ridge is dark."""
 
 
 class Grating(Texture):
-    """Unbounded ridges at one pitch, turned clockwise from upright; one is at the origin."""
+    """Unbounded grating, rotated clockwise from vertical, with a ridge at the origin."""
 
     def __init__(self, pitch_mm: float, angle_deg: float = 0.0) -> None:
         words = f"a grating of {pitch_mm:g} mm"
@@ -79,7 +79,7 @@ class Grating(Texture):
         angle = math.radians(angle_deg)
         self.pitch_mm = pitch_mm
         self.per_mm: NDArray[np.float64] = np.array([math.cos(angle), math.sin(angle)]) / pitch_mm
-        """Cycles for each mm to the right and down, (2,)."""
+        """Spatial frequency, (2,) cycles/mm right and down."""
 
     def feeler(self, position_mm: NDArray[np.float64]) -> "GratingFeeler":
         """Return a sampler of electrodes over it."""
@@ -92,7 +92,7 @@ class Grating(Texture):
         rows, columns = shape
         across = (left_mm + pixel_mm * (np.arange(columns) + 0.5)) * self.per_mm[0]
         down = (top_mm + pixel_mm * (np.arange(rows) + 0.5)) * self.per_mm[1]
-        # Sums of bytes go round as phases do.
+        # Sums of bytes wrap like phases.
         across, down = (
             (coordinate % 1 * _LEVELS).astype(np.uint8) for coordinate in (across, down)
         )
@@ -100,11 +100,10 @@ class Grating(Texture):
 
 
 class GratingFeeler:
-    """Sampler of a grating: a ridge passes an electrode, (E, 2) mm, at whole numbers of its phase.
+    """Sampler of a grating: a ridge passes an electrode when its phase is an integer.
 
-    The phase is the spatial frequency, (2,) cycles/mm, times the place in the world, so that an
-    electrode pulses spatial frequency times speed times a second (paper, Section IV-C), at places
-    that do not move with the hand.
+    The phase is the spatial frequency, (2,) cycles/mm, times the electrode's place on the texture.
+    So the pulse rate is spatial frequency times speed (paper, Section IV-C).
     """
 
     def __init__(self, per_mm: NDArray[np.float64], position_mm: NDArray[np.float64]) -> None:
@@ -117,7 +116,7 @@ class GratingFeeler:
         self._before = np.floor(self._own + (x_mm * self._per_x + y_mm * self._per_y))
 
     def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
-        """Move the middle of the array; the order of ridges on the way does not matter."""
+        """Move the array; the order of ridges on the path does not matter."""
         before = self._before
         self.place(x_mm, y_mm)
         ridges = np.abs(self._before - before)

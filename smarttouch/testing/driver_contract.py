@@ -1,4 +1,4 @@
-"""Contract tests of a driver: subclass `DriverContract` beside yours."""
+"""Contract tests for drivers: subclass `DriverContract` in your tests."""
 
 import contextlib
 import sys
@@ -19,23 +19,23 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 SECOND = 10**9
-LATE_NS = 60 * SECOND  # delay after which a sequence is dropped: the machine may be busy
-LOCKED_S = 0.02  # delay of a driver's line: an action not through by then waits for its lock
+LATE_NS = 60 * SECOND  # delay after which sequences are dropped: long, as the machine may be busy
+LOCKED_S = 0.02  # pause at a line of the driver: an action that takes longer waits for a lock
 NewBoard = Callable[[], Board]
 
 
 @dataclass(frozen=True)
 class SentPulse:
-    """One pulse that a device was sent, or `ZERO`, where all electrodes are put at zero.
+    """One pulse sent to a device, or `ZERO`, which sets all electrodes to zero.
 
     Attributes
     ----------
     current_ua : tuple of float, µA
-        Of each electrode, positive cathodic.
+        Current of each electrode, positive cathodic.
     width_us : float, µs
     discharge_us, period_us : float, optional, µs
-        For how long all electrodes are shorted after it, and how long a pass of its sequence
-        takes; None where the device is not sent this, but has its own.
+        Time for which all electrodes are shorted afterwards, and duration of a pass of the
+        sequence; None if the device itself determines them.
     """
 
     current_ua: tuple[float, ...]
@@ -44,11 +44,11 @@ class SentPulse:
     period_us: float | None = None
 
 
-ZERO = SentPulse((), 0.0)  # all electrodes are shorted, and what was sent before is forgotten
+ZERO = SentPulse((), 0.0)  # all electrodes are shorted, and earlier commands are dropped
 
 
 def planned_pulses(sequence: ScanSequence, times: int) -> list[SentPulse]:
-    """Return the pulses of all passes of a sequence, with its recharge phase as one of them."""
+    """Return the pulses of all passes of a sequence; a recharge phase is one pulse."""
     period_us = float(sequence.period_us)
     one_pass = [
         SentPulse(tuple(map(float, current_ua)), float(width_us), float(discharge_us), period_us)
@@ -65,7 +65,7 @@ def planned_pulses(sequence: ScanSequence, times: int) -> list[SentPulse]:
 def assert_same_pulses(
     found: Sequence[SentPulse], wanted: Sequence[SentPulse], step_ua: float, step_us: float
 ) -> None:
-    """Fail unless pulses are those that were planned, each rounded to the device's steps."""
+    """Fail unless pulses are as planned, rounded to the steps of the device."""
     assert len(found) == len(wanted), f"{len(found)} pulses where {len(wanted)} were proved"
     for number, (pulse, plan) in enumerate(zip(found, wanted, strict=True)):
         for name, flows in vars(pulse).items():
@@ -77,9 +77,8 @@ def assert_same_pulses(
 
 
 class AtLine:
-    """Context in which an action is started, in a thread of its own, at one line of a driver's
-    code: the one with this number, from 0, of those that its package executes, without `Board`
-    itself."""
+    """Context that starts an action, in its own thread, at one executed line of a driver's code.
+    ``number`` counts the lines executed in the driver's package, from 0, without `Board`."""
 
     thread: threading.Thread | None
 
@@ -87,8 +86,8 @@ class AtLine:
         kinds = [kind for kind in type(board.driver).__mro__ if issubclass(kind, Driver)]
         self._packages = {_package(kind.__module__) for kind in kinds if kind is not Driver}
         self._number, self._action = number, action
-        self.lines: int = 0  # that were executed
-        self.thread = None  # the action's, once it has started
+        self.lines: int = 0  # number of executed lines
+        self.thread = None  # thread of the action, once started
 
     def __enter__(self) -> "AtLine":
         self._before = sys.gettrace()
@@ -108,48 +107,50 @@ class AtLine:
             if self.lines == self._number:
                 self.thread = threading.Thread(target=self._action)
                 self.thread.start()
-                # A driver that holds its lock here lets it through later.
+                # If the driver holds its lock here, the action continues later.
                 self.thread.join(LOCKED_S)
             self.lines += 1
         return self._count
 
 
 def _package(module: str) -> str:
-    """Return the package of a module; of those of SmartTouch the room, all drivers' parts."""
+    """Return the package of a module; for drivers of SmartTouch, the package with all their
+    parts."""
     if module.startswith("smarttouch."):
         return ".".join(module.split(".")[:2])
     return module.rpartition(".")[0] or module
 
 
 class DriverContract:
-    """Contract of every driver: subclass it as ``TestMine``, with `make`, `received` and `decode`.
+    """Contract of drivers: subclass it as ``TestMine``, with `make`, `received` and `decode`.
 
-    What the device is sent is compared with what was proved. A scale that is wrong in the driver
-    and in `decode` alike is not found by this, but by ``smarttouch calibrate scale``.
+    The bytes sent to the device are compared with the proved sequences. If the driver and `decode`
+    have the same wrong scale, only ``smarttouch calibrate scale`` finds it.
 
     Attributes
     ----------
     electrodes : int
-        Of the board that is made.
+        Number of electrodes of the board.
     cathodic : bool
-        Whether it can make cathodic currents; else all are anodic.
+        Whether the board can drive cathodic currents; otherwise all are anodic.
     width_us, discharge_us, period_us : int, µs
-        Of the sequences that are sent.
+        Timing of the test sequences.
     intensity, level_ua : float, int
-        The same: as strong as may be without a ramp.
+        Intensity and current of the test sequences, so low that no ramp is needed.
     step_ua, step_us : float, µA, µs
         Steps to which the device rounds currents and times.
     keeps_order : bool
-        Whether slots come in the sequence's order; not where the device goes by index.
+        Whether slots are delivered in the order of the sequence; False if the device scans by
+        index.
     counts_passes : bool
-        Whether the device makes as many passes as it is sent; not one that scans by itself, again
-        and again, until it is sent something else.
+        Whether the device counts passes; False if it repeats its scan until it receives another
+        command.
     instants : int
-        At how many lines of the driver's code a stop comes.
+        Number of lines of the driver's code at which a stop is tested.
     made : Driver
-        The last that was made.
+        The latest driver.
     calls : list of (str, tuple)
-        Names of the driver's methods that were called, and what with.
+        Called methods of the driver, with their arguments.
     """
 
     electrodes = 8
@@ -167,46 +168,48 @@ class DriverContract:
     calls: list[tuple[str, tuple[Any, ...]]]
 
     def make(self, limits: SafetyLimits) -> Driver:
-        """Return a new driver, not opened yet; all that were made share one device."""
-        # Not abstract: pytest could not make the class to run what needs no device.
+        """Return a new closed driver; all drivers of a test share one device."""
+        # Not abstract: pytest must create the class, also for tests without a device.
         raise NotImplementedError("return your driver, for these limits")
 
     def board(self, driver: Driver, limits: SafetyLimits) -> Board:
-        """Return the board of a driver; replace it to give the board another output or clock."""
-        # Without a share of the current that all displays may drive together.
+        """Return the board of a driver; override it for another output or clock."""
+        # Not on a finger, so that the user's total current is not limited.
         return Board(driver, limits, late_ns=LATE_NS, on_a_finger=False)
 
     def received(self) -> bytes:
-        """Return all that the device has been sent since it was made, once it is there."""
+        """Return all bytes that the device has received so far."""
         raise NotImplementedError("return the bytes that your device, or its stand-in, was sent")
 
     def decode(self, data: bytes) -> list[SentPulse]:
-        """Return the pulses that bytes make a device give, in order, repetitions written out.
+        """Return the pulses that a device delivers for these bytes, in order, including
+        repetitions.
 
-        `ZERO` is among them wherever all electrodes are put at zero. Write it by the device's
-        documents, not by the driver: what both have wrong in the same way is not found.
+        Include `ZERO` wherever all electrodes are set to zero. Write it from the device's
+        documentation, not from the driver: errors in both are not found.
         """
         raise NotImplementedError("return the pulses that these bytes are, by your own decoder")
 
     def pulses(self) -> list[SentPulse]:
-        """Return what the device has been sent; replace it where that is no bytes."""
+        """Return the pulses sent to the device; override it if the device does not receive
+        bytes."""
         return self.decode(self.received())
 
     def assert_silent(self) -> None:
-        """Fail unless the last that the device was sent is zero, and stays so."""
+        """Fail unless the last command to the device is zero and no other follows."""
         before = self.pulses()
-        assert before[-1] == ZERO, "the last that the device was sent is not zero"
+        assert before[-1] == ZERO, "the last command to the device is not zero"
         time.sleep(2e-6 * self.period_us)
-        assert self.pulses() == before, "the device was sent something after it was at zero"
+        assert self.pulses() == before, "the device received a command after zero"
 
     @pytest.fixture
     def limits(self) -> SafetyLimits:
-        """Limits of the finger on the board."""
+        """Safety limits for the test sequences."""
         return SafetyLimits(self.electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 
     @pytest.fixture
     def new_board(self, limits: SafetyLimits) -> Callable[[], Board]:
-        """Return a maker of boards, whose drivers' calls are kept."""
+        """Return a function that makes boards and records calls of their drivers."""
 
         def make() -> Board:
             self.made, self.calls = self.make(limits), []
@@ -229,14 +232,14 @@ class DriverContract:
         level_ua: int | None = None,
         sites: Iterable[int] = range(4),
     ) -> ScanSequence:
-        """Return one electrode against all others in each slot; step 0 is silent.
+        """Return a sequence with one electrode against all others in each slot; step 0 is silent.
 
         Parameters
         ----------
         step : int
             Seconds since the start.
         level_ua : int, µA
-            Of the one electrode; positive is cathodic, where the board can be.
+            Current of the one electrode, positive cathodic.
         sites : iterable of int
         """
         level_ua = self.level_ua if level_ua is None else level_ua
@@ -253,7 +256,7 @@ class DriverContract:
         )  # fmt: skip
 
     def _start(self, board: Board) -> None:
-        """Send a silent sequence, then one that goes on for a while."""
+        """Send a silent sequence, then a long one."""
         board.send(self.sequence(0))
         board.drain()
         board.send(self.sequence(1), times=1000)
@@ -276,7 +279,8 @@ class DriverContract:
         assert [name for name, _ in self.calls].count("write") == 5
 
     def test_what_the_device_is_sent_is_what_was_proved(self, new_board: NewBoard) -> None:
-        """Each electrode is a site once, all but one rest once, and passes are repeated."""
+        """Each electrode is a site once, all except one are silent once, and passes are
+        repeated."""
         every, sent = list(range(self.electrodes)), [(self.sequence(0), 1)]
         with new_board() as board:
             can = board.capabilities
@@ -284,7 +288,7 @@ class DriverContract:
             if can.recharges and self.shows_recharges:
                 sent.append((self.recharged_sequence(1), 2))
             for first in range(0, self.electrodes, at_once):
-                # Backwards, so that no order but the sequence's own does.
+                # Reverse the order, so that only a driver that keeps it passes.
                 sites = every[first : first + at_once][:: -1 if self.keeps_order else 1]
                 sent.append((self.sequence(len(sent), sites=sites), 1 + first // at_once % 3))
             if can.output == "weighted":
@@ -296,7 +300,7 @@ class DriverContract:
             wanted = []
             for sequence, times in sent:
                 wanted += planned_pulses(sequence, times)
-                # A repetition ends where a newer sequence comes.
+                # A newer sequence ends repetitions.
                 if self.counts_passes:
                     board.send(sequence, times)
                     board.drain(5)
@@ -310,13 +314,14 @@ class DriverContract:
         assert_same_pulses(pulses, wanted, self.step_ua, self.step_us)
 
     def _wait_for(self, kinds: int) -> None:
-        """Wait until a device that scans by itself has been sent so many different pulses."""
+        """Wait until a device that repeats its scan has received this number of different
+        pulses."""
         end_s = time.monotonic() + 5
         while len({*self.pulses()} - {ZERO}) < kinds and time.monotonic() < end_s:
             time.sleep(0.02)
 
     def recharged_sequence(self, step: int) -> ScanSequence:
-        """Return a slot with a phase of 2 ms after it, which takes back most of its charge."""
+        """Return a slot with a recharge phase of 2 ms that takes back most of its charge."""
         sequence, recharge_us = self.sequence(step, sites=[0]), 2000
         back_ua = abs(sequence.current_ua[0, -1]) * self.width_us // recharge_us
         recharge_ua = np.where(sequence.current_ua[0] < 0, back_ua, -back_ua).astype(np.int16)
@@ -324,7 +329,7 @@ class DriverContract:
         return replace(sequence, recharge_ua=recharge_ua, recharge_us=recharge_us)
 
     def masked_sequence(self, step: int, masked: int) -> ScanSequence:
-        """Return a slot of two electrodes against each other beside a masked one."""
+        """Return a slot of two electrodes against each other, next to a masked one."""
         sequence = self.sequence(step, sites=[masked + 1])
         current_ua = np.zeros_like(sequence.current_ua)
         current_ua[0, [masked + 1, masked + 2]] = self.level_ua // 2, -(self.level_ua // 2)
@@ -332,7 +337,7 @@ class DriverContract:
 
     @pytest.mark.parametrize("what", ["send", "measure"])
     def test_a_stop_at_any_line_of_the_driver(self, new_board: NewBoard, what: str) -> None:
-        """It stops from another thread while this one is at that line; nothing comes after."""
+        """Another thread stops the board at that line; nothing is sent afterwards."""
 
         def call(board: Board) -> None:
             with contextlib.suppress(BoardError, SafetyError):

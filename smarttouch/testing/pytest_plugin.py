@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-# So that failed asserts of the contracts show what they compared.
+# Let failed asserts of the contracts show the compared values.
 pytest.register_assert_rewrite(
     *(f"smarttouch.testing.{module}" for module in ("driver_contract", "source_contracts"))
 )
@@ -12,10 +12,10 @@ pytest.register_assert_rewrite(
 
 @pytest.fixture(scope="session")
 def replays() -> Callable[..., None]:
-    """Return a function that fails unless a recording's sequences are reproduced to the bit.
+    """Return a function that fails unless a recording's sequences are reproduced exactly.
 
-    It takes the path of a recording, and what `smarttouch.running.check_recording.check_recording`
-    takes.
+    Its arguments are the path of a recording, and options of
+    `smarttouch.running.check_recording.check_recording`.
     """
 
     def assert_it_replays(path: str, **same: object) -> None:

@@ -1,4 +1,4 @@
-"""Contract tests of sources of frames, of stimuli and of finger force: subclass those of yours."""
+"""Contract tests for sources of frames, stimuli and finger force: subclass them in your tests."""
 
 import contextlib
 import math
@@ -17,30 +17,30 @@ from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
 
-READS = 30  # of a source
-QUICKEST_S = 0.01  # the quickest of many reads takes no longer: it waits for nothing
-LARGEST_N = 100.0  # no finger presses harder
+READS = 30  # number of reads of a source
+QUICKEST_S = 0.01  # limit of the fastest of many reads, which must not wait
+LARGEST_N = 100.0  # largest plausible force of a finger
 
 
 class _Opened:
-    """Contract of whatever a URL opens."""
+    """Base of contracts."""
 
     @pytest.fixture
     def profile(self) -> Profile:
-        """Optics and force that it is made for."""
+        """Profile for the source."""
         return load_profile(DEFAULT_PROFILE)
 
 
 class SourceContract(_Opened):
-    """Contract of every source of frames: subclass it as ``TestMine``, with `make`.
+    """Contract of sources of frames: subclass it as ``TestMine``, with `make`.
 
     Attributes
     ----------
     ends : bool
-        Whether it ends within `longest_s`, by the time that it is asked for.
+        Whether the source ends within `longest_s`, in time of the run.
     longest_s : float, s
     step_s : float, s
-        From one frame to the next.
+        Time from one frame to the next.
     """
 
     ends = True
@@ -48,12 +48,12 @@ class SourceContract(_Opened):
     step_s: float = 0.02
 
     def make(self, profile: Profile) -> Source:
-        """Return a new source, from its beginning."""
-        # Not abstract: pytest could not make the class to run what needs no device.
+        """Return a new source."""
+        # Not abstract: pytest must create the class, also for tests without a device.
         raise NotImplementedError("return your source")
 
     def pause(self) -> None:
-        """Called between two reads: does nothing; override it to wait for a device."""
+        """Called between two reads; override it to wait for a device."""
 
     @pytest.fixture
     def source(self, profile: Profile) -> Iterator[Source]:
@@ -62,7 +62,7 @@ class SourceContract(_Opened):
             yield source
 
     def read(self, source: Source) -> list[Input]:
-        """Return what it gives, until it ends or has been read often enough; none changes later."""
+        """Read the source until its end, at most `READS` times; fail if an input changes later."""
         inputs: list[Input] = []
         copies: list[NDArray[Any]] = []
         time_ns = 0
@@ -81,7 +81,7 @@ class SourceContract(_Opened):
         return round(self.step_s * 1e9)
 
     def check(self, given: Input, first: Input, profile: Profile) -> None:
-        """Check that a run takes one of its inputs, and that it matches the first."""
+        """Check that an input is valid for a run, and has the type and shape of the first."""
         assert isinstance(given, Frame)
         assert isinstance(first, Frame)
         assert given.image.dtype == np.uint8
@@ -89,7 +89,7 @@ class SourceContract(_Opened):
         assert given.image.ndim == 2
 
     def check_same(self, one: Input, other: Input) -> None:
-        """Compare two inputs of one number."""
+        """Compare two inputs with the same number."""
         np.testing.assert_array_equal(_content(one), _content(other))
 
     def test_each_is_what_it_is_to_be(self, source: Source, profile: Profile) -> None:
@@ -141,7 +141,7 @@ class SourceContract(_Opened):
         self.make(profile).close()
 
     def test_reading_waits_for_nothing(self, source: Source) -> None:
-        # The first may wait for a device that starts; one of the others may meet a busy computer.
+        # The first read may wait for a device; others may be delayed by a busy computer.
         newest, time_ns, took_s = source.read(0), 0, list[float]()
         while newest is not None and len(took_s) < READS:
             time_ns += self.lasts_ns(newest)
@@ -152,9 +152,9 @@ class SourceContract(_Opened):
 
 
 class StimulusContract(SourceContract):
-    """Contract of every source of stimuli: subclass it as ``TestMine``, with `make`.
+    """Contract of sources of stimuli: subclass it as ``TestMine``, with `make`.
 
-    One that says how long a stimulus lasts is read again when it is over, any other each `step_s`.
+    The source is read again when the period of a stimulus is over, or else after `step_s`.
     """
 
     def lasts_ns(self, given: Input) -> int:
@@ -163,11 +163,11 @@ class StimulusContract(SourceContract):
         return super().lasts_ns(given) if given.period_us is None else 1000 * given.period_us
 
     def check(self, given: Input, first: Input, profile: Profile) -> None:
-        """Compare a stimulus with what a run takes."""
+        """Check that a stimulus is valid for a run."""
         assert isinstance(given, Stimulus)
         assert given.activation.dtype == np.float32
         assert given.activation.shape == (len(Afferent), len(profile.electrodes))
-        # Nothing is above NaN.
+        # This also fails for NaN.
         assert 0 <= given.activation.min() <= given.activation.max() <= 1
         assert 0 <= given.level <= 1
         assert given.period_us is None or given.period_us > 0
@@ -176,7 +176,8 @@ class StimulusContract(SourceContract):
             assert given.image.ndim == 2
 
     def check_same(self, one: Input, other: Input) -> None:
-        """Compare two stimuli of one number: they are of one place, and may pulse or not."""
+        """Compare two stimuli with the same number, which have the same place but may differ in
+        pulses."""
         assert one.pose == other.pose
 
 
@@ -185,11 +186,11 @@ def _content(given: Input) -> NDArray[Any]:
 
 
 class ForceContract(_Opened):
-    """Contract of every source of force: subclass it as ``TestMine``, with `make`."""
+    """Contract of sources of force: subclass it as ``TestMine``, with `make`."""
 
     def make(self, profile: Profile) -> ForceSource:
         """Return a new source of force."""
-        # Not abstract: pytest could not make the class to run what needs no device.
+        # Not abstract: pytest must create the class, also for tests without a device.
         raise NotImplementedError("return your source of force")
 
     @pytest.fixture

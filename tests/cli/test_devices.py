@@ -96,7 +96,7 @@ def test_a_walk_through_the_electrodes(program_here, kit):
     assert list(dict.fromkeys(slots["site"].tolist())) == list(range(32))
 
 
-@pytest.mark.parametrize(("force", "said"), [("1", ""), ("0", " without a pulse: 3.")])
+@pytest.mark.parametrize(("force", "said"), [("1", ""), ("0", " no pulse: 3.")])
 def test_a_walk_names_the_electrodes_that_were_sent_no_pulse(program_here, force, said):
     done = program_here(
         f"devices test memory: --force fixed:{force} --seconds 0.3 --current-ma 0.3 --electrode 3"

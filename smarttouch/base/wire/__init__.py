@@ -1,1 +1,1 @@
-"""Serial lines, TCP, pseudo-terminals, and packets on them, for both ends of a wire."""
+"""Serial lines, TCP connections and packets, for boards and sensors."""

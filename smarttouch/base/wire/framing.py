@@ -1,4 +1,4 @@
-"""Packets on a byte stream: COBS between zeros, and a CRC, for boards and sensors alike."""
+"""Packets on a byte stream: COBS between zeros, with a CRC, for boards and sensors."""
 
 import struct
 import zlib
@@ -9,12 +9,12 @@ from cobs import cobs
 LARGEST_PACKET = 4 * 2**20
 _HEAD = struct.Struct("<BBI")
 _CRC = struct.Struct("<I")
-HEAD_BYTES = _HEAD.size  # size of a decoded packet's head: version, kind and number
+HEAD_BYTES = _HEAD.size  # decoded head: version, kind and number
 
 
 @dataclass(frozen=True)
 class WirePacket:
-    """One complete packet."""
+    """Decoded packet."""
 
     kind: int
     number: int
@@ -23,11 +23,11 @@ class WirePacket:
 
 
 def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes:
-    """Return a packet in its wire format; its payload may be in pieces.
+    """Encode a packet; its payload may be in pieces.
 
-    It is COBS-encoded and ends with one 0x00, so that a receiver can resynchronize at the next
-    zero. Decoded, all little endian: u8 version, u8 kind, u32 number, the payload, u32 CRC-32 of
-    all before it.
+    A packet is COBS-encoded and ends with one 0x00, so that receivers resynchronize at the next
+    zero. Decoded, little endian: u8 version, u8 kind, u32 number, payload, u32 CRC-32 of everything
+    before.
     """
     head = _HEAD.pack(version, kind, number)
     crc = zlib.crc32(head)
@@ -37,10 +37,10 @@ def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes
 
 
 class Deframer:
-    """Parser of packets in a stream of bytes; what is longer than ``largest`` is skipped."""
+    """Parser of packets in a stream of bytes; packets longer than ``largest`` are skipped."""
 
     def __init__(self, largest: int = LARGEST_PACKET) -> None:
-        self.errors: int = 0  # pieces between zeros that were no valid packet
+        self.errors: int = 0  # number of invalid pieces between zeros
         self._largest, self._most = largest, largest * 1.01 + 64
         self._waiting = bytearray()
         self._skipping = False
@@ -51,21 +51,21 @@ class Deframer:
         return len(self._waiting)
 
     def head(self, count: int) -> bytes | None:
-        """Return the first bytes of the incomplete packet, decoded but unchecked; None if fewer
-        than ``count`` have come."""
+        """Return the first ``count`` bytes of the incomplete packet, decoded but unchecked, or None
+        if there are fewer."""
         data, at = bytearray(self._waiting[: count + 2]), 0
         if not data:
             return None
         while at + data[at] < len(data):
             at += data[at]
-        # A block that has not come whole ends here; a zero follows one that has.
+        # The last block may be incomplete; a complete one is followed by a zero.
         zero = b"\0" if at + data[at] == len(data) and data[at] < 0xFF else b""
         data[at] = len(data) - at
         decoded = bytes(cobs.decode(bytes(data))) + zero
         return decoded[:count] if len(decoded) >= count else None
 
     def feed(self, data: bytes) -> list[WirePacket]:
-        """Return every packet completed by these bytes."""
+        """Return the packets that these bytes complete."""
         *complete, rest = data.split(b"\0")
         packets = []
         for piece in complete:
@@ -90,6 +90,6 @@ class Deframer:
 
 
 def parse_head(body: bytes) -> WirePacket:
-    """Return a packet from its decoded bytes without the CRC, unchecked."""
+    """Return a packet from decoded bytes without the CRC, unchecked."""
     version, kind, number = _HEAD.unpack_from(body)
     return WirePacket(kind, number, body[_HEAD.size :], version)

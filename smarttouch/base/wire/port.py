@@ -1,4 +1,4 @@
-"""Serial lines and TCP connections by name, with errors a user can act on."""
+"""Serial ports and TCP connections by name, with error messages that tell what to do."""
 
 import contextlib
 import os
@@ -28,7 +28,7 @@ _PSEUDO = ("/dev/pts/", "/dev/ttys")  # names of pseudo-terminals on Linux and m
 LINE_ERRORS = (
     OSError, serial.SerialException, termios.error if termios else OSError, TypeError
 )  # fmt: skip
-"""Exceptions of pyserial when a port vanishes, or is closed by another thread."""
+"""Exceptions of pyserial when a port disappears, or another thread closes it."""
 
 
 def open_port(
@@ -37,29 +37,28 @@ def open_port(
     timeout_s: float = 0.05,
     error: type[SmartTouchError] = BoardError,
 ) -> Port:
-    """Open a device, ``tcp://HOST:PORT``, or any URL that pyserial knows.
-
-    Both modem lines are held inactive: on many boards they are wired to reset.
+    """Open a device, ``tcp://HOST:PORT``, or a URL of pyserial. RTS and DTR stay inactive: on many
+    boards they cause a reset.
 
     Raises
     ------
     SmartTouchError
-        Of the class ``error``, saying what to do about it.
+        Of class ``error``, with the remedy in its message.
     """
     tcp = name.startswith("tcp://")
     url = name.replace("tcp://", "socket://", 1) if tcp else name
     try:
         if tcp and urlsplit(name).port is None:
-            raise ValueError("it names no port, give tcp://HOST:PORT (an eTactileKit's is 8080)")
+            raise ValueError("the port is missing, give tcp://HOST:PORT (8080 for an eTactileKit)")
         port: Port = serial.serial_for_url(url, do_not_open=True, baudrate=baudrate)
         port.timeout, port.write_timeout, port.exclusive = timeout_s, 0.5, True
         port.dtr = port.rts = False
         port.open()
         if HAS_POSIX and _is_device(port):
-            # Keeps out programs that ask for no lock, though not those of root.
+            # Also exclude programs that do not ask for a lock, except those of root.
             fcntl.ioctl(port.fileno(), termios.TIOCEXCL)
         if url.startswith("socket://"):
-            # Short commands must not wait for earlier ones to be acknowledged.
+            # Do not delay short commands until earlier ones are acknowledged.
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except (*LINE_ERRORS, ValueError, AttributeError) as failure:
         raise error(f"cannot open {name}: {_advice(failure)}") from None
@@ -67,7 +66,7 @@ def open_port(
 
 
 def _is_device(port: Port) -> bool:
-    """Return whether a port is a device; a pseudo-terminal would stay exclusive when closed."""
+    """Return whether a port is a device, not a pseudo-terminal, which would stay exclusive."""
     try:
         return not os.ttyname(port.fileno()).startswith(_PSEUDO)
     except (OSError, AttributeError):
@@ -76,7 +75,7 @@ def _is_device(port: Port) -> bool:
 
 @dataclass(frozen=True)
 class UsbIdentity:
-    """USB identity of one device, and its port."""
+    """USB identity of a device, and its port."""
 
     vendor: int
     product: int
@@ -85,7 +84,7 @@ class UsbIdentity:
 
 
 def identity_of(port: Port) -> UsbIdentity | None:
-    """Return the USB identity of an open port; None for another line, or no serial number."""
+    """Return the USB identity of an open port; None without USB or without a serial number."""
     if not isinstance(port, serial.Serial):
         return None
     try:
@@ -95,7 +94,7 @@ def identity_of(port: Port) -> UsbIdentity | None:
 
 
 def device_of(name: str) -> str:
-    """Return the identity of the device at a port: its USB serial number, else the port's name."""
+    """Return the USB serial number of the device at a port, or else the name of the port."""
     with contextlib.suppress(*LINE_ERRORS):
         if usb := _usb_identity(name):
             return f"USB {usb.vendor:04x}:{usb.product:04x} {usb.serial_number}"
@@ -118,13 +117,14 @@ def reopen_port(
     pause: Callable[[float], None] = time.sleep,
     baudrate: int = 921600,
 ) -> Port:
-    """Reopen a lost port as soon as it is back with the same identity, and write nothing; raise
-    OtherDeviceError if only another device came back. ``pause`` waits a number of seconds; what it
-    raises ends the waiting."""
+    """Wait until a lost port is back with the same identity, and open it, without writing. Raises
+    OtherDeviceError if another device is there. ``pause`` waits some seconds; its exceptions end
+    the wait."""
     deadline = time.monotonic() + within_s
     while True:
         try:
-            # By name first, as opening another device may reset it; then by the open port.
+            # Check by name before opening, which may reset another device; then check the open
+            # port.
             if Path(name).exists() and _usb_identity(name) != identity:
                 raise _other(name)
             port = open_port(name, baudrate)
@@ -139,7 +139,7 @@ def reopen_port(
 
 
 def _descriptor(port: Port) -> int | None:
-    """Return the descriptor of a port; None on Windows, and for a line of pyserial's own."""
+    """Return the descriptor of a port; None on Windows, and for URLs of pyserial."""
     try:
         return int(port.fileno()) if HAS_POSIX else None
     except (AttributeError, OSError):
@@ -147,8 +147,8 @@ def _descriptor(port: Port) -> int | None:
 
 
 def read_some(port: Port) -> bytes | None:
-    """Return what has come, after a wait for the first byte for the port's timeout; None if another
-    program has taken it."""
+    """Return the received bytes; wait for the first one up to the port's timeout. None if another
+    program has read them."""
     if (number := _descriptor(port)) is None:
         return bytes(port.read(port.in_waiting or 1))
     if not select.select([number], [], [], port.timeout)[0]:
@@ -163,16 +163,16 @@ def read_some(port: Port) -> bytes | None:
 
 def _is_hung_up(number: int) -> bool:
     poll = select.poll()
-    poll.register(number, 0)  # for what is told without asking
+    poll.register(number, 0)  # hang-ups are always reported
     return bool(poll.poll(0))
 
 
 def write_before(
     port: Port, data: bytes, latest_ns: int, now_ns: Callable[[], int], within_s: float = 0.5
 ) -> bool:
-    """Write bytes unless it is too late for the first of them; return whether they were written.
-    Nothing runs between the last look at the clock and the system's write, so only a process that
-    is suspended just there writes late. A line that accepts nothing fails after ``within_s``."""
+    """Write bytes unless it is later than ``latest_ns``; return whether they were written. Nothing
+    runs between the last check of the clock and the write, so only a process suspended just there
+    writes late. Raises an error if the line accepts no bytes for ``within_s``."""
     number, sent = _descriptor(port), 0
     if number is not None and os.get_blocking(number):
         os.set_blocking(number, False)
@@ -192,13 +192,13 @@ def write_before(
 
 
 def _other(name: str) -> OtherDeviceError:
-    return OtherDeviceError(f"by its USB numbers another device is at {name} now: nothing was sent")
+    return OtherDeviceError(f"by its USB numbers another device is at {name}: nothing was sent")
 
 
 def reason(error: Exception) -> str:
-    """Return the system's text of an error on a line."""
+    """Return the reason of an error on a line, as text."""
     if "multiple access" in str(error):
-        return "it is gone, or another program reads from it: close that"
+        return "it is disconnected, or another program reads from it: close that program"
     number = getattr(error, "errno", None)
     return os.strerror(number) if number else (str(error) or type(error).__name__)
 
@@ -206,11 +206,11 @@ def reason(error: Exception) -> str:
 def _advice(error: Exception) -> str:
     text = str(error)
     if "lock" in text or "busy" in text.lower():
-        return "it is in use by another program: close that first"
+        return "another program uses it: close that program first"
     if "ioctl" in text:
-        return "it is no serial port: check the name"
+        return "it is not a serial port: check the name"
     if "refused" in text:
-        return "nobody listens there: check that it is on, its address and port"
+        return "nothing listens there: check that it is on, its address and port"
     if "No such file" in text or getattr(error, "errno", None) == 2:
         return (
             "there is no such port: check the cable and the name. BRLTTY may have claimed a board "
