@@ -265,7 +265,7 @@ class Screen(Listener):
             ("unwanted", _beside(statistics.off_target, statistics.spill)),
             ("frames", f"{statistics.delivered} sent, {dropped} dropped of {self._source.frames}"),
             ("board", f"{self._board.acknowledged} of {statistics.frames} acknowledged"),
-            ("own work", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
+            ("computing", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
         )
 
     def summarize(self, figures: dict[str, Any], notes: list[str], files: Sequence[Path]) -> None:
@@ -383,7 +383,7 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
     """Return the summary of a run as lines of text, from `RunStatistics.figures`."""
     pulse, by_host = figures["motion_to_pulse_us"], figures["reported_by"] == "host"
     latency = pulse or figures["motion_to_bytes_us"]
-    rate = f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"
+    rate = f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} Hz requested"
     if figures["slowed_sequences"]:
         rate += (
             f" ({figures['slowed_sequences']} sequences did not fit and were slowed, "
@@ -408,7 +408,7 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
         f"{figures['frames_in']} frames in, {figures['frames_delivered']} delivered, "
         f"{figures['dropped_frames']} dropped; {figures['slots']} slots in "
         f"{figures['acknowledged']} sequences {'acknowledged' if acknowledges else 'sent'}",
-        f"{rate}; own work {figures['work_share']:.1%} of it",
+        f"{rate}; computing takes {figures['work_share']:.1%} of the time",
         f"strongest pulse {figures['max_current_ma']:.2f} mA, "
         f"{figures['max_charge_uc']:.3f} µC; {net}",
         f"session: {figures['dose_s']:.1f} s of current, at most {figures['dose_mc']:.2f} mC "

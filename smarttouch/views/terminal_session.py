@@ -205,7 +205,7 @@ def describe_recording(path: Path) -> list[tuple[str, str]]:
 
 def _state(recording: RecordedRun) -> str:
     if recording.whole:
-        return "whole"
+        return "complete"
     if recording.damaged_chunks:
         return f"damaged: {recording.damaged_chunks} chunks cannot be read"
     return "cut: the program that wrote it did not end in order"
