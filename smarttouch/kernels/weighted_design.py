@@ -33,9 +33,11 @@ def design_kernel(
     options: Options | None = None,
     given_up: float = GIVEN_UP,
 ) -> Kernel:
-    """Design the weighted kernel of one site. Raises DesignError if the limits allow none. Of all
-    kernels whose off-target is within `given_up` (relative) of the minimum, the one with the least
-    spill is chosen; with 0, off-target alone is minimized.
+    """Design the weighted kernel of one site.
+
+    Raises DesignError if the limits allow none. Of all kernels whose off-target is within
+    `given_up` (relative) of the minimum, the one with the least spill is chosen; with 0, off-target
+    alone is minimized.
 
     Ties are broken by symmetry, then by total current, then by the distance of currents from the
     site and from the array's middle, so the result does not depend on the solver.

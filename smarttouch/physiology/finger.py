@@ -164,12 +164,11 @@ class Finger:
 
     @cached_property
     def rows(self) -> tuple[Floats, NDArray[np.intp]]:
-        """Drives of all nodes that currents within the limits can fire, (N, E) float32, 1/mA, and
-        starts (A,).
+        """Drives of nodes that currents within the limits can fire, (N, E), and starts, (A,).
 
-        A drive is for 1 mA of cathodic current with the profile's pulse; at threshold the sum is 1.
-        Nodes of afferent i begin at ``starts[i]``. Each afferent has at least one row, which may be
-        zero.
+        A drive, float32 1/mA, is for 1 mA of cathodic current with the profile's pulse; at
+        threshold the sum is 1. Nodes of afferent i begin at ``starts[i]``. Each afferent has at
+        least one row, which may be zero.
         """
         row_parts, starts, count = [], [], 0
         for one in self.populations.values():

@@ -265,10 +265,9 @@ class DrivingFunction:
         return self.operator(potential_mv.shape[-2]) @ potential_mv
 
     def highest(self, potential_mv: Array) -> Array:
-        """Return the largest drive, (C,), of nodes whose spikes are not blocked, for potentials (C,
-        N).
+        """Return the largest drive, (C,), of nodes whose spikes are not blocked.
 
-        It is 0 if all are blocked on the way to the last node.
+        Potentials are (C, N). The drive is 0 if all are blocked on the way to the last node.
         """
         drive = self.drive(potential_mv[..., None])[..., 0]
         return np.asarray(np.where(passes(drive, self.block), drive, 0.0).max(axis=1))

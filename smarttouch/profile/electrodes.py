@@ -322,8 +322,7 @@ USUAL_DIAMETER_MM = 1.0
 
 
 def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
-    """Return a layout of discs from coordinates, (E, 2), or with diameters, (E, 3), mm right and
-    down.
+    """Return a layout of discs from coordinates, (E, 2), and optionally diameters, (E, 3), mm.
 
     A CSV file has columns ``x_mm``, ``y_mm`` and optionally ``diameter_mm``.
     """

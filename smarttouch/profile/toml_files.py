@@ -35,8 +35,7 @@ memory."""
 
 
 def load_profile(name: str | Path | Profile) -> Profile:
-    """Load a shipped profile by name, or any profile from its file. A Profile is returned
-    unchanged.
+    """Load a shipped profile by name, or any profile from its file.
 
     Raises
     ------

@@ -37,8 +37,9 @@ def open_port(
     timeout_s: float = 0.05,
     error: type[SmartTouchError] = BoardError,
 ) -> Port:
-    """Open a device, ``tcp://HOST:PORT``, or a URL of pyserial. RTS and DTR stay inactive: on many
-    boards they cause a reset.
+    """Open a device, ``tcp://HOST:PORT``, or a URL of pyserial.
+
+    RTS and DTR stay inactive: on many boards they cause a reset.
 
     Raises
     ------
