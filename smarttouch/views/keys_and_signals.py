@@ -1,4 +1,4 @@
-"""Keys, output and signals of a command in a terminal: it can be stopped at any instant."""
+"""Keys, output and signals of a command in a terminal."""
 
 import contextlib
 import functools
@@ -15,10 +15,10 @@ from smarttouch.base.posix import termios, tty
 from smarttouch.base.stopping import RunStopped, StopRequest
 from smarttouch.boards.shutdown import current_command, running_command
 
-LOST = ""  # key that stands for a terminal that is gone
-JOIN_S = 0.3  # longest time that the end waits for a key that is being handled
-_TURN_S = 0.05  # longest time until something new is drawn
-_before: list[list[Any]] = []  # the terminal's own settings, while they are changed
+LOST = ""  # key that reports a closed terminal
+JOIN_S = 0.3  # longest wait at the end for a key that is being handled
+_TURN_S = 0.05  # longest delay before drawing
+_before: list[list[Any]] = []  # original terminal settings while they are changed
 
 
 def restore() -> None:
@@ -30,15 +30,15 @@ def restore() -> None:
 
 
 class Output:
-    """A standard stream to draw on: what a terminal does not take yet waits here.
+    """Standard stream that buffers output which the terminal does not accept yet.
 
-    A `Terminal` sends it, as much at a time as goes without waiting. Where the system has no such
-    writes, or the stream is no file, it is written at once.
+    A `Terminal` sends the buffer in non-blocking writes. Without non-blocking writes, or if the
+    stream is not a file, output is written at once.
     """
 
     def __init__(self, stream: Any) -> None:
         self.number: int | None = None
-        """Descriptor to send by, while a terminal's thread does."""
+        """Descriptor for sending, while a terminal's thread does so."""
         self.waiting = bytearray()
         self.failure: OSError | None = None
         self._stream = stream
@@ -47,14 +47,14 @@ class Output:
         return getattr(self._stream, name)
 
     def open(self) -> None:
-        """Let what is written wait from now on."""
+        """Buffer output from now on."""
         if termios is None:
             return
         with suppress(OSError, ValueError, AttributeError):
             self._stream.flush()
             number = self._stream.fileno()
             try:
-                # Opened again, it does not wait, and all others who have it open still do.
+                # Open it again: only this descriptor becomes non-blocking.
                 flags = os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK
                 self.number = os.open(os.ttyname(number), flags)
             except OSError:
@@ -74,10 +74,10 @@ class Output:
             self._stream.flush()
 
     def send(self) -> None:
-        """Send what is taken at once."""
+        """Send as much as the terminal accepts at once."""
         assert self.number is not None
         try:
-            # So much a pipe takes at once, too, where it takes anything.
+            # A pipe accepts this many bytes at once, or none.
             del self.waiting[: os.write(self.number, self.waiting[: select.PIPE_BUF])]
         except BlockingIOError:
             time.sleep(_TURN_S)
@@ -86,17 +86,18 @@ class Output:
             self.waiting.clear()
 
     def close(self) -> None:
-        """Write at once from now on; what nobody took comes first."""
+        """Write at once from now on, beginning with the buffer."""
         number, self.number = self.number, None
         if number is not None:
             os.close(number)
 
 
 class Terminal:
-    """The one thread for a terminal: it hears keys, draws and sends, and waits for no output.
+    """Thread that reads keys, draws and sends output, without waiting for the terminal. ``on_key``
+    receives each key; arrow keys are ``up``, ``down``, ``left`` and ``right``, a closed terminal is
+    `LOST`.
 
-    ``on_key`` gets every key, arrow keys as ``up``, ``down``, ``left`` and ``right``, a lost
-    terminal as `LOST`. ``draw`` is called again and again.
+    ``draw`` is called repeatedly.
     """
 
     def __init__(
@@ -110,20 +111,20 @@ class Terminal:
         self._thread = threading.Thread(target=self._work, name="terminal", daemon=True)
 
     def open(self) -> None:
-        """Hear keys, if there is a keyboard, and draw, from now on."""
+        """Start to draw and, if there is a keyboard, to read keys."""
         if termios is None or not sys.stdin.isatty():
             self._on_key = None
         for output in self._outputs:
             output.open()
         if self._on_key is not None:
             _before.append(termios.tcgetattr(sys.stdin))
-            # Now, not after pending output, which may never be read.
+            # Switch now: pending output may never be read.
             tty.setcbreak(sys.stdin, termios.TCSANOW)
         if self._on_key is not None or self._outputs:
             self._thread.start()
 
     def close(self, patience_s: float = 0.0) -> None:
-        """Draw and send the rest, if that is taken in time, and restore the terminal."""
+        """Draw and send the rest within ``patience_s``, and restore the terminal."""
         self._over.set()
         if self._thread.ident is not None:
             self._thread.join(patience_s)
@@ -162,7 +163,7 @@ class Terminal:
 
 @contextmanager
 def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
-    """Pass every key to a function, from a thread, until the block ends; see `Terminal`."""
+    """Pass each key to a function, from a thread, while the block runs; see `Terminal`."""
     terminal = Terminal(on_key)
     with contextlib.closing(terminal):
         terminal.open()
@@ -170,7 +171,7 @@ def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
 
 
 def _pass_keys(number: int, on_key: Callable[[str], None]) -> bool:
-    """Pass on what was pressed; return whether there may be more."""
+    """Pass on pressed keys; return whether more may follow."""
     try:
         data = os.read(number, 64)
     except OSError:

@@ -39,9 +39,10 @@ Rows = tuple[tuple[str, str], ...]
 
 
 class Screen(Listener):
-    """Shows a run, hears its keys, and summarizes it, in a thread of its own, so that no pulse
-    waits for the terminal, and no key either. Where nothing can be drawn, or if plain, it prints a
-    line for each event and each new title of the source. ``keys_of`` makes what gets the keys."""
+    """Shows a run in the terminal, receives keys and prints a summary. It uses its own thread, so
+    that neither pulses nor keys wait for the terminal. If plain, or if the output is not a
+    terminal, it prints a line for each event and each new title of the source. ``keys_of`` returns
+    the function that receives keys."""
 
     def __init__(
         self,
@@ -65,7 +66,7 @@ class Screen(Listener):
         self._outputs = [Output(self._console.file), Output(self._errors.file)]
         self._console.file, self._errors.file = (cast(TextIO, each) for each in self._outputs)
         self._terminal: Terminal | None = None
-        self._failure: BaseException | None = None  # of the terminal, raised in the run's thread
+        self._failure: BaseException | None = None  # for the run's thread to raise
         self._drawn: object = None
         self._rests_until_s = 0.0
 
@@ -74,7 +75,7 @@ class Screen(Listener):
         self._board, self._statistics = run.board, run.statistics
         self._full_ma = float(run.profile.full_ma.max())
         if not self._plain:
-            # Drawing must not hold the loop up for a whole default interval of 5 ms.
+            # Drawing must not delay the loop by Python's default switch interval of 5 ms.
             self._interval = sys.getswitchinterval()
             sys.setswitchinterval(0.0005)
             self._live = Live(
@@ -128,7 +129,7 @@ class Screen(Listener):
         self._raise_failure()
 
     def close(self) -> None:
-        """Restore the terminal, unless it has stopped reading."""
+        """Restore the terminal, unless it no longer reads."""
         live, self._live = self._live, None
         if live is not None:
             self._acts.put(live.stop)
@@ -150,8 +151,8 @@ class Screen(Listener):
             raise failure
 
     def _draw(self) -> None:
-        """Print what has come, and redraw what has changed; less often while the machine is busy,
-        and never ahead of a terminal that takes nothing."""
+        """Run queued actions and redraw after changes, less often on a busy machine, and never
+        ahead of a terminal that takes nothing."""
         began_s, live = time.monotonic(), self._live
         try:
             with suppress(Empty):

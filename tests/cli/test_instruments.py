@@ -34,7 +34,7 @@ def test_all_three_on_an_emulated_board(played, tmp_path):
     assert figures["emulator_violations"] == 0
     # RA at 30 a second, PC at every second cycle, at four sites; SAI as its force has it.
     assert figures["slots"] > 4 * (28 + 120)
-    assert "PC pulses reach another class" in figures["noted"]
+    assert "PC pulses stimulate another class" in figures["noted"]
     assert_replays(tmp_path / "r.mcap")
 
 
