@@ -64,13 +64,11 @@ class _DirectSession(LinkSession):
         self._firmware, self._now_ns, self._said_ns = firmware, 0, 0
 
     def _listen(self) -> None:
-        """Do nothing: answers are taken when a packet is sent."""
+        """Take each answer where the packet is sent."""
+        self.put, self.now_ns = self._feed, lambda: self._now_ns
 
     def now_s(self) -> float:
         return self._now_ns / 1e9
-
-    def now_ns(self) -> int:
-        return self._now_ns
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         end_ns = self._now_ns + int(1e9 * timeout_s)
@@ -80,7 +78,7 @@ class _DirectSession(LinkSession):
             self.wait_until(self._now_ns + _STEP_NS)
         return True
 
-    def _put(self, packet: bytes, proved: ProvedSequence | None) -> None:
+    def _feed(self, packet: bytes, proved: ProvedSequence | None) -> None:
         with self.line.current(proved):
             self._said_ns = self._now_ns
             self.take(self._firmware.feed(packet, self._now_ns))

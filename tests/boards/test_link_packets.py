@@ -29,10 +29,12 @@ from smarttouch.boards.link import (
     encode,
 )
 from smarttouch.boards.link.link_driver import SILENCE_S, LinkSession
-from smarttouch.boards.link.sequence_encoding import encode_scan
+from smarttouch.boards.link.sequence_encoding import KernelImage, encode_scan
 from smarttouch.emulator.emulated_boards import SimulatedDriver
+from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import decode_lists
 from smarttouch.emulator.link_rules import Room
+from smarttouch.profile.device import Output
 from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
 
 from ..support.checks import raises
@@ -80,6 +82,31 @@ def test_a_slot_beyond_the_room_of_a_packet_is_refused():
     sequence = ScanSequence(current, column, column, 0 * column, 9000, 1.0, 0)
     with raises(BoardError, allowed=2000):
         encode_scan(sequence, 1, False, False, None, 2000, 1 << 16)
+
+
+@pytest.mark.parametrize("amplitude", [[40_000, 30_000], [4000] + 70_000 * [0]])
+def test_lists_beyond_what_a_board_adds_up_go_as_currents(amplitude):
+    table, count = random_table(np.random.default_rng(0), 1, 4), len(amplitude)
+    lists = KernelLists(table, np.array([0, count]), *np.uint16([[0] * count, amplitude]))
+    image, switched = KernelImage.of(table, 1 << 20, 9), False
+    payloads = [
+        encode_lists(sequence_of(lists), 1, False, switched, each, 1 << 20)
+        for each in (image, None)
+    ]
+    assert payloads[0] == payloads[1]
+
+
+def test_a_switched_board_that_claims_a_recharge_phase_gets_none(make_limits, monkeypatch):
+    """Its one source has no current for each electrode."""
+    limits, output = make_limits(), Output(kind="one-against-all")
+    said, able = LinkFirmware._capabilities, 27
+
+    def claim(board):
+        return said(board).replace(bytes([able]), bytes([able | protocol.Feature.RECHARGE]), 1)
+
+    monkeypatch.setattr(LinkFirmware, "_capabilities", claim)
+    with Board(SimulatedDriver("", limits, output), limits, output, on_a_finger=False) as board:
+        assert not board.capabilities.recharges
 
 
 def test_an_endless_packet_does_not_fill_the_memory():
@@ -148,6 +175,7 @@ class Reads:
     long."""
 
     name = "here"
+    now_ns = write = None
 
     def __init__(self, packets, *pieces):
         self.packets, self.pieces, self.number = packets, list(pieces), 0

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from cobs import cobs
 
 LARGEST_PACKET = 4 * 2**20
-_HEAD = struct.Struct("<BBI")
+HEAD = struct.Struct("<BBI")  # of a decoded packet: version, kind and number
 _CRC = struct.Struct("<I")
-HEAD_BYTES = _HEAD.size  # decoded head: version, kind and number
 
 
 @dataclass(frozen=True)
@@ -29,7 +28,7 @@ def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes
     zero. Decoded, little endian: u8 version, u8 kind, u32 number, payload, u32 CRC-32 of everything
     before.
     """
-    head = _HEAD.pack(version, kind, number)
+    head = HEAD.pack(version, kind, number)
     crc = zlib.crc32(head)
     for piece in payload:
         crc = zlib.crc32(piece, crc)
@@ -77,9 +76,10 @@ class Deframer:
             except cobs.DecodeError:
                 body = b""
             end = len(body) - _CRC.size
-            fits = _HEAD.size <= end <= self._largest - _CRC.size
+            fits = HEAD.size <= end <= self._largest - _CRC.size
             if fits and zlib.crc32(body[:end]) == _CRC.unpack_from(body, end)[0]:
-                packets.append(parse_head(body[:end]))
+                version, kind, number = HEAD.unpack_from(body)
+                packets.append(WirePacket(kind, number, body[HEAD.size : end], version))
             elif coded:
                 self.errors += 1
         self._waiting += rest
@@ -87,9 +87,3 @@ class Deframer:
             self._waiting.clear()
             self._skipping = True
         return packets
-
-
-def parse_head(body: bytes) -> WirePacket:
-    """Return a packet from decoded bytes without the CRC, unchecked."""
-    version, kind, number = _HEAD.unpack_from(body)
-    return WirePacket(kind, number, body[_HEAD.size :], version)

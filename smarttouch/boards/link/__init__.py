@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Literal, get_args
 
-from smarttouch.base.wire.framing import HEAD_BYTES, WirePacket, frame_packet, parse_head
+from smarttouch.base.wire.framing import HEAD, WirePacket, frame_packet
 
 VERSION = 5
 VOLT = 100  # in VOLTAGES
@@ -146,7 +146,7 @@ class Rule(IntEnum):
 
 
 _HEAD = struct.Struct("<BQII")
-WHOLE_HEAD_BYTES = HEAD_BYTES + _HEAD.size  # bytes of a decoded packet before its payload
+WHOLE_HEAD_BYTES = HEAD.size + _HEAD.size  # bytes of a decoded packet before its payload
 ANSWERS = {
     MessageKind.HELLO: MessageKind.CAPABILITIES,
     MessageKind.BEGIN: MessageKind.BEGUN,
@@ -188,7 +188,8 @@ def decode(packet: WirePacket) -> Message:
 
 def decode_head(head: bytes) -> Message:
     """Return the message that begins with these `WHOLE_HEAD_BYTES`, before its CRC."""
-    return decode(parse_head(head))
+    version, kind, number = HEAD.unpack_from(head)
+    return decode(WirePacket(kind, number, head[HEAD.size :], version))
 
 
 def draw_half() -> int:

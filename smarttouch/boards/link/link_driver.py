@@ -62,6 +62,8 @@ class LinkSession:
 
     line: Line
     now_s: Callable[[], float] = staticmethod(time.monotonic)  # clock of all timeouts here
+    now_ns: Callable[[], int]  # time by which sequences are sent and answered
+    put: Callable[[bytes, ProvedSequence | None], None]  # writes a packet, as `Line.write` does
 
     def __init__(
         self, receive: Callable[[Message], None], draw: Callable[[], int] = protocol.draw_half
@@ -90,7 +92,7 @@ class LinkSession:
 
     def open(self, line: Line) -> None:
         """Start reading from a connected line."""
-        self.line = line
+        self.line, self.now_ns, self.put = line, line.now_ns, line.write
         self._restart()
         self._closed.clear()
         self.written_s: float = self.now_s()  # when the last packet was written
@@ -99,10 +101,6 @@ class LinkSession:
     def _listen(self) -> None:
         self._reader = threading.Thread(target=self._read_all, name="board reader", daemon=True)
         self._reader.start()
-
-    def now_ns(self) -> int:
-        """Return the time by which sequences are sent and answered."""
-        return self.line.now_ns()
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for a condition, with `news` held; return whether it holds."""
@@ -189,16 +187,13 @@ class LinkSession:
             with self.line.current():
                 # A leading zero ends any half packet on the line.
                 zero = b"\0" * (proved is None)
-                self._put(zero + self.encode(kind, about, payload), proved)
+                self.put(zero + self.encode(kind, about, payload), proved)
         except LineLostError as lost:
             self.fail(lost)
             raise self.fault or lost from None
         before_s, self.written_s = self.written_s, self.now_s()
         if self.written_s - before_s > protocol.SILENCE_MS / 1000:
             self.paused_at_s = self.written_s
-
-    def _put(self, packet: bytes, proved: ProvedSequence | None) -> None:
-        self.line.write(packet, proved)
 
     def fail(self, fault: BoardError) -> None:
         """Keep the first fault for the next call."""
