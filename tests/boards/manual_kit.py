@@ -151,6 +151,13 @@ class ManualKit:
         self.driver.zero()
         return self.host.report()
 
+    def assert_located(self):
+        """Assert that the last scan began within the bounds that the driver knows."""
+        lock, port = self.driver._lock, self.port
+        began_ns = self.board._started_ns / (1 + port.drift) - port.phase_ns
+        scan = lock.scan(lock._near(began_ns))
+        assert scan.early - 1000 <= began_ns <= scan.late + 1000
+
     def scans(self):
         """Return what each scan with pulses did, in order."""
         return [frozenset(each.items()) for _, each in sorted(self.books.scans.items())]

@@ -75,6 +75,7 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, named, phase_us, d
     print(f"{firmware} {phase_us} {drift}: {took:.1f} periods for {runs} patterns")
     # A few until its scans are located.
     assert took < runs + 7
+    kit.assert_located()
 
 
 @FIRMWARES
@@ -92,6 +93,7 @@ def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_
     assert (report.pulses, report.most_pulses) == (48 * 120, 48 * 120)
     assert kit.clock.time_ns - start < 1.15 * 20 * MS * 60
     assert not kit.board._stuck
+    kit.assert_located()
 
 
 @FIRMWARES
