@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError, SilentBoardError
-from smarttouch.boards.kits import scale_of
 from smarttouch.boards.kits.etactilekit import ETactileKitDriver, ScanLock
 from smarttouch.boards.kits.etactilekit_line import (
     GO,
@@ -21,7 +20,6 @@ from smarttouch.boards.kits.etactilekit_line import (
     READINGS,
     Settings,
     Span,
-    encode_pattern,
     zero_anywhere,
 )
 from smarttouch.boards.open import make_board
@@ -231,8 +229,11 @@ def test_a_smaller_kit_than_the_profile_is_refused(meet, electrodes, wiring, out
 
 
 FOUR = SafetyLimits(4, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
-WIRING = np.arange(4)
-SCALE = scale_of("etactilekit", None)
+
+
+def pattern_of(sequence, wiring=None):
+    output = Output(kind="one-against-all", wiring=wiring)
+    return ETactileKitDriver("told", FOUR, output).encode(sequence)[1]
 
 
 def anodic(level_ua, sites=(1,), width=100, cathodic=False, period_us=20_000):
@@ -247,14 +248,14 @@ def heights(*counts):
 
 
 def test_wiring_puts_each_electrode_on_its_output():
-    _, pattern = encode_pattern(anodic(1000), np.array([5, 3, 0, 1]), SCALE, FOUR)
+    pattern = pattern_of(anodic(1000), (5, 3, 0, 1))
     assert pattern == heights(0, 0, 0, 100, 0, 0)
 
 
 @given(levels=st.lists(st.integers(0, 5000), min_size=4, max_size=4))
 def test_no_byte_of_a_pattern_looks_like_a_command(levels):
     for site, level in enumerate(levels):
-        _, data = encode_pattern(anodic(level, sites=(site,)), WIRING, SCALE, FOUR)
+        data = pattern_of(anodic(level, sites=(site,)))
         assert max(data) < 0xF4
         counts = np.frombuffer(data, "<u2")
         assert counts.max() <= 500
@@ -278,13 +279,13 @@ def test_what_it_has_only_one_of_or_not_at_all_is_refused(wrong, attributes):
     else:
         sequence = replace(sequence, discharge_us=np.full(2, 244, np.uint16))
     with raises(BoardError, **attributes):
-        encode_pattern(sequence, WIRING, SCALE, FOUR)
+        pattern_of(sequence)
 
 
 @given(data=st.data())
 def test_a_lost_byte_never_brings_more_current_than_was_asked_for(data):
     """Of any message, behind any whole one, and with the messages after it."""
-    _, pattern = encode_pattern(anodic(2200, (1, 3)), WIRING, SCALE, FOUR)
+    pattern = pattern_of(anodic(2200, (1, 3)))
     messages = [
         Settings(100, 50, 50, True).commands(10) + PING,
         LOAD + pattern + PING,

@@ -25,8 +25,9 @@ from smarttouch.base.errors import (
     choice_of,
 )
 from smarttouch.boards.driver import Driver
-from smarttouch.boards.kits import one_against_all, require_kit
+from smarttouch.boards.kits import one_against_all, require_kit, steps_of
 from smarttouch.boards.kits.etactilekit_line import (
+    FIRST_COMMAND,
     GO,
     KEPT_MS,
     LARGEST,
@@ -37,7 +38,6 @@ from smarttouch.boards.kits.etactilekit_line import (
     Readings,
     Settings,
     Span,
-    encode_pattern,
 )
 from smarttouch.boards.line import Line
 from smarttouch.boards.reports import Capabilities
@@ -51,6 +51,7 @@ IDLE_S = 0.1  # time without a sequence after which the pattern on the board bec
 VOLTS_PER_COUNT = 0.0893
 DUMMY_KOHM = 66.0  # load fitted in parallel with the skin; it takes V / 66 kΩ of the current
 COMPLIANCE_V = 300.0  # limit of its switches (HV513), the largest voltage of a reading
+LONGEST_LOAD = 0.97  # largest part of a period that a scan may take
 OPEN_SHARE = 0.95  # of the voltage without a finger: if all slots reach it, it is lifted
 
 LOW, HIGH = 4, 12  # readings below 4 had no pulse, from 12 on they had one: .3 and 1 V
@@ -197,7 +198,6 @@ class ETactileKitDriver(Driver):
         self._before: tuple[int, Readings] | None = None
         self._answer_ns = 0  # how long recent answers took
         self._stopped_ns = self._free_ns = 0
-        self._is_fresh = True  # whether a sequence has just been scanned
         self._seen_ua = 10**6  # the weakest pattern that was measured
 
     # -- opening and closing -----------------------------------------------
@@ -258,11 +258,50 @@ class ETactileKitDriver(Driver):
     # -- sequences ---------------------------------------------------------
 
     def encode(self, sequence: ScanSequence) -> tuple[Settings, bytes]:
-        """Return settings and bytes of a sequence; raise BoardError if the board cannot make it."""
-        return encode_pattern(sequence, self._wiring, self.ua_per_count, self._limits)
+        """Return the settings of a sequence and its pattern, the height of each output in counts;
+        raise BoardError if the board cannot make it."""
+        electrode, current_ua = one_against_all(sequence)
+        if len(np.unique(np.sign(current_ua))) > 1:
+            raise BoardError(
+                "some slots are anodic, some cathodic, and this board has one polarity for all: "
+                "send them as two sequences"
+            )
+        width_us = int(sequence.width_us.max(initial=0))
+        if sequence.slots and np.ptp(sequence.width_us):
+            raise BoardError(
+                f"slots of {int(sequence.width_us.min())} to {width_us} µs in one sequence, and "
+                "this board has one pulse width for all"
+            )
+        if sequence.slots and width_us < SHORTEST_US:
+            raise BoardError(f"pulses of {width_us} µs are too short: at least {SHORTEST_US} µs")
+        rest_us = int(sequence.discharge_us.max(initial=0))
+        if rest_us >= FIRST_COMMAND:
+            raise BoardError(
+                f"a discharge of {rest_us} µs is too long: at most {FIRST_COMMAND - 1}"
+            )
+        rate_hz = max(1, round(1e6 / sequence.period_us))
+        settings = Settings(width_us, rest_us, rate_hz, bool((current_ua < 0).any()))
+        busy_us = settings.scan_us(self._outputs)
+        if sequence.slots and 1000 * busy_us > LONGEST_LOAD * settings.period_ns:
+            # Its parser would never run again.
+            raise BoardError(
+                f"a scan of {self._outputs} outputs takes {busy_us} µs, which does not fit "
+                f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate"
+            )
+        level_ua = np.abs(current_ua)
+        steps = steps_of(
+            "etactilekit", self.ua_per_count, self._limits, width_us, level_ua, electrode
+        )
+        counts = np.minimum(steps, LARGEST)
+        # A byte that looks like a command would be one, if that before it were lost.
+        low = counts & 0xFF
+        counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0)
+        heights = np.zeros(self._outputs, "<u2")
+        heights[self._wiring[electrode]] = counts
+        return settings, heights.tobytes()
 
     def write(self, proved: ProvedSequence) -> None:
-        line, self._is_fresh = self._kit.line, True
+        line = self._kit.line
         # A sequence that waited for its turn is not late.
         proved = line.later(proved, max(proved.due_ns, self._free_ns))
         try:
@@ -276,9 +315,9 @@ class ETactileKitDriver(Driver):
 
     def idle(self) -> float | None:
         """Load a pattern of zeros once no sequence has come for a while."""
-        if self._is_fresh:
-            self._is_fresh = False
-            return IDLE_S
+        left_s = IDLE_S - (self._kit.line.now_ns() - self._free_ns) / 1e9
+        if left_s > 0:
+            return left_s
         self.zero()
         return None
 

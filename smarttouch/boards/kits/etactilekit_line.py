@@ -40,17 +40,15 @@ from smarttouch.base.errors import BoardError, OtherDeviceError, SilentBoardErro
 from smarttouch.base.posix import HAS_POSIX, prioritized
 from smarttouch.base.wire.port import LINE_ERRORS, Port, reason
 from smarttouch.boards import kits
-from smarttouch.boards.kits import one_against_all, steps_of, watchdog
+from smarttouch.boards.kits import watchdog
 from smarttouch.boards.line import Line
-from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits
-from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.safety_gate import ProvedSequence
 
 LARGEST = 1000
 """Counts, about 10 mA: nothing above leaves this host, whatever the limits. Its firmware does not
 cap 4095 counts, which are 41 mA."""
 FIRST_COMMAND = 0xF4
 SHORTEST_US = 7  # shortest pulse: switching on and off takes 6.6 µs
-LONGEST_LOAD = 0.97  # largest part of a period that a scan may take
 
 Readings = NDArray[np.uint16]
 
@@ -84,48 +82,6 @@ class Settings:
             + bytes([0xF7, self.discharge_us]) + _END
         )  # fmt: skip
         return once * 2 + (b"\xf6" + self.rate_hz.to_bytes(2, "little") + _END) * 2
-
-
-def encode_pattern(
-    sequence: ScanSequence, wiring: NDArray[np.intp], scale_ua: float, limits: SafetyLimits
-) -> tuple[Settings, bytes]:
-    """Return the settings of a sequence and its pattern, the height of each output in counts; raise
-    BoardError if its slots need several polarities or widths, or a time that is out of reach."""
-    electrode, current_ua = one_against_all(sequence)
-    if len(np.unique(np.sign(current_ua))) > 1:
-        raise BoardError(
-            "some slots are anodic, some cathodic, and this board has one polarity for all: "
-            "send them as two sequences"
-        )
-    width_us = int(sequence.width_us.max(initial=0))
-    if sequence.slots and np.ptp(sequence.width_us):
-        raise BoardError(
-            f"slots of {int(sequence.width_us.min())} to {width_us} µs in one sequence, and this "
-            "board has one pulse width for all"
-        )
-    if sequence.slots and width_us < SHORTEST_US:
-        raise BoardError(f"pulses of {width_us} µs are too short: at least {SHORTEST_US} µs")
-    rest_us = int(sequence.discharge_us.max(initial=0))
-    if rest_us >= FIRST_COMMAND:
-        raise BoardError(f"a discharge of {rest_us} µs is too long: at most {FIRST_COMMAND - 1}")
-    rate_hz, outputs = max(1, round(1e6 / sequence.period_us)), int(wiring.max()) + 1
-    settings = Settings(width_us, rest_us, rate_hz, bool((current_ua < 0).any()))
-    busy_us = settings.scan_us(outputs)
-    if sequence.slots and 1000 * busy_us > LONGEST_LOAD * settings.period_ns:
-        # Its parser would never run again.
-        raise BoardError(
-            f"a scan of {outputs} outputs takes {busy_us} µs, which does not fit "
-            f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate"
-        )
-    level_ua = np.abs(current_ua)
-    steps = steps_of("etactilekit", scale_ua, limits, width_us, level_ua, electrode)
-    counts = np.minimum(steps, LARGEST)
-    # A byte that looks like a command would be one, if that before it were lost.
-    low = counts & 0xFF
-    counts -= np.where(low >= FIRST_COMMAND, low - (FIRST_COMMAND - 1), 0)
-    heights = np.zeros(outputs, "<u2")
-    heights[wiring[electrode]] = counts
-    return settings, heights.tobytes()
 
 
 ZEROS = bytes(2 * 255 + 4)  # padding longer than the rest of any command
