@@ -7,7 +7,7 @@ from smarttouch.base.wire.port import Port as Port
 from smarttouch.base.wire.port import open_port as open_port
 from smarttouch.base.wire.port import reason as reason
 from smarttouch.boards.driver import Driver as Driver
-from smarttouch.boards.line import Line as Line
+from smarttouch.boards.driver import Line as Line
 from smarttouch.boards.reports import BoardReport as BoardReport
 from smarttouch.boards.reports import Capabilities as Capabilities
 from smarttouch.boards.reports import Impedance as Impedance

@@ -2,6 +2,8 @@
 
 import threading
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 LATE_NS = 100_000_000
@@ -11,9 +13,10 @@ _CLOCK: int | None = getattr(time, "CLOCK_BOOTTIME", getattr(time, "CLOCK_MONOTO
 """Clock that continues while the machine is suspended, if the system has one."""
 
 
-def now_ns() -> int:
-    """Return nanoseconds since the machine started, including suspended time."""
-    return time.monotonic_ns() if _CLOCK is None else time.clock_gettime_ns(_CLOCK)
+now_ns: Callable[[], int] = (
+    time.monotonic_ns if _CLOCK is None else partial(time.clock_gettime_ns, _CLOCK)
+)
+"""Returns nanoseconds since the machine started, including suspended time."""
 
 
 class Clock(Protocol):

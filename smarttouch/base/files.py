@@ -161,14 +161,15 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
             with open(path, "ab", opener=owner_only) as file:
                 file.write(data)
         else:
-            _replace(Path(os.path.realpath(path)), data)
+            replace_file(Path(os.path.realpath(path)), data)
     except ValueError:
         raise error(f"cannot write {path}: a file cannot have this name") from None
     except OSError as failure:
         raise unwritable(error, path, failure) from None
 
 
-def _replace(path: Path, data: bytes) -> None:
+def replace_file(path: Path, data: bytes) -> None:
+    """Put a file with its content at a path, complete on the disk before it is there."""
     number, draft = tempfile.mkstemp(prefix=".", suffix=".draft", dir=path.parent)
     try:
         with os.fdopen(number, "wb") as file:

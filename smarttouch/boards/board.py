@@ -27,8 +27,7 @@ from smarttouch.base.errors import (
 from smarttouch.base.posix import prioritized
 from smarttouch.base.stopping import uninterrupted
 from smarttouch.base.wire.port import device_of
-from smarttouch.boards.driver import Driver
-from smarttouch.boards.line import Line
+from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.probe_scans import measure_by_probes
 from smarttouch.boards.reports import (
     LONGEST_REPEAT,
@@ -42,7 +41,7 @@ from smarttouch.boards.reports import (
 )
 from smarttouch.boards.shutdown import enter, leave
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety_gate import ProvedSequence, Ramp, SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
 from smarttouch.stimulation.sequence_limits import Dose
 
@@ -90,6 +89,8 @@ class Board:
         Of the device; known once the board is open.
     clock : Clock
         Of planned sequences.
+    ramp : Ramp
+        Of what was written: it says how strong a sequence may be planned.
     acknowledged, refused, replaced, dropped_late : int
         Number of sequences that the board has begun to deliver; that it has refused; that a newer
         one replaced before they were sent; that were not sent because they were too late.
@@ -142,6 +143,7 @@ class Board:
         # By the time that sequences state, nothing is late.
         self._late_ns = late_ns if self.announced else 2**62
         self._gate = SafetyGate(self._limits, None if claimed_time else self.clock)
+        self.ramp: Ramp = self._gate.ramp
         self._line = Line(self)
         self._stopped = self._line._stopped
         self._halted = self._opened = False
@@ -386,8 +388,7 @@ class Board:
         if due_ns - now_ns > FARTHEST_NS:
             raise BoardError(
                 f"due_ns is {(due_ns - now_ns) / 1e9:.3g} s from now, and at most "
-                f"{FARTHEST_NS / 1e9:g} s are possible: give a time of the board's clock "
-                "(board.clock.now_ns())"
+                f"{FARTHEST_NS / 1e9:g} s are possible: give a time by board.clock.now_ns()"
             )
         if isinstance(times, int | np.integer) and times > LONGEST_REPEAT:
             raise BoardError(f"{times} repetitions are not possible: at most {LONGEST_REPEAT}")
@@ -425,25 +426,6 @@ class Board:
             return BoardRestartedError(f"{error}, and was restarted")
         return error
 
-    def _note_written(self, proved: ProvedSequence) -> None:
-        """Count a sequence whose bytes have just been written, with the line's lock held."""
-        self._gate.note(proved)
-        can = self.capabilities
-        if not (self._claimed_time or can.acknowledges):
-            passes = 1 if can.host_timed else proved.times
-            self._over_s = time.monotonic() + passes * proved.sequence.period_us / 1e6
-        # What was written in parts counts once.
-        if not (can.acknowledges or can.host_timed or proved.number == self._counted):
-            self._line.delivered(proved, proved.times)
-
-    def allowed_level(self, time_ns: int) -> float:
-        """Return the strength, in [0, 1], to plan for a sequence that states a time."""
-        return self._gate.ramp.allowed_level(time_ns)
-
-    def open_level(self, time_ns: int) -> float:
-        """Return the strength, in [0, 1], with which pulses may go on after a pause."""
-        return self._gate.ramp.open_level(time_ns)
-
     def close_level(self) -> None:
         """Close the intensity level: what comes next begins at zero, as after a lifted finger."""
         self._gate.restart()
@@ -473,7 +455,8 @@ class Board:
         with contextlib.suppress(BoardStoppedError):
             while time.monotonic() < deadline_s and self.report().is_busy:
                 self._line.pause(0.002)
-        self._stopped.wait(max(0.0, min(deadline_s, self._over_s) - time.monotonic()))
+        if not (self._claimed_time or self.capabilities.acknowledges):
+            self._stopped.wait(max(0.0, min(deadline_s, self._over_s) - time.monotonic()))
 
     # -- the sender thread -------------------------------------------------
 
@@ -506,15 +489,14 @@ class Board:
         wait_s: float | None = 0.0
         proved: ProvedSequence | None = None
 
-        def is_over() -> bool:
-            return ending.is_set() or self._stopped.is_set()
-
-        while not is_over():
+        while True:
             with self._news:
                 self._busy = False
                 self._news.notify_all()
-                self._news.wait_for(lambda: self._waiting is not None or is_over(), wait_s)
-                if is_over():
+                self._news.wait_for(
+                    lambda: self._waiting or ending.is_set() or self._stopped.is_set(), wait_s
+                )
+                if ending.is_set() or self._stopped.is_set():
                     break
                 proved, self._waiting = self._waiting, None
                 self._busy = proved is not None

@@ -6,8 +6,7 @@ from typing import Any
 from smarttouch.base.errors import BoardError
 from smarttouch.base.urls import Registry, read_options, refuse_rest
 from smarttouch.boards.board import Board
-from smarttouch.boards.driver import Driver
-from smarttouch.boards.line import Line
+from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output

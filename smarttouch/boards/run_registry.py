@@ -11,8 +11,8 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -22,7 +22,7 @@ from platformdirs import user_state_path
 
 from smarttouch.base.clock import now_ns
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.files import make_folder
+from smarttouch.base.files import make_folder, replace_file
 from smarttouch.base.posix import O_NOFOLLOW, try_lock
 
 ANSWER_S = 3.0  # time that `stop_all` gives runs to confirm zero
@@ -156,7 +156,15 @@ class RunEntry:
         if current_ua <= self._run.current_ua:
             self._announce(current_ua)
             return current_ua
-        with _registry_lock():
+        with (registry_folder() / "lock").open("w") as file:
+            deadline_s = time.monotonic() + _LOCK_S
+            while not try_lock(file.fileno()):
+                if time.monotonic() > deadline_s:
+                    raise SmartTouchError(
+                        f"another program has held {file.name} for {_LOCK_S:g} s: end it and try "
+                        "again"
+                    )
+                time.sleep(0.01)
             total_ua = current_ua + sum(
                 run.current_ua
                 for run in _listed()
@@ -182,7 +190,7 @@ class RunEntry:
 
     def _announce(self, current_ua: int) -> None:
         self._run = replace(self._run, current_ua=current_ua)
-        _write(self._run.path("json"), json.dumps(asdict(self._run)))
+        replace_file(self._run.path("json"), json.dumps(asdict(self._run)).encode())
 
     def _watch(self) -> None:
         looks = 0
@@ -215,7 +223,7 @@ def stop_all() -> list[Answer]:
     # First: a run that is not listed yet finds the mark before it opens a board.
     try:
         make_folder(registry_folder())
-        _write(registry_folder() / "stopped", f"{_place()[1]} {_begun_ns}")
+        replace_file(registry_folder() / "stopped", f"{_place()[1]} {_begun_ns}".encode())
     except OSError as error:
         problems.append(
             f"runs that are just starting cannot be kept from opening a board ({error}): stop again"
@@ -291,27 +299,3 @@ def _listed() -> list[_Run]:
 def _read(path: Path) -> str:
     # Nothing is read from a pipe, which might never end.
     return path.read_text() if path.is_file() else ""
-
-
-def _write(path: Path, text: str) -> None:
-    draft = path.with_name(f".{uuid4().hex}.draft")
-    try:
-        draft.touch(0o600)
-        draft.write_text(text)
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
-
-
-@contextmanager
-def _registry_lock() -> Iterator[None]:
-    """Hold the lock of the registry for a block."""
-    with (registry_folder() / "lock").open("w") as file:
-        deadline_s = time.monotonic() + _LOCK_S
-        while not try_lock(file.fileno()):
-            if time.monotonic() > deadline_s:
-                raise SmartTouchError(
-                    f"another program has held {file.name} for {_LOCK_S:g} s: end it and try again"
-                )
-            time.sleep(0.01)
-        yield

@@ -17,7 +17,7 @@ from smarttouch.base.errors import BoardError
 from smarttouch.base.posix import HAS_POSIX
 from smarttouch.base.urls import refuse_rest
 from smarttouch.boards import link as protocol
-from smarttouch.boards.line import Line
+from smarttouch.boards.driver import Line
 from smarttouch.boards.link import MessageKind
 from smarttouch.boards.link.link_driver import LinkDriver, LinkSession
 from smarttouch.boards.reports import Capabilities

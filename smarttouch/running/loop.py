@@ -274,7 +274,7 @@ class Loop:
             return False
         in_hand_ns, worked_ns = clock.now_ns(), time.thread_time_ns()
         observed = board.take_volts() if board.capabilities.measures else ()
-        step = pipeline.process(*read, board.allowed_level(read[0].time_ns), observed)
+        step = pipeline.process(*read, board.ramp.allowed_level(read[0].time_ns), observed)
         sending_ns, own_ns = clock.now_ns(), time.thread_time_ns()
         number: int | None = None
         try:

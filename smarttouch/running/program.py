@@ -479,7 +479,7 @@ class Program(Source, Listener):
 
     def _is_open(self, level: float, exact: bool) -> bool:
         asked = level * (1.0 if exact else self.gate * self.user_level)
-        is_open = 0 < STEADY * asked <= self._context.board.open_level(self.now_ns)
+        is_open = 0 < STEADY * asked <= self._context.board.ramp.open_level(self.now_ns)
         return is_open and self._loop is not None and not self._loop.begins_at_zero()
 
     def _requested(self, exact: bool) -> float:

@@ -147,7 +147,7 @@ class KajimotoPort:
 def port(monkeypatch):
     """Return the port that is opened next."""
     port = KajimotoPort()
-    monkeypatch.setattr("smarttouch.boards.line.open_port", lambda *_: port)
+    monkeypatch.setattr("smarttouch.boards.driver.open_port", lambda *_: port)
     monkeypatch.setattr("smarttouch.boards.kits.BOOT_S", 0.0)
     return port
 

@@ -9,8 +9,7 @@ import pytest
 
 from smarttouch.base.errors import BoardError, BoardStoppedError
 from smarttouch.boards.board import Board
-from smarttouch.boards.driver import Driver
-from smarttouch.boards.line import Line
+from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.open import make_board
 from smarttouch.boards.reports import Capabilities
 from smarttouch.boards.run_registry import registry_folder
@@ -211,7 +210,7 @@ def test_a_write_that_meets_a_stop_is_over_before_zero_or_followed_by_it(
 ):
     """As of a driver that was never made for that, with a line that takes its time."""
     if long:
-        monkeypatch.setattr("smarttouch.boards.line.WRITE_S", 0.05)
+        monkeypatch.setattr("smarttouch.boards.driver.WRITE_S", 0.05)
     writing, goes_on = threading.Event(), threading.Event()
 
     def wait():

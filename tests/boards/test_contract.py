@@ -10,7 +10,7 @@ from firmware.tests.scenes import random_table
 from smarttouch.base.errors import BoardError, BoardRestartedError
 from smarttouch.base.posix import prioritized
 from smarttouch.boards.board import Board
-from smarttouch.boards.line import Line
+from smarttouch.boards.driver import Line
 from smarttouch.boards.link import Rule
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import probe_sequences

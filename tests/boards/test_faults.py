@@ -20,7 +20,7 @@ from smarttouch.base.errors import (
     SilentBoardError,
 )
 from smarttouch.base.wire.port import open_port
-from smarttouch.boards import line
+from smarttouch.boards import driver
 from smarttouch.boards.link import MessageKind
 from smarttouch.boards.open import make_board
 from smarttouch.boards.reports import HostStatistics, clear_latch, find_latch, latch
@@ -107,9 +107,9 @@ def test_a_board_stopped_by_another_program_is_reported(make_limits, make_sequen
 
 
 def test_a_program_that_reads_from_the_port_is_named_once(make_limits, make_sequence, monkeypatch):
-    read, takes = line.read_some, [True] * 3
+    read, takes = driver.read_some, [True] * 3
     monkeypatch.setattr(
-        line, "read_some", lambda port: None if takes and takes.pop() else read(port)
+        driver, "read_some", lambda port: None if takes and takes.pop() else read(port)
     )
     with make_board("emulator:", make_limits()) as board:
         deliver(board, make_sequence(0))

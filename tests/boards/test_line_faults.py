@@ -134,7 +134,7 @@ def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
 
 @ALL
 def test_a_port_that_stays_away_is_reported(hosted, monkeypatch):
-    monkeypatch.setattr("smarttouch.boards.line.RECOVER_S", 0.3)
+    monkeypatch.setattr("smarttouch.boards.driver.RECOVER_S", 0.3)
     with raises(BoardError, names="board", value=str(hosted.line.path)) as error, hosted.board:
         pulled_out_after(4, hosted)
     goes_on = hosted.kind == "etactilekit"
@@ -176,7 +176,7 @@ def test_a_stop_of_a_board_that_is_away_says_whether_it_goes_on(hosted, known_by
         except BoardError as error:
             raised.append(error)
 
-    monkeypatch.setattr("smarttouch.boards.line.reopen_port", reopen)
+    monkeypatch.setattr("smarttouch.boards.driver.reopen_port", reopen)
     goes_on = hosted.kind == "etactilekit"
 
     def said():
@@ -317,7 +317,7 @@ class Stranger:
 @pytest.fixture
 def stranger(monkeypatch):
     monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.FORGETS_S", 0.1)
-    monkeypatch.setattr("smarttouch.boards.line.RECOVER_S", 0.3)
+    monkeypatch.setattr("smarttouch.boards.driver.RECOVER_S", 0.3)
     made = []
 
     def make(path, *answer):
@@ -333,7 +333,7 @@ def kinds(heard):
     """Return the kinds of packets in what a stranger heard; nothing else may be in it."""
     deframer = Deframer()
     found = [each.kind for each in deframer.feed(heard)]
-    assert (deframer.errors, deframer.waiting) == (0, 0)
+    assert (deframer.errors, deframer.waiting) == (0, b"")
     return found
 
 

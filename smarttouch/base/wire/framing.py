@@ -41,18 +41,13 @@ class Deframer:
     def __init__(self, largest: int = LARGEST_PACKET) -> None:
         self.errors: int = 0  # number of invalid pieces between zeros
         self._largest, self._most = largest, largest * 1.01 + 64
-        self._waiting = bytearray()
+        self.waiting: bytearray = bytearray()  # the incomplete packet
         self._skipping = False
-
-    @property
-    def waiting(self) -> int:
-        """Number of bytes of the incomplete packet."""
-        return len(self._waiting)
 
     def head(self, count: int) -> bytes | None:
         """Return the first ``count`` bytes of the incomplete packet, decoded but unchecked, or None
         if there are fewer."""
-        data, at = bytearray(self._waiting[: count + 2]), 0
+        data, at = bytearray(self.waiting[: count + 2]), 0
         if not data:
             return None
         while at + data[at] < len(data):
@@ -68,8 +63,8 @@ class Deframer:
         *complete, rest = data.split(b"\0")
         packets = []
         for piece in complete:
-            coded = bytes(self._waiting) + piece
-            self._waiting.clear()
+            coded = bytes(self.waiting) + piece
+            self.waiting.clear()
             skipped, self._skipping = self._skipping, False
             try:
                 body = b"" if skipped else cobs.decode(coded)
@@ -82,8 +77,8 @@ class Deframer:
                 packets.append(WirePacket(kind, number, body[HEAD.size : end], version))
             elif coded:
                 self.errors += 1
-        self._waiting += rest
-        if len(self._waiting) > self._most:
-            self._waiting.clear()
+        self.waiting += rest
+        if len(self.waiting) > self._most:
+            self.waiting.clear()
             self._skipping = True
         return packets

@@ -24,7 +24,7 @@ from smarttouch.base.errors import (
     SequenceLateError,
     choice_of,
 )
-from smarttouch.boards.driver import Driver
+from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.kits import one_against_all, require_kit, steps_of
 from smarttouch.boards.kits.etactilekit_line import (
     FIRST_COMMAND,
@@ -39,7 +39,6 @@ from smarttouch.boards.kits.etactilekit_line import (
     Settings,
     Span,
 )
-from smarttouch.boards.line import Line
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits

@@ -40,8 +40,8 @@ from smarttouch.base.errors import BoardError, OtherDeviceError, SilentBoardErro
 from smarttouch.base.posix import HAS_POSIX, prioritized
 from smarttouch.base.wire.port import LINE_ERRORS, Port, reason
 from smarttouch.boards import kits
+from smarttouch.boards.driver import Line
 from smarttouch.boards.kits import watchdog
-from smarttouch.boards.line import Line
 from smarttouch.stimulation.safety_gate import ProvedSequence
 
 LARGEST = 1000

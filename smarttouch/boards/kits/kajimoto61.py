@@ -25,9 +25,8 @@ import numpy as np
 
 from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.boards import kits
-from smarttouch.boards.driver import Driver
+from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.kits import one_against_all, require_kit, steps_of
-from smarttouch.boards.line import Line
 from smarttouch.boards.reports import Capabilities
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import ProvedSequence, SafetyLimits

@@ -22,8 +22,7 @@ from smarttouch.base.errors import (
 from smarttouch.base.posix import prioritized
 from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer
 from smarttouch.boards import link as protocol
-from smarttouch.boards.driver import Driver
-from smarttouch.boards.line import Line
+from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.link import HALF, VERSION, Feature, Message, MessageKind, Refusal, Rule
 from smarttouch.boards.link import sequence_encoding as encoding
 from smarttouch.boards.reports import BoardReport, Capabilities

@@ -278,8 +278,8 @@ def make_world(monkeypatch):
 
     def make(seed):
         world = World(seed)
-        monkeypatch.setattr("smarttouch.boards.line.open_port", lambda *_: world)
-        monkeypatch.setattr("smarttouch.boards.line.reopen_port", lambda *_: world)
+        monkeypatch.setattr("smarttouch.boards.driver.open_port", lambda *_: world)
+        monkeypatch.setattr("smarttouch.boards.driver.reopen_port", lambda *_: world)
         return world
 
     return make
