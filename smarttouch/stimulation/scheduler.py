@@ -140,7 +140,7 @@ class PulseRates:
         now, merge_ns = [], 1000 * self._merge_us
         next_ns = []
         for afferent, rate_hz in self._rates_hz.items():
-            if afferent is Afferent.SAI:
+            if afferent is Afferent.SAI and self._softness < 1:
                 rate_hz *= rate_share(pressure, self._softness)
             if len(self._rates_hz) == 1:
                 return (afferent,), self._timing.shortest_period_us(1e6 / rate_hz)

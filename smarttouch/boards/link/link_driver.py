@@ -589,7 +589,7 @@ class LinkDriver(Driver):
         self._volts = self._volts if part.first else []
         self._volts.append(np.asarray(counts / np.float32(protocol.VOLT), np.float32))
         volts = np.concatenate(self._volts)
-        if len(volts) == sequence.slots == part.first + part.slots:
+        if len(volts) == len(sequence.site) == part.first + part.slots:
             assert self.can is not None
             highest_v = self.can.compliance_v or np.inf
             if volts.max() > MOST_COMPLIANCES * highest_v:

@@ -77,7 +77,7 @@ def encode_scan(
     (``switched``). ``measure`` requests voltages.
     """
     parts: list[ScanPart] = []
-    waiting, columns = [(0, sequence.slots)], _columns(sequence, switched, image)
+    waiting, columns = [(0, len(sequence.site))], _columns(sequence, switched, image)
     while waiting:
         start, end = waiting.pop()
         payload = _payload(sequence, columns, start, end, times, measure)
@@ -126,19 +126,19 @@ def _columns(sequence: ScanSequence, switched: bool, image: KernelImage | None) 
         )
     site, current_ua = sequence.site[:, None].astype("<u2"), sequence.current_ua
     lists = sequence.sums
-    if switched and sequence.slots:
+    if switched and len(sequence.site):
         rows = _switched_rows(site, current_ua)
     else:
         rows = np.concatenate([site.view("<i2"), current_ua.astype("<i2", copy=False)], axis=1)
-    kind = np.full(sequence.slots, STATES if switched else CURRENTS)
+    kind = np.full(len(sequence.site), STATES if switched else CURRENTS)
     first, pairs = kind, np.zeros((0, 2), np.uint16)
     if (
-        image is not None and not switched and sequence.slots and isinstance(lists, KernelLists)
+        image is not None and not switched and len(sequence.site) and isinstance(lists, KernelLists)
         and lists.table is image.table
         # Other types and sizes would wrap around on the wire.
         and lists.first.dtype == np.intp
         and [lists.kernel.dtype, lists.amplitude.dtype] == [np.dtype(np.uint16)] * 2
-        and (len(lists.first), lists.first[0]) == (sequence.slots + 1, 0)
+        and (len(lists.first), lists.first[0]) == (len(sequence.site) + 1, 0)
         and len(lists.kernel) == len(lists.amplitude) == lists.first[-1]
         and (counts := np.diff(lists.first)).min() >= 1
         and lists.kernel.max() < len(lists.table.weights)
@@ -174,10 +174,10 @@ def _payload(
 ) -> bytes:
     """Return some slots as a payload; the recharge phase goes with the last one."""
     shapes, shape, kind, first, pairs, rows = columns
-    flags = protocol.GOES_ON * (start > 0) | protocol.MORE * (end < sequence.slots)
+    flags = protocol.GOES_ON * (start > 0) | protocol.MORE * (end < len(sequence.site))
     flags |= protocol.MEASURE * measure
     tail = b""
-    if sequence.recharge_ua is not None and end == sequence.slots:
+    if sequence.recharge_ua is not None and end == len(sequence.site):
         flags |= protocol.RECHARGE
         tail = sequence.recharge_us.to_bytes(2, "little")
         tail += sequence.recharge_ua.astype("<i2").tobytes()
