@@ -5,6 +5,7 @@ import contextlib
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -43,6 +44,7 @@ from smarttouch.stimulation.scheduler import force_gate
 STEADY = 0.98  # part of a level that counts as reached
 SILENT_US = 20_000  # period of a silence that is asked for, and of pulses that open a level
 _FAINT = 0.01  # activation of pulses that open a level: those of threshold
+_POLL_S = 0.01  # how often a thread that waits looks whether it was canceled
 _IDLE_S = 0.045  # longest time without a sequence once something was put
 
 Pattern = NDArray[Any] | Frame | TactileImage
@@ -120,10 +122,11 @@ class Program(Source, Listener):
         self._count = 0  # number of what is shown
         self._last_number: int | None = None
         # What threads share.
-        self._changed = threading.Condition()
-        self._waiting = 0  # threads that wait to show something
-        self._is_taken = False  # whether a thread shows something
-        self._news = threading.Event()
+        self._turns, self._waiting = (
+            threading.Lock(),
+            deque[object](),
+        )  # that wait to show something
+        self._news, self._put_lock = threading.Event(), threading.Lock()
         self._put: tuple[NDArray[np.float32] | Frame, int, int] = (self._nothing, 0, 0)
         """What was put, when it came and when it is stale, by `time.monotonic_ns`."""
         self._is_new = False  # whether it is to be sent for the first time
@@ -152,10 +155,9 @@ class Program(Source, Listener):
     def _leave(self) -> None:
         """Show nothing more; wait for what other threads show."""
         self._loop = None
-        with self._changed:
-            self._news.set()
-            self._changed.notify_all()
-            self._changed.wait_for(lambda: not self._is_taken)
+        self._news.set()
+        with self._turns:
+            pass
         if self._putter is not None:
             self._putter.join()
 
@@ -311,7 +313,7 @@ class Program(Source, Listener):
                 if until is not None and until():
                     return
                 last = left_us <= self._silent_us + self._least_us
-                self._send(self._silent(int(left_us) if last else self._silent_us))
+                self._send(self._stimulus(self._nothing, int(left_us) if last else self._silent_us))
 
     async def show_async(
         self, pattern: Pattern, seconds: float, level: Level = 1.0, rate_hz: float | None = None
@@ -326,8 +328,6 @@ class Program(Source, Listener):
             return await asyncio.shield(running)
         except asyncio.CancelledError:
             canceled.set()
-            with self._changed:
-                self._changed.notify_all()
             await asyncio.wait([running])
             running.exception()
             raise
@@ -346,7 +346,7 @@ class Program(Source, Listener):
         """
         loop = self._require_life()
         checked, now_ns = self.checked(pattern), time.monotonic_ns()
-        with self._changed:
+        with self._put_lock:
             self._put = checked, now_ns, now_ns + round(1e9 * stale_s)
             self._missed += self._is_new
             self._is_new = True
@@ -362,7 +362,9 @@ class Program(Source, Listener):
         """Send what was put last, again and again, while no other thread shows something."""
         try:
             while True:
-                with self._turn(last=True) as loop:
+                while self._waiting:
+                    time.sleep(_POLL_S)
+                with self._turn(waits=False) as loop:
                     while not self._waiting:
                         self._news.clear()
                         begun_ns, newest = self.now_ns, self._newest()
@@ -386,7 +388,7 @@ class Program(Source, Listener):
 
     def _newest(self) -> Stimulus:
         """Return what was put last; it has a new number after what was shown meanwhile."""
-        with self._changed:
+        with self._put_lock:
             pattern, came_ns, stale_ns = self._put
             if self._is_new or self._count != self._put_count:
                 self._count += 1 + self._missed
@@ -395,36 +397,30 @@ class Program(Source, Listener):
                 self._is_new, self._missed, self._put_count = False, 0, self._count
         now_ns = time.monotonic_ns()
         if now_ns >= stale_ns:
-            return replace(self._silent(self._least_us), stale=True)
+            return replace(self._stimulus(self._nothing, self._least_us), stale=True)
         period_us = None if self.mode is Mode.NATURAL else self._least_us
         return replace(self._stimulus(pattern, period_us), age_ns=now_ns - came_ns)
 
     @contextmanager
-    def _turn(self, last: bool = False) -> Iterator[Loop]:
-        """Wait until no other thread shows something, ``last`` until none waits; go on from now."""
-
-        def may_go_on() -> bool:
-            over = self._loop is None or _is_canceled()
-            return over or not (self._is_taken or (last and self._waiting))
-
-        with self._changed:
-            self._waiting += not last
-            self._news.set()
-            try:
-                self._changed.wait_for(may_go_on)
-            finally:
-                self._waiting -= not last
-                self._changed.notify_all()
-            loop = self._require_life()
-            self._is_taken = True
+    def _turn(self, waits: bool = True) -> Iterator[Loop]:
+        """Wait until no other thread shows something; go on from now. What was put is not shown
+        while a thread ``waits``."""
+        waiting = [object()] * waits
+        self._waiting.extend(waiting)
+        self._news.set()
         try:
+            while not self._turns.acquire(timeout=_POLL_S):
+                self._require_life()
+        finally:
+            for turn in waiting:
+                self._waiting.remove(turn)
+        try:
+            loop = self._require_life()
             with loop.steady():
                 self.now_ns = loop.elapsed_ns
                 yield loop
         finally:
-            with self._changed:
-                self._is_taken = False
-                self._changed.notify_all()
+            self._turns.release()
 
     def _send(self, stimulus: Stimulus) -> StepResult:
         """Deliver an input, wait until it is over, and return how it was sent."""
@@ -449,7 +445,7 @@ class Program(Source, Listener):
         if loop is None or loop.stop.event.is_set():
             why = self._outside if loop is None else loop.stop.reason
             raise SmartTouchError(f"the session has ended: {why}")
-        if _is_canceled():
+        if (canceled := CANCELED.get()) is not None and canceled.is_set():
             raise SmartTouchError("it was canceled")
         return loop
 
@@ -502,9 +498,6 @@ class Program(Source, Listener):
             pattern, self.now_ns, force_n, period_us, level, number=self._count, image=image
         )
 
-    def _silent(self, period_us: int) -> Stimulus:
-        return Stimulus(self._nothing, self.now_ns, self._press_n, period_us, number=self._count)
-
     def _places(self, pattern: NDArray[np.float32] | Frame) -> NDArray[np.float32]:
         """Return where a pattern is, (3, E) of 0 and 1; the middle if it is nowhere."""
         mode = self.mode
@@ -516,7 +509,9 @@ class Program(Source, Listener):
         else:
             active = np.asarray(pattern > 0, np.float32)
         if not active.any():
-            active[mode.afferents[0], self._middle()] = 1
+            place_mm, driven = self._profile.electrodes.position_mm, self._profile.driven
+            away_mm = np.hypot(*(place_mm[driven] - place_mm.mean(axis=0)).T)
+            active[mode.afferents[0], driven[away_mm.argmin()]] = 1
         return active
 
     def checked(self, pattern: Pattern | None) -> NDArray[np.float32] | Frame:
@@ -547,12 +542,6 @@ class Program(Source, Listener):
         # Nobody writes into it later.
         return checked_activation(array, "the program", electrodes).copy()
 
-    def _middle(self) -> int:
-        """Return the electrode nearest to the middle of those that are driven."""
-        place_mm, driven = self._profile.electrodes.position_mm, self._profile.driven
-        away_mm = np.hypot(*(place_mm[driven] - place_mm.mean(axis=0)).T)
-        return int(driven[away_mm.argmin()])
-
     def time_ns(self) -> int:
         """Return the time since the start of the run; in simulated time that of the newest
         sequence."""
@@ -563,7 +552,9 @@ class Program(Source, Listener):
         """Part of a level that the finger's force lets flow now, in [0, 1]."""
         if self._loop is None:
             return 0.0
-        force_n = self._loop.inputs.force_n(self._silent(self._silent_us), self.now_ns)
+        force_n = self._loop.inputs.force_n(
+            self._stimulus(self._nothing, self._silent_us), self.now_ns
+        )
         return force_gate(force_n, self._profile.force)
 
     @property
@@ -575,8 +566,3 @@ class Program(Source, Listener):
     def mode(self) -> Mode:
         """Afferents that are driven."""
         return self.controls.state(self.now_ns).mode
-
-
-def _is_canceled() -> bool:
-    canceled = CANCELED.get()
-    return canceled is not None and canceled.is_set()
