@@ -1,8 +1,4 @@
-"""Spikes of a finger's afferents.
-
-In each slot only a few afferents are near threshold. So the drives of 16 successive nodes are
-bounded together, and computed only if the bound reaches the threshold.
-"""
+"""Spikes of a finger's afferents."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,53 +14,8 @@ from smarttouch.physiology.finger import Finger, strength
 
 Floats = NDArray[np.float32]
 
-_BLOCK = 16  # nodes with a common bound
-_AT_ONCE = 2**20  # bounds computed together: more do not fit into the processor's cache
-_ROUNDING = 1e-4  # larger than the rounding error of a bound in float32
-
-
-class NodeDrives:
-    """Computes the largest drive of each afferent for given currents.
-
-    Rows, (N, E), 1/mA, are drives of nodes; `starts`, (A,), is the first node of each afferent.
-    """
-
-    def __init__(self, rows: Floats, starts: NDArray[np.intp]) -> None:
-        self._afferents = np.split(rows, starts[1:]) if len(starts) else []
-        blocks = -(-np.diff(starts, append=len(rows)) // _BLOCK)
-        self._owner = np.repeat(np.arange(len(starts)), blocks)
-        within = np.arange(len(self._owner)) - np.repeat(np.cumsum(blocks) - blocks, blocks)
-        begins = starts[self._owner] + _BLOCK * within
-        self._blocks = np.split(rows, begins[1:]) if len(begins) else []
-
-    @cached_property
-    def _bounds(self) -> Floats:
-        """Largest and smallest drives of each block, (B, 2 E) 1/mA; computed on first use."""
-        return np.array([np.r_[block.max(axis=0), block.min(axis=0)] for block in self._blocks])
-
-    def highest(self, current_ma: Floats) -> Floats:
-        """Return the largest drive of each afferent, (A, S), for currents (S, E) in mA."""
-        highest_drive = np.empty((len(self._afferents), len(current_ma)), np.float32)
-        for drive, rows in zip(highest_drive, self._afferents, strict=True):
-            (rows @ current_ma.T).max(axis=0, out=drive)
-        return highest_drive
-
-    def highest_from(self, least: float, current_ma: Floats) -> Floats:
-        """Return `highest`, except that drives below ``least`` may be minus infinity."""
-        highest_drive = np.full((len(self._afferents), len(current_ma)), -np.inf, np.float32)
-        either = np.vstack([np.maximum(current_ma.T, 0), np.minimum(current_ma.T, 0)])
-        size = max(1, _AT_ONCE // max(1, len(current_ma)))
-        for first in range(0, len(self._blocks), size):
-            may = self._bounds[first : first + size] @ either >= least - _ROUNDING
-            for block in np.flatnonzero(may.any(axis=1)):
-                owner, slots = self._owner[first + block], np.flatnonzero(may[block])
-                drive = (self._blocks[first + block] @ current_ma[slots].T).max(axis=0)
-                highest_drive[owner, slots] = np.maximum(highest_drive[owner, slots], drive)
-        return highest_drive
-
-
 _KNOWN = 1024  # slots whose drives are cached
-_FEW = 64  # number of slots up to which computing all drives is faster than bounds
+_AT_ONCE = 64  # slots whose drives are computed together: of all nodes, that takes some 40 MB
 _FARTHEST = 6.0
 """Distance below threshold, in standard deviations of noise, at which an afferent is assumed
 silent."""
@@ -119,8 +70,8 @@ class SpikeModel:
         ]
         self._seed = seed
         self._reference = strength(finger.profile.pulse.width_us, self._chronaxie_us)
-        self._drives = NodeDrives(*finger.rows)
-        self._known: dict[tuple[bool, bytes], Floats] = {}
+        self._rows, self._starts = finger.rows
+        self._known: dict[bytes, Floats] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -129,36 +80,30 @@ class SpikeModel:
         self._last_us = np.full(len(self.finger.classes), -np.inf)
         self._now_us = 0
 
-    def drive(
-        self, current_ua: NDArray[Any], width_us: NDArray[Any], firing: bool = False
-    ) -> Floats:
+    def drive(self, current_ua: NDArray[Any], width_us: NDArray[Any]) -> Floats:
         """Return each afferent's largest drive, (A, S) float32; 1 is the threshold.
 
-        Currents, (S, E) µA, are positive cathodic; widths are (S,) µs. With ``firing``, afferents
-        that stay silent may have minus infinity, which is faster. Repeated slots are computed once.
+        Currents, (S, E) µA, are positive cathodic; widths are (S,) µs. Repeated slots are computed
+        once.
         """
         slots = np.column_stack([current_ua, width_us]).astype(np.float32)
-        keys = [(firing, slot.tobytes()) for slot in slots]
+        keys = [slot.tobytes() for slot in slots]
         new = {key: slot for key, slot in zip(keys, slots, strict=True) if key not in self._known}
         known = self._known
-        if new:
-            new_drives = self._computed(np.stack(list(new.values())), firing)
-            known = known | dict(zip(new, new_drives.T, strict=True))
-            self._known = known if len(known) <= _KNOWN else {}
+        for begin in range(0, len(new), _AT_ONCE):
+            part = dict(list(new.items())[begin : begin + _AT_ONCE])
+            known = known | dict(zip(part, self._computed(np.stack([*part.values()])), strict=True))
+        self._known = known if len(known) <= _KNOWN else {}
         drives = [known[key] for key in keys]
-        return np.stack(drives, axis=1) if drives else self._computed(slots, firing)
+        return np.stack(drives, axis=1) if drives else self._computed(slots).T
 
-    def _computed(self, slots: Floats, firing: bool) -> Floats:
-        """Return drives for slots, (S, E + 1): currents, µA, and width, µs."""
-        current_ma = slots[:, :-1] / np.float32(1000)
+    def _computed(self, slots: Floats) -> Floats:
+        """Return drives for slots, (S, E + 1): currents, µA, and width, µs; as (S, A)."""
+        nodes = slots[:, :-1] / np.float32(1000) @ self._rows.T
         by_class = strength(slots[:, -1:], self._chronaxie_us) / self._reference
-        if firing and len(slots) > _FEW:
-            least = (1 - _FARTHEST * self._noise.max(initial=0)) / by_class.max(initial=1e-9)
-            highest = self._drives.highest_from(least, current_ma)
-        else:
-            highest = self._drives.highest(current_ma)
-        highest *= by_class.astype(np.float32).T[self.finger.classes]
-        return highest
+        starts = self._starts
+        highest = np.maximum.reduceat(nodes, starts, axis=1) if len(starts) else nodes
+        return np.asarray(highest * by_class.astype(np.float32)[:, self.finger.classes])
 
     def fire(self, slots: SlotCurrents, above: Floats | None = None) -> Spikes:
         """Return the spikes of one sequence, which follows the last one. ``above`` is its `drive`,
@@ -166,7 +111,7 @@ class SpikeModel:
         lasts = slots.width_us.astype(np.int64) + slots.discharge_us
         time_us = self._now_us + np.cumsum(lasts) - lasts
         if above is None:
-            above = self.drive(slots.current_ua, slots.width_us, firing=True)
+            above = self.drive(slots.current_ua, slots.width_us)
         # The others stay silent: such noise occurs once in 10⁹ pulses.
         near = np.flatnonzero((above >= 1 - _FARTHEST * self._noise[:, None]).any(axis=1))
         spread = self._noise[near, None] * self._random.standard_normal(
@@ -314,7 +259,7 @@ def fire_all(model: SpikeModel, sequences: Sequence[SlotCurrents]) -> Iterator[S
         return
     current_ua = np.concatenate([sequence.current_ua for sequence in sequences])
     width_us = np.concatenate([sequence.width_us for sequence in sequences])
-    above = model.drive(current_ua, width_us, firing=True)
+    above = model.drive(current_ua, width_us)
     begin = 0
     for sequence in sequences:
         end = begin + len(sequence.width_us)

@@ -285,7 +285,7 @@ def letters_on_finger(
     """Return the response of a finger to letters, each for ten periods."""
     model, letters = SpikeModel(finger, finger.seed), []
     for letter, (slots, active) in shown.items():
-        above = model.drive(slots.current_ua, slots.width_us, firing=True)
+        above = model.drive(slots.current_ua, slots.width_us)
         counts, read_as = spikes_and_letter(model, slots, above, known)
         quality = response_quality(finger, counts, active, wanted)
         letters.append(LetterResponse(letter, finger.seed, quality, read_as))

@@ -231,6 +231,7 @@ def test_images_far_behind_are_not_decoded(profile):
     sensor.read(0)
     assert sensor.read(SECOND).number == 50
     assert decoded == [0, *range(51 - MOST_DECODED, 51)]
+    assert (sensor.frames, sensor.dropped_frames) == (51, 49)
 
 
 @pytest.mark.parametrize("playlist", [
