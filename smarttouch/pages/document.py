@@ -1,29 +1,39 @@
-"""Documents: a PDF, a TIFF of many pages or one image, loaded page by page, and their passwords."""
+"""Documents: a PDF with its text, a TIFF of many pages or one image, loaded page by page."""
 
 import contextlib
+import ctypes
 import getpass
+import itertools
 import math
 import re
+import statistics
 import sys
+import unicodedata
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from smarttouch.base.errors import PageError
-from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file, read_text, unreadable
+from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file, read_text
 from smarttouch.base.stopping import Closing
 from smarttouch.pages.grey_image import open_image, page_frames
 from smarttouch.pages.page_image import (
     INCH_MM,
     LARGEST_MM,
     Page,
+    TextLine,
     check_scale_options,
     read_grey,
     require_pixels,
     require_size_mm,
 )
-from smarttouch.pages.pdf_text import turn_of_text, with_text
+from smarttouch.pages.reading_order import DOUBTFUL, Line, Segment, reading_order, split
+from smarttouch.pages.text_lines import find_lines
 
 if TYPE_CHECKING:
     import pypdfium2
@@ -96,14 +106,7 @@ class Document(Closing):
             with contextlib.closing(self._pdf[index]) as sheet:
                 printed = _flatten(sheet)
             with contextlib.closing(self._pdf[index]) as sheet:
-                rotation = sheet.get_rotation()
-                # The only text of a scan may be a turned stamp.
-                for turn_deg in (turn_of_text(sheet), 0):
-                    sheet.set_rotation((rotation + turn_deg) % 360)
-                    page = self._pdf_page(sheet, name, printed)
-                    if page.lines or turn_deg == 0:
-                        break
-                return page
+                return self._pdf_page(sheet, name, printed)
         # PDFium has no rotation of a page whose description is damaged.
         except (pypdfium2.PdfiumError, KeyError):
             raise PageError(f"{name} cannot be read: the file is damaged") from None
@@ -115,65 +118,57 @@ class Document(Closing):
         height, width = grey.shape
         if mm_per_pixel is None:
             mm_per_pixel = min(GUESSED_WIDTH_MM / width, LARGEST_MM / height)
-            self._note(
-                f"{self.path} does not state its size: "
-                f"assumed to be {width * mm_per_pixel:.0f} mm wide"
-            )
+            width_mm = width * mm_per_pixel
+            self.notes = [
+                f"{self.path} does not state its size: assumed to be {width_mm:.0f} mm wide"
+            ]
         require_size_mm(str(self.path), width * mm_per_pixel, height * mm_per_pixel)
         return Page(grey, mm_per_pixel)
 
     def _pdf_page(self, sheet: "pypdfium2.PdfPage", name: str, printed: int) -> Page:
+        signs = list(_signs(sheet, printed))
+        turns = Counter(sign.turn_deg for sign in signs)
+        turn_deg = max(turns, key=lambda turn: turns[turn], default=0)
+        if turn_deg and turns[turn_deg] > _STAMP:
+            sheet.set_rotation((sheet.get_rotation() + turn_deg) % 360)
+            signs = list(_signs(sheet, printed))
         width, height = sheet.get_size()
         if not min(width, height) > 0:
             raise PageError(f"{name} has no area: the file is damaged")
-        mm = self._page_width_mm / width if self._page_width_mm else INCH_MM / 72
-        require_size_mm(name, width * mm, height * mm, "page_width_mm")
-        dpi = self._dpi or PDF_DPI
-        finest_dpi = INCH_MM * math.sqrt(MOST_RENDERED_PIXELS / (width * height)) / mm
-        if finest_dpi < dpi:
-            dpi = finest_dpi
-            self._note(
-                f"{name} is {width * mm:.0f} x {height * mm:.0f} mm: "
-                f"rendered at {dpi:.0f} dots per inch"
-            )
-        scale = mm / (INCH_MM / dpi)
+        point_mm = self._page_width_mm / width if self._page_width_mm else INCH_MM / 72
+        require_size_mm(name, width * point_mm, height * point_mm, "page_width_mm")
+        finest_dpi = INCH_MM * math.sqrt(MOST_RENDERED_PIXELS / (width * height)) / point_mm
+        mm_per_pixel = INCH_MM / (self._dpi or min(PDF_DPI, finest_dpi))
+        scale = point_mm / mm_per_pixel
         require_pixels(name, math.ceil(width * scale), math.ceil(height * scale))
         with contextlib.closing(sheet.render(scale=scale, grayscale=True)) as bitmap:
             # A copy, as the bitmap frees its memory.
             grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
-        return with_text(sheet, Page(grey, INCH_MM / dpi), mm, printed)
-
-    def _note(self, sentence: str) -> None:
-        if sentence not in self.notes:
-            self.notes.append(sentence)
+        page = Page(grey, mm_per_pixel)
+        return _with_text(page, signs, point_mm) if signs else page
 
 
 def password_of(path: Path, password_file: str | None = None) -> str | None:
     """Return the password of a document; None if it needs none.
 
     It is the first line of a file, or of standard input for ``-``; without one it is asked for
-    where somebody sits at a terminal, until it is right or empty.
+    where somebody sits at a terminal.
     """
-    if password_file is not None:
-        is_input = password_file == "-"
-        text = (
-            sys.stdin.readline()
-            if is_input
-            else read_text(Path(password_file), PageError, _MOST_PASSWORD_BYTES)
-        )
-        if password := text.split("\n")[0].rstrip("\r"):
-            return password
-        name = "standard input" if is_input else password_file
-        raise PageError(f"{name} has no password in its first line: write it there")
-    password = None
-    while True:
+    if password_file is None:
         try:
-            Document(path, password=password).close()
-            return password
+            Document(path).close()
         except LockedError:
-            if password == "" or not sys.stdin.isatty():
+            if not sys.stdin.isatty():
                 raise
-            password = getpass.getpass(f"Password of {path.name}: ")
+            return getpass.getpass(f"Password of {path.name}: ")
+        return None
+    text = (
+        sys.stdin.readline() if password_file == "-"
+        else read_text(Path(password_file), PageError, _MOST_PASSWORD_BYTES)
+    )  # fmt: skip
+    if password := text.partition("\n")[0].rstrip("\r"):
+        return password
+    raise PageError(f"no password in the first line of {password_file}: write it there")
 
 
 def parse_pages(text: str, count: int) -> list[int]:
@@ -195,27 +190,22 @@ def parse_pages(text: str, count: int) -> list[int]:
 
 def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None":
     """Return an open PDF; None for other files."""
-    try:
-        with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
-            if _SIGNATURE not in file.read(_SIGNATURE_WITHIN):
-                return None
-    except OSError as error:
-        raise unreadable(PageError, path, error) from None
+    with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
+        if _SIGNATURE not in file.read(_SIGNATURE_WITHIN):
+            return None
     try:
         import pypdfium2
+
+        pdf = pypdfium2.PdfDocument(path, password)
     except ImportError:
         message = f"{path}: a PDF needs the extra pdf: pip install 'smarttouch[pdf]'"
         raise PageError(message) from None
-    try:
-        pdf = pypdfium2.PdfDocument(path, password)
     except pypdfium2.PdfiumError as error:
         if "password" not in str(error).lower():
             raise PageError(f"{path} is damaged, or has no pages: save it again") from None
-        remedy = (
-            ": give --password-file FILE, or page:FILE?password_file=FILE" if password is None
-            else ", and this is not its password: check it"
-        )  # fmt: skip
-        raise LockedError(f"{path} is locked{remedy}") from None
+        wrong = "" if password is None else ", and this is not its password"
+        options = "--password-file FILE, or page:FILE?password_file=FILE"
+        raise LockedError(f"{path} is locked{wrong}: give {options}") from None
     # Needed to render filled-in fields, before any page is opened.
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
         pdf.init_forms()
@@ -230,3 +220,211 @@ def _flatten(sheet: "pypdfium2.PdfPage") -> int:
         printed: int = text.count_chars()
     pdfium.FPDFPage_Flatten(sheet, pdfium.FLAT_NORMALDISPLAY)
     return printed
+
+
+_STAMP = 100  # characters of a turned stamp, at most
+_LEVEL = 10.0  # angle in degrees from which text is aslant
+_FINE = 1000.0  # parts of a point in which PDFium gives places
+_PLAIN = str.maketrans("\x02\xad\u2010\u2011\x00\ufffe", "----\ufffd\ufffd")
+_SPACES = _NONE, _MOVED, _MADE, _TYPED = ("", "\n", "\t", " ")
+"""What precedes a character: nothing, a new line, a gap, or a space of the file."""
+
+
+def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
+    """Yield the characters on the visible page in the file's order."""
+    import pypdfium2.raw as pdfium
+
+    width, height = sheet.get_size()
+    fine = round(_FINE * width), round(_FINE * height)
+    across, down = ctypes.c_int(), ctypes.c_int()
+
+    def view(x: float, y: float) -> tuple[float, float]:
+        pdfium.FPDF_PageToDevice(sheet, 0, 0, *fine, 0, x, y, across, down)
+        return across.value / _FINE, down.value / _FINE
+
+    x, y, *sides = (ctypes.c_double() for _ in range(6))
+    matrix = pdfium.FS_MATRIX()
+    space = _TYPED
+    with contextlib.closing(sheet.get_textpage()) as layer:
+        for k in range(layer.count_chars()):
+            text = chr(pdfium.FPDFText_GetUnicode(layer, k)).translate(_PLAIN)
+            if text.isspace() or unicodedata.category(text) == "Cf":
+                is_made = pdfium.FPDFText_IsGenerated(layer, k)
+                mark = _MOVED if text in "\r\n" else _MADE if is_made else _TYPED
+                space = max(space, mark, key=_SPACES.index)
+                continue
+            pdfium.FPDFText_GetCharOrigin(layer, k, x, y)
+            pdfium.FPDFText_GetCharBox(layer, k, *sides)
+            pdfium.FPDFText_GetMatrix(layer, k, matrix)
+            left, right, bottom, top = (side.value for side in sides)
+            corners = view(left, top), view(right, bottom)
+            (left, right), (top, bottom) = map(sorted, zip(*corners, strict=True))
+            size = abs(pdfium.FPDFText_GetFontSize(layer, k)) * math.hypot(matrix.c, matrix.d)
+            if size > 0 and 0 < (left + right) / 2 < width and 0 < (top + bottom) / 2 < height:
+                angle = math.degrees(math.atan2(matrix.b, matrix.a)) - sheet.get_rotation()
+                turn = round(angle / 90) % 4 * 90 if abs((angle + 45) % 90 - 45) < _LEVEL else None
+                baseline, place = view(x.value, y.value)[1], k if k < printed else -1
+                yield Segment(text, left, right, baseline, size, place, space, turn)
+                space = _NONE
+
+
+_ABOVE, _BELOW = 0.95, 0.3  # what of the picture belongs to text, in sizes of the letters
+_FAINT = 12  # levels of contrast below which print is not seen
+_MOST_UNKNOWN = 0.05  # part of a text's characters that mean nothing
+_MOSTLY = 0.5  # print that the text lacks, relative to it, from which the picture is recognized
+_ORDINAL = re.compile(r"(\d)\^(?=(?:st|nd|rd|th|er|re|e|o|a)\b)")
+_BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # codes of symbol fonts
+
+
+def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
+    """Return a rendered page with its text, if that has most of its print."""
+    boxes = [_box(page, sign, point_mm) for sign in signs]
+    prints = [page.grey[box] for box in boxes]
+    seen = [
+        sign for sign, print_ in zip(signs, prints, strict=True)
+        if not print_.size or np.ptp(print_) >= _FAINT
+    ]  # fmt: skip
+    turned = [sign for sign in seen if sign.turn_deg != 0]
+    letters = [unicodedata.bidirectional(sign.text[0]) for sign in seen]
+    is_leftward = sum(letter in ("R", "AL") for letter in letters) > letters.count("L")
+    segments = _segments([sign for sign in seen if sign.turn_deg == 0])
+    ordered = reading_order(segments, len(page.grey) * page.mm_per_pixel / point_mm, is_leftward)
+    lines = [_text_line(line, point_mm) for line in ordered]
+    texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in ordered]
+    others = _print_beside(page, boxes)
+    text = "".join(texts)
+    unknown = sum(unicodedata.category(sign)[0] == "C" or sign == "\ufffd" for sign in text)
+    is_poor = 2 * len(turned) > len(seen) or unknown > _MOST_UNKNOWN * len(text)
+    missing, read = (
+        sum(line.right_mm - line.left_mm for line in found) for found in (others, lines)
+    )
+    if is_poor or missing > _MOSTLY * read:
+        reason = "most of its text is turned or unknown, or much of its print is not text"
+        return replace(page, notes=(f"{reason}, so its picture is recognized instead",))
+    stamps = "".join((" " if sign.space else "") + sign.text for sign in turned).strip()
+    notes = {
+        DOUBTFUL: any(line.is_doubtful for line in ordered),
+        f"turned text is left out: {stamps}": turned,
+        f"text that is not visible is left out (characters: {len(signs) - len(seen)})": len(signs)
+        > len(seen),
+        f"print that is not in its text is left out (lines: {len(others)})": others,
+    }
+    said = tuple(note for note, is_so in notes.items() if is_so)
+    return replace(page, lines=tuple(lines), words=tuple(texts), notes=said)
+
+
+_SMALLER, _SHIFTED, _NEAR = 0.95, (0.1, 0.8), 0.55
+"""Size of super- and subscripts, distance from the baseline, and from their word."""
+_INITIAL = 1.8  # size of a letter over several lines
+_TOUCHING, _FARTHEST = 0.3, 2.5  # gaps that are no space after a moved pen, nor by a file's space
+_SPACED, _WIDER = 0.8, 1.5  # gap of spaced letters, and ratio to it of the gap between their words
+_EVEN, _EACH = 0.25, 0.4  # difference of the spaces of justified prose, and width for each of them
+
+
+def _segments(signs: list[Segment]) -> list[Segment]:
+    """Return level text as segments, with ``^`` and ``_`` before super- and subscripts."""
+    segments: list[Segment] = []
+    for line in split(
+        signs, lambda last, sign: abs(sign.y - last.y) > _SHIFTED[1] * max(sign.size, last.size)
+    ):
+        tracking, widest = _spacing(line)
+        for last, sign in itertools.pairwise([None, *line]):
+            if sign and not (last and _is_joined(segments[-1], last, sign, tracking, widest)):
+                segments.append(replace(sign))
+    return segments
+
+
+def _spacing(line: list[Segment]) -> tuple[float, float]:
+    """Return the gap of spaced letters, and the widest gap that is a space of justified prose, in
+    their sizes; 0 if a line is neither."""
+    gaps = [sign.gap(last) for last, sign in itertools.pairwise(line)]
+    spaces = [gap for gap, sign in zip(gaps, line[1:], strict=True) if sign.space == _MADE]
+    words = "".join(sign.space + sign.text for sign in line).split()
+    is_even = len(spaces) > 1 and max(spaces) - min(spaces) < _EVEN
+    if is_even and sum(word[:2].isalpha() and len(word) > 1 for word in words) > 2:
+        return 0.0, _EACH * (len(spaces) + 1)
+    typical = statistics.median(gaps) if len(gaps) > 2 else math.inf
+    is_spaced = typical < _SPACED and "".join(words).isalpha()
+    return (typical, 2 * _WIDER * typical) if is_spaced else (0.0, 0.0)
+
+
+def _is_joined(
+    segment: Segment, last: Segment, sign: Segment, tracking: float, widest: float
+) -> bool:
+    """Add a character to the segment of the one before it; return whether it belongs there."""
+    gap = sign.gap(last)
+    raised = (segment.y - sign.y) / max(segment.size, sign.size)
+    is_space = sign.space == _TYPED or (
+        gap > _WIDER * tracking and (sign.space == _MADE or (gap > _TOUCHING and sign.space))
+    )
+    text = " " * bool(is_space) + sign.text
+    is_script = gap < _NEAR and _SHIFTED[0] < abs(raised) < _SHIFTED[1]
+    is_initial = len(segment.text) == 1 and segment.size > _INITIAL * sign.size
+    if is_initial and raised > 0 and gap < 1:
+        segment.y, segment.size = sign.y, sign.size
+    elif is_script and segment.size < _SMALLER * sign.size:
+        segment.text = ("^" if raised < 0 else "_") + segment.text
+        segment.y, segment.size = sign.y, sign.size
+    elif is_script and sign.size < _SMALLER * segment.size:
+        mark = "^" if raised > 0 else "_"
+        text = text if last.y == sign.y else text.replace(sign.text, mark + sign.text)
+    elif (
+        gap > _FARTHEST if sign.space == _TYPED else gap > widest and segment.is_apart(sign)
+    ):  # fmt: skip
+        return False
+    segment.add(text, sign)
+    return True
+
+
+_ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # of most fonts; all in sizes of the letters
+
+
+def _text_line(line: Line, point_mm: float) -> TextLine:
+    words = line.segments
+    size = statistics.median(word.size for word in words) * point_mm
+    return TextLine(
+        left_mm=min(word.left for word in words) * point_mm,
+        right_mm=max(word.right for word in words) * point_mm,
+        baseline=(statistics.median(word.y for word in words) * point_mm,),
+        x_height_mm=_X_HEIGHT * size,
+        ascent_mm=_ASCENT * size,
+        descent_mm=_DESCENT * size,
+        cell=int(line.is_cells),
+    )
+
+
+_Box = tuple[slice, slice]  # rows and columns of a page
+
+
+def _box(page: Page, sign: Segment, point_mm: float) -> _Box:
+    """Return the pixels of a character and a little around it."""
+    scale, size = point_mm / page.mm_per_pixel, sign.size
+    top, bottom = sign.y - _ABOVE * size, sign.y + _BELOW * size
+    left, right = sign.left - _BELOW * size, sign.right + _BELOW * size
+    rows, columns = (
+        slice(max(0, int(low * scale)), max(0, math.ceil(high * scale)))
+        for low, high in ((top, bottom), (left, right))
+    )
+    return rows, columns
+
+
+_COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 4
+"""Pixels, heights, contrast and number of the spots that may be print beside the text."""
+
+
+def _print_beside(page: Page, boxes: list[_Box]) -> list[TextLine]:
+    """Return the lines of print on a page outside boxes."""
+    grey = page.grey.copy()
+    for box in boxes:
+        if grey[box].size:
+            grey[box] = np.median(grey[box])
+    step = page.mm_per_pixel / _COARSE_MM
+    coarse = cv2.resize(grey, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
+    ink = np.abs(coarse - np.median(coarse)) > _CONTRAST
+    heights = cv2.connectedComponentsWithStats(ink.astype(np.uint8))[2][1:, cv2.CC_STAT_HEIGHT]
+    low, high = (height / _COARSE_MM for height in _LETTERS_MM)
+    if np.count_nonzero((heights >= low) & (heights <= high)) < _FEWEST_SPOTS:
+        return []
+    # A scan may lie on its side.
+    turned = Page(np.ascontiguousarray(np.rot90(grey)), page.mm_per_pixel)
+    return find_lines(replace(page, grey=grey), None) or find_lines(turned, None)

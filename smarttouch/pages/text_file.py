@@ -7,7 +7,8 @@ import shutil
 import subprocess
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 
@@ -20,10 +21,16 @@ MOST_BYTES, MOST_UNPACKED_BYTES = 50_000_000, 500_000_000
 _TIMEOUT_S, _MEMORY = 120.0, "1500M"
 _FILTER = Path(__file__).with_name("pandoc_text.lua")
 _BEGINNING_BYTES = 4096
+_UTF16 = re.compile(rb"\xff\xfe|\xfe\xff|(?:[\t-~]\0){4}|(?:\0[\t-~]){4}")  # or Latin letters
 _NO_TEXT = bytes({*range(0x20), 0x7F} - {*b"\t\n\f\r\x1b"})
 _BRF = frozenset([".brf", ".brl", ".ueb", ".bfm"])
-_BY_NAME = {".md": "commonmark_x", ".markdown": "commonmark_x"} | dict.fromkeys(
-    [".html", ".htm", ".xhtml"], "html"
+_TEX = "+tex_math_dollars+tex_math_single_backslash"  # TeX in a text is a formula
+_MARKDOWN = (
+    "markdown-markdown_in_html_blocks-raw_tex-task_lists-example_lists"
+    f"+lists_without_preceding_blankline{_TEX}"
+)
+_BY_NAME = dict.fromkeys([".md", ".markdown"], _MARKDOWN) | dict.fromkeys(
+    [".html", ".htm", ".xhtml"], f"html{_TEX}"
 )
 _HTML = rb"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b"
 _FOREIGN = {
@@ -41,37 +48,31 @@ _FOREIGN = {
 """Kinds that are not read, and how they begin."""
 _ODF = "mimetypeapplication/vnd.oasis.opendocument."
 _IN_ZIP = {
-    "word/": "docx", "mimetypeapplication/epub+zip": "epub", f"{_ODF}text": "odt",
+    "word/": "docx", "mimetypeapplication/epub+zip": f"epub{_TEX}", f"{_ODF}text": "odt",
     "ppt/": "a presentation", f"{_ODF}presentation": "a presentation",
     "xl/": "a spreadsheet", f"{_ODF}spreadsheet": "a spreadsheet", f"{_ODF}graphics": "a drawing",
     "Documents/1/": "an XPS document", "Index/": "a document of Pages, Numbers or Keynote",
 }  # fmt: skip
 """Beginnings of the names of members of packed documents, and what their mimetype says."""
-_FORMULAS = dict.fromkeys(["html", "epub"], "+tex_math_dollars+tex_math_single_backslash")
-"""Extensions of pandoc by which TeX in a text is a formula."""
-_TEX = re.compile(r"\\\((.{,500}?[\\^_].{,500}?)\\\)|\\\[(.{,500}?[\\^_].{,500}?)\\\]", re.DOTALL)
-"""Formulas in Markdown that pandoc knows between dollars only."""
 _EMBEDDED = re.compile(
     rb"<(?:iframe|video|audio|canvas|object|embed|wps:txbx|w:object|c:chart|dgm:relIds)\b|"
     rb"<draw:frame\b[^>]*>\s*<draw:object\b.*?</draw:frame>",
     re.DOTALL | re.IGNORECASE,
 )
 """Elements of HTML, DOCX and ODT that pandoc drops without a word."""
-_CONTENT = re.compile(r"word/document\.xml|content\.xml")
-_HEADS = re.compile(r"word/(?:header|footer)\d*\.xml|styles\.xml")
-_HEAD_TEXT = rb"<w:t\b|<style:(?:header|footer)\b[^>]*>(?:\s*<[^>]*>)*[^<\s]"
-"""Members of DOCX and ODT with the text and with the heads of pages, and text in these."""
+_HEADS = re.compile(
+    rb"<w:(?:hdr|ftr)\b.*?<w:t\b|<style:(?:header|footer)\b[^>]*>(?:\s*<[^>]*>)*[^<\s]", re.DOTALL
+)
+"""The heads of pages with text in DOCX and ODT."""
 
 
 class FileKind(StrEnum):
-    """Kind of material that a file holds."""
+    """Kind of a file: plain text, Braille, what pandoc reads, and images or a PDF."""
 
     TEXT = "text"
     BRF = "brf"
     STRUCTURED = "structured"
-    """HTML, Markdown, EPUB, DOCX or ODT."""
     PAGES = "pages"
-    """Images or a PDF."""
 
 
 def file_kind(path: Path) -> FileKind:
@@ -85,13 +86,15 @@ def file_kind(path: Path) -> FileKind:
     if _format_of(path) is not None:
         return FileKind.STRUCTURED
     is_text = data.translate(None, _NO_TEXT) == data and b"%PDF-" not in data
-    return FileKind.TEXT if is_text or suffix == ".txt" or _utf16(data) else FileKind.PAGES
+    is_text |= suffix == ".txt" or _UTF16.match(data) is not None
+    return FileKind.TEXT if is_text else FileKind.PAGES
 
 
 def read_plain_text(path: Path) -> str:
     """Return a text file in UTF-8 or UTF-16, with newlines only, and no byte-order mark."""
     data = read_bytes(path, PageError, MOST_BYTES)
-    if encoding := _utf16(data):
+    if _UTF16.match(data):
+        encoding = "utf-16-be" if data.startswith(b"\0") else "utf-16"
         data = data.decode(encoding, "replace").encode()
     text = decoded(data, path, PageError)
     return text.replace("\r\n", "\n").replace("\r", "\n")
@@ -104,36 +107,30 @@ def read_document_text(path: Path, note: Callable[[str], None]) -> str:
     Cells of a row are separated by semicolons, and an empty one is a hyphen. ``note`` gets a
     sentence for each kind of content that is left out. Nothing else is opened; no script is run.
     """
-    kind = str(_format_of(path))
-    program = shutil.which("pandoc")
+    kind, program = str(_format_of(path)), shutil.which("pandoc")
     if program is None:
         raise PageError(f"{path}: this kind of document needs pandoc: {INSTALL}")
-    data = read_bytes(path, PageError, MOST_BYTES)
+    data, embedded, heads = _prepared(path, kind)
+    command = [program, "+RTS", f"-M{_MEMORY}", "-RTS", "--sandbox", "-f", kind, "-t", "plain",
+               "--wrap=none", f"--lua-filter={_FILTER}"]  # fmt: skip
     try:
-        data, embedded, has_heads = _prepared(path, kind, data)
         done = subprocess.run(
-            [program, "+RTS", f"-M{_MEMORY}", "-RTS", "--sandbox",
-             "-f", kind + _FORMULAS.get(kind, ""), "-t", "plain",
-             "--wrap=none", f"--lua-filter={_FILTER}"],
-            input=data, capture_output=True, timeout=_TIMEOUT_S, check=False,
-        )  # fmt: skip
+            command, input=data, capture_output=True, timeout=_TIMEOUT_S, check=False
+        )
     except subprocess.TimeoutExpired:
         message = f"{path} was not read within {_TIMEOUT_S:g} s: give a smaller document"
         raise PageError(message) from None
-    except (OSError, RuntimeError, KeyError, zipfile.BadZipFile, zlib.error) as error:
-        raise PageError(f"{path} is damaged or locked ({error}): save it again") from None
     if done.returncode:
         reason = done.stderr.decode("utf-8", "replace").split("\n")[0] or "pandoc failed"
         raise PageError(f"{path} cannot be read, it may be locked: {reason}")
     text, _, notes = done.stdout.decode("utf-8").rpartition("\f")
     for words in filter(None, notes.splitlines()):
         note(words)
-    if has_heads:
+    if heads:
         note("headers and footers of its pages are left out")
     if embedded:
         note(f"embedded objects (formulas, charts, text boxes, frames) are left out: {embedded}")
-    lines = [re.sub(r"[ \t\f]+", " ", line).strip() for line in text.split("\n")]
-    return "\n".join(filter(None, lines))
+    return "\n".join(filter(None, (" ".join(line.split()) for line in text.split("\n"))))
 
 
 def _format_of(path: Path) -> str | None:
@@ -143,7 +140,7 @@ def _format_of(path: Path) -> str | None:
     if data.startswith(b"PK\x03\x04"):
         return _format_of_zip(path)
     if re.match(_HTML, data, re.IGNORECASE | re.DOTALL):
-        return "html"
+        return f"html{_TEX}"
     for kind, beginning in _FOREIGN.items():
         if suffix != ".txt" and re.match(beginning, data, re.IGNORECASE | re.DOTALL):
             raise _not_read(path, kind)
@@ -152,13 +149,10 @@ def _format_of(path: Path) -> str | None:
 
 def _format_of_zip(path: Path) -> str:
     """Return the format of a packed document; raise if it is another one."""
-    try:
-        with zipfile.ZipFile(path) as packed:
-            names = packed.namelist()
-            if "mimetype" in names:
-                names.append("mimetype" + packed.read("mimetype").decode("ascii", "replace"))
-    except (OSError, RuntimeError, zipfile.BadZipFile) as error:
-        raise PageError(f"{path} is damaged or locked ({error}): save it again") from None
+    with _opened(path) as packed:
+        names = packed.namelist()
+        if "mimetype" in names:
+            names.append("mimetype" + packed.read("mimetype").decode("ascii", "replace"))
     for beginning, kind in _IN_ZIP.items():
         if any(name.startswith(beginning) for name in names):
             if " " in kind:
@@ -167,51 +161,47 @@ def _format_of_zip(path: Path) -> str:
     raise _not_read(path, "a packed file (ZIP)")
 
 
+@contextmanager
+def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
+    """Open a packed document; any sign of damage, here or inside, becomes a PageError."""
+    try:
+        with zipfile.ZipFile(path) as packed:
+            yield packed
+    except (OSError, RuntimeError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        raise PageError(f"{path} is damaged or locked ({error}): save it again") from None
+
+
 def _not_read(path: Path, kind: str) -> PageError:
     remedy = "convert it to .brf" if "PEF" in kind else "save it as PDF, DOCX or plain text"
     return PageError(f"{path} is {kind}, which is not read: {remedy}")
 
 
-def _prepared(path: Path, kind: str, data: bytes) -> tuple[bytes, int, bool]:
-    """Return a document as pandoc reads it best, the number of its embedded objects, and whether it
-    has headers or footers with text.
+def _prepared(path: Path, kind: str) -> tuple[bytes, int, int]:
+    """Return a document as pandoc reads it best, and the numbers of its embedded objects and of
+    its headers and footers with text.
 
     Raises if it is not in UTF-8, or would fill the memory when unpacked.
     """
+    data = read_bytes(path, PageError, MOST_BYTES)
     if not data.startswith(b"PK"):
-        text = decoded(data, path, PageError)
-        if kind not in _FORMULAS:
-            return _TEX.sub(lambda match: f"${match[1] or match[2]}$", text).encode(), 0, False
-        return text.encode(), len(_EMBEDDED.findall(data)), False
-    count, has_heads, file = 0, False, io.BytesIO()
+        return decoded(data, path, PageError).encode(), len(_EMBEDDED.findall(data)), 0
+    embedded, heads, file = 0, 0, io.BytesIO()
     mark = b"(embedded object)" if kind == "odt" else rb"\g<0>"
-    with zipfile.ZipFile(io.BytesIO(data)) as packed, zipfile.ZipFile(file, "w") as copy:
+    with _opened(path) as packed, zipfile.ZipFile(file, "w") as copy:
         size = sum(member.file_size for member in packed.infolist())
         if size > MOST_UNPACKED_BYTES:
-            raise PageError(
-                f"{path} would unpack to {size // 10**6} MB, above the limit of "
-                f"{MOST_UNPACKED_BYTES // 10**6}: give a smaller document"
-            )
+            limit = f"the limit of {MOST_UNPACKED_BYTES // 10**6}: give a smaller document"
+            raise PageError(f"{path} would unpack to {size // 10**6} MB, above {limit}")
         for member in packed.infolist():
-            content, name = packed.read(member), member.filename
-            if _CONTENT.fullmatch(name):
+            content = packed.read(member)
+            if member.filename.endswith(".xml"):
                 content, count = _EMBEDDED.subn(mark, content)
+                embedded += count
+                heads += len(_HEADS.findall(content))
                 # pandoc drops the heads of an ODT's tables.
                 content = re.sub(rb"</?table:table-header-rows[^>]*>", b"", content)
-            has_heads |= bool(_HEADS.fullmatch(name) and re.search(_HEAD_TEXT, content))
             copy.writestr(member, content)
-    return file.getvalue(), count, has_heads
-
-
-def _utf16(data: bytes) -> str | None:
-    """Return the encoding of a text in UTF-16, with a mark or mostly of Latin letters, or None."""
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    data = data[:_BEGINNING_BYTES]
-    zeros = [data[side::2].count(0) for side in (0, 1)]
-    if 3 * max(zeros) > len(data) > 0 and min(zeros) == 0:
-        return "utf-16-le" if zeros[1] else "utf-16-be"
-    return None
+    return file.getvalue(), embedded, heads
 
 
 def _beginning(path: Path) -> bytes:
