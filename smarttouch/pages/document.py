@@ -56,9 +56,10 @@ class Document(Closing):
     """Pages of a PDF, a TIFF or any other image, recognized by its content, loaded on request.
 
     A PDF is rendered, with filled-in forms, and brings its text; an image is open only while a page
-    is loaded. One thread at a time may load pages; ``notes`` lists what was assumed. ``dpi``
-    replaces an image's own resolution, or the 300 at which a PDF is rendered; ``page_width_mm``
-    replaces the file's own scale.
+    is loaded. One thread at a time may load pages. ``notes`` lists what was assumed; ``has_scale``
+    says that the file surely states the size of its pages, as a PDF does. ``dpi`` replaces an
+    image's own resolution, or the 300 at which a PDF is rendered; ``page_width_mm`` replaces the
+    file's own scale.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class Document(Closing):
         self.notes: list[str] = []
         self._dpi, self._page_width_mm = dpi, page_width_mm
         self._pdf = _open_pdf(path, password)
+        self.has_scale: bool = self._pdf is not None
         self._frames: list[int] = []
         if self._pdf is None:
             with open_image(path) as image:
@@ -82,11 +84,6 @@ class Document(Closing):
     def __len__(self) -> int:
         """Return the number of pages."""
         return len(self._frames if self._pdf is None else self._pdf)
-
-    @property
-    def has_scale(self) -> bool:
-        """Whether it surely states the size of its pages, as a PDF does."""
-        return self._pdf is not None
 
     def close(self) -> None:
         """Close the file."""
@@ -104,7 +101,10 @@ class Document(Closing):
         name = f"page {index + 1} of {self.path}"
         try:
             with contextlib.closing(self._pdf[index]) as sheet:
-                printed = _flatten(sheet)
+                with contextlib.closing(sheet.get_textpage()) as text:
+                    printed: int = text.count_chars()
+                # Filled-in fields become a part of the page and its text.
+                pypdfium2.raw.FPDFPage_Flatten(sheet, pypdfium2.raw.FLAT_NORMALDISPLAY)
             with contextlib.closing(self._pdf[index]) as sheet:
                 return self._pdf_page(sheet, name, printed)
         # PDFium has no rotation of a page whose description is damaged.
@@ -212,16 +212,6 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument | None
     return pdf
 
 
-def _flatten(sheet: "pypdfium2.PdfPage") -> int:
-    """Make filled-in fields a part of a page and its text; return its characters before that."""
-    import pypdfium2.raw as pdfium
-
-    with contextlib.closing(sheet.get_textpage()) as text:
-        printed: int = text.count_chars()
-    pdfium.FPDFPage_Flatten(sheet, pdfium.FLAT_NORMALDISPLAY)
-    return printed
-
-
 _STAMP = 100  # characters of a turned stamp, at most
 _LEVEL = 10.0  # angle in degrees from which text is aslant
 _FINE = 1000.0  # parts of a point in which PDFium gives places
@@ -268,7 +258,7 @@ def _signs(sheet: "pypdfium2.PdfPage", printed: int) -> Iterator[Segment]:
                 space = _NONE
 
 
-_ABOVE, _BELOW = 0.95, 0.3  # what of the picture belongs to text, in sizes of the letters
+_ABOVE, _AROUND = 0.95, 0.3  # what of the picture belongs to text, in sizes of the letters
 _FAINT = 12  # levels of contrast below which print is not seen
 _MOST_UNKNOWN = 0.05  # part of a text's characters that mean nothing
 _MOSTLY = 0.5  # print that the text lacks, relative to it, from which the picture is recognized
@@ -278,12 +268,7 @@ _BULLET = re.compile(r"^[\ue000-\uf8ff](?=\s|$)")  # codes of symbol fonts
 
 def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
     """Return a rendered page with its text, if that has most of its print."""
-    boxes = [_box(page, sign, point_mm) for sign in signs]
-    prints = [page.grey[box] for box in boxes]
-    seen = [
-        sign for sign, print_ in zip(signs, prints, strict=True)
-        if not print_.size or np.ptp(print_) >= _FAINT
-    ]  # fmt: skip
+    seen, rest = _erased(page, signs, point_mm)
     turned = [sign for sign in seen if sign.turn_deg != 0]
     letters = [unicodedata.bidirectional(sign.text[0]) for sign in seen]
     is_leftward = sum(letter in ("R", "AL") for letter in letters) > letters.count("L")
@@ -291,22 +276,22 @@ def _with_text(page: Page, signs: list[Segment], point_mm: float) -> Page:
     ordered = reading_order(segments, len(page.grey) * page.mm_per_pixel / point_mm, is_leftward)
     lines = [_text_line(line, point_mm) for line in ordered]
     texts = [_BULLET.sub("•", _ORDINAL.sub(r"\1", line.text)) for line in ordered]
-    others = _print_beside(page, boxes)
-    text = "".join(texts)
-    unknown = sum(unicodedata.category(sign)[0] == "C" or sign == "\ufffd" for sign in text)
-    is_poor = 2 * len(turned) > len(seen) or unknown > _MOST_UNKNOWN * len(text)
-    missing, read = (
-        sum(line.right_mm - line.left_mm for line in found) for found in (others, lines)
+    unknown = sum(
+        unicodedata.category(sign)[0] == "C" or sign == "\ufffd" for sign in "".join(texts)
     )
-    if is_poor or missing > _MOSTLY * read:
+    others, hidden = _print_on(rest), len(signs) - len(seen)
+    missing, read = (sum(line.right_mm - line.left_mm for line in some) for some in (others, lines))
+    if (
+        2 * len(turned) > len(seen) or unknown > _MOST_UNKNOWN * len(seen)
+        or missing > _MOSTLY * read
+    ):  # fmt: skip
         reason = "most of its text is turned or unknown, or much of its print is not text"
         return replace(page, notes=(f"{reason}, so its picture is recognized instead",))
     stamps = "".join((" " if sign.space else "") + sign.text for sign in turned).strip()
     notes = {
         DOUBTFUL: any(line.is_doubtful for line in ordered),
         f"turned text is left out: {stamps}": turned,
-        f"text that is not visible is left out (characters: {len(signs) - len(seen)})": len(signs)
-        > len(seen),
+        f"text that is not visible is left out (characters: {hidden})": hidden,
         f"print that is not in its text is left out (lines: {len(others)})": others,
     }
     said = tuple(note for note, is_so in notes.items() if is_so)
@@ -359,8 +344,7 @@ def _is_joined(
     )
     text = " " * bool(is_space) + sign.text
     is_script = gap < _NEAR and _SHIFTED[0] < abs(raised) < _SHIFTED[1]
-    is_initial = len(segment.text) == 1 and segment.size > _INITIAL * sign.size
-    if is_initial and raised > 0 and gap < 1:
+    if len(segment.text) == 1 and segment.size > _INITIAL * sign.size and raised > 0 and gap < 1:
         segment.y, segment.size = sign.y, sign.size
     elif is_script and segment.size < _SMALLER * sign.size:
         segment.text = ("^" if raised < 0 else "_") + segment.text
@@ -393,38 +377,34 @@ def _text_line(line: Line, point_mm: float) -> TextLine:
     )
 
 
-_Box = tuple[slice, slice]  # rows and columns of a page
-
-
-def _box(page: Page, sign: Segment, point_mm: float) -> _Box:
-    """Return the pixels of a character and a little around it."""
-    scale, size = point_mm / page.mm_per_pixel, sign.size
-    top, bottom = sign.y - _ABOVE * size, sign.y + _BELOW * size
-    left, right = sign.left - _BELOW * size, sign.right + _BELOW * size
-    rows, columns = (
-        slice(max(0, int(low * scale)), max(0, math.ceil(high * scale)))
-        for low, high in ((top, bottom), (left, right))
-    )
-    return rows, columns
+def _erased(page: Page, signs: list[Segment], point_mm: float) -> tuple[list[Segment], Page]:
+    """Return the characters that are seen, and a page without any."""
+    scale, seen, grey = point_mm / page.mm_per_pixel, [], page.grey.copy()
+    for sign in signs:
+        above, around = _ABOVE * sign.size, _AROUND * sign.size
+        sides = sign.y - above, sign.y + around, sign.left - 2 * around, sign.right + 2 * around
+        top, bottom, left, right = (max(0, round(side * scale)) for side in sides)
+        box = slice(top, bottom), slice(left, right)
+        if not page.grey[box].size or np.ptp(page.grey[box]) >= _FAINT:
+            seen.append(sign)
+        if page.grey[box].size:
+            grey[box] = np.median(grey[box])
+    return seen, replace(page, grey=grey)
 
 
 _COARSE_MM, _LETTERS_MM, _CONTRAST, _FEWEST_SPOTS = 0.25, (0.8, 12.0), 60, 4
 """Pixels, heights, contrast and number of the spots that may be print beside the text."""
 
 
-def _print_beside(page: Page, boxes: list[_Box]) -> list[TextLine]:
-    """Return the lines of print on a page outside boxes."""
-    grey = page.grey.copy()
-    for box in boxes:
-        if grey[box].size:
-            grey[box] = np.median(grey[box])
+def _print_on(page: Page) -> list[TextLine]:
+    """Return the lines of print on a page without its text."""
     step = page.mm_per_pixel / _COARSE_MM
-    coarse = cv2.resize(grey, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
+    coarse = cv2.resize(page.grey, None, fx=step, fy=step, interpolation=cv2.INTER_AREA)
     ink = np.abs(coarse - np.median(coarse)) > _CONTRAST
     heights = cv2.connectedComponentsWithStats(ink.astype(np.uint8))[2][1:, cv2.CC_STAT_HEIGHT]
     low, high = (height / _COARSE_MM for height in _LETTERS_MM)
     if np.count_nonzero((heights >= low) & (heights <= high)) < _FEWEST_SPOTS:
         return []
     # A scan may lie on its side.
-    turned = Page(np.ascontiguousarray(np.rot90(grey)), page.mm_per_pixel)
-    return find_lines(replace(page, grey=grey), None) or find_lines(turned, None)
+    turned = Page(np.ascontiguousarray(np.rot90(page.grey)), page.mm_per_pixel)
+    return find_lines(page, None) or find_lines(turned, None)

@@ -8,15 +8,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-_SAME_LINE, _SPACE, _WIDE, _FIGURES, _SHARED = 0.3, 0.1, 0.65, 0.4, 0.1
-"""Distance of baselines of one line; gaps that are a space, that part words, and that rows share,
-which are aslant in a photograph. All are in sizes of the letters."""
+_SAME_LINE, _SPACE = 0.3, 0.1  # distance of baselines of one line, and gap that is a space
+_WIDE, _FIGURES, _ASLANT = 0.65, 0.4, 0.1
+"""Gaps that part words, and figures, and the least that all rows of a picture share."""
 _APART, _FLUSH = 2.5, 0.4  # gap that parts a line, and difference of the ends of justified prose
 _FARTHER = 1.6  # distance of blocks, in usual ones of rows
 _EDGE = 0.125  # part of the page's height at its ends that has running heads
 _WIDE_CELL, _WIDER, _WIDEST, _LOOSE = 5.0, 8.0, 13.0, 1.5
 """Mean widths of lines above which columns are prose: of a picture, of a PDF, and of loose rows;
 and distance of rows that are loose."""
+_FEWEST = 3  # rows that are columns by their widths
 _SURE = 1.15  # ratio of the widths of lines to these above which, or below its inverse, they decide
 DOUBTFUL = "the reading order is doubtful: words side by side may be columns, or rows of a table"
 _ITEM = re.compile(r"[^\w\s]|\(?\w{1,3}[.)]|\d+(?:\.\d+)+")
@@ -126,8 +127,7 @@ def _join_justified(rows: list[Row]) -> None:
     for (first, *others), row in itertools.pairwise(rows):
         ends = abs(row[0].left - first.left), abs(row[-1].right - first.right)
         if " " in first.text and not others and max(ends) < _FLUSH * first.size:
-            text = " ".join(part.text for part in row)
-            row[:] = [replace(row[0], text=text, right=row[-1].right)]
+            row[:] = [replace(row[0], text=_text(row), right=row[-1].right)]
 
 
 def _ordered(rows: list[Row]) -> list[Line]:
@@ -136,26 +136,21 @@ def _ordered(rows: list[Row]) -> list[Line]:
     _join_justified(rows[::-1])
     lines: list[Line] = []
     for band, gaps in _bands(rows):
-        shares = [_share_of_prose(band, gap, gaps) for gap in gaps]
-        share, (_, end) = max(zip(shares, gaps, strict=True), default=(0.0, (0.0, 0.0)))
+        ends = [-math.inf, *(right for _, right in gaps), math.inf]
+        columns = [_part(band, *pair) for pair in itertools.pairwise(ends)]
+        shares = [
+            _share_of_prose(band, left, right, end)
+            for left, right, end in zip(columns, columns[1:], ends[1:], strict=False)
+        ]
+        share, end = max(zip(shares, ends[1:], strict=False), default=(0.0, 0.0))
         parts = [_part(band, -math.inf, end), _part(band, end)] if share >= 1 else _blocks(band)
-        if len(parts) > 1:
-            ordered = [line for part in parts for line in _ordered(part)]
-        elif ends := _cell_ends(band):
-            ordered = [_table_row(row, ends) for row in band]
-        else:
-            lines += [line for row in band for line in _plain(row)]
-            continue
+        ordered = _lines(band) if len(parts) == 1 else [
+            line for part in parts for line in _ordered(part)
+        ]  # fmt: skip
         for line in ordered:
             line.is_doubtful |= any(1 / _SURE < share < _SURE for share in shares)
         lines += ordered
     return lines
-
-
-def _plain(row: Row) -> list[Line]:
-    """Return the lines of a row that is not of a table, parted at very wide gaps."""
-    pieces = split(row, lambda before, after: before.gap(after) > _APART)
-    return [Line(piece, " ".join(segment.text for segment in piece)) for piece in pieces]
 
 
 def _blocks(rows: list[Row]) -> list[list[Row]]:
@@ -174,12 +169,9 @@ def _bands(rows: list[Row]) -> Iterator[tuple[list[Row], list[_Span]]]:
     band: list[Row] = []
     shared: list[_Span] = []
     for row in rows:
+        least = (_FIGURES if row[0].place >= 0 else _ASLANT) * row[0].size
         both = ((max(a, c), min(b, d)) for a, b in shared for c, d in _free(row))
-        common = sorted(
-            gap
-            for gap in both
-            if gap[1] - gap[0] > (_FIGURES if row[0].place >= 0 else _SHARED) * row[0].size
-        )
+        common = sorted(gap for gap in both if gap[1] - gap[0] > least)
         if band and len(common) < 3:
             yield band, shared[1:-1]
             band = []
@@ -197,27 +189,25 @@ def _free(row: Row) -> list[_Span]:
 
 def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
     """Return the rows of the segments between two places."""
-    inside = ([part for part in row if left <= (part.left + part.right) / 2 < right]
-              for row in band)  # fmt: skip
-    return [row for row in inside if row]
+    rows = ([part for part in row if left <= (part.left + part.right) / 2 < right] for row in band)
+    return [row for row in rows if row]
 
 
-def _share_of_prose(band: list[Row], gap: _Span, gaps: list[_Span]) -> float:
-    """Return at least 1 if a gap parts columns of text, to be read one after the other: the file
-    does so, or lines of both are as wide and as close as those of prose. Near 1 is doubtful."""
-    ends = [-math.inf, *(right for _, right in gaps), math.inf]
-    at = ends.index(gap[1])
-    columns = [_part(band, *ends[k : k + 2]) for k in (at - 1, at)]
-    level = min(map(len, columns))
+def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
+    """Return at least 1 if columns are text, to be read one after the other: the file does so, or
+    lines of both are as wide and as close as those of prose. Near 1 is doubtful."""
+    level = min(len(left), len(right))
     printed = [part for row in band for part in row if part.place >= 0]
-    sides = [part.left > gap[0] for part in sorted(printed, key=lambda part: part.place)]
+    sides = [part.left >= end for part in sorted(printed, key=lambda part: part.place)]
     crossings = sum(before != after for before, after in itertools.pairwise(sides))
     if 0 < 2 * crossings <= level:
         return math.inf
+    if level < _FEWEST:
+        return 0.0
     # Rows of a table are short, or farther apart than lines of a column.
-    step = max(map(_usual_step, columns)) / band[0][0].size
+    step = max(map(_usual_step, (left, right))) / band[0][0].size
     least = _WIDEST if step > _LOOSE else _WIDER if printed else _WIDE_CELL
-    return min(map(_mean_width, columns)) / least if level > 2 else 0.0
+    return min(map(_mean_width, (left, right))) / least
 
 
 def _mean_width(column: list[Row]) -> float:
@@ -225,9 +215,12 @@ def _mean_width(column: list[Row]) -> float:
     return statistics.fmean((row[-1].right - row[0].left) / row[0].size for row in column)
 
 
-def _cell_ends(band: list[Row]) -> list[float]:
-    """Return the places that part cells, if rows are a table: the fewest that lie in all gaps, and
-    each in two or more."""
+def _lines(band: list[Row]) -> list[Line]:
+    """Return rows as lines: those of a table if the gaps of two have a place in common.
+
+    Cells are parted at the fewest places that lie in all gaps. What is in the first column alone is
+    a plain line, parted at very wide gaps.
+    """
     gaps = sorted((gap for row in band for gap in _free(row)[1:-1]), key=lambda gap: gap[1])
     shared: list[_Span] = []
     for left, right in gaps:
@@ -236,15 +229,19 @@ def _cell_ends(band: list[Row]) -> list[float]:
         else:
             shared.append((left, right))
     middles = ((left + right) / 2 for left, right in shared)
-    return [end for end in middles if sum(left < end < right for left, right in gaps) > 1]
+    ends = [end for end in middles if sum(left < end < right for left, right in gaps) > 1]
+    lines = []
+    for row in band:
+        cells: list[Row] = [[] for _ in range(len(ends) + 1)]
+        for segment in row:
+            cells[sum(segment.left > end for end in ends)].append(segment)
+        if any(cells[1:]):
+            lines.append(Line(row, "; ".join(_text(cell) or "-" for cell in cells), True))
+        else:
+            pieces = split(row, lambda before, after: before.gap(after) > _APART)
+            lines += [Line(piece, _text(piece)) for piece in pieces]
+    return lines
 
 
-def _table_row(row: Row, ends: list[float]) -> Line:
-    """Return a row of a table; it is a plain line if it has words in its first column alone."""
-    texts: dict[int, str] = {}
-    for segment in row:
-        column = sum(segment.left > end for end in ends)
-        texts[column] = f"{texts.get(column, '')} {segment.text}".strip()
-    if [*texts] == [0]:
-        return Line(row, texts[0])
-    return Line(row, "; ".join(texts.get(k) or "-" for k in range(len(ends) + 1)), True)
+def _text(row: Row) -> str:
+    return " ".join(segment.text for segment in row)

@@ -138,27 +138,24 @@ def _format_of(path: Path) -> str | None:
     pandoc does not read it. Raise where nothing here reads it."""
     data, suffix = _beginning(path).removeprefix(codecs.BOM_UTF8), path.suffix.lower()
     if data.startswith(b"PK\x03\x04"):
-        return _format_of_zip(path)
-    if re.match(_HTML, data, re.IGNORECASE | re.DOTALL):
-        return f"html{_TEX}"
-    for kind, beginning in _FOREIGN.items():
-        if suffix != ".txt" and re.match(beginning, data, re.IGNORECASE | re.DOTALL):
-            raise _not_read(path, kind)
-    return None if b"\x00" in data else _BY_NAME.get(suffix)
-
-
-def _format_of_zip(path: Path) -> str:
-    """Return the format of a packed document; raise if it is another one."""
-    with _opened(path) as packed:
-        names = packed.namelist()
-        if "mimetype" in names:
-            names.append("mimetype" + packed.read("mimetype").decode("ascii", "replace"))
-    for beginning, kind in _IN_ZIP.items():
-        if any(name.startswith(beginning) for name in names):
-            if " " in kind:
-                raise _not_read(path, kind)
-            return kind
-    raise _not_read(path, "a packed file (ZIP)")
+        with _opened(path) as packed:
+            names = packed.namelist()
+            if "mimetype" in names:
+                names.append("mimetype" + packed.read("mimetype").decode("ascii", "replace"))
+        kinds = [kind for start, kind in _IN_ZIP.items() if any(n.startswith(start) for n in names)]
+        kind = [*kinds, "a packed file (ZIP)"][0]
+    elif re.match(_HTML, data, re.IGNORECASE | re.DOTALL):
+        kind = _BY_NAME[".html"]
+    else:
+        kinds = [
+            kind for kind, start in _FOREIGN.items()
+            if suffix != ".txt" and re.match(start, data, re.IGNORECASE | re.DOTALL)
+        ]  # fmt: skip
+        kind = [*kinds, "" if b"\x00" in data else _BY_NAME.get(suffix, "")][0]
+    if " " in kind:
+        remedy = "save it as PDF, DOCX, plain text or .brf"
+        raise PageError(f"{path} is {kind}, which is not read: {remedy}")
+    return kind or None
 
 
 @contextmanager
@@ -169,11 +166,6 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
             yield packed
     except (OSError, RuntimeError, KeyError, zipfile.BadZipFile, zlib.error) as error:
         raise PageError(f"{path} is damaged or locked ({error}): save it again") from None
-
-
-def _not_read(path: Path, kind: str) -> PageError:
-    remedy = "convert it to .brf" if "PEF" in kind else "save it as PDF, DOCX or plain text"
-    return PageError(f"{path} is {kind}, which is not read: {remedy}")
 
 
 def _prepared(path: Path, kind: str) -> tuple[bytes, int, int]:
@@ -194,12 +186,11 @@ def _prepared(path: Path, kind: str) -> tuple[bytes, int, int]:
             raise PageError(f"{path} would unpack to {size // 10**6} MB, above {limit}")
         for member in packed.infolist():
             content = packed.read(member)
-            if member.filename.endswith(".xml"):
-                content, count = _EMBEDDED.subn(mark, content)
-                embedded += count
-                heads += len(_HEADS.findall(content))
+            if member.filename in ("word/document.xml", "content.xml"):
+                content, embedded = _EMBEDDED.subn(mark, content)
                 # pandoc drops the heads of an ODT's tables.
                 content = re.sub(rb"</?table:table-header-rows[^>]*>", b"", content)
+            heads += len(_HEADS.findall(content))
             copy.writestr(member, content)
     return file.getvalue(), embedded, heads
 
