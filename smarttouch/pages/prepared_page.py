@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from smarttouch.base.errors import PageError
 from smarttouch.pages.page_image import INCH_MM, Page, TextLine, require_size_mm
 from smarttouch.pages.reading_order import DOUBTFUL
-from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened, skew_of, turned
+from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
 from smarttouch.pages.text_lines import page_lines
 
 _AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
@@ -105,19 +105,17 @@ def prepare_page(
     if corners is not None:
         page = Page(flattened(page.grey, corners), page.mm_per_pixel)
         notes.append(LAID_FLAT)
-    straight, paper, lines = page_lines(page, light_on_dark, leftward)
-    skew_deg = skew_of(lines.lines)
-    if skew_deg:
-        page = Page(turned(page.grey, skew_deg), page.mm_per_pixel)
-        notes.append(f"the text was tilted by {abs(skew_deg):.1f}° and was turned level")
-        straight, paper, lines = page_lines(page, light_on_dark, leftward)
-    if lines.is_doubtful:
+    found = page_lines(page, light_on_dark, leftward, turn=True)
+    if found.skew_deg:
+        notes.append(f"the text was tilted by {abs(found.skew_deg):.1f}° and was turned level")
+    if found.is_doubtful:
         notes.append(DOUBTFUL)
-    left_out = [words for words in (lines.left_out, FAINT if paper.faint else "") if words]
+    paper = found.paper
+    left_out = [words for words in (found.left_out, FAINT if paper.faint else "") if words]
     if left_out:
         notes.append(LEFT_OUT + ", ".join(left_out))
     return PreparedPage(
-        straight, paper.cleaned, tuple(lines.lines), paper.light_on_dark, tuple(notes)
+        found.page, paper.cleaned, tuple(found.lines), paper.light_on_dark, tuple(notes)
     )
 
 

@@ -1,15 +1,13 @@
 """Straightening of pages: a photographed sheet seen from above, text turned level."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.pages.ink import Grey
-from smarttouch.pages.letter_rows import weighted_median
-from smarttouch.pages.page_image import TextLine
 
 Corners = NDArray[np.float64]
 
@@ -112,25 +110,25 @@ def _is_sheet(corners: Corners, outline: NDArray[np.int32], paper: Grey) -> bool
 
 LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
 """Note of a sheet that was found."""
-_LEAST_SKEW_DEG, _LARGEST_SKEW_DEG = 0.2, 16.0  # below, lines are followed; above, none are sure
-_LEAST_RISE = 0.3  # least rise of a line over its whole length, in x-heights
-_FEWEST_X_HEIGHTS = 30.0  # least length of all lines, in x-heights, that determine the skew
+_SKEWS_DEG = np.linspace(-16, 16, 321)
+_LEAST_SKEW_DEG, _PEAK_DEG = 0.2, 0.6  # below, lines are followed; half of a peak's width
+_BIN, _FEWEST, _SURE = 0.25, 30, 2.0
+"""Height of the bins that count the lower ends of letters, in letter heights; fewest letters, and
+least ratio to the usual skew's count, that determine a skew."""
 
 
-def skew_of(lines: Sequence[TextLine]) -> float:
-    """Return the clockwise skew of most lines in degrees; 0 if it is not certain."""
-    if not lines:
+def skew_of(x: NDArray[np.float64], bottom: NDArray[np.float64], height: float) -> float:
+    """Return the clockwise skew in degrees at which most lower ends of letters, (N,) px, are in
+    line; 0 if it is not certain."""
+    if len(x) < _FEWEST:
         return 0.0
-    length = np.array([line.right_mm - line.left_mm for line in lines])
-    slope = np.array(
-        [float(line.slope(np.array(line.left_mm + line.right_mm) / 2)) for line in lines]
-    )
-    typical = weighted_median(slope, length)
-    x_height_mm = weighted_median(np.array([line.x_height_mm for line in lines]), length)
-    sure = length.sum() > _FEWEST_X_HEIGHTS * x_height_mm
-    sure &= abs(typical) * length.max() > _LEAST_RISE * x_height_mm
-    skew_deg = math.degrees(math.atan(typical))
-    return skew_deg if sure and _LEAST_SKEW_DEG <= abs(skew_deg) <= _LARGEST_SKEW_DEG else 0.0
+    rows = (bottom - np.tan(np.radians(_SKEWS_DEG))[:, None] * x) / (_BIN * height)
+    rows = (rows - rows.min()).astype(int)
+    count = np.array([float(np.square(np.bincount(row)).sum()) for row in rows])
+    near = np.abs(_SKEWS_DEG - _SKEWS_DEG[count.argmax()]) < _PEAK_DEG
+    skew_deg = np.average(_SKEWS_DEG, weights=near * np.maximum(count - 0.7 * count.max(), 0))
+    sure = count.max() > _SURE * np.median(count)
+    return float(skew_deg) if sure and abs(skew_deg) >= _LEAST_SKEW_DEG else 0.0
 
 
 def turned(grey: Grey, skew_deg: float) -> Grey:

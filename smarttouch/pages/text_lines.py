@@ -27,16 +27,20 @@ from smarttouch.pages.letter_rows import (
 )
 from smarttouch.pages.page_image import Page, TextLine
 from smarttouch.pages.reading_order import Segment, reading_order
+from smarttouch.pages.straighten import skew_of, turned
 
 
 @dataclass(frozen=True)
 class PageLines:
-    """Lines of a page in reading order, what was left out, in words, and whether the order is
-    doubtful."""
+    """Straight page, its ink, its lines in reading order, what was left out, in words, and whether
+    the order is doubtful."""
 
+    page: Page
+    paper: Paper
     lines: list[TextLine]
     left_out: str = ""
     is_doubtful: bool = False
+    skew_deg: float = 0.0  # by which the page was turned level, clockwise before
 
 
 _SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
@@ -45,13 +49,13 @@ _SMALL_PX, _LARGEST_PIXELS = 9.0, 40_000_000
 
 def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
     """Return the lines of text in reading order; find the polarity of the page if it is None."""
-    return page_lines(page, light_on_dark)[2].lines
+    return page_lines(page, light_on_dark).lines
 
 
 def page_lines(
-    page: Page, light_on_dark: bool | None, leftward: bool = False
-) -> tuple[Page, Paper, PageLines]:
-    """Return a page, its ink, dark panels turned light, and its lines.
+    page: Page, light_on_dark: bool | None, leftward: bool = False, turn: bool = False
+) -> PageLines:
+    """Return a page, turned level if asked for, its ink, dark panels turned light, and its lines.
 
     Small print is enlarged until its lines can be followed.
     """
@@ -59,7 +63,12 @@ def page_lines(
     components, _ = find_components(paper.ink)
     height = usual_height(components, paper.ink.shape)
     if height is None:
-        return page, paper, PageLines([])
+        return PageLines(page, paper, [])
+    letters = components.of(like_letters(components, height))
+    skew_deg = skew_of((letters.left + letters.right) / 2, letters.bottom, height) if turn else 0.0
+    if skew_deg:
+        page = Page(turned(page.grey, skew_deg), page.mm_per_pixel)
+        return replace(page_lines(page, paper.light_on_dark, leftward), skew_deg=skew_deg)
     factor = math.ceil(_SMALL_PX / height)
     if 1 < factor**2 <= _LARGEST_PIXELS / page.grey.size:
         grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
@@ -69,7 +78,7 @@ def page_lines(
     if panels.any():
         cleaned = np.where(panels, ~paper.cleaned, paper.cleaned)
         paper = replace(paper, ink=paper.ink ^ panels, clean=lambda: cleaned)
-    return page, paper, _lines_in_ink(paper.ink, height, page.mm_per_pixel, leftward)
+    return _lines_in_ink(page, paper, height, leftward)
 
 
 _LEAST_SIDES, _LEAST_BOX, _LEAST_INK = (2.5, 5.0), 0.8, 0.35
@@ -112,7 +121,8 @@ most foreign ink there, relative to its own and for each of its letters, also of
 _PLACES = 20  # points along a line
 
 
-def _lines_in_ink(ink: Ink, height: float, mm_per_pixel: float, leftward: bool) -> PageLines:
+def _lines_in_ink(page: Page, paper: Paper, height: float, leftward: bool) -> PageLines:
+    ink, mm_per_pixel = paper.ink, page.mm_per_pixel
     rules, dividers = find_rules(ink, height)
     ink = ink & ~rules & ~dividers
     components, labels = find_components(ink)
@@ -127,7 +137,7 @@ def _lines_in_ink(ink: Ink, height: float, mm_per_pixel: float, leftward: bool) 
     baselines, small = _measured(parted, rows)
     left_out = _left_out(small, int(pictures.sum()))
     if not baselines:
-        return PageLines([], left_out)
+        return PageLines(page, paper, [], left_out)
     baselines = _with_marks(_joined(parted, baselines), components)
     x_height, ascent, descent = _sizes(baselines)
     y, size = _levels(baselines), (ascent + descent) * x_height / _HEIGHT
@@ -151,7 +161,7 @@ def _lines_in_ink(ink: Ink, height: float, mm_per_pixel: float, leftward: bool) 
                 cell=cell if row.is_cells else 0,
             )
             lines.append(line)
-    return PageLines(lines, left_out, any(row.is_doubtful for row in order))
+    return PageLines(page, paper, lines, left_out, any(row.is_doubtful for row in order))
 
 
 def _left_out(small: int, pictures: int) -> str:
