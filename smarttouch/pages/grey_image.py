@@ -1,6 +1,5 @@
 """Grey levels of 8 bits from any image of a file, a camera or a program."""
 
-import itertools
 import struct
 import warnings
 from collections.abc import Iterator
@@ -21,10 +20,8 @@ Pixels = NDArray[Any]
 MOST_PIXELS = 100_000_000  # of a page
 LUMA = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue, ITU-R BT.601."""
-_MIXES = np.array([mix for mix in itertools.product((0, 0.25, 0.5, 0.75, 1), repeat=3)
-                   if sum(mix) == 1])  # fmt: skip
-_MIXES = np.vstack([LUMA, _MIXES[np.abs(_MIXES - LUMA).sum(axis=1).argsort(kind="stable")]])
-"""Weights that may show colored print, the nearest to luma first: paper stays white."""
+_MIXES = np.vstack([LUMA, np.eye(3)[[1, 0, 2]], (1 - np.eye(3)) / 2])
+"""Weights that may show colored print, luma first: paper stays white."""
 _KEPT = 1.05  # advantage of the present weights
 _EDGE_LEVELS, _EDGE_PIXELS, _FEWEST_EDGES = 40, 3, 50
 """Difference of a channel, and distance, of two pixels at an edge, and the edges that count."""

@@ -43,7 +43,7 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     grey = ~grey if light_on_dark else grey
     small, factor = grey, 1
     while factor < 4 and small.size >= 80_000:
-        small, factor = halved(small), 2 * factor
+        small, factor = _halved(small), 2 * factor
     paper = _find_paper(small, min(_WINDOW_PX / factor, math.sqrt(small.size) / 12))
     # Single pixels, not averages: they have the grain of the page.
     flat = cv2.resize(grey, paper.shape[::-1], interpolation=cv2.INTER_NEAREST)
@@ -118,13 +118,7 @@ def is_light_on_dark(grey: Grey) -> bool:
     return bool((cv2.blur(off**3, window) / variance).sum() > 0.8 * np.sqrt(variance).sum())
 
 
-def reduced(grey: Grey, pixels: int) -> Grey:
-    """Return an image of about so many pixels or fewer, averaged."""
-    part = min(1.0, math.sqrt(pixels / grey.size))
-    return np.asarray(cv2.resize(grey, None, fx=part, fy=part, interpolation=cv2.INTER_AREA))
-
-
-def halved(grey: Grey) -> Grey:
+def _halved(grey: Grey) -> Grey:
     """Return an image of half the size, averaged; a whole factor is fastest."""
     height, width = (max(1, side // 2) for side in grey.shape)
     even = grey[: 2 * height, : 2 * width]

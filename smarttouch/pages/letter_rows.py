@@ -1,7 +1,8 @@
 """Rows of letters: connected components of ink, linked from left to right but not across columns,
 and measured: baseline through skew and curvature, height of an x, whether they are text."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -23,36 +24,35 @@ _COMMA = (0.8, 0.5)  # largest height and width of a comma or a quote, in usual 
 _LONGEST = 40.0  # largest ratio of length to height of a word with touching letters
 _UNDERLINE, _THIN, _HANGING = 3.0, 0.3, 0.2
 """Least length and most thickness of an underline, in letter heights; most ink right below it."""
-_TWO_LINES, _LEAST_LINE, _BESIDE = 1.7, 0.6, 1.5
-"""Height of a component that may span two lines, of a line, and reach beside it, in heights."""
-_VALLEY = 0.4  # ink between two lines that touch, relative to that in either
+_TWO_LINES, _TWO_HIGH, _LEAST_LINE = 1.7, 4.0, 0.6
+"""Height of a component that may span two lines, also if narrow, and of a line, in heights."""
+_VALLEY = 0.3  # ink between two lines that touch, relative to that in either
 _FILLED = 0.15  # least filled part of the box of a picture
 
 
-def weighted_median(values: NDArray[np.int_] | Floats, weight: Floats) -> float:
+def weighted_median(values: Indices | Floats, weight: Floats) -> float:
     """Return the value, of (N,), with half of the weight below it."""
     order = np.argsort(values)
     total = np.cumsum(weight[order])
     return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
-@dataclass(frozen=True, eq=False)
-class Components:
+class Components(NamedTuple):
     """Boxes of connected components, (N,) px; right and bottom are the first outside."""
 
-    left: NDArray[np.int_]
-    top: NDArray[np.int_]
-    right: NDArray[np.int_]
-    bottom: NDArray[np.int_]
-    area: NDArray[np.int_]
+    left: Indices
+    top: Indices
+    right: Indices
+    bottom: Indices
+    area: Indices
 
     @property
-    def height(self) -> NDArray[np.int_]:
+    def height(self) -> Indices:
         """Heights, (N,) px."""
         return self.bottom - self.top
 
     @property
-    def width(self) -> NDArray[np.int_]:
+    def width(self) -> Indices:
         """Widths, (N,) px."""
         return self.right - self.left
 
@@ -61,21 +61,22 @@ class Components:
         """Median height, px, weighted by size so that dots count little."""
         return weighted_median(self.height, np.sqrt(self.area))
 
-    def of(self, chosen: NDArray[np.bool_] | NDArray[np.int_]) -> "Components":
-        """Return some of the components."""
-        return Components(*(getattr(self, field.name)[chosen] for field in fields(self)))
+    @property
+    def length(self) -> float:
+        """Length of a row of them, in usual heights."""
+        return float(self.right.max() - self.left.min()) / self.usual_height
 
-    def joined(self, others: "Components") -> "Components":
-        """Return these components and others."""
-        sides = [
-            (getattr(self, column.name), getattr(others, column.name)) for column in fields(self)
-        ]
-        return Components(*map(np.concatenate, sides))
+    def of(self, chosen: NDArray[np.bool_] | Indices) -> "Components":
+        """Return some of the components."""
+        return Components(*(column[chosen] for column in self))
 
 
 def find_components(ink: Ink) -> tuple[Components, NDArray[np.int32]]:
     """Return all components of an image of ink, (H, W), and their labels, from 1, (H, W)."""
-    _, labels, boxes, _ = cv2.connectedComponentsWithStats(ink.view(np.uint8), connectivity=8)
+    # The default algorithm takes more than twice as long.
+    _, labels, boxes, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
+        ink.view(np.uint8), 8, cv2.CV_32S, cv2.CCL_GRANA
+    )
     left, top, width, height, area = boxes[1:].astype(np.int_).T
     components = Components(left, top, left + width, top + height, area)
     return components, np.asarray(labels, np.int32)
@@ -131,32 +132,21 @@ def find_rules(ink: Ink, height: float) -> tuple[Ink, Ink]:
 
 def part_lines(ink: Ink, components: Components, height: float) -> Ink:
     """Return the ink, (H, W), cut where letters of one line touch those of the next."""
-    tall = (components.height > _TWO_LINES * height) & (components.height < _LETTER[1] * height)
-    ordinary = components.of(like_letters(components, height) & ~tall)
-    middle = (ordinary.top + ordinary.bottom) / 2
-    parted = ink.copy() if tall.any() else ink
-    for k in np.flatnonzero(tall):
-        left, right = int(components.left[k]), int(components.right[k])
-        top, bottom = int(components.top[k]), int(components.bottom[k])
-        # A large letter has large letters beside it; two that touch have lines above and below.
-        near = (ordinary.right > left - _BESIDE * height) & (
-            ordinary.left < right + _BESIDE * height
-        )
-        near &= (middle > top) & (middle < bottom)
-        upper = near & (middle < (top + bottom) / 2)
-        sides = (ordinary.right[near] <= left).any() and (ordinary.left[near] >= right).any()
-        one = not sides or not upper.any() or (upper == near).all()
-        if one and right - left < bottom - top:
-            continue
-        least, parts = round(_LEAST_LINE * height), [(top, bottom)]
+    wide, tall = components.width, components.height
+    may_be_two = (tall > _TWO_LINES * height) & (tall < _LETTER[1] * height)
+    may_be_two &= (wide >= tall) | ((2 * wide >= tall) & (tall < _TWO_HIGH * height))
+    parted, least = ink.copy() if may_be_two.any() else ink, round(_LEAST_LINE * height)
+    for k in np.flatnonzero(may_be_two):
+        across = slice(components.left[k], components.right[k])
+        parts = [(int(components.top[k]), int(components.bottom[k]))]
         while parts:
             first, last = parts.pop()
             if last - first <= _TWO_LINES * height:
                 continue
-            profile = ink[first:last, left:right].sum(axis=1)
+            profile = ink[first:last, across].sum(axis=1)
             cut = least + int(profile[least:-least].argmin())
             if profile[cut] < _VALLEY * min(profile[:cut].max(), profile[cut:].max()):
-                parted[first + cut, left:right] = False
+                parted[first + cut, across] = False
                 parts += [(first, first + cut), (first + cut + 1, last)]
     return parted
 
@@ -166,6 +156,7 @@ _WIDEST_GAP = 3.8  # in heights of the taller letter: a dash or = between two sp
 _LEAST_OVERLAP = 0.45  # of two letters of a row, as a part of the lower one's height
 _LARGEST_RATIO = 2.8  # of heights in a row: a parenthesis has 2.5 times the height of an x
 _LEAST_SPACE = 0.35  # narrowest space, in letter heights; a narrower gap is within a word
+_LANE_PX = 3.0  # letter height at which lanes are looked for
 _NARROWEST, _LANES = 0.75, ((1.25, 15.0), (1.9, 8.0))
 """Least width of the white between columns, in letter heights, and in usual spaces if it is so
 many letter heights long."""
@@ -173,39 +164,44 @@ _LANE_REACH, _SHORT_LINES = 16.0, 6.5
 """Farthest print on both sides of a lane, and height of short lines among it, in letter heights."""
 
 
-def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Indices]:
-    """Return the indices of the letters of each row, from left to right.
+def find_rows(letters: Components, ink: Ink, walls: Ink, height: float) -> list[Components]:
+    """Return the letters of each row, from left to right.
 
     Rows end at ``walls``, (H, W), which are vertical rules and pictures, and at white lanes in
     ``ink``, (H, W), between columns.
     """
-    if len(letters.area) < 2:
-        return [np.arange(1)] * len(letters.area)
+    if not len(letters.area):
+        return []
     first, second, gap = _link_neighbors(letters)
     spaces = gap[gap > _LEAST_SPACE * letters.height[first]]
     lanes = _lanes(ink, height, float(np.median(spaces)) if len(spaces) else 0.0)
+    start, end = letters.right[first] - 1, letters.left[second]
     middle = (letters.top[first] + letters.bottom[first]) // 2
-    ends = np.minimum(letters.left[second], ink.shape[1] - 1)
     passed = (np.cumsum(mask, axis=1, dtype=np.int32) for mask in (walls, lanes))
-    walled, laned = (x[middle, ends] > x[middle, letters.right[first] - 1] for x in passed)
+    walled, laned = (
+        count[middle * len(count) // len(ink), end] > count[middle * len(count) // len(ink), start]
+        for count in passed
+    )
     # Letters of a headline are farther apart than columns.
     wide = 2 * gap > _NARROWEST * (letters.height[first] + letters.height[second])
     free = ~(walled | (laned & wide))
     following = dict(zip(first[free].tolist(), second[free].tolist(), strict=True))
     rows = []
-    for start in sorted(set(range(len(letters.area))) - set(following.values())):
-        row = [start]
+    for letter in set(range(len(letters.area))) - set(following.values()):
+        row = [letter]
         while row[-1] in following:
             row.append(following[row[-1]])
-        rows.append(np.array(row))
+        rows.append(letters.of(np.array(row)))
     return rows
 
 
 def _lanes(ink: Ink, height: float, space: float) -> Ink:
-    """Return the tall white between print on both sides, (H, W)."""
+    """Return the tall white between print on both sides, (h, W)."""
+    part = max(1, int(height / _LANE_PX))
+    ink = np.logical_or.reduceat(ink, np.arange(0, len(ink), part), axis=0)
     page = ink.view(np.uint8)
     beside = np.ones((1, round(_LANE_REACH * height)), np.uint8)
-    leading = np.ones((round(_SHORT_LINES * height) | 1, 1), np.uint8)
+    leading = np.ones((round(_SHORT_LINES * height / part) | 1, 1), np.uint8)
     white = ~ink
     for x in (0, beside.size - 1):
         near = cv2.dilate(page, beside, anchor=(x, 0))
@@ -213,24 +209,23 @@ def _lanes(ink: Ink, height: float, space: float) -> Ink:
     lanes = np.zeros_like(ink)
     for spaces, length in _LANES:
         width = max(3, round(max(_NARROWEST * height, spaces * space)))
-        lane = np.ones((round(length * height), width), np.uint8)
+        lane = np.ones((round(length * height / part), width), np.uint8)
         lanes |= cv2.morphologyEx(white.view(np.uint8), cv2.MORPH_OPEN, lane) > 0
     return lanes
 
 
 def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
-    """Return links from letters to the next ones on their right, where both agree: (L,) indices of
-    both, and the white between, px."""
+    """Return links from letters to the next ones on their right, the cheapest first: (L,) indices
+    of both, and the white between, px."""
     from scipy.spatial import cKDTree
 
     height, middle = letters.height, (letters.top + letters.bottom) / 2
     # Vertical distance counts twice.
     tree = cKDTree(np.column_stack([letters.left, 2 * middle]))
-    near = min(_NEIGHBORS, len(height) - 1) + 1
     reach = 2 * _WIDEST_GAP * float(height.max())
     ends = np.column_stack([letters.right, 2 * middle])
-    _, neighbors = tree.query(ends, k=near, distance_upper_bound=reach)
-    first, second = np.repeat(np.arange(len(height)), near), neighbors.ravel()
+    _, neighbors = tree.query(ends, k=_NEIGHBORS, distance_upper_bound=reach)
+    first, second = np.repeat(np.arange(len(height)), _NEIGHBORS), neighbors.ravel()
     first, second = first[second < len(height)], second[second < len(height)]
     one, other = letters.of(first), letters.of(second)
     taller = np.maximum(one.height, other.height)
@@ -240,18 +235,21 @@ def _link_neighbors(letters: Components) -> tuple[Indices, Indices, Indices]:
     is_link = (gap <= _WIDEST_GAP * taller) & (other.left + other.right > one.left + one.right)
     is_link &= (beside >= _LEAST_OVERLAP * lower) & (taller <= _LARGEST_RATIO * lower)
     # A pixel of vertical offset costs as much as a pixel of gap.
-    cost = (np.maximum(gap, 0) + lower - beside)[is_link]
-    cheapest = np.argsort(cost, kind="stable")
-    first, second, gap = (column[is_link][cheapest] for column in (first, second, gap))
-    follows, precedes = (np.unique(ends, return_index=True)[1] for ends in (first, second))
-    agreed = np.intersect1d(follows, precedes)
-    return first[agreed], second[agreed], gap[agreed]
+    cost = np.where(is_link, np.maximum(gap, 0) + lower - beside, np.inf)
+    links, begun, ended = [], set(), set()
+    for k in np.argsort(cost, kind="stable")[: np.count_nonzero(is_link)]:
+        start, end = first[k], second[k]
+        if start not in begun and end not in ended:
+            links.append(k)
+            begun.add(start)
+            ended.add(end)
+    return first[links], second[links], gap[links]
 
 
 _WORD, _PIECE = 1.3, 0.6  # width above which a component is several letters, and of a piece of it
 _DEGREES = (8.0, 20.0, 40.0)  # least lengths of lines with a slope, a bend and a second bend
 _DESCENDING = 2.5  # weight of a distance below a baseline
-_ROUNDS = 8  # rounds of weights against outliers
+_ROUNDS = 5  # rounds of weights against outliers
 _X_HEIGHTS = np.arange(0.4, 1.3, 0.03)  # heights of an x that are tried, in letter heights
 _NEAR = (0.1, 0.5)  # distance within which letters are equally high: in x-heights, plus pixels
 _TALL, _DEEP = (1.2, 1.65), (0.15, 0.65)
@@ -260,7 +258,7 @@ _UNDECIDED = 0.2  # part of the letters that end above a baseline that may be to
 _LEAST_X_HEIGHT_PX = 3.5  # least x-height of readable print
 _STROKES = (0.75, 2.9)  # strokes per x-height of letters; print has 0.9 to 1.9
 _TOUCHING = 1.3  # usual width of components in which letters run together, in x-heights
-_ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.6, 0.5, 0.8
+_ON_LEVELS, _TOUCHING_ON_LEVELS, _FEW_ON_LEVELS = 0.7, 0.55, 0.8
 """Least part of the letters that begin and end at usual heights, where they touch, and of few."""
 _MANY, _SOLID = 8, 0.75
 """Letters of a line that stands for itself; filled part of a box above which it is a disc or a
@@ -288,6 +286,15 @@ class Baseline:
     def middle_y(self) -> float:
         """Baseline's y halfway along the row."""
         return float(polynomial.polyval((self.right - self.left) / 2, self.curve))
+
+    def slope(self, x: float) -> float:
+        """Return the slope of the baseline at x, positive if it falls."""
+        inside = min(max(x - self.left, 0.0), self.right - self.left)
+        return float(polynomial.polyval(inside, polynomial.polyder(self.curve)))
+
+    def distance(self, x: float, y: float) -> float:
+        """Return how far a place is above or below, and beside the row."""
+        return abs(self.middle_y - y) + max(self.left - x, x - self.right, 0.0)
 
     @property
     def is_too_small(self) -> bool:
@@ -320,20 +327,17 @@ class Baseline:
         return float(min(_on_levels(self.rise, self.x_height).sum(axis=0).mean(), low.mean()))
 
 
-def measure_row(ink: Ink, letters: Components, slope: float | None = None) -> Baseline:
+def measure_row(ink: Ink, letters: Components, slope: float) -> Baseline:
     """Measure a row of letters in ``ink``, (H, W).
 
     A smooth curve goes through the lower ends of most letters. Most of them are as high as an x, or
     as an ascender. ``slope`` is that of the lines around, for a row too short to measure its own.
     """
-    height = letters.usual_height
-    left, right = float(letters.left.min()), float(letters.right.max())
-    x, top, bottom = _pieces(ink, letters, height)
-    if slope is None:
-        degree = min(int(np.searchsorted(_DEGREES, (right - left) / height)), max(0, len(x) - 2))
-        curve = _fitted(x - left, bottom, degree)
-    else:
-        curve = np.append(_fitted(x - left, bottom - slope * (x - left), 0), slope)
+    left = float(letters.left.min())
+    x, top, bottom = _pieces(ink, letters, letters.usual_height)
+    degree = min(int(np.searchsorted(_DEGREES, letters.length)), max(0, len(x) - 2))
+    curve = np.append(_fitted(x - left, bottom - slope * (x - left), degree), 0.0)
+    curve[1] += slope
     row = _on_curve(ink, letters, curve, x, top, bottom)
     above = row.fall < -_NEAR[0] * row.x_height - _NEAR[1]
     if above.mean() > _UNDECIDED:

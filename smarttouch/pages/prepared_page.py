@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from smarttouch.base.errors import PageError
+from smarttouch.pages.ink import Grey
 from smarttouch.pages.page_image import INCH_MM, Page, TextLine, require_size_mm
 from smarttouch.pages.reading_order import DOUBTFUL
-from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
 from smarttouch.pages.text_lines import page_lines
 
 _AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
@@ -21,9 +21,7 @@ _INK = 128  # level below which is ink, when the spots of neighboring lines are 
 _FADED = 2  # samples by which the grey edge of a spot reaches beyond its ink
 
 
-def cut_strip(
-    cleaned: NDArray[np.uint8], mm_per_pixel: float, line: TextLine, height_px: int
-) -> NDArray[np.uint8]:
+def cut_strip(cleaned: Grey, mm_per_pixel: float, line: TextLine, height_px: int) -> Grey:
     """Return a line cut out of a page and straightened along its baseline, (height_px, W) uint8.
 
     Its print, from ascenders to descenders, fills the height; `SIDES` of paper stay at each end.
@@ -55,7 +53,7 @@ def cut_strip(
     return np.asarray(cv2.resize(strip, (width, height_px), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArray[np.uint8]:
+def _without_neighbors(wide: Grey, above: int, rows: int) -> Grey:
     """Return the middle rows of a wider cut, without spots whose center is beyond them."""
     ink = (wide < _INK).view(np.uint8)
     _, labels, _, centers = cv2.connectedComponentsWithStats(ink, connectivity=8)
@@ -68,6 +66,83 @@ def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArra
     return cut[above : above + rows]
 
 
+Corners = NDArray[np.float64]
+
+_SIDE_PX = 480  # longer side of the image in which a sheet is detected
+_LEAST_PART = 0.2  # least part of the photograph covered by a sheet
+_LARGEST_PART = 0.97  # part above which the image is the sheet itself, scanned
+_LOG_STEPS = (0.1, 0.15, 0.25, 0.4, 0.7)
+"""Least steps, in logarithms of the level, of edges that enclose a sheet; shadows' are lower."""
+_LEAST_FILLED = 0.93  # least common part of the quadrilateral and the bright area
+_LEAST_STEP = 25.0
+"""Least drop in grey level from the paper to its background, across each visible edge."""
+_EDGE_PX = 6  # distance from an edge at which both sides of it are compared, in that image
+_LEAST_SIDES = 3  # fewest visible edges; the fourth may be the edge of the photograph
+_ROUGH = 0.02  # tolerance of an outline with four corners, as a part of its length
+_SQUARE = np.ones((3, 3), np.uint8)
+_INSET = 0.006  # part of the sheet left out at its blurred edges
+
+
+def find_sheet(grey: Grey) -> Corners | None:
+    """Return the corners of a bright sheet, (4, 2) px, clockwise from the top left, or None."""
+    factor = _SIDE_PX / max(grey.shape)
+    size = (max(8, round(grey.shape[1] * factor)), max(8, round(grey.shape[0] * factor)))
+    small = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+    # Print on the sheet is bridged first.
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
+    paper = np.asarray(cv2.morphologyEx(small, cv2.MORPH_CLOSE, around), np.uint8)
+    edges = cv2.morphologyEx(np.log(paper + np.float32(8)), cv2.MORPH_GRADIENT, _SQUARE)
+    largest, found = _LEAST_PART * small.size, None
+    for step in _LOG_STEPS:
+        _, labels, boxes, _ = cv2.connectedComponentsWithStats((edges < step).astype(np.uint8))
+        for k in np.argsort(-boxes[1:, cv2.CC_STAT_AREA])[:2] + 1:
+            area = cv2.dilate((labels == k).astype(np.uint8), _SQUARE)
+            outlines, _ = cv2.findContours(area, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+            outline = max(outlines, key=cv2.contourArea)
+            covered = cv2.contourArea(outline)
+            # A sheet that is lit in part only is the largest that is found.
+            if largest < covered < _LARGEST_PART * small.size:
+                hull = cv2.convexHull(outline)
+                corners = cv2.approxPolyDP(hull, _ROUGH * cv2.arcLength(hull, True), True)[:, 0]
+                if len(corners) == 4 and _is_sheet(corners.astype(float), covered, paper):
+                    largest, found = covered, corners
+    if found is None:
+        return None
+    return np.asarray((np.roll(found, -int(found.sum(axis=1).argmin()), axis=0) + 0.5) / factor)
+
+
+def flattened(grey: Grey, corners: Corners) -> Grey:
+    """Return a sheet as seen from straight above, at its finest resolution."""
+    middle = corners.mean(axis=0)
+    corners = middle + (1 - _INSET) * (corners - middle)
+    across, down = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
+    width = max(2, round(max(math.hypot(*across[0]), math.hypot(*across[2]))))
+    height = max(2, round(max(math.hypot(*down[0]), math.hypot(*down[2]))))
+    target = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
+    matrix = cv2.getPerspectiveTransform(corners.astype(np.float32), target)
+    flat = cv2.warpPerspective(
+        grey, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(flat, np.uint8)
+
+
+def _is_sheet(corners: Corners, covered: float, paper: Grey) -> bool:
+    """Return whether four corners are those of a sheet with a darker background."""
+    if abs(covered / cv2.contourArea(corners.astype(np.float32)) - 1) > 1 - _LEAST_FILLED:
+        return False
+    around, seen = np.pad(paper, _EDGE_PX, mode="edge").astype(np.float64), 0
+    for corner, side in zip(corners, np.roll(corners, -1, axis=0) - corners, strict=True):
+        along = corner + np.linspace(0.1, 0.9, 40)[:, None] * side + _EDGE_PX
+        outwards = _EDGE_PX * np.array([side[1], -side[0]]) / np.hypot(*side)
+        inside, outside = (
+            around[tuple(np.rint(along + off).astype(int).T[::-1])] for off in (-outwards, outwards)
+        )
+        seen += np.percentile(inside - outside, 20) >= _LEAST_STEP
+    return bool(seen >= _LEAST_SIDES)
+
+
+LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
+"""Note of a sheet that was found."""
 LEFT_OUT = "left out: "  # beginning of the note on what is not among the lines
 FAINT = "faint marks, as of print on the back of the sheet"
 
@@ -79,7 +154,7 @@ class PreparedPage:
     """
 
     page: Page
-    cleaned: NDArray[np.uint8]
+    cleaned: Grey
     lines: tuple[TextLine, ...]
     light_on_dark: bool
     notes: tuple[str, ...]
@@ -87,7 +162,7 @@ class PreparedPage:
     known: dict[int, tuple[str, float]] = field(default_factory=dict)
     """Text of lines that were recognized already, with a confidence in [0, 1]."""
 
-    def strip(self, index: int, height_px: int) -> NDArray[np.uint8]:
+    def strip(self, index: int, height_px: int) -> Grey:
         """Return a line straightened, (height_px, W) uint8, ascenders to descenders filling it."""
         return cut_strip(self.cleaned, self.page.mm_per_pixel, self.lines[index], height_px)
 

@@ -6,8 +6,7 @@ import pytest
 from skimage import data
 
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.prepared_page import prepare_page
-from smarttouch.pages.straighten import find_sheet
+from smarttouch.pages.prepared_page import find_sheet, prepare_page
 from smarttouch.pages.text_lines import find_lines
 
 from ..support.checks import numbers_in
