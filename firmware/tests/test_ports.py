@@ -38,14 +38,14 @@ def checks(name="st_checks"):
     return built("checks", name, "cc")
 
 
-@pytest.mark.parametrize("slots", [3_000, pytest.param(1_000_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("slots", [1_500, pytest.param(1_000_000, marks=pytest.mark.long)])
 def test_the_rest_is_kept_however_long_a_port_takes(slots):
     """Functions that take 0 to 500 us at random, and call `st_zero` now and then."""
     found = re.match(
         r"(\d+) slots, 0 overlaps, 0 after (\d+) zeros", check(checks(), "times", slots)
     )
     assert int(found[1]) >= slots
-    assert int(found[2]) > slots / 300
+    assert int(found[2]) > slots / 400
 
 
 def test_an_interrupt_ends_all():

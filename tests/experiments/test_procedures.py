@@ -17,6 +17,7 @@ from smarttouch.experiments.procedures import (
     weighted_staircase,
 )
 
+from ..support.full import sample
 from .simulated import Subject, answer_all, ask_all
 
 
@@ -143,7 +144,7 @@ def recover(task, name, subjects):
     return errors, held, trials
 
 
-@pytest.mark.parametrize(("task", "name"), AS_USED)
+@pytest.mark.parametrize(("task", "name"), sample(AS_USED))
 def test_thresholds_come_back(task, name):
     errors, held, trials = recover(task, name, 24)
     assert len(errors) >= 16

@@ -21,6 +21,7 @@ from smarttouch.profile import load_profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 
 from ..support.checks import raises
+from ..support.full import sample
 from .simulated_sensors import SimulatedPatch, View
 
 
@@ -117,11 +118,11 @@ def true_error(found, profile, view, shape):
     return np.linalg.norm(away_mm, axis=1) / pitch_mm
 
 
-@pytest.mark.parametrize(("shape", "cases"), [(COARSEST, 25), (COARSE, 25), (FINE, 6)])
+@pytest.mark.parametrize(("shape", "cases"), [(COARSEST, 24), (COARSE, 24), (FINE, 6)])
 def test_the_true_error_is_below_a_tenth_of_a_pitch(profile, shape, cases):
     """Tilted up to 25°, turned any way, blurred, noisy, unevenly lit."""
     target = target_for(profile)
-    for seed in range(cases):
+    for seed in sample(range(cases)):
         view = random_view(seed, shape, profile.optics)
         found = register(view.render(target, profile.optics, shape), profile, target)
         assert true_error(found, profile, view, shape).max() < 0.1, view

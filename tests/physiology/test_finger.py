@@ -18,6 +18,7 @@ from smarttouch.profile import load_profile
 
 from ..fit_fibers import fiber_fit
 from ..support.checks import assert_close, raises
+from ..support.full import sample
 
 ANATOMIES = ("branched", "paper")
 
@@ -136,7 +137,7 @@ def test_what_is_wrong_with_an_anatomy(tmp_path, small):
         Finger(small, 1, path)
 
 
-@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
+@pytest.mark.parametrize("afferent", sample([Afferent.RA, Afferent.SAI]))
 def test_thresholds_of_bent_branches_that_no_fit_has_seen(profile, bank, afferent):
     """Courses of a branched finger, under kernels, against the cable model."""
     one = Finger(profile, 1, "branched").populations[afferent]

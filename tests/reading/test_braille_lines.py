@@ -81,7 +81,7 @@ def delivered(name, line, eight=False):
 
 
 @pytest.mark.parametrize("name", sample(ARRAYS))
-@settings(max_examples=6 if WHOLE else 3, deadline=None)
+@settings(max_examples=6 if WHOLE else 2, deadline=None)
 @given(six=cells(0x283F), eight=cells(0x28FF))
 def test_what_is_delivered_is_what_was_asked_for(name, six, eight):
     assert delivered(name, six) == six

@@ -10,7 +10,7 @@ from .agreement import CRASH, STRICT, UNSAFE, Tally, attack, stream
 from .gates import Answer
 from .oracle import Oracle
 
-SEQUENCES = 9000 if WHOLE else 5000
+SEQUENCES = 9000 if WHOLE else 3500
 FIRST = 300
 """From this seed on each rule is soon the only one broken."""
 

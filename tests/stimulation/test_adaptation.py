@@ -14,7 +14,7 @@ from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanTiming
 from smarttouch.stimulation.scheduler import ScanScheduler
 
-from ..support.full import WHOLE
+from ..support.full import WHOLE, sample
 from ..support.scans import open_level
 
 COMPLIANCE_V = 300.0
@@ -101,7 +101,7 @@ def test_where_pulses_cannot_be_longer_that_is_reported():
     assert finger.adaptation.limited == ()
 
 
-@pytest.mark.parametrize("drift", [0.25, 4.0])
+@pytest.mark.parametrize("drift", sample([0.25, 4.0]))
 def test_energy_is_held_there_and_back(drift):
     """From 100 to 25 kΩ, say, and back, within what was asked for."""
     finger = Finger(MOUSE, "energy")

@@ -13,7 +13,6 @@ from smarttouch import lab
 from smarttouch.instruments.color_mix import ColorSource
 from smarttouch.testing import StimulusContract
 
-from ..support.full import sample
 from ..support.packages import install_project
 
 ROOT = Path(__file__).parents[2]
@@ -38,7 +37,8 @@ def program(tmp_path, monkeypatch):
     return run
 
 
-@pytest.mark.parametrize("name", sample(["board", "source", "stimulus"], 3))
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["board", "source", "stimulus"])
 def test_their_own_tests_pass(program, name):
     options = ("-q", "-W", "error", "-p", "no:cacheprovider", "-c", "pyproject.toml")
     done = program("-m", "pytest", *options, folder=EXAMPLES / name)
