@@ -137,12 +137,13 @@ class LinkSession:
         kind, first = protocol.ANSWERS[question], self.sent + 1
         deadline_s = self.now_s() + (self.answer_s if within_s is None else within_s)
 
-        def is_over() -> bool:
+        def answer() -> Message | None:
             reply = self._answers.get(kind)
             # An answer of another version may name no query.
-            if reply is not None and reply.about < first and reply.version == VERSION:
-                del self._answers[kind]
-            return self.fault is not None or kind in self._answers or self.line.is_stopped
+            return reply if reply and (reply.about >= first or reply.version != VERSION) else None
+
+        def is_over() -> bool:
+            return bool(self.fault or answer() or self.line.is_stopped)
 
         while self.now_s() < deadline_s:
             self.send(question, payload=payload)
@@ -152,8 +153,8 @@ class LinkSession:
                 if self.fault is not None:
                     raise self.fault
                 self.line.require_running()
-                if kind in self._answers:
-                    return self._answers.pop(kind)
+                if reply := answer():
+                    return reply
         raise SilentBoardError(
             f"the board at {self.line.name} does not answer: check that it is on and speaks link "
             f"version {VERSION}"
