@@ -126,7 +126,8 @@ class KernelLists:
         # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
         scaled += _ABOVE + 0.5
         rounded = scaled.astype(np.int64).astype(np.int16)
-        current_ua = np.diff(rounded, axis=1, prepend=np.int16(0))
+        current_ua = rounded.copy()
+        current_ua[:, 1:] -= rounded[:, :-1]
         vars(self).update(
             first=first, kernel=kernel, amplitude=amplitude,
             site=self.table.site[kernel[first[:-1]]],

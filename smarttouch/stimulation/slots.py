@@ -176,16 +176,16 @@ class FrameSlots:
         slots: list[list[int]] = []
         sums_ma: list[float] = []
         first, before = 0, -1
-        for kernel, total_ma, owner in np.stack(columns, axis=1).tolist():
+        for kernel, total_ma, owner in zip(*map(np.ndarray.tolist, columns), strict=True):
             if owner != before:
                 first, before = len(slots), owner
             for slot in range(first, len(slots)):
                 if sums_ma[slot] + total_ma <= self._most_ma:
-                    slots[slot].append(int(kernel))
+                    slots[slot].append(kernel)
                     sums_ma[slot] += total_ma
                     break
             else:
-                slots.append([int(kernel)])
+                slots.append([kernel])
                 sums_ma.append(total_ma)
         lengths = np.fromiter(map(len, slots), np.intp, len(slots))
         kernels = np.fromiter(chain.from_iterable(slots), np.intp)
