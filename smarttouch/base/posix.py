@@ -57,20 +57,12 @@ def user_number() -> int | None:
     return os.geteuid() if hasattr(os, "geteuid") else None
 
 
-def write_now(number: int, data: bytes) -> int:
-    """Write to a descriptor without releasing the interpreter lock, so that no other thread delays
-    it. Return the number of bytes written. POSIX only."""
-    written = int(_write(number, data, len(data)))
-    if written < 0:
-        failure = ctypes.get_errno()
-        raise OSError(failure, os.strerror(failure))
-    return written
-
-
 if HAS_POSIX:
-    _write = ctypes.PyDLL(None, use_errno=True).write
-    _write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
-    _write.restype = ctypes.c_ssize_t
+    # The system's write, without releasing the interpreter lock, so that no other thread delays it.
+    # It returns the number of bytes written, or -1.
+    write_now = ctypes.PyDLL(None, use_errno=True).write
+    write_now.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
+    write_now.restype = ctypes.c_ssize_t
 
 
 # Busy processes do not delay a thread with real-time priority (``SCHED_FIFO``). Linux grants it to

@@ -401,12 +401,9 @@ class Board:
         )
         try:
             self._number = proved.number
-            if can.host_timed:
-                self._queue(proved)
-            else:
-                if self._failure is not None:
-                    self._raise_failure()
-                self.driver.write(proved)
+            if self._failure is not None:
+                self._raise_failure()
+            (self._queue if can.host_timed else self.driver.write)(proved)
             return proved.number
         except BoardError as error:
             failure = self._not_sent(error)

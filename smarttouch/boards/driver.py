@@ -234,7 +234,8 @@ class Line:
         """Hold the lock of `Board.stop` for a write to a device that is not a port; arguments and
         errors as of `write`. A sequence whose block has ended counts as written."""
         board, begun, zeroing = self.board, False, threading.get_ident() in self._zeroing
-        with uninterrupted():
+        # Signals are deferred for boards that a stop must reach.
+        with uninterrupted() if board.announced else contextlib.nullcontext():
             if not self._lock.acquire(timeout=BLOCKED_S if zeroing else -1):
                 raise self.lost("is blocked: check the cable")
             try:

@@ -1,6 +1,8 @@
 """Serial ports and TCP connections by name, with error messages that tell what to do."""
 
 import contextlib
+import ctypes
+import errno
 import os
 import select
 import socket
@@ -14,8 +16,9 @@ import serial
 from serial import SerialBase as Port
 from serial.tools import list_ports
 
+from smarttouch.base import posix
 from smarttouch.base.errors import BoardError, OtherDeviceError, SmartTouchError
-from smarttouch.base.posix import HAS_POSIX, fcntl, termios, write_now
+from smarttouch.base.posix import HAS_POSIX, fcntl, termios
 
 __all__ = [
     "LINE_ERRORS", "Port", "UsbIdentity", "identity_of", "open_port", "read_some", "reason",
@@ -182,11 +185,12 @@ def write_before(
             return False
         if number is None:
             break
-        try:
-            sent = write_now(number, data)
-        except (BlockingIOError, InterruptedError):
-            if not select.select([], [number], [], within_s)[1]:
-                raise serial.SerialTimeoutException("it takes no bytes") from None
+        if sent := max(0, posix.write_now(number, data, len(data))):
+            continue
+        if (failure := ctypes.get_errno()) not in (errno.EAGAIN, errno.EINTR):
+            raise OSError(failure, os.strerror(failure))
+        if not select.select([], [number], [], within_s)[1]:
+            raise serial.SerialTimeoutException("it takes no bytes")
     if sent < len(data):
         port.write(data[sent:])
     return True
