@@ -8,7 +8,13 @@ import numpy as np
 from smarttouch.boards import link as protocol
 from smarttouch.boards.link import OUTPUTS, MessageKind
 from smarttouch.boards.link.link_driver import LinkSession
-from smarttouch.boards.link.sequence_encoding import KernelImage, encode_limits, encode_scan
+from smarttouch.boards.link.sequence_encoding import (
+    OVERHEAD,
+    KernelImage,
+    encode_limits,
+    encode_scan,
+)
+from smarttouch.boards.reports import Capabilities
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import NAME, LinkFirmware
 from smarttouch.emulator.link_packets import BoardSession, encode_volts
@@ -235,7 +241,11 @@ class Both:
 
 def encode_lists(sequence, times, measure, switched, image, most_bytes):
     """Return the payload of a SEQUENCE that a board has room for at once."""
-    (part,) = encode_scan(sequence, times, measure, switched, image, most_bytes, 1 << 16)
+    can = Capabilities(
+        sequence.electrodes, "three-state" if switched else "weighted", 5.0, 1 << 16, 100.0, "",
+        measures=measure, packet_bytes=most_bytes + OVERHEAD,
+    )  # fmt: skip
+    (part,) = encode_scan(sequence, times, can, image)
     return part.payload
 
 

@@ -29,7 +29,7 @@ from smarttouch.boards.link import (
     encode,
 )
 from smarttouch.boards.link.link_driver import SILENCE_S, LinkSession
-from smarttouch.boards.link.sequence_encoding import KernelImage, encode_scan
+from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.emulator.emulated_boards import SimulatedDriver
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.link_packets import decode_lists
@@ -81,7 +81,7 @@ def test_a_slot_beyond_the_room_of_a_packet_is_refused():
     current = np.zeros((600, 1024), np.int16)
     sequence = ScanSequence(current, column, column, 0 * column, 9000, 1.0, 0)
     with raises(BoardError, allowed=2000):
-        encode_scan(sequence, 1, False, False, None, 2000, 1 << 16)
+        encode_lists(sequence, 1, False, False, None, 2000)
 
 
 @pytest.mark.parametrize("amplitude", [[40_000, 30_000], [4000] + 70_000 * [0]])

@@ -204,7 +204,7 @@ class ETactileKitDriver(Driver):
     def open(self, line: Line, limits: SafetyLimits) -> Capabilities:
         self._limits = limits
         # A board that is away goes on by itself, unless the watchdog has put it at zero.
-        self._opening, self._away = True, line.reopened and not self._kit.is_at_zero
+        self._opening, self._away = True, line.reopened and not self._kit.watched.at_zero
         try:
             if not line.reopened:
                 self._kit = ETactileKitLine(line, self._outputs)
@@ -246,7 +246,7 @@ class ETactileKitDriver(Driver):
                 try:
                     self._put_at_zero()
                 except LineLostError:
-                    if not self._kit.is_at_zero:
+                    if not self._kit.watched.at_zero:
                         raise
 
     def _put_at_zero(self) -> None:

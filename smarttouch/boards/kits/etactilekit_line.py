@@ -134,6 +134,8 @@ class ETactileKitLine:
     and its answer.
     """
 
+    watched: "WatchedPort"  # the port, once it is open
+
     def __init__(self, line: Line, outputs: int) -> None:
         self.line: Line = line
         self.outputs: int = outputs
@@ -141,7 +143,6 @@ class ETactileKitLine:
         self.lock: AbstractContextManager[bool] = threading.RLock()
         self._echo = bytes([outputs])
         self._losses, self._chips = 0, b""
-        self._watched: WatchedPort | None = None
 
     def connect(self, name: str) -> int:
         """Open the port, put any firmware at zero, and return its number of outputs. Another device
@@ -153,27 +154,21 @@ class ETactileKitLine:
                 "that would put it at zero needs Linux or macOS: use simulated: here"
             )
         line.connect(name, self._watch)
-        assert self._watched is not None
         if line.reopened:
             if line.identity is None:
                 self._recognize()
-            self._watched.arm()
+            self.watched.arm()
             line.write(self.zero)
         if line.identity is not None or not line.reopened:
             # Only a reset takes the time to boot.
             line.pause(kits.BOOT_S)
         capacity = self._identify()
-        self._watched.arm()
+        self.watched.arm()
         return capacity
 
-    @property
-    def is_at_zero(self) -> bool:
-        """Whether the watchdog has put the board at zero."""
-        return self._watched is not None and self._watched.at_zero
-
     def _watch(self, port: Port) -> Port:
-        self._watched = WatchedPort(port, self.zero)
-        return self._watched
+        self.watched = WatchedPort(port, self.zero)
+        return self.watched
 
     # -- detection -----------------------------------------------------------
 

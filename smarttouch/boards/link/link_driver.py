@@ -20,7 +20,7 @@ from smarttouch.base.errors import (
     SilentBoardError,
 )
 from smarttouch.base.posix import prioritized
-from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer
+from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards import link as protocol
 from smarttouch.boards.driver import Driver, Line
 from smarttouch.boards.link import HALF, VERSION, Feature, Message, MessageKind, Refusal, Rule
@@ -42,7 +42,6 @@ AFTER_ZERO_S = 0.02  # after a stop, in which no slot may be counted: a period a
 OLD_PACKETS = slice(8, 10)  # refused ones in a board's account: old, and of another session
 MOST_COMPLIANCES = 2.1  # of a slot: sources of both poles reach twice the compliance
 OPEN_SHARE = 0.97  # of the compliance: if all slots reach it, nothing touches the electrodes
-OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
 _PIECE = 1024  # bytes of kernels at once: nothing else can pass while they do
 _IDLE = 3  # times that nothing new may have been kept
 
@@ -340,11 +339,7 @@ class LinkDriver(Driver):
         the part before has begun."""
         can, session, line = self.can, self._session, self._line
         assert can is not None
-        room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
-        switched, image = can.output != "weighted", self._image
-        for part in encoding.encode_scan(
-            proved.sequence, proved.times, can.measures, switched, image, room, can.max_slots
-        ):
+        for part in encoding.encode_scan(proved.sequence, proved.times, can, self._image):
             self._number += 1
             with session.news:
                 # The board has room for one.
@@ -493,7 +488,7 @@ class LinkDriver(Driver):
         if self._table is None or can is None or not can.kernel_bytes or not can.packet_bytes:
             return
         image = encoding.KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
-        piece = min(_PIECE, can.packet_bytes - OVERHEAD - protocol.KERNELS.size)
+        piece = min(_PIECE, can.packet_bytes - encoding.OVERHEAD - protocol.KERNELS.size)
         at, furthest, data, idle = 0, 0, b"", 0
         # What it keeps already is not sent again; a board that keeps nothing is lost.
         while idle < _IDLE:

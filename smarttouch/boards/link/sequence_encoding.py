@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
+from smarttouch.base.wire.framing import LARGEST_PACKET
 from smarttouch.boards import link as protocol
 from smarttouch.boards.link import CURRENTS, FULL, POINTS, STATES, SUM
+from smarttouch.boards.reports import Capabilities
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import (
     KernelLists,
@@ -19,6 +21,7 @@ from smarttouch.stimulation.scan_sequence import (
     kept_kernels,
 )
 
+OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
 _MOST_SHAPES, _U16_MAX = 0xFF, 0xFFFF
 
 
@@ -61,26 +64,22 @@ class ScanPart(NamedTuple):
 
 
 def encode_scan(
-    sequence: ScanSequence,
-    times: int,
-    measure: bool,
-    switched: bool,
-    image: KernelImage | None,
-    most_bytes: int,
-    most_slots: int,
+    sequence: ScanSequence, times: int, can: Capabilities, image: KernelImage | None
 ) -> list[ScanPart]:
     """Return a proved sequence as payloads of SEQUENCE, in parts where the board has no room for
     all of it.
 
     Slots whose currents are just what the board makes of kernels that it keeps (``image``) become
-    lists of these; others are written as currents, or as states for a board with one source
-    (``switched``). ``measure`` requests voltages.
+    lists of these; others are written as currents, or as states for a board with one source.
+    Voltages are requested of a board that measures them.
     """
     parts: list[ScanPart] = []
-    waiting, columns = [(0, len(sequence.site))], _columns(sequence, switched, image)
+    most_bytes, most_slots = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD, can.max_slots
+    columns = _columns(sequence, can.output != "weighted", image)
+    waiting = [(0, len(sequence.site))]
     while waiting:
         start, end = waiting.pop()
-        payload = _payload(sequence, columns, start, end, times, measure)
+        payload = _payload(sequence, columns, start, end, times, can.measures)
         if len(payload) <= most_bytes and end - start <= most_slots:
             parts.append(ScanPart(payload, start, end - start))
         elif end - start > 1 and times == 1:
@@ -88,7 +87,7 @@ def encode_scan(
             waiting += [(middle, end), (start, middle)]
         elif image is not None:
             # One slot may have too many kernels.
-            return encode_scan(sequence, times, measure, switched, None, most_bytes, most_slots)
+            return encode_scan(sequence, times, can, None)
         elif end - start > 1:
             raise BoardError(
                 f"{end} slots are more than this board takes at once ({most_slots} slots, "
