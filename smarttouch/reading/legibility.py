@@ -1,6 +1,5 @@
 """Legibility: how much of pages and letters can be read from delivered pulses or from spikes."""
 
-import math
 import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -260,17 +259,19 @@ def letter_sequences(
     pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan=scan))
     force_n = profile.force.full_n
     period_us = round(1e6 / profile.pulse.rate_hz)
-    # These pulses raise the intensity through the ramp.
-    opening = [_OPENING_US] * (math.ceil(1e6 * profile.limits.ramp_s / _OPENING_US) + 2)
     shown, time_ns = {}, 0
     for letter in letters:
         drawn = draw_letter(letter, profile)
         activation = np.zeros((len(Afferent), len(drawn)), np.float32)
         activation[list(mode.afferents)] = drawn
         pipeline.restart_softly()
-        for each_us in (*opening, period_us):
-            step = pipeline.process(Stimulus(activation, time_ns, force_n, each_us), intensity)
-            time_ns += 1000 * each_us
+        level = 0.0
+        while level < intensity and drawn.any():
+            # These pulses raise the intensity through the ramp.
+            step = pipeline.process(Stimulus(activation, time_ns, force_n, _OPENING_US), intensity)
+            level, time_ns = step.sequence.intensity, time_ns + 1000 * _OPENING_US
+        step = pipeline.process(Stimulus(activation, time_ns, force_n, period_us), intensity)
+        time_ns += 1000 * period_us
         shown[letter] = step.sequence, drawn > 0
     return shown
 

@@ -100,7 +100,7 @@ def test_a_run_takes_what_is_at_hand(tmp_path):
     for given in (images, list(images), iter(images), (Frame(each, 0) for each in images)):
         shown = frames_of(given)
         np.testing.assert_array_equal([each.image for each in shown], images)
-        assert [each.number for each in shown] == [0, 1, 2]
+        assert [(each.number, each.age_ns) for each in shown] == [(0, 0), (1, 0), (2, 0)]
     path = tmp_path / "page.png"
     cv2.imwrite(str(path), np.full((200, 200), 255, np.uint8))
     assert frames_of("text:Hello")[0].image.shape == (64, 64)

@@ -170,6 +170,8 @@ def test_the_finger_lands_settles_sweeps_and_lifts(profile):
     assert np.median(sweeping[sweeping > 1]) == pytest.approx(40, rel=0.01)
     # It rests with the first letters under it, whose pulses let intensity rise.
     assert at(path, 0)[0].x_mm == at(path, 0.7)[0].x_mm == path.lines[0].left_mm
+    # A bent line is followed closely.
+    assert np.diff(path.table[1]).max() <= 2.2
 
 
 @pytest.mark.parametrize("skew_deg", [-3, 3])
