@@ -60,13 +60,6 @@ class Texture(ABC):
         """Draw a part of the texture, (H, W) uint8; dark is high."""
 
 
-_LEVELS = 256
-_WAVE = np.asarray(
-    np.rint(127.5 * (1 - np.cos(2 * np.pi * (np.arange(_LEVELS) + 0.5) / _LEVELS))), np.uint8
-)
-"""Gray levels of one period; the ridge is dark."""
-
-
 class Grating(Texture):
     """Unbounded grating, rotated clockwise from vertical, with a ridge at the origin."""
 
@@ -92,11 +85,8 @@ class Grating(Texture):
         rows, columns = shape
         across = (left_mm + pixel_mm * (np.arange(columns) + 0.5)) * self.per_mm[0]
         down = (top_mm + pixel_mm * (np.arange(rows) + 0.5)) * self.per_mm[1]
-        # Sums of bytes wrap like phases.
-        across, down = (
-            (coordinate % 1 * _LEVELS).astype(np.uint8) for coordinate in (across, down)
-        )
-        return np.asarray(_WAVE[across[None] + down[:, None]])
+        phase = across + down[:, None]
+        return np.asarray(np.rint(127.5 * (1 - np.cos(2 * np.pi * phase))), np.uint8)
 
 
 class GratingFeeler:

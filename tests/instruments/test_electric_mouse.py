@@ -5,16 +5,12 @@ from itertools import count, takewhile
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError, SourceError
 from smarttouch.instruments.electric_mouse import (
     JUMP_MM,
-    SLIDES,
-    STICKS,
     Deadband,
     MouseSource,
     TexturePicture,
@@ -177,17 +173,6 @@ def test_the_impossible_is_refused(mouse, options, allowed):
     (value,) = options.values()
     with raises(SourceError, value=value, allowed=allowed):
         MouseSource(GRATING, Played([]), mouse, **options)
-
-
-PLACE = st.floats(-1e3, 1e3)
-
-
-@given(x=PLACE, y=PLACE)
-def test_it_is_never_farther_behind_than_it_sticks(x, y):
-    assert math.dist(Deadband(0.0).follow(x, y), (x, y)) < 1e-9
-    steady = Deadband(0.5)
-    assert math.dist(steady.follow(x, y), (x, y)) <= 0.5 * STICKS + 1e-9
-    assert math.dist(steady.follow(x + 30, y), (x + 30, y)) <= 0.5 * SLIDES + 1e-9
 
 
 def test_jitter_on_a_slow_motion_is_no_motion_back():
