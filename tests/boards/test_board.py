@@ -18,7 +18,7 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..support.checks import raises
-from .fresh import PATIENCE_S
+from .fresh import PATIENCE_S, until
 
 LIMITS = SafetyLimits(
     electrodes=4, current_ma=2.0, pulse_us=200.0, charge_uc=0.4, rate_hz=50.0, duty=0.5,
@@ -127,28 +127,23 @@ def test_a_stop_that_is_interrupted_while_it_waits_still_ends_in_zero(monkeypatc
 
 
 @pytest.mark.parametrize("host_timed", [False, True])
-def test_a_driver_that_breaks_is_put_at_zero(monkeypatch, make_sequence, host_timed):
-    """Whose sender thread it breaks in says so at the next call."""
-    broken = RuntimeError("the driver broke")
+@pytest.mark.parametrize("broken", [RuntimeError("it broke"), BoardError("it cannot make this")])
+def test_a_driver_that_breaks_says_so(monkeypatch, make_sequence, host_timed, broken):
+    """In a sender thread it is put at zero at once, and the next call says so."""
 
     def write(*_):
         raise broken
 
     monkeypatch.setattr(Unlined, "write", write)
     monkeypatch.setattr(Unlined, "can", replace(Unlined.can, host_timed=host_timed))
-
-    def drive(board):
-        with board:
-            for step in range(2):
-                silent = make_sequence(0, electrodes=4, period_us=20_000)
-                board.send(replace(silent, time_ns=step * 10**9))
-                board.drain()
-
-    board = plain()
-    with pytest.raises((RuntimeError, BoardError)) as error:
-        drive(board)
+    board, silent = plain(), make_sequence(0, electrodes=4, period_us=20_000)
+    with board:
+        if host_timed:
+            board.send(silent)
+            until(lambda: "zero" in board.driver.did)
+        with pytest.raises((RuntimeError, BoardError)) as error:
+            board.send(replace(silent, time_ns=10**9))
     assert broken in (error.value, error.value.__cause__)
-    assert "zero" in board.driver.did
 
 
 KIT_LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
