@@ -140,3 +140,13 @@ def test_what_was_proved_before_a_board_was_opened_again_is_not_sent():
         with pytest.raises(BoardStoppedError):
             driver.drive(driver.proved[0])
     assert driver.flows == [0]
+
+
+def test_what_is_written_in_two_parts_counts_once():
+    board = board_of(Theirs(lambda driver, proved: driver.drive(proved)))
+    with board:
+        board.send(sequence(0))
+        board.send(sequence(1, 100))
+        report = board.report()
+        assert (board.acknowledged, report.sequences, report.slots) == (2, 2, 1)
+        assert board.driver.flows == [0, 0, 100, 100]
