@@ -1,42 +1,56 @@
-"""The loop: one clock, absolute deadlines, and an orderly end whatever happens."""
+"""The loop: the user's controls, inputs read at absolute deadlines of one clock, an orderly end."""
 
 import contextlib
 import gc
 import logging
+import math
+import threading
 import time
-from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from operator import itemgetter
+from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
+import numpy as np
 
+from smarttouch.base.afferent import Mode
 from smarttouch.base.clock import LATE_NS, Clock, SimulatedClock
 from smarttouch.base.errors import (
     BoardRestartedError,
     BoardStoppedError,
     SequenceLateError,
+    SmartTouchError,
+    choice_of,
+    require_within,
 )
-from smarttouch.base.events import BoardRestarted, Emit, Event, Note, RunEnded
+from smarttouch.base.events import (
+    Advice,
+    BoardRestarted,
+    Emit,
+    Event,
+    FingerLifted,
+    InputLost,
+    InputRestored,
+    IntensityChanged,
+    ModeChanged,
+    Note,
+    Paused,
+    Resumed,
+    RunEnded,
+)
 from smarttouch.base.posix import prioritized, priority_advice
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
-from smarttouch.running.inputs import Controls, Inputs
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.run_statistics import RunStatistics
-from smarttouch.running.step import FirstPulse, Listener, OnStep, Step, StepResult
+from smarttouch.running.run_statistics import PhaseLock, RunStatistics, Sent
+from smarttouch.running.step import Listener, OnStep, Step, StepResult
 from smarttouch.sources.force import ForceSource
-from smarttouch.sources.source_contract import Source
+from smarttouch.sources.source_contract import Frame, Input, Source, checked_input
 
-GUARD_NS = 500_000  # time kept beside the usual delay of a sequence
 HELD_UP_NS = 1_000_000
 """A send that takes longer than this, beside its own work, has waited for the board."""
-_IDLE_NS = 1_000_000
-"""Pause of the board from which a sequence counts as late; below, the board itself may be."""
 _LATE_AGAIN_NS = 5_000_000_000  # time without a delay after which the next one is reported
-_OF_20 = 20  # one sequence in so many may come late
-_REMEMBERED = 250  # sequences for which it is remembered what the line took
 
 LOG = logging.getLogger("smarttouch.run")
 """Logger of events: to a program's handlers, and nowhere without them."""
@@ -78,78 +92,217 @@ def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iter
             gc.unfreeze()
 
 
+STEP = 0.05  # change of level by one press of a key
+
+
 @dataclass(frozen=True)
-class Sent:
-    """Sequence that was sent; times by the loop's clock."""
-
-    number: int
-    taken_ns: int  # when its image was taken
-    deadline_ns: int
-    elapsed_ns: int  # time of the run at its deadline
-    waited_ns: int  # for a place on the board, where that was the board's doing
-    sent_ns: int
-    period_ns: int
-    ahead_ns: int  # of the board's clock, of the loop's
-
-
-class PhaseLock:
-    """Shift of a loop's deadlines by the times at which a board says it began earlier sequences.
-
-    A sequence is complete some delay after its deadline. Deadlines move later until they lie
-    before the board's need by the delay that 19 of 20 of the last ones had, what the line takes,
-    and `GUARD_NS`: images are as fresh as they can be. They never move earlier: a sequence that
-    comes late makes the board wait, and thereby moves all its later needs.
+class ControlState:
+    """State of the user's controls; ``level`` is a part of the strongest comfortable current, [0,
+    1].
     """
 
-    def __init__(self, board: Board, statistics: RunStatistics) -> None:
-        self._board, self._statistics = board, statistics
-        self._pending: deque[Sent] = deque(maxlen=8)
-        self._delays_ns: deque[int] = deque(maxlen=64)
-        self._lines: deque[tuple[int, int]] = deque(maxlen=8)
-        """Of sequences for which the board waited: number, and from last byte to start, ns."""
-        self._free_ns: int | None = None
-        """When the board was free after the newest sequence whose start is known."""
-        self.newest: FirstPulse | None = None
-        """Of the newest sequence whose start has become known since the step before."""
+    mode: Mode
+    level: float = 1.0
+    paused: bool = False
 
-    def follow(self, zero_ns: int, sent: Sent | None = None) -> int:
-        """Note what was sent, and return by how much deadlines move later; the run's time is now 0
-        at ``zero_ns`` of the loop's clock."""
-        if sent is not None:
-            self._delays_ns.append(sent.sent_ns - sent.waited_ns - sent.deadline_ns)
-            self._pending.append(sent)
-        self.newest, more_ns = None, 0
-        for earlier in list(self._pending):
-            start = self._board.start_of(earlier.number)
-            if start is None:
-                continue
-            self._pending.remove(earlier)
-            begun_ns = start.time_ns - earlier.ahead_ns
-            waited_ns, number = begun_ns - earlier.sent_ns, earlier.number
-            taken_ns = begun_ns - earlier.taken_ns
-            self.newest = FirstPulse(number, taken_ns / 1000, waited_ns / 1000)
-            self._statistics.first_pulse.add(taken_ns / 1000)
-            self._statistics.waited.add(waited_ns / 1000)
-            while self._lines and self._lines[0][0] < number - _REMEMBERED:
-                self._lines.popleft()
-            # What the line usually takes, from two sequences on: one may have been held up.
-            lines, line_ns = sorted(self._lines, key=itemgetter(1)), 0
-            if len(lines) > 1:
-                line_ns = lines[(len(lines) - 1) // 2][1]
-            if self._free_ns is not None and begun_ns > self._free_ns + _IDLE_NS:
-                self._lines.append((number, waited_ns))
-                line_ns = max(line_ns, waited_ns)
-            self._free_ns = begun_ns + earlier.period_ns
-            # The delay that 19 of 20 keep.
-            usual_ns = sorted(self._delays_ns)[-1 - len(self._delays_ns) // _OF_20]
-            room_ns = begun_ns - zero_ns - earlier.elapsed_ns
-            more_ns = max(0, room_ns - line_ns - usual_ns - GUARD_NS)
-        return more_ns
+    def __post_init__(self) -> None:
+        if not 0 <= self.level <= 1:
+            raise ValueError(f"a level of {self.level} is not between 0 and 1")
 
-    def forget(self) -> None:
-        """Discard what was sent: the board was lost."""
-        self._pending.clear()
-        self._free_ns = None
+    @property
+    def current_level(self) -> float:
+        """Level that flows: zero while paused."""
+        return 0.0 if self.paused else self.level
+
+
+class Controls:
+    """Intensity, mode and pause as the user sets them; changed from any thread, read by the loop.
+
+    No level is raised above ``most``; `next_mode` goes through ``modes``.
+    """
+
+    most: float = 1.0
+
+    def __init__(self, state: ControlState, modes: tuple[Mode, ...] = ()) -> None:
+        self.modes: tuple[Mode, ...] = modes or (state.mode,)
+        self._state = state
+        # A change that another thread makes in between must not be lost, least of all a pause.
+        self._lock = threading.RLock()
+
+    def state(self, _time_ns: int) -> ControlState:
+        """Return the state at a time of the run."""
+        return self._state
+
+    def change_level(self, by: float) -> None:
+        """Raise or lower the level, from 0 to the most that is allowed."""
+        with self._lock:
+            level = min(self.most, max(0.0, round(self._state.level + by, 6)))
+            self._change(level=level)
+
+    def set_level(self, level: float) -> None:
+        """Ask for a level; raises if it is not from 0 to the most that is allowed."""
+        require_within(SmartTouchError, "intensity", level, 0, self.most)
+        self._change(level=level)
+
+    def silence(self) -> None:
+        """Set the level to 0 at once."""
+        self._change(level=0.0)
+
+    def pause(self) -> None:
+        """Set the level that flows to 0 at once, until `resume`."""
+        self._change(paused=True)
+
+    def resume(self) -> None:
+        """Go on from zero intensity."""
+        self._change(paused=False)
+
+    def toggle_pause(self) -> None:
+        """Pause, or go on from zero intensity."""
+        with self._lock:
+            self._change(paused=not self._state.paused)
+
+    def next_mode(self) -> None:
+        """Go to the next mode that is offered."""
+        with self._lock:
+            at = self.modes.index(self._state.mode)
+            self._change(mode=self.modes[(at + 1) % len(self.modes)])
+
+    def choose_mode(self, mode: Mode | str) -> None:
+        """Go to one of the modes that are offered; raises for any other."""
+        self._change(mode=choice_of("mode", mode, self.modes))
+
+    def _change(self, **changes: Any) -> None:
+        with self._lock:
+            self._state = replace(self._state, **changes)
+
+
+NO_INK_NS = 5_000_000_000  # time without ink under a pressing finger after which that is said
+LIFT_NS = 300_000_000  # time without current after a lifted finger; it then rises from zero again
+
+
+@dataclass
+class Inputs:
+    """Reads source, force and controls for each step; unknown force counts as no force.
+
+    A given ``force`` is read in place of the source's; the board may measure force, too, and report
+    a lifted finger.
+    """
+
+    source: Source
+    force: ForceSource | None
+    board: Board
+    pipeline: Pipeline
+    controls: Controls
+    statistics: RunStatistics
+    emit: Emit
+    _before: ControlState | None = None
+    _last_seen: int | None = None
+    _blind: bool = False
+    _lifted_until_ns: int = 0
+    _inkless_since_ns: float | None = None  # infinite once that was said
+
+    def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
+        """Return the input with the force that counts (zero if unknown), and the level that flows.
+
+        ``time_ns`` is of the run, ``now_ns`` of the loop's clock. None at the end of the source.
+        """
+        source, state = self.source, self.controls.state(time_ns)
+        if state.mode is not self.pipeline.mode:
+            self.pipeline.change_mode(state.mode)
+            self.board.close_level()
+        if state is not self._before:
+            source.afferents = state.mode.afferents
+        current = source.read(time_ns)
+        if current is None:
+            return None
+        image = current.image if isinstance(current, Frame) else None
+        if (
+            type(image) is not np.ndarray
+            or image.dtype != np.uint8
+            or image.ndim != 2
+            or not image.size
+        ):
+            current = checked_input(current, source, self.pipeline.electrodes)
+        self.statistics.seen += current.number != self._last_seen
+        self._last_seen = current.number
+        force_n = self.force_n(current, time_ns)
+        blind = current.stale or math.isnan(force_n)
+        self.statistics.blind += blind
+        if blind is not self._blind:
+            lost = InputLost(time_ns, image=current.stale)
+            self.emit(lost if blind else InputRestored(time_ns))
+            self._blind = blind
+        counts_n = 0.0 if blind else force_n
+        if not self.statistics.active and counts_n > 0 and isinstance(current, Frame):
+            self._look_for_ink(time_ns)
+        if counts_n != current.force_n:
+            current = replace(current, force_n=counts_n)
+        level = 0.0 if state.paused else state.level
+        if state is not self._before:
+            self._say_changes(state, time_ns)
+        if self.board.lifted or now_ns < self._lifted_until_ns:
+            self._handle_lift(time_ns, now_ns)
+        return current, level
+
+    def _look_for_ink(self, time_ns: int) -> None:
+        """Say once that a pressing finger sees no ink, so that silence has a reason."""
+        if self._inkless_since_ns is None:
+            self._inkless_since_ns = time_ns
+        elif time_ns - self._inkless_since_ns >= NO_INK_NS:
+            self._inkless_since_ns = math.inf
+            words = f"no ink was seen in the first {NO_INK_NS / 1e9:g} s: nothing can be felt"
+            self.emit(Advice(time_ns, words))
+
+    def begins_at_zero(self, time_ns: int, now_ns: int) -> bool:
+        """Return whether intensity will begin at zero with the input that is read next."""
+        state, before = self.controls.state(time_ns), self._before
+        same = before is not None and (state.mode, state.paused) == (before.mode, before.paused)
+        return not same or self.board.lifted or now_ns < self._lifted_until_ns
+
+    def force_n(self, current: Input, time_ns: int) -> float:
+        """Return the force that counts, NaN if unknown; a force on the board may lower it.
+
+        On a board that a finger may be on, only force of that finger counts.
+        """
+        on_board, virtual = self.board.force_n, not self.board.on_a_finger
+        if self.force is not None:
+            force_n = self.force.read(time_ns) if virtual or self.force.is_live else math.nan
+        elif self.source.measures_force or (
+            virtual and (self.source.knows_force or on_board is None)
+        ):
+            force_n = current.force_n
+        else:
+            force_n = math.nan if on_board is None else on_board
+        if on_board is None or math.isnan(force_n):
+            return force_n
+        return min(force_n, on_board)
+
+    def _say_changes(self, state: ControlState, time_ns: int) -> None:
+        """Emit what has changed of what the user asks for."""
+        before, self._before = self._before, state
+        if before is None or state.level != before.level:
+            self.emit(IntensityChanged(time_ns, state.level))
+        if state.paused != (before is not None and before.paused):
+            self.begin_at_zero()
+            self.emit(Paused(time_ns) if state.paused else Resumed(time_ns))
+        if before is None or state.mode is not before.mode:
+            self.emit(ModeChanged(time_ns, state.mode))
+
+    def _handle_lift(self, time_ns: int, now_ns: int) -> None:
+        """Keep intensity at zero for a while after the board found the finger lifted."""
+        if self.board.lifted and now_ns >= self._lifted_until_ns:
+            # Only a pulse can show whether the finger is back: try again, from zero.
+            self.board.lifted = False
+            self.statistics.lifts += 1
+            self.emit(FingerLifted(time_ns))
+            self._lifted_until_ns = now_ns + LIFT_NS
+        if now_ns < self._lifted_until_ns:
+            self.begin_at_zero()
+
+    def begin_at_zero(self) -> None:
+        """Close the level that is open: intensity rises from zero again."""
+        self.pipeline.restart_softly()
+        self.board.close_level()
 
 
 class Loop:

@@ -28,8 +28,7 @@ from smarttouch.base.stopping import uninterrupted
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.profile import Profile
-from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.loop import Loop
+from smarttouch.running.loop import Controls, ControlState, Loop
 from smarttouch.running.step import Listener, RunContext, StepResult
 from smarttouch.sources.source_contract import (
     Frame,

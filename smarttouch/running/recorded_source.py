@@ -9,7 +9,7 @@ from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import RecordingError, SourceError
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import stricter
-from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.loop import Controls, ControlState
 from smarttouch.running.recording import RecordedRun
 from smarttouch.running.recording_format import RecordedStep
 from smarttouch.sources.source_contract import Input, Source, Stimulus

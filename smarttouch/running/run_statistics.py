@@ -1,7 +1,9 @@
-"""Statistics of a run in constant memory, and its figures."""
+"""Statistics of a run in constant memory, its figures, and the phase lock that follows them."""
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Mode
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.running.step import StepResult
+from smarttouch.running.step import FirstPulse, StepResult
 from smarttouch.sources.source_contract import Source
 
 _PER_E = 100  # bins for each factor of e: a figure is true to half a percent
@@ -212,3 +214,84 @@ class RunStatistics:
             "emulator_violations": report.violations if report and report.by == "board" else None,
             "active_fraction": self.active / self.frames if self.frames else 0.0,
         }
+
+
+GUARD_NS = 500_000  # time kept beside the usual delay of a sequence
+_IDLE_NS = 1_000_000
+"""Pause of the board from which a sequence counts as late; below, the board itself may be."""
+_OF_20 = 20  # one sequence in so many may come late
+_REMEMBERED = 250  # sequences for which it is remembered what the line took
+
+
+@dataclass(frozen=True)
+class Sent:
+    """Sequence that was sent; times by the loop's clock."""
+
+    number: int
+    taken_ns: int  # when its image was taken
+    deadline_ns: int
+    elapsed_ns: int  # time of the run at its deadline
+    waited_ns: int  # for a place on the board, where that was the board's doing
+    sent_ns: int
+    period_ns: int
+    ahead_ns: int  # of the board's clock, of the loop's
+
+
+class PhaseLock:
+    """Shift of a loop's deadlines by the times at which a board says it began earlier sequences.
+
+    A sequence is complete some delay after its deadline. Deadlines move later until they lie
+    before the board's need by the delay that 19 of 20 of the last ones had, what the line takes,
+    and `GUARD_NS`: images are as fresh as they can be. They never move earlier: a sequence that
+    comes late makes the board wait, and thereby moves all its later needs.
+    """
+
+    def __init__(self, board: Board, statistics: RunStatistics) -> None:
+        self._board, self._statistics = board, statistics
+        self._pending: deque[Sent] = deque(maxlen=8)
+        self._delays_ns: deque[int] = deque(maxlen=64)
+        self._lines: deque[tuple[int, int]] = deque(maxlen=8)
+        """Of sequences for which the board waited: number, and from last byte to start, ns."""
+        self._free_ns: int | None = None
+        """When the board was free after the newest sequence whose start is known."""
+        self.newest: FirstPulse | None = None
+        """Of the newest sequence whose start has become known since the step before."""
+
+    def follow(self, zero_ns: int, sent: Sent | None = None) -> int:
+        """Note what was sent, and return by how much deadlines move later; the run's time is now 0
+        at ``zero_ns`` of the loop's clock."""
+        if sent is not None:
+            self._delays_ns.append(sent.sent_ns - sent.waited_ns - sent.deadline_ns)
+            self._pending.append(sent)
+        self.newest, more_ns = None, 0
+        for earlier in list(self._pending):
+            start = self._board.start_of(earlier.number)
+            if start is None:
+                continue
+            self._pending.remove(earlier)
+            begun_ns = start.time_ns - earlier.ahead_ns
+            waited_ns, number = begun_ns - earlier.sent_ns, earlier.number
+            taken_ns = begun_ns - earlier.taken_ns
+            self.newest = FirstPulse(number, taken_ns / 1000, waited_ns / 1000)
+            self._statistics.first_pulse.add(taken_ns / 1000)
+            self._statistics.waited.add(waited_ns / 1000)
+            while self._lines and self._lines[0][0] < number - _REMEMBERED:
+                self._lines.popleft()
+            # What the line usually takes, from two sequences on: one may have been held up.
+            lines, line_ns = sorted(self._lines, key=itemgetter(1)), 0
+            if len(lines) > 1:
+                line_ns = lines[(len(lines) - 1) // 2][1]
+            if self._free_ns is not None and begun_ns > self._free_ns + _IDLE_NS:
+                self._lines.append((number, waited_ns))
+                line_ns = max(line_ns, waited_ns)
+            self._free_ns = begun_ns + earlier.period_ns
+            # The delay that 19 of 20 keep.
+            usual_ns = sorted(self._delays_ns)[-1 - len(self._delays_ns) // _OF_20]
+            room_ns = begun_ns - zero_ns - earlier.elapsed_ns
+            more_ns = max(0, room_ns - line_ns - usual_ns - GUARD_NS)
+        return more_ns
+
+    def forget(self) -> None:
+        """Discard what was sent: the board was lost."""
+        self._pending.clear()
+        self._free_ns = None

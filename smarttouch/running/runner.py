@@ -21,8 +21,7 @@ from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
 from smarttouch.running.config import RunConfig, configured
 from smarttouch.running.display import Display, open_display
-from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.loop import Loop, emit_to, steady_environment
+from smarttouch.running.loop import Controls, ControlState, Loop, emit_to, steady_environment
 from smarttouch.running.pipeline import Pipeline, make_regulator
 from smarttouch.running.program import Program
 from smarttouch.running.recorded_source import RecordedControls, RecordingSource

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from smarttouch.kernels.bank import KernelBank
     from smarttouch.profile import Profile
     from smarttouch.running.config import RunConfig
-    from smarttouch.running.inputs import Controls
+    from smarttouch.running.loop import Controls
     from smarttouch.running.run_statistics import RunStatistics
     from smarttouch.sources.source_contract import Source
 

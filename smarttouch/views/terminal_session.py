@@ -19,7 +19,7 @@ from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
-from smarttouch.running.inputs import STEP, Controls, ControlState
+from smarttouch.running.loop import STEP, Controls, ControlState
 from smarttouch.running.recording import RecordedRun
 from smarttouch.running.runner import MakeControls, Runner
 from smarttouch.running.step import Listener, RunContext

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.stopping import StopRequest
-from smarttouch.running.inputs import STEP, Controls
+from smarttouch.running.loop import STEP, Controls
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Source
 from smarttouch.views.window_server import import_server

@@ -14,7 +14,7 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.events import Advice, ModeChanged, Paused, Resumed
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
-from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.loop import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import StepResult

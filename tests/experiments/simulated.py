@@ -13,7 +13,7 @@ from smarttouch.experiments.answers import COLUMNS, Answers, parse_cells
 from smarttouch.experiments.experiment_session import open_experiment
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
-from smarttouch.running.inputs import Controls
+from smarttouch.running.loop import Controls
 from smarttouch.running.runner import Runner
 from smarttouch.running.step import OnEvent, OnStep
 

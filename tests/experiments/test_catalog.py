@@ -19,7 +19,7 @@ from smarttouch.experiments.trials import Answer, Setup
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
-from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.loop import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import Listener
 

@@ -23,7 +23,7 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
-from smarttouch.running.inputs import Controls, ControlState, Mode
+from smarttouch.running.loop import Controls, ControlState, Mode
 from smarttouch.running.runner import Runner
 from smarttouch.sources.force import ForceSource
 

@@ -22,7 +22,7 @@ from smarttouch.profile import load_profile
 from smarttouch.running import recorder as writer_module
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
-from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.loop import Controls, ControlState
 from smarttouch.running.recorder import Recorder
 from smarttouch.running.runner import Runner
 from smarttouch.sources import open_source

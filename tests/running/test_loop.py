@@ -15,10 +15,9 @@ from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.open import MemoryDriver, make_board
 from smarttouch.boards.reports import SequenceStart
 from smarttouch.running.config import RunConfig
-from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.loop import GUARD_NS, Loop, PhaseLock, Sent
+from smarttouch.running.loop import Controls, ControlState, Loop
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.run_statistics import GUARD_NS, PhaseLock, RunStatistics, Sent
 from smarttouch.running.step import OnEvent, as_listeners
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose

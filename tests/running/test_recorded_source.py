@@ -11,7 +11,7 @@ from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import RecordingError, SourceError
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
-from smarttouch.running.inputs import ControlState
+from smarttouch.running.loop import ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import RecordedControls, open_recording
 from smarttouch.running.recording import RecordedRun

@@ -4,8 +4,7 @@ import time
 
 from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.stopping import StopRequest
-from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.loop import Loop
+from smarttouch.running.loop import Controls, ControlState, Loop
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import as_listeners
 

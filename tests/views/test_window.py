@@ -13,7 +13,7 @@ from websockets.sync.client import connect as open_socket
 from smarttouch.base.afferent import Mode
 from smarttouch.base.events import Note, RunFailed, TrialEvent
 from smarttouch.base.stopping import StopRequest
-from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.loop import Controls, ControlState
 from smarttouch.views import window_pages
 from smarttouch.views.window_pages import LOST_S, MOST_PAGES, Steering
 from smarttouch.views.window_server import MOST_MESSAGE_BYTES

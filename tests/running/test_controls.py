@@ -3,7 +3,7 @@
 import pytest
 
 from smarttouch.base.afferent import Mode
-from smarttouch.running.inputs import STEP, Controls, ControlState
+from smarttouch.running.loop import STEP, Controls, ControlState
 
 
 @pytest.mark.parametrize("most", [1.0, 0.12])
