@@ -196,6 +196,9 @@ def _part(band: list[Row], left: float, right: float = math.inf) -> list[Row]:
 def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: float) -> float:
     """Return at least 1 if columns are text, to be read one after the other: the file does so, or
     lines of both are as wide and as close as those of prose. Near 1 is doubtful."""
+    ends = [_text(row)[:1] + _text(row)[-1:] for row in right]
+    if all(map(str.isdigit, ends)) or all(_text(row).endswith(":") for row in left):
+        return 0.0  # figures or labels
     level = min(len(left), len(right))
     printed = [part for row in band for part in row if part.place >= 0]
     sides = [part.left >= end for part in sorted(printed, key=lambda part: part.place)]
@@ -207,12 +210,10 @@ def _share_of_prose(band: list[Row], left: list[Row], right: list[Row], end: flo
     # Rows of a table are short, or farther apart than lines of a column.
     step = max(map(_usual_step, (left, right))) / band[0][0].size
     least = _WIDEST if step > _LOOSE else _WIDER if printed else _WIDE_CELL
-    return min(map(_mean_width, (left, right))) / least
-
-
-def _mean_width(column: list[Row]) -> float:
-    """Return the mean width of the lines of a column in sizes of their letters."""
-    return statistics.fmean((row[-1].right - row[0].left) / row[0].size for row in column)
+    return min(
+        statistics.fmean((row[-1].right - row[0].left) / row[0].size for row in column) / least
+        for column in (left, right)
+    )
 
 
 def _lines(band: list[Row]) -> list[Line]:

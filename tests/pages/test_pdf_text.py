@@ -117,6 +117,8 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; Gas; 
      ["Date; Item; Sum", "1 May; Rent of; 500", "-; the mill; -", "2 May; Gas; 7"]),
     (table(("Town", "1990", "2000"), ("Mill", "12", "15"), ("Bridge", "", "7"), x=(40, 72, 99)),
      ["Town; 1990; 2000", "Mill; 12; 15", "Bridge; -; 7"]),
+    ([(40, 250, "Name:"), (40, 236, "Town:"), (120, 250, "Ada"), (120, 236, "London")],
+     ["Name:; Ada", "Town:; London"]),
     ([put(40, 250, "These words are level,"), put(40, 236, "and so are these."),
       put(30, 100, "arXiv:2611.01234", turn=(0, 1, -1, 0)),
       put(60, 220, "DRAFT", 30, turn=(0.7, 0.7, -0.7, 0.7))],
@@ -128,7 +130,7 @@ ROWS = ("Name; Paid out; Paid in", "Rent; 500; -", "Salary; -; 700", "Gas; Gas; 
 ], ids=["italics", "condensed", "spaced", "letters", "powers", "footnotes", "initial", "hyphens",
         "bullets", "columns", "columns by rows", "columns offset", "equation", "index",
         "table", "table in a column", "cells of lines", "narrow table",
-        "turned", "outside", "marks of items"])  # fmt: skip
+        "labels", "turned", "outside", "marks of items"])  # fmt: skip
 def test_text_is_read_as_it_is_seen(tmp_path, content, words):
     assert load(pdf(tmp_path / "a.pdf", *content)).words == tuple(words)
 
