@@ -1,8 +1,7 @@
 """SmartTouch: touch what a sensor sees.
 
-Optical frames of print become a tactile image, the tactile image becomes a
-time-division scan sequence of optimizer-designed kernels, and the sequence is
-proved safe before an electro-tactile display board gets it::
+Optical frames of print are converted to tactile images, and these to scan sequences of optimized
+kernels. Each sequence is proved safe before it is sent to an electro-tactile display board::
 
     import smarttouch as st
 
@@ -11,7 +10,7 @@ proved safe before an electro-tactile display board gets it::
             st.open_display("simulated:", profile) as display:
         statistics = st.run(source, display, mode="RA")
 
-Nothing heavy is imported before it is used.
+Large modules are imported at first use.
 """
 
 from importlib import import_module

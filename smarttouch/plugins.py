@@ -1,4 +1,4 @@
-"""What packages with boards, sources and forces of their own need beside the names at the top."""
+"""Names for packages that provide boards, sources or forces, in addition to the top-level names."""
 
 from smarttouch.base.errors import LineLostError as LineLostError
 from smarttouch.base.errors import SourceLostError as SourceLostError

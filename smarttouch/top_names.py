@@ -1,4 +1,4 @@
-"""The names at the top of the package, which imports this module when one is used."""
+"""The top-level names of the package, which imports this module at first use."""
 
 from smarttouch.base.afferent import Afferent as Afferent
 from smarttouch.base.errors import BoardError as BoardError

@@ -1,4 +1,4 @@
-"""Types for annotations beside those at the top, events, and errors that programs handle."""
+"""Types for annotations, events and errors, in addition to the top-level names."""
 
 from smarttouch.base.afferent import Mode as Mode
 from smarttouch.base.clock import Clock as Clock

@@ -1,1 +1,1 @@
-"""One run from a source to the skin: runner, display, listeners, recordings, responses."""
+"""Runs of a source on a display: runner, loop, listeners and recordings."""

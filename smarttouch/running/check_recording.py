@@ -1,4 +1,4 @@
-"""The offline test: recorded inputs through today's pipeline, slot by slot, to the bit."""
+"""Check of recordings: recorded inputs are processed again, and sequences are compared exactly."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -18,20 +18,20 @@ from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-KEPT = 20  # differences listed in a report; all are counted
+KEPT = 20  # largest number of listed differences
 
 _COMPARED = (
     "slots", "period_us", "intensity", "time_ns", "recharge_us", "vibration", "recharge_ua",
     "site", "width_us", "discharge_us", "current_ua",
 )  # fmt: skip
-"""Quantities of a sequence, by slot and electrode or one of both."""
+"""Compared quantities of a sequence."""
 
 
 @dataclass
 class CheckReport:
-    """Result of a check: what was compared, the first `KEPT` differences, and the number of all.
+    """Result of a check: compared numbers, number of differences, and the first `KEPT` of them.
 
-    ``left_out`` says which part of the recording could not be compared; empty if none.
+    ``left_out`` describes parts that could not be compared.
     """
 
     frames: int = 0
@@ -43,11 +43,11 @@ class CheckReport:
 
     @property
     def exact(self) -> bool:
-        """True if all that was compared is the same to the bit."""
+        """True if everything compared is identical."""
         return not self.different
 
     def describe(self) -> str:
-        """Return the result as text, with a line for each listed difference."""
+        """Return the result as text, with one line for each listed difference."""
         head = f"{self.sequences:,} sequences, {self.slots:,} slots: "
         head += "identical" if self.exact else f"{self.different:,} differences"
         lines = [head + (f" ({self.left_out})" if self.left_out else "")]
@@ -60,10 +60,10 @@ class CheckReport:
 def check_recording(
     path: Path | str, *, bank: KernelBank | None = None, profile: Profile | None = None
 ) -> CheckReport:
-    """Run the recorded frames and stimuli through today's pipeline and compare the sequences.
+    """Process the recorded frames and stimuli again, and compare the sequences.
 
-    Kernels and profile are today's and the recorded one if not given. Raises RecordingError if the
-    recording cannot be read, holds no sequence, or does not say how it was made.
+    The defaults are the recorded profile and its kernels by this version. Raises RecordingError if
+    the recording cannot be read, has no sequences, or lacks settings.
     """
     recording = RecordedRun(path)
     profile = recording.profile if profile is None else profile
@@ -71,7 +71,7 @@ def check_recording(
     report, image = CheckReport(), None
     for recorded in recording.steps():
         if recorded.index != report.sequences:
-            # Whatever is missing would have changed what comes after it.
+            # Missing steps would change the following ones.
             report.left_out = f"all after {recorded.step.input.time_ns / 1e9:.1f} s follows a gap"
             break
         if profile.limits.ramp_s != recording.profile.limits.ramp_s:
@@ -88,7 +88,7 @@ def check_recording(
             if len(report.differences) < KEPT:
                 report.differences.append(difference)
     if not report.sequences:
-        raise RecordingError(f"{path} holds no sequence: there is nothing to check")
+        raise RecordingError(f"{path} has no sequences: there is nothing to check")
     if not recording.whole:
         report.left_out = report.left_out or "the recording is cut"
     return report
@@ -110,7 +110,7 @@ def rebuild_pipeline(recording: RecordedRun, profile: Profile, bank: KernelBank)
     if run.hold is not None:
         if run.compliance_v is None:
             raise RecordingError(
-                f"the settings in {recording.path} do not show how it was made: compliance_v is "
+                f"the settings in {recording.path} are incomplete: compliance_v is "
                 "missing, which hold needs"
             )
         adaptation = Adaptation(profile, run.hold, run.compliance_v)
@@ -131,7 +131,7 @@ def rebuild_pipeline(recording: RecordedRun, profile: Profile, bank: KernelBank)
 
 
 def _again(recorded: RecordedStep, pipeline: Pipeline) -> ScanSequence:
-    """Return the sequence that the present pipeline makes of a recorded step's inputs."""
+    """Return the sequence that this version computes from a recorded step."""
     step = recorded.step
     if step.mode is not pipeline.mode:
         pipeline.change_mode(step.mode)
@@ -144,12 +144,12 @@ def _again(recorded: RecordedStep, pipeline: Pipeline) -> ScanSequence:
 
 
 def _differences(recorded: RecordedStep, was: ScanSequence, now: ScanSequence) -> Iterator[str]:
-    """Yield a sentence for each number that differs."""
+    """Yield one sentence for each differing number."""
     seen = recorded.step.input
     for name in _COMPARED:
         old, new = (_values(sequence, name) for sequence in (was, now))
         if old.shape != new.shape:
-            # Slots that moved would differ in everything.
+            # If slots have moved, do not list all their differences.
             return
         for index in np.argwhere(old != new).tolist():
             one, other = (values[tuple(index)].item() for values in (old, new))

@@ -1,4 +1,4 @@
-"""Run configuration shared by all commands and by programs."""
+"""Configuration of a run."""
 
 import math
 from collections.abc import Iterable
@@ -26,39 +26,39 @@ _CHOICES = {"mode": [*Mode], "scan": ["auto", "points"], "hold": ["charge", "ene
 
 
 class RunConfig(Table):
-    """Settings of one run; None takes the value of the profile.
+    """Settings of one run; None means the profile's value.
 
     Parameters
     ----------
     mode : Mode or str
-        Which afferents are driven: RA, SAI, PC or natural.
+        Classes to stimulate: RA, SAI, PC or natural.
     scan : {"auto", "points"} or SlotPolicy
-        points: one point in each slot; frame: as many as do not disturb one another; auto: the same
-        where that needs no search (RA, on boards that give every electrode its own current).
+        points: one point in each slot; auto: independent sites share slots, for RA on boards with a
+        current for each electrode.
     rate_hz : float, optional
         Sequences a second.
     seconds : float, optional
-        Longest run by the clock.
+        Time limit of the run.
     intensity : float, in [0, 1], optional
-        Of the strongest comfortable current. On a board that a finger may be on it must be
-        given, and is reached slowly; elsewhere it is 1 if not given.
+        Intensity, relative to the strongest comfortable current. It is required on boards that a
+        finger may touch; otherwise the default is 1.
     softness : float, in [0, 1], optional
-        At 1 the rate of SAI pulses is constant, at 0 it follows force.
+        At 1 the SAI rate is constant, at 0 it follows force.
     light_on_dark : bool
-        Print is lighter than paper.
+        Whether print is lighter than paper.
     tone : Tone, optional
-        How ink becomes activation.
+        Tone curve from ink to activation.
     hold : {"charge", "energy"}, optional
-        Held against drifting impedance, if the board can.
+        Quantity to keep constant while impedance drifts, if the board can.
     balance : bool
-        Keep net charge at zero.
+        Whether to keep net charge at zero.
     paced : bool
-        On a board of simulated time, wait for the wall clock at each sequence, so that a person
-        can watch, steer and answer. Boards with time of their own always wait.
+        Whether a board with simulated time waits for the real time of each sequence, so that a
+        person can watch and steer. Other boards always do.
     seed : int
-        Of whatever is random in the source; kept in recordings.
+        Seed of the source; stored in recordings.
     subject, note : str
-        Kept in recordings.
+        Texts that are stored in recordings.
 
     Raises
     ------
@@ -115,7 +115,7 @@ class RunConfig(Table):
 
     @classmethod
     def read(cls, texts: Iterable[str]) -> dict[str, Any]:
-        """Return the settings in texts such as ``softness=0.5``; a name alone switches one on."""
+        """Parse settings such as ``softness=0.5``; a name alone means True."""
         settings = {}
         for text in texts:
             name, mark, value = text.partition("=")
@@ -126,8 +126,8 @@ class RunConfig(Table):
     def sharing(self, profile: Profile) -> SlotPolicy:
         """Return the classes whose points share slots.
 
-        With scan auto RA alone, by kernels that are proved for all frames and only added up. None
-        where voltage is held point by point, nothing can be proved, or the board cannot.
+        With scan auto this is RA, with kernels for independent sites. No class shares slots if
+        charge or energy is held for each point, if no sets can be proved, or if the board cannot.
         """
         if unsupported_reason(profile) is not None or self.scan == "points":
             sharing = NO_SHARING
@@ -140,12 +140,12 @@ class RunConfig(Table):
             sharing = SlotPolicy((Afferent.RA,)) if shares else NO_SHARING
         if self.hold is not None and sharing.afferents:
             raise SmartTouchError(
-                "hold learns from the voltage of each point, and several share a slot: choose "
+                "hold needs the voltage of each point, but several share a slot: choose "
                 "the scan points"
             )
         return sharing
 
 
 def configured(config: RunConfig | None, settings: dict[str, Any]) -> RunConfig:
-    """Return a configuration with other settings."""
+    """Return a configuration with changed settings."""
     return (config or RunConfig()).model_copy(update=settings)

@@ -1,4 +1,4 @@
-"""Displays, and sessions, in which a program shows patterns on one."""
+"""Displays, and sessions in which a program shows patterns."""
 
 import contextlib
 import threading
@@ -23,9 +23,9 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 
 
 class Display(Closing):
-    """A board, the profile of the finger on it, and what ends a run on it.
+    """Board with the profile of the finger on it.
 
-    Its line is open only while it is run; every sequence goes through the safety gate.
+    The board is open only during runs. All sequences pass the safety gate.
 
     Parameters
     ----------
@@ -60,34 +60,34 @@ class Display(Closing):
         self.profile: Profile = profile
         self._stop = StopRequest()
         self.board: Board = board
-        # Also without a run: a program may drive the board itself.
+        # Also without a run, as a program may drive the board directly.
         self._stop.always_on_stop(board.halt)
         expect(board)
-        self.notes_reported = 0  # number of the board's notes that earlier runs have reported
+        self.notes_reported = 0  # number of notes reported by earlier runs
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.url!r}, {self.profile!r})"
 
     @property
     def on_a_finger(self) -> bool:
-        """Whether there may be a finger on it."""
+        """Whether a finger may be on the board."""
         return self.board.on_a_finger
 
     @property
     def stopping(self) -> StopRequest:
-        """Request that ends whatever runs on it."""
+        """Request that ends runs on this display."""
         return self._stop
 
     def stop(self) -> None:
-        """Put all electrodes at zero and end the run, from any thread; it opens no more."""
+        """Set all electrodes to zero and end the run, from any thread. The display cannot be opened
+        again."""
         self._stop.ask("the display was stopped")
 
     @contextmanager
     def opened(self, stop: StopRequest | None = None) -> Iterator[Board]:
-        """Open the board for a block; a stop puts it at zero at once, also while it opens.
+        """Open the board during a block; a stop sets it to zero at once, also while it opens.
 
-        With the stop of the command that runs, as without any, a signal lets the block end by
-        itself: sending raises BoardStoppedError.
+        After a signal, the block ends by itself, because sending raises BoardStoppedError.
         """
         command = current_command()
         stop, before = stop or command.stop, command.orderly
@@ -100,14 +100,14 @@ class Display(Closing):
                 except BoardError as error:
                     if stop is not command.stop or not command.number:
                         raise
-                    # Whatever failed, the signal is the reason.
+                    # The signal is the reason for any failure.
                     raise BoardStoppedError(str(error)) from None
                 yield self.board
         finally:
             command.orderly = before
 
     def close(self) -> None:
-        """Put all electrodes at zero and release the board; a second call does nothing."""
+        """Set all electrodes to zero and release the board; a second call does nothing."""
         self.board.close()
 
     def session(
@@ -118,7 +118,7 @@ class Display(Closing):
         force: ForceSource | str | None = None,
         **settings: Any,
     ) -> "Session":
-        """Return a session, in whose ``with`` block patterns are shown as a program asks.
+        """Return a session in which a program shows patterns, for a ``with`` block.
 
         Parameters
         ----------
@@ -133,7 +133,7 @@ def open_display(
     profile: Profile | str | None = None,
     **options: Any,
 ) -> Display:
-    """Return a display by the URL of its board; its line is opened when it is run.
+    """Return a display by the URL of its board, which is opened by runs.
 
     Parameters
     ----------
@@ -141,9 +141,9 @@ def open_display(
         ``emulator:``, ``simulated:``, ``link:PORT``, ``kajimoto61:PORT``, ``etactilekit:PORT`` …,
         or a board that you made.
     profile : Profile or str, optional
-        Device and finger; the board's usual one if not given.
+        Device and finger; by default the board's own profile.
     **options
-        Of the driver.
+        Options of the driver.
 
     Raises
     ------
@@ -161,15 +161,15 @@ def open_display(
 
 
 class Session(Program):
-    """An open board on which a program shows patterns: made by `Display.session`.
+    """Open board on which a program shows patterns, made by `Display.session`.
 
-    The board is open in its ``with`` block. What ends the block, whatever it is, puts all
-    electrodes at zero. Its methods may be called from any thread.
+    The board is open in the ``with`` block, and at zero after it. Methods may be called from any
+    thread.
 
     Attributes
     ----------
     statistics : RunStatistics
-        Of all that was sent; complete after the block.
+        Statistics of everything sent; complete after the block.
 
     Examples
     --------
@@ -206,14 +206,14 @@ class Session(Program):
 
     def __enter__(self) -> Self:
         if self.statistics.ended:
-            raise SmartTouchError("a session is entered once: ask its display for another")
+            raise SmartTouchError("a session can be entered only once: create another one")
         self._loop = self._run.__enter__()
         return self
 
     def __exit__(self, *exception: object) -> None:
         kind, error, _ = exception
         if isinstance(kind, type) and error is not self._failed:
-            # Whatever went wrong, the skin gets nothing more.
+            # After an exception nothing more is sent.
             self._stop.ask(f"the program ended in {kind.__name__}")
         loop, self._outside = self._loop, "its with block is over"
         self._leave()
@@ -239,7 +239,7 @@ def show_together(
 ) -> dict[Session, Shown]:
     """Show patterns on several displays at the same time; return how each was shown.
 
-    Levels that are not open are opened first, at the same time.
+    All displays first reach their level by the ramp, at the same time.
 
     Parameters
     ----------

@@ -53,12 +53,12 @@ HELD_UP_NS = 1_000_000
 _LATE_AGAIN_NS = 5_000_000_000  # time without a delay after which the next one is reported
 
 LOG = logging.getLogger("smarttouch.run")
-"""Logger of events: to a program's handlers, and nowhere without them."""
+"""Logger of events, silent unless a program adds handlers."""
 logging.getLogger("smarttouch").addHandler(logging.NullHandler())
 
 
 def emit_to(listeners: Sequence[Listener]) -> Emit:
-    """Return a function that logs an event and hands it to each of these listeners."""
+    """Return a function that logs an event and passes it to all listeners."""
 
     def emit(event: Event) -> None:
         LOG.info("%.1f s: %s", event.time_ns / 1e9, event)
@@ -70,15 +70,16 @@ def emit_to(listeners: Sequence[Listener]) -> Emit:
 
 @contextmanager
 def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iterator[None]:
-    """Warm a pipeline up, freeze garbage collection and keep OpenCV to one thread in the block.
+    """During the block, freeze garbage collection and limit OpenCV to one thread; first warm up the
+    pipeline.
 
-    Before a board is open: it would take the delay for a lost host. In simulated time, where
-    nothing is late, OpenCV alone is kept to one thread.
+    Use it before a board is open, which would take the delay for a lost host. In simulated time
+    only OpenCV is limited, as nothing can be late.
     """
     threads = cv2.getNumThreads()
-    # Images are small: a second thread costs more than it saves, and takes the other core.
+    # Images are small: a second thread costs more than it saves.
     cv2.setNumThreads(1)
-    # What a program has frozen for itself stays so.
+    # Do not undo what the program has frozen itself.
     freezes = not simulated_time and not gc.get_freeze_count()
     if not simulated_time:
         pipeline.warm_up()
@@ -306,12 +307,12 @@ class Inputs:
 
 
 class Loop:
-    """Delivers what a source gives to an open board, one sequence after another.
+    """Delivers the inputs of a source to an open board, one sequence after another.
 
-    The source is read at each deadline; the next deadline is one sequence later, so an input that
-    needs longer to scan lowers the rate and nothing queues. A late loop moves its schedule and
-    never hurries. Statistics are filled as the run goes, so that they are there after a fault;
-    listeners also get a step that was lost with the board.
+    The source is read at each deadline, and the next deadline is one period later. So longer scans
+    lower the rate, and nothing queues. A late loop shifts its schedule instead of catching up.
+    Statistics are updated at each step, so that they exist after a fault. Listeners also receive
+    steps that were lost with the board.
     """
 
     def __init__(
@@ -329,7 +330,7 @@ class Loop:
         clock: Clock | None = None,
     ) -> None:
         if isinstance(source, Listener):
-            # A source that depends on how its frames were delivered.
+            # This source needs to know how its inputs were delivered.
             listeners = [source, *listeners]
         source.emit = self._emit = emit_to(listeners)
         self.inputs: Inputs = Inputs(
@@ -346,13 +347,13 @@ class Loop:
         self._phase = PhaseLock(board, statistics) if says_starts else None
         self._clock = clock or board.clock
         self.is_simulated: bool = isinstance(self._clock, SimulatedClock)
-        """Whether time passes only by waiting, as fast as this computer can."""
-        # By simulated time no skin has waited.
+        """Whether time is simulated."""
+        # Simulated time cannot stall.
         self._may_stall = not board.simulated_time
         self._seconds = seconds
         self._start_ns: int | None = None
-        # By the loop's clock: when the run's time was 0, moved later by every delay; when the
-        # sequence before is over; when the next step is expected, by the one before.
+        # By the loop's clock: start of the run, moved later by each delay; end of the last
+        # sequence. In time of the run: when a late sequence is reported again.
         self._zero_ns = self._over_ns = self._report_late_ns = 0
         self._expected_ns: int | None = None
 
@@ -365,7 +366,7 @@ class Loop:
 
     @contextmanager
     def steady(self) -> Iterator[None]:
-        """Go on from now, in a block whose thread has real-time priority if that is allowed."""
+        """Plan from now, and use real-time priority during the block if allowed."""
         with prioritized() if self._may_stall else contextlib.nullcontext(False) as real_time:
             if self._start_ns is None:
                 self.inputs.statistics.real_time = real_time
@@ -375,7 +376,7 @@ class Loop:
             yield
 
     def resume(self) -> None:
-        """Go on from now, where nothing was sent for a while."""
+        """Plan from now, after a time without sequences."""
         if self._start_ns is None:
             self._start_ns = self._zero_ns = self._clock.now_ns()
         elif (idle_ns := self.time_ns() - self.elapsed_ns) > 0:
@@ -383,11 +384,11 @@ class Loop:
             self._expected_ns, self._over_ns = None, 0
 
     def time_ns(self) -> int:
-        """Return the time since the start of the run, ns, without delays of its schedule."""
+        """Return the time since the start of the run, ns, without delays."""
         return self._clock.now_ns() - self._zero_ns
 
     def begins_at_zero(self) -> bool:
-        """Return whether intensity will begin at zero with the next step."""
+        """Return whether intensity will restart at zero with the next step."""
         return self.inputs.begins_at_zero(self.elapsed_ns, self._clock.now_ns())
 
     def end(self) -> None:
@@ -400,7 +401,7 @@ class Loop:
         self._emit(RunEnded(self.elapsed_ns, self.stop.reason or self.inputs.source.ended))
 
     def wait(self) -> bool:
-        """Wait for the next deadline; return False if the run ends there."""
+        """Wait for the next deadline; return False if the run ends."""
         self._clock.wait_until(self._zero_ns + self.elapsed_ns, self.stop.event)
         seconds, now_s = self._seconds, (self._clock.now_ns() - (self._start_ns or 0)) / 1e9
         if seconds is not None and now_s >= seconds and not self.stop.event.is_set():
@@ -412,14 +413,14 @@ class Loop:
         """Deliver one input; return False at the end of the source or of the run."""
         inputs, clock = self.inputs, self._clock
         pipeline, board, phase = inputs.pipeline, inputs.board, self._phase
-        # In this order: a pause of the computer between the two makes the frame late.
+        # Keep this order: a pause between the two calls then makes the frame late.
         board_ns, now_ns = board.clock.now_ns(), clock.now_ns()
         since_ns, deadline_ns = now_ns - (self._start_ns or 0), self._zero_ns + self.elapsed_ns
         inputs.statistics.seconds = since_ns / 1e9
-        # The skin waits since the sequence before was over, whatever the plan says.
+        # The pause for the skin began at the end of the last sequence, whatever the schedule.
         waits_ns = max(0, now_ns - deadline_ns, now_ns - self._over_ns if self._over_ns else 0)
         if waits_ns > LATE_NS and self._may_stall:
-            # After a stall, plan again from now. The board may have fallen silent.
+            # After a stall, plan again from now.
             inputs.begin_at_zero()
             waits_ns = 0
         read = inputs.read(self.elapsed_ns, now_ns)
@@ -443,7 +444,7 @@ class Loop:
             step, number, (sent_ns - in_hand_ns) / 1000, (over_ns - worked_ns) / 1000,
             board.acknowledged, board.refused, None if phase is None else phase.newest, since_ns,
         )  # fmt: skip
-        # Proving and writing are the loop's own work, however long.
+        # Proving and writing count as computing.
         waited_ns = sent_ns - sending_ns - (over_ns - own_ns)
         sent = Sent(
             number or 0, in_hand_ns - step.input.age_ns, deadline_ns, self.elapsed_ns,
@@ -456,10 +457,10 @@ class Loop:
         return True
 
     def _handle_loss(self, step: Step, lost: BoardRestartedError) -> None:
-        """Begin at zero after a sequence that was lost with the board, or too late to be sent."""
+        """Restart at zero after a sequence was late or was lost with the board."""
         late = isinstance(lost, SequenceLateError)
         self.inputs.statistics.restarts += not late
-        # A busy computer is late again and again: what is dropped is counted.
+        # On a busy computer do not report each late sequence; they are counted.
         if not late or self.elapsed_ns >= self._report_late_ns:
             self._emit(BoardRestarted(self.elapsed_ns, str(lost)))
         if late:
@@ -468,7 +469,7 @@ class Loop:
         self.inputs.pipeline.restart_softly()
 
     def _plan_next(self, result: StepResult, sent: Sent, now_ns: int) -> None:
-        """Enter a step into the statistics, and move the schedule by what it took."""
+        """Add a step to the statistics, and move the schedule by its delays."""
         statistics, phase = self.inputs.statistics, self._phase
         if result.number is None:
             self._zero_ns += sent.sent_ns - now_ns
@@ -479,14 +480,14 @@ class Loop:
             expected_ns, late_ns = self._expected_ns, now_ns - sent.deadline_ns
             error_us = None if expected_ns is None else abs(now_ns - expected_ns) / 1000
             statistics.enter(result, error_us)
-            # After a wait the board's clock is behind: frames taken later reach the skin as soon,
-            # and fresher.
+            # After a wait for the board, move deadlines later: frames are fresher and arrive at the
+            # same time.
             self._zero_ns += sent.waited_ns
             if late_ns > sent.period_ns:
                 statistics.late += 1
                 self._zero_ns += late_ns
             more_ns = 0 if phase is None else phase.follow(self._zero_ns, sent)
-            # What comes later by the board's doing is not late.
+            # Delays caused by the board do not count as late.
             self._zero_ns += more_ns
             self._expected_ns = now_ns + sent.period_ns + more_ns
             self._over_ns = sent.sent_ns + sent.period_ns + more_ns

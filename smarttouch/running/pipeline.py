@@ -1,4 +1,4 @@
-"""Input in, scan sequence out: pure, without I/O and without a clock."""
+"""Processing of inputs to scan sequences, without I/O and without a clock."""
 
 import contextlib
 import copy
@@ -26,16 +26,15 @@ from smarttouch.stimulation.scheduler import NetPlan, ScanScheduler, SchedulerCo
 from smarttouch.stimulation.sequence_limits import strength_ppb
 from smarttouch.stimulation.slots import FrameSlots
 
-_WAITING_UC = 0.02  # charge that whole µA of the longest recharge phase may leave
+_WAITING_UC = 0.02  # charge that may be left by rounding of the longest recharge phase
 
 
 @dataclass
 class Regulator:
-    """Closes the loop from what the board measured to what it is sent next.
+    """Feedback from measurements of the board to the next sequences.
 
-    The adaptation holds charge or energy against drifting impedance; the ledger has the net charge
-    of every electrode, which a recharge phase within its rules, or else the polarity of whole
-    scans, brings to zero.
+    The adaptation keeps charge or energy constant. The ledger contains the net charge of each
+    electrode, which recharge phases or reversed scans bring to zero.
     """
 
     adaptation: Adaptation | None = None
@@ -46,7 +45,7 @@ class Regulator:
     _waited: int = 0
 
     def balanced(self, sequence: ScanSequence, ledger: ChargeBalance) -> ScanSequence:
-        """Enter a sequence into the ledger, and return it as it is to be sent."""
+        """Balance a sequence, add it to the ledger, and return it."""
         if self.recharge is None:
             balanced = ledger.balancing(sequence)
             self._reversed += balanced is not sequence
@@ -59,9 +58,9 @@ class Regulator:
         return balanced
 
     def take_back(self, sequence: ScanSequence) -> None:
-        """Take back a sequence that did not reach the board.
+        """Remove a sequence that did not reach the board from the ledger.
 
-        Recharge phases stay within what the gate has counted, which counts this one, too.
+        The gate still counts it, and limits recharge phases accordingly.
         """
         if self.ledger is not None and self.recharge is None:
             self.ledger.add(sequence, -1)
@@ -89,10 +88,10 @@ class Regulator:
 
 
 class Pipeline:
-    """Turns frames and stimuli into scan sequences; time comes in with each.
+    """Converts frames and stimuli, which contain their time, to scan sequences.
 
-    With ``vibrated`` mechanical vibrators drive PC, and no current does (paper, Section V). With
-    ``in_sums`` slots are sums of kernels in whole numbers, for boards that store kernels.
+    With ``vibrated``, mechanical vibrators stimulate PC instead of current (paper, Section V). With
+    ``in_sums``, slots are sums of quantized kernels, for boards that store kernels.
     """
 
     def __init__(
@@ -112,7 +111,7 @@ class Pipeline:
         self._mapper = TactileMapper(profile, config.light_on_dark, config.tone)
         self._limits = SafetyLimits.of(profile)
         self.ramp: Ramp = Ramp(self._limits.ramp_ns)
-        """Of pipelines without a board, whose sequences count as written at their times."""
+        """Ramp for pipelines without a board; sequences count as written at their times."""
         self.regulator: Regulator = Regulator()
         self._vibration, self._time_ns = 0.0, 0
         self._restarted = True
@@ -121,8 +120,8 @@ class Pipeline:
             self._common.net = NetPlan(self.electrodes)
         self._scans: dict[Mode, ScanScheduler] = {}
         self.table: KernelTable | None = None
-        """Kernels whose sums slots are, for a board that stores them: all of the bank, and those by
-        which slots are shared, in whole numbers."""
+        """Quantized kernels for boards that store them: those of the bank, and those for shared
+        slots."""
         if in_sums and profile.output.kind == "weighted":
             frames = {
                 afferent: FrameSlots(profile, bank, afferent)
@@ -137,18 +136,18 @@ class Pipeline:
         self.change_mode(Mode(config.mode))
 
     def change_mode(self, mode: Mode) -> None:
-        """Drive other afferents from the next input on; intensity begins at zero.
+        """Change the mode for the next input; intensity restarts at zero.
 
-        Raises and keeps the mode if board, profile or kernels do not offer the new one.
+        Raises an error, and keeps the mode, if board, profile or kernels do not offer the new one.
         """
         self._scan(mode)
         self.mode = mode
         self.restart_softly()
 
     def offered(self) -> tuple[Mode, ...]:
-        """Return the modes that the board, the profile and its kernels offer.
+        """Return the modes that board, profile and kernels offer.
 
-        Color is for stimuli alone, and the other modes are no choice for these.
+        Mode color is for stimuli only, and cannot be combined with others.
         """
         modes = []
         for mode in Mode:
@@ -161,7 +160,7 @@ class Pipeline:
     def _scan(self, mode: Mode) -> ScanScheduler:
         if self._vibrated and mode is Mode.PC:
             raise SmartTouchError(
-                "mode PC drives PC by current, and a vibrator takes its place: leave the vibrator "
+                "mode PC stimulates PC by current, but a vibrator replaces it: leave the vibrator "
                 "out, or show a vibration: source"
             )
         if mode not in self._scans:
@@ -170,7 +169,7 @@ class Pipeline:
             if mode is Mode.COLOR:
                 possible = {*bank.weights, *[Afferent.PC] * vibrated}
                 classes = tuple(afferent for afferent in classes if afferent in possible)
-            # A rate asked for in one mode is not for the two of natural mode.
+            # A requested rate is for a single class, not for natural mode.
             natural = mode is Mode.NATURAL and bool(self._scans)
             self._scans[mode] = ScanScheduler(
                 self._profile, bank, classes, None if natural else config.rate_hz, self._timing,
@@ -186,12 +185,12 @@ class Pipeline:
         allowed: float | None = None,
         observed: Sequence[Measured] = (),
     ) -> Step:
-        """Return the tactile image and the scan sequence of a frame or stimulus.
+        """Return the tactile image and the scan sequence for a frame or stimulus.
 
-        Its force gates intensity, and NaN is no contact; ``level`` is what the user asked for, a
-        part of the strongest current in [0, 1]. ``allowed`` is the strength that the board allows
-        (`Board.allowed_level`); without a board the pipeline has a ramp of its own. ``observed`` is
-        what the board has measured since the input before: it changes the sequence.
+        Its force gates intensity; NaN means no contact. ``level``, in [0, 1], is the user's
+        intensity. ``allowed`` is the strength that the board allows (`Board.allowed_level`);
+        without a board the pipeline uses its own ramp. ``observed`` are measurements of the board
+        since the last input, which may change the sequence.
         """
         regulator = self.regulator
         if regulator.adaptation is not None:
@@ -207,7 +206,7 @@ class Pipeline:
             gone = max(0, 0 if self._restarted else time_ns - self._time_ns) / self._limits.ramp_ns
             self._vibration, self._time_ns = min(wanted, self._vibration + gone), time_ns
             if not np.delete(activation, Afferent.PC, axis=0).any():
-                # Nothing flows that a ramp could count.
+                # Vibration is not subject to the ramp.
                 wanted, strength = self._vibration, 1.0
         sequence = scan.schedule(tactile, wanted, pressure, strength, regulator.adaptation)
         if allowed is None:
@@ -224,7 +223,7 @@ class Pipeline:
         )  # fmt: skip
 
     def restart_softly(self) -> None:
-        """Let intensity rise from zero again, after a time without current."""
+        """Restart the ramp after a time without current."""
         self.ramp.restart()
         self._vibration = 0.0
         for scan in self._scans.values():
@@ -246,14 +245,14 @@ class Pipeline:
         ]
 
     def warm_up(self) -> None:
-        """Run an input through a twin of this pipeline, which is then thrown away.
+        """Process an input by a temporary copy of this pipeline.
 
-        First calls import and allocate; in the loop that would cost a pulse.
+        First calls import and allocate, which would delay a pulse in the loop.
         """
         twin = copy.copy(self)
         twin._mapper = TactileMapper(self._profile, self._config.light_on_dark, self._config.tone)
         twin.ramp = Ramp(self._limits.ramp_ns)
-        # Makers of shared slots have no state but their plans.
+        # Makers of shared slots can be reused, as they have no state.
         twin._scans, twin._common = {}, replace(self._common, net=None)
         twin.regulator = Regulator()
         twin.change_mode(self.mode)
@@ -273,33 +272,33 @@ class Pipeline:
 def make_regulator(
     board: Board, profile: Profile, config: RunConfig, note: Callable[[str], None]
 ) -> Regulator:
-    """Return the regulator that ``hold`` and ``balance`` ask for on an open board.
+    """Return the regulator for ``hold`` and ``balance`` on an open board.
 
-    Each sentence that the user should know before the run goes to ``note``. Raises BoardError if
-    the board cannot do it.
+    ``note`` receives sentences for the user to read before the run. Raises BoardError if the board
+    cannot do it.
     """
     can = board.capabilities
     if can.time_to_zero_ms is None:
         note(
-            "This board goes on with its last pattern if its line breaks: keep its switch within "
-            "reach."
+            "If the connection is lost, this board repeats its last pattern: keep the switch "
+            "within reach."
         )
     adaptation = ledger = recharge = None
     if config.hold is not None:
         if not can.measures or can.compliance_v is None:
             raise BoardError(
-                "hold needs a board that measures the voltage of each slot, and this one does not"
+                "hold needs a board that measures the voltage of each slot, but this one does not"
             )
         timing = board.driver.timing
         if config.hold == "charge" and not (timing.own_widths and timing.width_us is None):
             raise BoardError(
-                "hold charge needs a pulse width of its own for each slot, and this board has "
+                "hold charge needs an individual pulse width for each slot, but this board has "
                 "one for all: choose energy"
             )
         if config.hold == "energy":
             note(
-                f"Energy is held from {RESERVED:.0%} of the current on, so that it can rise where "
-                "skin becomes wet: raise the intensity until it is as strong as you want."
+                f"Energy is held at {RESERVED:.0%} of the current, so that it can rise when "
+                "skin becomes wet: raise the intensity as needed."
             )
         adaptation = Adaptation(profile, config.hold, can.compliance_v)
     if config.balance:
@@ -311,7 +310,7 @@ def make_regulator(
             )
         else:
             note(
-                "This board makes no recharge phase: to balance, whole scans are reversed, and "
+                "This board has no recharge phase. For balance, complete scans are reversed, and "
                 "those drive the other class, SAI where RA is meant and RA where SAI is."
             )
         ledger = ChargeBalance(can.electrodes)

@@ -1,4 +1,4 @@
-"""A program as the source of a run: it shows patterns, one after another, or puts the newest."""
+"""Programs as sources of a run, which show patterns one after another or put the latest one."""
 
 import asyncio
 import contextlib
@@ -40,42 +40,42 @@ from smarttouch.sources.source_contract import (
 )
 from smarttouch.stimulation.scheduler import force_gate
 
-STEADY = 0.98  # part of a level that counts as reached
-SILENT_US = 20_000  # period of a silence that is asked for, and of pulses that open a level
-_FAINT = 0.01  # activation of pulses that open a level: those of threshold
+STEADY = 0.98  # share of a level that counts as reached
+SILENT_US = 20_000  # period of silent sequences, and of pulses that raise the ramp
+_FAINT = 0.01  # activation of pulses that raise the ramp: about the threshold
 _POLL_S = 0.01  # how often a thread that waits looks whether it was canceled
-_IDLE_S = 0.045  # longest time without a sequence once something was put
+_IDLE_S = 0.045  # longest time without a sequence after a put
 
 Pattern = NDArray[Any] | Frame | TactileImage
 """Activation (E,) or (3, E), an image (H, W), a frame, or a tactile image."""
 Level = float | Callable[[float], float | None]
-"""Part of an intensity, in [0, 1]; or a function of the seconds since a pattern began, which ends
-it by None."""
+"""Share of the intensity, in [0, 1]; or a function of the seconds since the pattern began, which
+returns None to end it."""
 CANCELED: ContextVar[threading.Event | None] = ContextVar("canceled", default=None)
-"""Event that ends what the current thread or task shows."""
+"""Event that ends the show of the current thread or task."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """How a pattern was shown.
+    """Result of showing a pattern.
 
     Attributes
     ----------
     time_ns : int
-        When its first sequence was sent, since the start of the session.
+        Time of its first sequence, since the start of the session.
     clock_ns : int
-        When its first pulse began, by the machine's clock, `time.monotonic_ns`; when it was sent,
-        if the board does not report when it began.
+        Start of its first pulse by `time.monotonic_ns`; time of sending if the board does not
+        report starts.
     board_us : int or None, µs
-        When its first pulse began, by the board's own clock; None if the board does not report it.
+        Start of its first pulse by the board's clock; None if not reported.
     sequences, pulses : int
-        Sequences sent, and the slots of all of them.
+        Number of sequences, and of all their slots.
     intensity : float, in [0, 1]
-        The lowest of its sequences.
+        Lowest intensity of its sequences.
     current_ma : float, mA
-        Strongest current of its last pulses, of either sign.
+        Strongest current of its last pulses, magnitude.
     ramped_s : float, s
-        How long its level took to open before it; 0 where it was open.
+        Time that the ramp took before it; 0 if the level was already reached.
     """
 
     time_ns: int
@@ -89,10 +89,10 @@ class Shown:
 
 
 class Program(Source, Listener):
-    """Source whose patterns a program shows: base of `Session` and of sources with a `program`.
+    """Base of `Session` and of sources with a `program` that shows patterns.
 
-    Its methods may be called from any thread. What is shown comes one after another, and the loop
-    runs in the thread that shows it.
+    Methods may be called from any thread. Patterns are shown one after another, and the loop runs
+    in the thread that shows.
     """
 
     frames: int
@@ -100,49 +100,50 @@ class Program(Source, Listener):
     knows_force = True
     ended = "the program has ended"
     patience_s: float = 10.0
-    """Time for a level to open, s."""
+    """Longest wait for a level, s."""
 
     def __init__(self, profile: Profile, title: str = "session") -> None:
         super().__init__(title)
         self.controls: Controls = Controls(ControlState(Mode.RA))
-        self.now_ns: int = 0  # time of the newest sequence, since the start of the run
+        self.now_ns: int = 0  # time of the latest sequence in the run
         self._profile = profile
         self._press_n = profile.force.full_n
         self._least_us = math.ceil(1e6 / profile.limits.rate_hz)
         self._silent_us = max(SILENT_US, self._least_us)
         self._nothing = np.zeros((len(Afferent), len(profile.electrodes)), np.float32)
-        self._loop: Loop | None = None  # of the run, while it goes on
+        self._loop: Loop | None = None  # loop of the current run
         self._context: RunContext
         self._mapper: TactileMapper
         self._outside = "it is not in its with block"
         self._failed: BaseException | None = None
         self._input: Input | None = None
         self._result: StepResult
-        self._count = 0  # number of what is shown
+        self._count = 0  # number of shown patterns
         self._last_number: int | None = None
-        # What threads share.
+        # shared by threads
         self._turns, self._waiting = (
             threading.Lock(),
             deque[object](),
         )  # that wait to show something
         self._news, self._put_lock = threading.Event(), threading.Lock()
         self._put: tuple[NDArray[np.float32] | Frame, int, int] = (self._nothing, 0, 0)
-        """What was put, when it came and when it is stale, by `time.monotonic_ns`."""
-        self._is_new = False  # whether it is to be sent for the first time
-        self._put_count = 0  # its number
-        self._missed = 0  # patterns that it replaced before they were sent
+        """The put pattern, its arrival and the time when it becomes stale, by
+        `time.monotonic_ns`."""
+        self._is_new = False  # whether the put pattern has not been sent yet
+        self._put_count = 0  # number of put patterns
+        self._missed = 0  # number of put patterns that were replaced before they were sent
         self._putter: threading.Thread | None = None
 
     def program(self) -> None:
-        """Show what there is to show; the run ends with it, and raises what it raises."""
+        """Show all patterns; the run ends when this returns. Exceptions end the run, too."""
 
     def perform(self, loop: Loop) -> None:
-        """Carry the program out by the loop of a run."""
+        """Execute the program with the loop of a run."""
         self._loop = loop
         try:
             self.program()
         except SmartTouchError:
-            # What is shown when a run is over raises.
+            # Showing after the end of a run raises; ignore that.
             if self._failed is not None or not loop.stop.event.is_set():
                 raise
         finally:
@@ -152,7 +153,7 @@ class Program(Source, Listener):
         loop.end()
 
     def _leave(self) -> None:
-        """Show nothing more; wait for what other threads show."""
+        """Accept no more patterns; wait for other threads."""
         self._loop = None
         self._news.set()
         with self._turns:
@@ -171,27 +172,28 @@ class Program(Source, Listener):
             self._last_number = result.input.number
 
     def read(self, time_ns: int) -> Input | None:
-        """Return what is shown now."""
+        """Return the current input."""
         return self._input
 
     def rise(
         self, level: float = 1.0, pattern: Pattern | None = None, exact: bool = False
     ) -> float:
-        """Open a level by its ramp, with pulses of threshold; return how long it took, s.
+        """Raise the ramp to a level, with pulses near the threshold; return the time that it took,
+        s.
 
         Parameters
         ----------
         level : float, in [0, 1]
             Part of the session's intensity.
         pattern : ndarray or Frame, optional
-            Where these pulses are, see `show`; in the middle of the array if not given.
+            Place of these pulses, see `show`; by default the middle of the array.
         exact : bool
             Whether neither force nor the user's level may lower it.
 
         Raises
         ------
         LevelNotReachedError
-            If it cannot be opened, as where no finger presses.
+            If the level cannot be reached, for example without a pressing finger.
         """
         checked = self.checked(pattern)
         with self._turn():
@@ -210,7 +212,7 @@ class Program(Source, Listener):
     ) -> Shown:
         """Show a pattern for some time, and return when it is over.
 
-        Where its level is not open, pulses of threshold open it first.
+        If the ramp is below its level, `rise` comes first.
 
         Parameters
         ----------
@@ -218,25 +220,25 @@ class Program(Source, Listener):
             Activation of the mode's class, (E,), or of each class, (3, E), in [0, 1]; or an image,
             (H, W) uint8.
         seconds : float, s
-            From its first pulse at its level; infinite if the level ends it.
+            Duration, from the first pulse at its level; infinite if the level ends it.
         level : float, in [0, 1], or callable
-            Part of the session's intensity; or a function of the seconds since it began that
-            returns it for each sequence, and None to end.
+            Share of the session's intensity; or a function that returns it for each sequence, given
+            the seconds since the start, and None to end.
         rate_hz : float, Hz, optional
-            Sequences a second; those of the mode if not given.
+            Sequences per second; by default those of the mode.
         opens : float, in [0, 1], optional
-            Level to open before it: that at its beginning if not given, and none at 0.
+            Level to reach first; by default the initial one. With 0 there is no rise.
         least : float, in [0, 1]
-            Part of its level below which it ends with an error.
+            Share of its level below which it ends with an error.
         exact : bool
             Whether neither force nor the user's level may lower it.
 
         Raises
         ------
         LevelNotReachedError
-            If the level cannot be opened, or was lost meanwhile.
+            If the level cannot be reached, or is lost.
         SmartTouchError
-            If the pattern is not valid, or the session has ended.
+            If the pattern is invalid, or the session has ended.
         """
         require_within(SmartTouchError, "seconds", seconds, 0, math.inf, above=True)
         if rate_hz is not None:
@@ -265,7 +267,7 @@ class Program(Source, Listener):
         least: float,
         exact: bool,
     ) -> Shown:
-        """Send a pattern whose level is open for some time; return how it was shown."""
+        """Send a pattern for some time, at a level that was reached."""
         self._count += 1
         begun_ns, clock_ns, first = self.now_ns, time.monotonic_ns(), None
         sequences, pulses, intensity, current_ma = 0, 0, 1.0, 0.0
@@ -291,23 +293,23 @@ class Program(Source, Listener):
         if first is not None and (start := board.start_of(first)) is not None:
             board_us = start.board_us
             if not board.simulated_time:
-                # The board's clock may run while the machine sleeps, the program's does not.
+                # Convert between clocks: only the board's continues while the machine is suspended.
                 clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start.time_ns)
         return Shown(begun_ns, clock_ns, board_us, sequences, pulses, intensity, current_ma, 0.0)
 
     def wait(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
-        """Let no current flow for some time, simulated where the board's is; what is put waits.
+        """Wait without current, in the board's time; put patterns wait, too.
 
         Parameters
         ----------
         seconds : float, s
         until : callable, optional
-            Ends the wait once it returns true; called for each sequence, 50 times a second.
+            Function that ends the wait by returning true; called 50 times a second.
         """
         require_within(SmartTouchError, "seconds", seconds, 0, math.inf, above=True)
         with self._turn():
             end_ns = self.now_ns + (math.inf if seconds == math.inf else round(1e9 * seconds))
-            # It ends to the microsecond, and no part is shorter than a sequence may be.
+            # End exactly in time, without a part shorter than the shortest sequence.
             while (left_us := (end_ns - self.now_ns) / 1000) >= self._least_us:
                 if until is not None and until():
                     return
@@ -317,7 +319,7 @@ class Program(Source, Listener):
     async def show_async(
         self, pattern: Pattern, seconds: float, level: Level = 1.0, rate_hz: float | None = None
     ) -> Shown:
-        """Show a pattern as `show` does, while other tasks go on; ends with its task."""
+        """Show a pattern like `show`, while other tasks continue; canceling the task ends it."""
         call = partial(self.show, pattern, seconds, level, rate_hz=rate_hz)
         canceled = threading.Event()
         token = CANCELED.set(canceled)
@@ -332,9 +334,9 @@ class Program(Source, Listener):
             raise
 
     def put(self, pattern: Pattern, stale_s: float = 0.5) -> None:
-        """Show a pattern from now on, until the next one or until it is stale; return at once.
+        """Show a pattern until the next one or until it is stale, and return at once.
 
-        The newest wins, and begins as soon as what is under way has ended. A stale one makes no
+        The latest pattern begins when the current sequence is over. A stale pattern causes no
         current. In simulated time, it is sent once before this returns.
 
         Parameters
@@ -358,7 +360,7 @@ class Program(Source, Listener):
                 self._send(self._newest())
 
     def _follow(self) -> None:
-        """Send what was put last, again and again, while no other thread shows something."""
+        """Send the latest put pattern repeatedly while no thread shows another."""
         try:
             while True:
                 while self._waiting:
@@ -379,14 +381,14 @@ class Program(Source, Listener):
                             loop.resume()
                             self.now_ns = loop.elapsed_ns
         except Exception as error:
-            # The next call raises it, or the end; what a run that is over raises is no error.
+            # The next call raises this error; errors after the end of a run are ignored.
             if self._loop is not None and not self._loop.stop.event.is_set():
                 self._failed = self._failed or error
                 with contextlib.suppress(SmartTouchError):
                     self._context.board.stop()
 
     def _newest(self) -> Stimulus:
-        """Return what was put last; it has a new number after what was shown meanwhile."""
+        """Return the latest put pattern, with a new number if another was shown meanwhile."""
         with self._put_lock:
             pattern, came_ns, stale_ns = self._put
             if self._is_new or self._count != self._put_count:
@@ -422,11 +424,11 @@ class Program(Source, Listener):
             self._turns.release()
 
     def _send(self, stimulus: Stimulus) -> StepResult:
-        """Deliver an input, wait until it is over, and return how it was sent."""
+        """Deliver an input and wait until it is over."""
         loop = self._require_life()
         self._input = stimulus
         try:
-            # Ctrl-C ends what is shown between two sequences.
+            # Ctrl-C takes effect between two sequences.
             with uninterrupted():
                 loop.deliver() and loop.wait()
         except Exception as error:
@@ -437,7 +439,7 @@ class Program(Source, Listener):
         return self._result
 
     def _require_life(self) -> Loop:
-        """Return the loop; raise what has ended the run, or what this thread shows."""
+        """Return the loop. Raises the error that ended the run or this show."""
         if self._failed is not None:
             raise self._failed
         loop = self._loop
@@ -449,7 +451,7 @@ class Program(Source, Listener):
         return loop
 
     def _rise(self, level: float, pattern: NDArray[np.float32] | Frame, exact: bool) -> float:
-        """Send weak pulses until a level is open; return how long that took, s."""
+        """Send weak pulses until the ramp has reached a level; return the time that it took, s."""
         require_within(SmartTouchError, "level", level, 0, 1, above=True)
         begun_ns, faint, active = self.now_ns, _FAINT, self._places(pattern)
         while not self._is_open(level, exact):
@@ -462,15 +464,15 @@ class Program(Source, Listener):
             weak = np.asarray(np.float32(faint) * active, np.float32)
             sequence = self._send(self._stimulus(weak, self._silent_us, level)).sequence
             if 0 < STEADY * self._requested(exact) <= sequence.intensity:
-                # Claimed in full, and not open: pulses this weak do not open that much, and where
-                # the strongest are none, there is nothing to open.
+                # These pulses are too weak to reach the level, so use stronger ones; if the
+                # strongest have no slots, no current can flow, and the ramp does not matter.
                 if faint == 1 and not sequence.slots:
                     return 0.0
                 faint = min(1.0, 2 * faint)
         return (self.now_ns - begun_ns) / 1e9
 
     def note_opening(self) -> None:
-        """Note that a level is being opened; for sources that report it."""
+        """Called while the ramp rises, for sources that report it."""
 
     def _is_open(self, level: float, exact: bool) -> bool:
         asked = level * (1.0 if exact else self.gate * self.user_level)
@@ -478,7 +480,7 @@ class Program(Source, Listener):
         return is_open and self._loop is not None and not self._loop.begins_at_zero()
 
     def _requested(self, exact: bool) -> float:
-        """Return the intensity that the newest step asked for."""
+        """Return the requested intensity of the latest step."""
         step = self._result.step
         share = force_gate(step.input.force_n, self._profile.force) * step.level
         return step.tactile.level * (1.0 if exact else share)
@@ -486,7 +488,7 @@ class Program(Source, Listener):
     def _stimulus(
         self, pattern: NDArray[np.float32] | Frame, period_us: int | None, level: float = 1.0
     ) -> Stimulus:
-        """Return a pattern as an input; frames are mapped here."""
+        """Convert a pattern to an input; frames are mapped here."""
         force_n, image = self._press_n, None
         if isinstance(pattern, Frame):
             force_n = force_n if math.isnan(pattern.force_n) else pattern.force_n
@@ -498,7 +500,8 @@ class Program(Source, Listener):
         )
 
     def _places(self, pattern: NDArray[np.float32] | Frame) -> NDArray[np.float32]:
-        """Return where a pattern is, (3, E) of 0 and 1; the middle if it is nowhere."""
+        """Return the places of a pattern, (3, E) of 0 and 1; the middle of the array for an empty
+        one."""
         mode = self.mode
         if isinstance(pattern, Frame):
             frame = replace(pattern, time_ns=self.now_ns, force_n=self._press_n)
@@ -514,7 +517,7 @@ class Program(Source, Listener):
         return active
 
     def checked(self, pattern: Pattern | None) -> NDArray[np.float32] | Frame:
-        """Return activation (3, E) or a frame; raises a SourceError for anything else."""
+        """Return activation, (3, E), or a frame. Raises SourceError for anything else."""
         electrodes, mode = self._nothing.shape[1], self.mode
         if pattern is None:
             return self._nothing
@@ -535,20 +538,20 @@ class Program(Source, Listener):
             if array.ndim == 2 and array.dtype.kind in "ub":
                 return Frame(gray_image(array, "the program"), 0)
             raise SourceError(
-                f"{array.dtype} {array.shape} is no pattern for this array: give activation "
+                f"{array.dtype} {array.shape} is not a pattern for this array: give activation "
                 f"({electrodes},) or (3, {electrodes}), in [0, 1], or an image (H, W), uint8"
             )
-        # Nobody writes into it later.
+        # Copy, so that later writes have no effect.
         return checked_activation(array, "the program", electrodes).copy()
 
     def time_ns(self) -> int:
-        """Return the time since the start of the run; in simulated time that of the newest
+        """Return the time since the start of the run; in simulated time that of the latest
         sequence."""
         return self.now_ns if self._loop is None else self._loop.time_ns()
 
     @property
     def gate(self) -> float:
-        """Part of a level that the finger's force lets flow now, in [0, 1]."""
+        """Current factor by the finger's force, in [0, 1]."""
         if self._loop is None:
             return 0.0
         force_n = self._loop.inputs.force_n(
@@ -558,10 +561,10 @@ class Program(Source, Listener):
 
     @property
     def user_level(self) -> float:
-        """Part of a level that the user lets flow now, in [0, 1]: 0 while paused."""
+        """Current factor by the user's level, in [0, 1]; 0 while paused."""
         return self.controls.state(self.now_ns).current_level
 
     @property
     def mode(self) -> Mode:
-        """Afferents that are driven."""
+        """Current mode."""
         return self.controls.state(self.now_ns).mode

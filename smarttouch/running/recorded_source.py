@@ -1,4 +1,4 @@
-"""A recording as a source, with the user's modes and levels."""
+"""Recordings as sources, with the recorded modes and levels."""
 
 import bisect
 from dataclasses import replace
@@ -23,12 +23,12 @@ def open_recording(rest: str, profile: Profile) -> "RecordingSource":
 
 
 class RecordingSource(Source):
-    """Frames or stimuli of a recording with pose and force, at the times at which they were sent.
+    """Frames or stimuli of a recording, with pose and force, at their recorded times.
 
-    One that was sent as several sequences counts once; one that was stale stays so.
+    An input that was sent as several sequences counts once. Stale inputs stay stale.
     """
 
-    knows_force = True  # only where no finger is: on a board with one the force is live
+    knows_force = True  # used only on boards without a finger; otherwise force is measured live
 
     def __init__(self, recording: RecordedRun) -> None:
         super().__init__(recording.path.name)
@@ -40,12 +40,12 @@ class RecordingSource(Source):
         self._now: RecordedStep | None = None
         self._seen = True
         if self._ahead is None:
-            raise SourceError(f"{recording.path} holds no steps: nothing can be played from it")
+            raise SourceError(f"{recording.path} has no steps: nothing can be played")
         if not recording.whole:
-            self.notes.append(f"{recording.path} is cut: it is played as far as it goes")
+            self.notes.append(f"{recording.path} is cut: it is played up to the cut")
 
     def read(self, time_ns: int) -> Input | None:
-        """Return the newest recorded input that is not later than a time; None after the last."""
+        """Return the latest recorded input up to a time; None after the last."""
         while self._ahead and (not self._now or self._ahead.step.input.time_ns <= time_ns):
             self._advance()
         assert self._now is not None
@@ -54,37 +54,37 @@ class RecordingSource(Source):
         self._seen = True
         recorded = self._now.step.input
         age_ns = max(0, time_ns - recorded.time_ns)
-        # Where steps are missing there is no current.
+        # Missing steps mean no current.
         stale = recorded.stale or time_ns > _end_ns(self._now) + LATE_NS
         number = self.frames - 1
         return replace(recorded, time_ns=time_ns, number=number, age_ns=age_ns, stale=stale)
 
     def narrowed(self, profile: Profile) -> Profile:
-        """Return a profile whose limits are within those of the recorded one, too.
+        """Return the profile, with limits at least as strict as recorded.
 
-        Raises RecordingError if it holds stimuli for another number of electrodes.
+        Raises RecordingError if stimuli are for another number of electrodes.
         """
         was = self._recording.profile
         count, recorded = len(profile.electrodes), len(was.electrodes)
         first = self._ahead or self._now
         if count != recorded and first is not None and isinstance(first.step.input, Stimulus):
             raise RecordingError(
-                f"{self.title} holds stimuli for {recorded} electrodes, the profile {profile.name} "
+                f"{self.title} has stimuli for {recorded} electrodes, but profile {profile.name} "
                 f"has {count}: give the --profile of that display"
             )
         return stricter(profile, was)
 
     def close(self) -> None:
-        """Close the file; what was passed and not read is dropped."""
+        """Close the file; count unread inputs as dropped."""
         self._steps.close()
         self._drop()
 
     def _advance(self) -> None:
-        """Go to the next step; its input may be the same."""
+        """Advance to the next step, which may have the same input."""
         before, self._now = self._now, self._ahead
         assert self._now is not None
         recorded, last = self._now.step.input, None if before is None else before.step.input
-        # One number may have several images.
+        # An image number may have several images.
         if last is None or (recorded.number, id(recorded.image)) != (last.number, id(last.image)):
             self._drop()
             self.frames += 1
@@ -101,10 +101,10 @@ def _end_ns(recorded: RecordedStep) -> int:
 
 
 class RecordedControls(Controls):
-    """Modes and levels of a recording; the present user can still lower the level and pause.
+    """Recorded modes and levels; the user can still lower the level and pause.
 
-    The user's level is a part of the recorded one. Raises RecordingError if the board does not
-    offer a mode of the recording.
+    The user's level scales the recorded one. Raises RecordingError if the board does not offer a
+    recorded mode.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class RecordedControls(Controls):
                 )
 
     def state(self, time_ns: int) -> ControlState:
-        """Return the recorded state at a time of the run, limited by the present user."""
+        """Return the recorded state at a time of the run, limited by the user."""
         today = super().state(time_ns)
         if not self._recorded:
             return today

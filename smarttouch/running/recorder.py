@@ -1,4 +1,4 @@
-"""Recorder of a run: steps and events into one MCAP file, on a thread of its own."""
+"""Recorder of a run: writes steps and events to an MCAP file, in its own thread."""
 
 import json
 import os
@@ -26,20 +26,20 @@ from smarttouch.running.recording_format import (
 )
 from smarttouch.running.step import Listener, RunContext, StepResult
 
-CHUNK_S = 1.0  # longest time before a chunk is on the disk: the loss if the program is killed
-MOST_WAITING = 1000  # steps that may wait for the disk
+CHUNK_S = 1.0  # longest time before a chunk is on disk, which is lost if the program is killed
+MOST_WAITING = 1000  # largest number of steps waiting for the disk
 
 
 class Recorder(Listener):
-    """Listener that records a run to a file, on a thread of its own.
+    """Listener that records a run to a file, in its own thread.
 
-    Each chunk is on the disk at most `CHUNK_S` and the disk's own time after its first step. Times
-    in the file are times of day.
+    A chunk is on disk within `CHUNK_S` of its first step, plus the delay of the disk. Times in the
+    file are times of day.
 
     Parameters
     ----------
     path : Path or str
-        The file; an existing one is not overwritten.
+        New file; an existing one is not overwritten.
 
     Examples
     --------
@@ -55,22 +55,22 @@ class Recorder(Listener):
         self._steps = 0
         self._image: tuple[NDArray[np.uint8], int] | None = None
         self._queue: queue.SimpleQueue[StepResult | Event | None] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None  # between start and close
+        self._thread: threading.Thread | None = None  # from start to close
 
     def prepare(self, run: RunContext) -> None:
-        """Raise if the file exists, before the display is opened."""
+        """Raise RecordingError if the file exists, before the display is opened."""
         if self.path.exists():
             raise RecordingError(
                 f"{self.path} exists and recordings are never overwritten: give another name"
             )
 
     def start(self, run: RunContext) -> None:
-        """Start the file, with the description of the open board."""
+        """Begin the file with the description of the run."""
         started_unix_ns = time.time_ns()
         self.begin(about_run(run.profile, run.settings, started_unix_ns), started_unix_ns)
 
     def begin(self, about: dict[str, str], started_unix_ns: int) -> None:
-        """Start the file, with a description of the run; see `about_run`."""
+        """Begin the file with a description of the run, see `about_run`."""
         self._started_unix_ns = started_unix_ns
         try:
             self._file = open(self.path, "xb", opener=owner_only)  # noqa: SIM115, until closing
@@ -95,7 +95,8 @@ class Recorder(Listener):
         self._to_disk()
 
     def step(self, result: StepResult) -> None:
-        """Queue a step for writing; RecordingError if the disk is full, broken or too slow."""
+        """Queue a step for writing. Raises RecordingError if the disk is full, fails or is too
+        slow."""
         if self._queue.qsize() > MOST_WAITING:
             self._failure = self._failure or TimeoutError(
                 0, f"{MOST_WAITING} frames wait for the disk, it is too slow"
@@ -112,7 +113,7 @@ class Recorder(Listener):
     def close(self) -> None:
         """Write everything queued, and finish the file.
 
-        Raises RecordingError if the disk did not take all of it, unless that was reported before.
+        Raises RecordingError if this fails, unless it was reported before.
         """
         thread, self._thread = self._thread, None
         if thread is None:
@@ -128,7 +129,7 @@ class Recorder(Listener):
         return RecordingError(f"{self.path} is cut short: {reason}; what was written is kept")
 
     def _write_all(self) -> None:
-        """Write what is queued until the end; after a failure only close the file."""
+        """Write the queue until the end; after a failure only close the file."""
         try:
             with self._file:
                 while self._write_chunk():
@@ -136,7 +137,7 @@ class Recorder(Listener):
                     self._to_disk()
                 self._writer.finish()
                 self._to_disk()
-        # Any exception must reach the loop: a run must not go on unrecorded.
+        # Pass any exception to the loop: a run must not continue unrecorded.
         except Exception as error:
             self._failure = self._failure or error
 
@@ -157,7 +158,7 @@ class Recorder(Listener):
         return False
 
     def _to_disk(self) -> None:
-        """Sync the file to the disk; raise if its name is gone, which nobody could open later."""
+        """Sync the file to disk. Raises OSError if the file was removed or replaced."""
         self._file.flush()
         os.fsync(self._file.fileno())
         try:
@@ -180,7 +181,7 @@ class Recorder(Listener):
         self._steps += 1
 
     def _is_new(self, image: NDArray[np.uint8], number: int) -> bool:
-        """Return whether an image differs from the one before, whatever its source says."""
+        """Return whether an image differs from the last one, whatever its number."""
         before, self._image = self._image, (image, number)
         return (
             before is None

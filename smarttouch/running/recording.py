@@ -1,4 +1,4 @@
-"""Recordings of runs, also cut or damaged ones: their steps and arrays."""
+"""Reading of recordings, also cut or damaged ones: steps, events and arrays."""
 
 import json
 from collections.abc import Generator, Iterator
@@ -26,13 +26,13 @@ from smarttouch.running.recording_format import (
     digest_of,
 )
 
-_MOST_BYTES = 2**40  # largest recording: a month
-_MOST_RECORD_BYTES = 128 * 2**20  # largest chunk: ours have some MB, and perhaps a large image
+_MOST_BYTES = 2**40  # largest recording, about a month
+_MOST_RECORD_BYTES = 128 * 2**20  # largest chunk; usual ones have some MB
 
 
 @dataclass(frozen=True, eq=False)
 class RunArrays:
-    """All numbers of a run; the page *Recordings* lists shapes, units and meanings."""
+    """All arrays of a run; the page *Recordings* lists shapes, units and meanings."""
 
     step: NDArray[np.int64]
     time_ns: NDArray[np.int64]
@@ -71,12 +71,12 @@ _SLOTS = ("current_ua", "width_us", "discharge_us", "site")
 
 def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
     columns: dict[str, list[Any]] = {field.name: [] for field in fields(RunArrays)}
-    row_of: dict[int | None, int] = {}  # by the board's number
+    row_of: dict[int | None, int] = {}  # row by sequence number
     columns["first_slot"].append(0)
     for row, recorded in enumerate(steps):
         sent, sequence = recorded.sent, recorded.step.sequence
         recharge_ua = sequence.recharge_ua
-        # Most arrays have the name that their numbers have in the message.
+        # Most arrays have the same names as in the messages.
         values = recorded.message | {
             "step": recorded.index,
             "sent": -1 if sent.number is None else sent.number,
@@ -95,7 +95,7 @@ def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
     sides = {"current_ua": [electrodes], "activation": [3, electrodes], "recharge_ua": [electrodes]}
     arrays = {}
     for field in fields(RunArrays):
-        # A dtype before NumPy 2.5, and its scalar from then on.
+        # a dtype before NumPy 2.5, a scalar type since
         kind: Any = get_args(field.type)[-1]
         kind = (get_args(kind) or (kind,))[0]
         made: Any = columns[field.name]
@@ -106,7 +106,7 @@ def _arrays(steps: Iterator[RecordedStep], electrodes: int) -> RunArrays:
 
 
 class RecordedRun:
-    """A recording of a run, also one that was cut or damaged: see `smarttouch.load_recording`.
+    """Recording of a run, possibly cut or damaged, see `smarttouch.load_recording`.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class RecordedRun:
     about : dict of str to str
         Description of the run: profile, settings, versions.
     damaged_chunks, broken_steps : int
-        What could not be read in the last reading.
+        Numbers of unreadable chunks and steps in the last reading.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -134,7 +134,7 @@ class RecordedRun:
             raise RecordingError(f"{path} is not a recording of SmartTouch")
         if version != FORMAT:
             raise RecordingError(
-                f"{path} is a recording of format {version!r}, this version reads {FORMAT}: "
+                f"{path} is a recording of format {version!r}, but this version reads {FORMAT}: "
                 "use the version that made it"
             )
         if self.about.get("digest") != digest_of(self.about):
@@ -148,7 +148,7 @@ class RecordedRun:
 
     @property
     def whole(self) -> bool:
-        """True if it ended properly, and everything read so far was intact."""
+        """True if the recording ended properly, and everything read so far was intact."""
         return self._ended and not self.damaged_chunks and not self.broken_steps
 
     @cached_property
@@ -178,16 +178,14 @@ class RecordedRun:
 
     @cached_property
     def run(self) -> RecordedConfig:
-        """Configuration of the run, with all that sequences depend on."""
+        """Configuration of the run, with everything that sequences depend on."""
         try:
             return RecordedConfig.model_validate(self.settings)
         except (SmartTouchError, LookupError, AttributeError) as error:
-            raise RecordingError(
-                f"the settings in {self.path} do not say how it was made: {error}"
-            ) from None
+            raise RecordingError(f"the settings in {self.path} are incomplete: {error}") from None
 
     def steps(self) -> Generator[RecordedStep, None, None]:
-        """Yield all steps that are complete, in order."""
+        """Yield all complete steps, in order."""
         decoder = StepDecoder(len(self.profile.electrodes))
         for topic, message in self.messages():
             at_ns = message.log_time - self.started_unix_ns
@@ -198,18 +196,18 @@ class RecordedRun:
 
     @cached_property
     def arrays(self) -> RunArrays:
-        """All numbers of the run, read at their first use."""
+        """Arrays of the run, read at first use."""
         return _arrays(self.steps(), len(self.profile.electrodes))
 
     def contents(self, topic: str) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Yield the time of each message of a topic, ns since the start, and its content."""
+        """Yield time, ns since the start, and content of each message of a topic."""
         for name, message in self.messages():
             if name == topic:
                 yield message.log_time - self.started_unix_ns, json.loads(message.data)
 
     @cached_property
     def events(self) -> list[tuple[int, str]]:
-        """Time of each event, ns since the start of the run, and its text."""
+        """Time, ns since the start of the run, and text of each event."""
         return [(time_ns, content["message"]) for time_ns, content in self.contents("/event")]
 
     def messages(self) -> Iterator[tuple[str, Message]]:
@@ -221,7 +219,7 @@ class RecordedRun:
                 continue
             try:
                 parts = breakup_chunk(record, validate_crc=True)
-            # Decompressors and parsers of damaged bytes fail in every way there is.
+            # Damaged bytes can raise any exception in decompressors and parsers.
             except Exception:
                 self.damaged_chunks += 1
                 continue
@@ -232,7 +230,7 @@ class RecordedRun:
                     yield topics[part.channel_id], part
 
     def _records(self) -> Iterator[McapRecord]:
-        """Yield all records up to the end of the file, or to where it is cut or damaged."""
+        """Yield all records up to the end of the file, or up to a cut or damage."""
         try:
             with open_file(self.path, RecordingError, _MOST_BYTES) as file:
                 if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
@@ -245,7 +243,7 @@ class RecordedRun:
             raise unreadable(RecordingError, self.path, error) from None
         except RecordingError:
             raise
-        # The parser fails in every way there is where bytes are missing or damaged.
+        # Missing or damaged bytes can raise any exception in the parser.
         except Exception:
             return
 
@@ -256,7 +254,7 @@ def load_recording(path: Path | str) -> RecordedRun:
     Parameters
     ----------
     path : Path or str
-        A recording. A cut or damaged one gives every step that is complete.
+        A recording. A cut or damaged one yields all complete steps.
 
     Returns
     -------

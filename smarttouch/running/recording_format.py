@@ -1,6 +1,6 @@
-"""Format of recordings: what describes a run, and its steps as JSON messages and back.
+"""Format of recordings: description of a run, and conversion of steps to JSON messages and back.
 
-Steps are lossless in all that sequences depend on.
+The format preserves exactly everything that sequences depend on.
 """
 
 import base64
@@ -33,11 +33,11 @@ from smarttouch.stimulation.scan_sequence import (
 )
 from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
 
-FORMAT = "2"  # version of the format, raised when older readers can no longer read it
+FORMAT = "2"  # version of the format; increase it when older readers cannot read it
 METADATA = "smarttouch"  # name of the metadata record that describes the run
 Message = dict[str, Any]
 
-# Parts of a step's message: names of attributes with their types, or the packing of an array.
+# Parts of a step's message: attributes with their types, or the packing of arrays.
 _INPUT = {"time_ns": int, "number": int, "age_ns": int, "stale": bool}
 _POSE = ("x_mm", "y_mm", "angle_rad")
 _SEQUENCE = {"period_us": int, "intensity": float, "recharge_us": int}
@@ -66,23 +66,23 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
     "/step": ("smarttouch.Step", {name: {"type": ["number", "null"]} for name in _NUMBERS}),
     "/event": ("foxglove.Log", _LOG),
 }
-"""Name of each topic's schema, and the properties of its messages that Foxglove can show."""
+"""Schema of each topic, and the properties of its messages that Foxglove can show."""
 
-# Of all that OpenCV offers, this is fastest and smallest on frames with a sensor's noise.
+# For frames with sensor noise these options are the fastest and give the smallest files.
 _PNG = (
     cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
 )  # fmt: skip
 _INFO = 2  # level of events in foxglove.Log
-_REMEMBERED = 512  # sequences kept for later measurements of their voltage: a second or more
+_REMEMBERED = 512  # sequences stored for later measurements of voltage: more than a second
 _LONGEST_US = 10_000_000  # longest time between two stimuli: the period of the slowest rate
 _INVALID = (ValueError, TypeError, LookupError, AttributeError, OverflowError, cv2.error)
-"""Exceptions of messages that are valid JSON with invalid content."""
+"""Exceptions raised by valid JSON with invalid content."""
 
 
 class RecordedConfig(RunConfig):
-    """Configuration of a recorded run, with what its sequences depend on beside it.
+    """Configuration of a recorded run, with everything else that its sequences depend on.
 
-    ``carried_pc`` is the net charge of each electrode before a balanced run; empty if none.
+    ``carried_pc`` is the net charge of each electrode before a balanced run, or empty.
     """
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="ignore")
@@ -102,16 +102,16 @@ class RecordedConfig(RunConfig):
 
 
 def recorded_settings(config: RunConfig, profile: Profile) -> dict[str, Any]:
-    """Return what a recording keeps of a configuration, ready for JSON."""
+    """Return the recorded settings of a configuration, for JSON."""
     settings = config.model_dump(mode="json", exclude={"scan", "seconds", "intensity", "paced"})
     shared = [afferent.name for afferent in config.sharing(profile).afferents]
     return settings | {"sharing": {"primaries": shared}}
 
 
 def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) -> dict[str, str]:
-    """Return the description of a run in its recording, with the software versions and a digest.
+    """Return the description of a run, with software versions and a digest.
 
-    Of the settings, `RecordedConfig` is what sequences depend on; all others are for readers.
+    Sequences depend only on the settings in `RecordedConfig`; others are for information.
     """
     versions = {
         "smarttouch": __version__, "python": platform.python_version(), "numpy": np.__version__,
@@ -149,7 +149,7 @@ def event_message(words: str, unix_ns: int) -> Message:
 
 
 def step_message(result: StepResult) -> Message:
-    """Return all of a step but its image."""
+    """Return a step, without its image."""
     step, step_input, sequence = result.step, result.step.input, result.step.sequence
     pulse, proof = result.first_pulse, sequence.proof
     return {
@@ -185,7 +185,7 @@ def step_message(result: StepResult) -> Message:
 
 @dataclass(frozen=True, eq=False)
 class RecordedStep:
-    """One recorded step of a run, by its number from 0; one missing in a file is not yielded."""
+    """Recorded step of a run, with its number from 0; numbers of missing steps are skipped."""
 
     index: int
     sent: StepResult
@@ -198,7 +198,7 @@ class RecordedStep:
 
 @dataclass
 class StepDecoder:
-    """Decodes the messages of a run in the order of the file; invalid ones count as ``broken``."""
+    """Decodes the messages of a run in the order of the file; ``broken`` counts invalid ones."""
 
     electrodes: int
     broken: int = 0
@@ -208,13 +208,13 @@ class StepDecoder:
     _sequences: OrderedDict[int, ScanSequence] = field(default_factory=OrderedDict)
 
     def take(self, topic: str, index: int, data: bytes, at_ns: int) -> RecordedStep | None:
-        """Return the step in a message of a time; None for others, and for invalid ones."""
+        """Return the step in a message; None for other topics and for invalid messages."""
         try:
             if topic == "/frame":
                 self._image, self._image_index = _image_of(json.loads(data)), index
             elif topic == "/step":
                 message, longest_us = json.loads(data), LONGEST_PERIOD_US
-                # Else a replay would wait for ever.
+                # Otherwise a replay could wait forever.
                 if message["time_ns"] != at_ns or not 0 < message["period_us"] <= longest_us:
                     raise ValueError("not a time of this run")
                 return RecordedStep(index, self._step(index, message), message)
@@ -315,7 +315,8 @@ def _packed(values: NDArray[Any] | None, kind: DTypeLike) -> str | None:
 
 
 def _unpacked(text: str | None, kind: DTypeLike, *shape: int) -> Any:
-    """Return an array in the machine's byte order, None for null; ValueError for another size."""
+    """Return an array in native byte order, or None for null. Raises ValueError for a wrong
+    size."""
     if text is None:
         return None
     values = np.frombuffer(base64.b64decode(text, validate=True), kind)
@@ -323,7 +324,7 @@ def _unpacked(text: str | None, kind: DTypeLike, *shape: int) -> Any:
 
 
 def _finite(value: float) -> float | None:
-    """Return a number for JSON: null for NaN, the largest for an infinite one."""
+    """Return a number for JSON: None for NaN, the largest float for infinity."""
     value = float(value)
     if math.isnan(value):
         return None

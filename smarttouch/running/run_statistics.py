@@ -15,12 +15,12 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.running.step import FirstPulse, StepResult
 from smarttouch.sources.source_contract import Source
 
-_PER_E = 100  # bins for each factor of e: a figure is true to half a percent
+_PER_E = 100  # bins per factor of e, for an accuracy of 0.5 %
 _FACTORS = 17  # from 1 µs to 24 s
 
 
 class LatencyHistogram:
-    """Histogram of durations in bins of one percent; the largest is kept as it is."""
+    """Histogram of durations in bins of 1 %, with the exact maximum."""
 
     def __init__(self) -> None:
         self.bins: NDArray[np.int64] = np.zeros(_PER_E * _FACTORS + 1, np.int64)
@@ -37,7 +37,7 @@ class LatencyHistogram:
         self.bins[index] += 1
 
     def quantile(self, share: float) -> float:
-        """Return the duration that so many are not above, µs."""
+        """Return a quantile of the durations, µs."""
         if not self.count:
             return 0.0
         index = int(np.searchsorted(np.cumsum(self.bins), share * self.count))
@@ -50,7 +50,7 @@ class LatencyHistogram:
 
 @dataclass
 class RunStatistics:
-    """Statistics of a run, kept as it goes.
+    """Statistics of a run, updated at each step.
 
     Examples
     --------
@@ -64,61 +64,61 @@ class RunStatistics:
         )
 
     frames: int = 0
-    """Sequences sent; each from one input."""
+    """Number of sequences sent."""
     seen: int = 0
-    """Different frames or stimuli that were read."""
+    """Number of distinct frames or stimuli read."""
     delivered: int = 0
-    """Different frames or stimuli of which a sequence was sent."""
+    """Number of distinct frames or stimuli sent."""
     real_time: bool = False
     """Whether the loop's thread had real-time priority."""
     slots: int = 0
     slowed: int = 0
-    """Sequences longer than the period asked for."""
+    """Number of sequences longer than the requested period."""
     lowest_rate_hz: float = float("inf")
     late: int = 0
-    """Frames that came more than a period after their time."""
+    """Number of frames more than one period late."""
     restarts: int = 0
-    """Number of times that the board was lost and restarted."""
+    """Number of losses of the board with a restart."""
     lifts: int = 0
-    """Number of times that the board found the finger lifted."""
+    """Number of times that the board detected a lifted finger."""
     blind: int = 0
-    """Sequences without current because the force or the image was not known."""
+    """Number of sequences without current because force or image were unknown."""
     active: float = 0.0
     off_target: float = 0.0
-    """Largest of all proofs: what points that share slots did to other classes."""
+    """Largest off-target activation of shared slots."""
     spill: float = 0.0
-    """And to their own class elsewhere."""
+    """Largest spill of shared slots."""
     kernels: KernelBank | None = None
-    """Kernels that points have by themselves."""
+    """Kernels of single points."""
     modes: set[Mode] = field(default_factory=set)
-    """Modes in which slots were sent."""
+    """Modes with slots."""
     seconds: float = 0.0
     scan_us: int = 0
-    """Sum of the periods of all sequences sent."""
+    """Total duration of sent sequences."""
     asked_us: int = 0
-    """Sum of the periods they would have had if their slots had fit."""
+    """Total requested duration of sent sequences."""
     latency: LatencyHistogram = field(default_factory=LatencyHistogram)
     """From the input in hand to the last byte written."""
     motion_to_bytes: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """From the taking of the image to the last byte written."""
+    """Time from the capture of the image to the last byte written."""
     first_pulse: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """From the taking of the image to its first pulse, where the board says when it began."""
+    """Time from the capture of the image to its first pulse, if the board reports it."""
     waited: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """From the last byte written to the first pulse."""
+    """Time from the last byte written to the first pulse."""
     work: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """Processor time that a frame took the loop, without waiting."""
+    """Processor time of the loop for a frame."""
     period_error: LatencyHistogram = field(default_factory=LatencyHistogram)
-    """Error of the time between two frames against their period."""
+    """Deviation of the time between two frames from their period."""
     ended: str = ""
-    """Reason for which the run has ended."""
+    """Reason for the end of the run."""
     notes: list[str] = field(default_factory=list)
     """Sentences for the user after the run."""
     figures: dict[str, Any] = field(default_factory=dict)
-    """All figures of the run by name, complete after its end; for JSON."""
+    """Figures of the run by name, for JSON; complete after the end."""
     _last_sent: int | None = None
 
     def enter(self, result: StepResult, error_us: float | None) -> None:
-        """Enter a step whose sequence was sent."""
+        """Add a step whose sequence was sent."""
         step, sequence = result.step, result.step.sequence
         self.frames += 1
         self.delivered += step.input.number != self._last_sent
@@ -144,13 +144,13 @@ class RunStatistics:
 
     @property
     def work_share(self) -> float:
-        """The loop's own work, of the time that the board scans."""
+        """Computing time of the loop relative to the duration of scans."""
         return self.work.total_us / self.scan_us if self.scan_us else 0.0
 
     @property
     def selectivity(self) -> tuple[float, float] | None:
-        """Most that other classes got, and the own class elsewhere, over the target's; None where
-        nothing is known: bounds of shared slots, and figures of all kernels of the modes."""
+        """Largest off-target activation and spill, from shared slots and from the kernels of all
+        modes; None if unknown."""
         bank, other, spill = self.kernels, self.off_target, self.spill
         if bank is None or bank.discs:
             return (other, spill) if other or spill else None
@@ -163,7 +163,7 @@ class RunStatistics:
     def complete(
         self, source: Source, board: Board, report: BoardReport | None, ended: str
     ) -> None:
-        """Set all figures of a run, ready for JSON; the board's own are None after a fault."""
+        """Set all figures of a run; those of the board are None after a fault."""
         other, spill = self.selectivity or (None, None)
         first_pulse, waited = (
             spread.figures() if spread.count else None for spread in (self.first_pulse, self.waited)

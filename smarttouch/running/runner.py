@@ -1,4 +1,4 @@
-"""Runs: one put together and ended at zero whatever happens, by name in a program, or replayed."""
+"""Runs: their assembly and their end at zero, and functions to run, step and replay."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator
@@ -46,12 +46,12 @@ MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]
 
 
 class Runner:
-    """One run of a source on a display; the source is closed at its end.
+    """One run of a source on a display; the source is closed at the end.
 
-    ``force`` is a source of finger force or its URL: if not given, where a finger may be on the
-    board that of the profile's ``force.source``, else what source or board measure.
-    ``load_kernels`` returns the kernels of a profile, ``controls`` makes the controls from their
-    first state and the modes offered. Time is the board's, and the machine's where a run is paced.
+    ``force`` is a source of finger force or its URL. The default is the profile's ``force.source``
+    if a finger may be on the board, else the force from source or board. ``load_kernels`` returns
+    the kernels of a profile. ``controls`` makes the controls from the initial state and the offered
+    modes. Time is the board's, or real time if the run is paced.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Runner:
     def run(self) -> RunStatistics:
         """Run until the source ends or a stop is requested; return the statistics.
 
-        Raises whatever keeps the run from beginning or going on; the display is at zero.
+        Raises any error that prevents or ends the run; the display is then at zero.
         """
         with self.running(orderly=True) as loop:
             if isinstance(self.source, Program):
@@ -93,16 +93,16 @@ class Runner:
 
     @contextmanager
     def running(self, *, orderly: bool = False) -> Iterator[Loop]:
-        """Open the display for a block and yield the loop that delivers the source's inputs.
+        """Open the display for a block, and yield the loop that delivers inputs.
 
-        The display is at zero after the block, whatever has ended it. If ``orderly``, a signal
-        only requests a stop, and the block ends by itself.
+        The display is at zero after the block. If ``orderly``, a signal only requests a stop, and
+        the block ends by itself.
         """
         source, display, statistics = self.source, self.display, self.statistics
         board, stop, ended = display.board, self._stop, "fault"
         report: BoardReport | None = None
         with contextlib.ExitStack() as stack:
-            # First of all, so that it ends last: whoever stops the run waits for its recording.
+            # Enter this first, so that it is left last: a stop then also waits for the recording.
             to_its_end = stack.enter_context(stoppable_run(stop, board))
             stack.enter_context(display.stopping.on_stop(lambda: stop.ask(display.stopping.reason)))
             for listener in reversed(self._listeners):
@@ -140,13 +140,13 @@ class Runner:
             statistics.notes += listener.notes
 
     def _prepared(self) -> tuple[RunContext, Pipeline]:
-        """Do all that takes long: the board is not open."""
+        """Do all slow preparations before the board is opened."""
         config, source, display = self.config, self.source, self.display
         driver, profile = display.board.driver, display.profile
         if display.on_a_finger:
             if config.intensity is None:
                 raise SmartTouchError(
-                    "a finger may be on the board, and no intensity is set: give one, for example "
+                    "a finger may be on the board, but no intensity is set: give one, for example "
                     "--intensity 0.3"
                 )
             profile = source.narrowed(profile)
@@ -178,7 +178,8 @@ class Runner:
 
     @contextmanager
     def _open_loop(self, context: RunContext, pipeline: Pipeline) -> Iterator[Loop]:
-        """Open the board for a block and yield its loop; the board is closed, at zero, after it."""
+        """Open the board for a block and yield its loop; afterwards the board is closed, at
+        zero."""
         board, profile, source = context.board, context.profile, self.source
         on_a_finger = self.display.on_a_finger
         clock = SimulatedClock() if board.simulated_time and not self.config.paced else None
@@ -212,14 +213,14 @@ class Runner:
         rms = rms_ma_cm2(profile)
         if on_a_finger and rms > ADVISORY_RMS_MA_CM2:
             board.notes.append(
-                f"at full intensity an electrode's own pulses are {rms:.0f} mA/cm² r.m.s.: above "
-                f"{ADVISORY_RMS_MA_CM2:g}, IEC 60601-2-10 wants the operator's attention"
+                f"at full intensity the pulses of an electrode are {rms:.0f} mA/cm² r.m.s.: above "
+                f"{ADVISORY_RMS_MA_CM2:g}, IEC 60601-2-10 requires the operator's attention"
             )
         if on_a_finger and not self.statistics.real_time:
             board.notes.append(priority_advice())
 
     def _notes(self) -> list[str]:
-        """Return what this run's board, source and force have noted so far."""
+        """Return the notes of board, source and force so far."""
         noted = self.display.board.notes[self.display.notes_reported :]
         return [*noted, *self.source.notes, *(() if self._force is None else self._force.notes)]
 
@@ -231,7 +232,7 @@ class Runner:
         return int(self.statistics.seconds * 1e9)
 
     def _require_force(self) -> None:
-        """Raise if no source of force could let current flow."""
+        """Raise SmartTouchError if there is no force that allows current."""
         source, force, board = self.source, self._force, self.display.board
         finger = self.display.on_a_finger
         if force is not None:
@@ -249,26 +250,26 @@ class Runner:
 
 
 def _warnings(profile: Profile, bank: KernelBank, mode: Mode) -> Iterator[str]:
-    """Yield what the user of a real finger should know before the current flows."""
+    """Yield warnings for a real finger before current flows."""
     simulated = [
         name for name, note in profile.calibrated.items() if note.found.startswith("simulated")
     ]
     if simulated:
         yield (
-            f"Of the profile {', '.join(simulated)} were calibrated in simulation, on no "
-            "finger: calibrate again, and turn the current up slowly."
+            f"The profile's {', '.join(simulated)} were calibrated in simulation, not on a real "
+            "finger: calibrate again, and raise the intensity slowly."
         )
     if mode is Mode.PC:
         worst = float(bank.off_target[Afferent.PC].max())
         yield (
-            f"PC mode is not selective: classes nearer to the surface get up to {worst:.1f} times "
-            f"what PC does, and answer at {1 / worst:.0%} of its current. Raise the intensity "
+            f"PC mode is not selective: shallower classes are activated up to {worst:.1f} times "
+            f"as strongly as PC, and fire at {1 / worst:.0%} of its current. Raise the intensity "
             "slowly."
         )
 
 
 def _account(report: BoardReport, dose: Dose) -> list[str]:
-    """Return in sentences what a board delivered."""
+    """Return sentences about what a board delivered."""
     return [
         f"counted by the {report.by}: {report.slots} slots, strongest "
         f"{report.max_current_ma:.3f} mA, {report.max_charge_uc:.3f} µC, {report.violations} "
@@ -294,30 +295,31 @@ def run(
     Parameters
     ----------
     source : Source, str, Path, ndarray or iterable
-        A source, closed at the end; or its URL; the path of an image, document, video or recording;
-        images (N, H, W) uint8; or an iterable of images, one for each sequence.
+        A source, which is closed at the end; a URL; the path of an image, document, video or
+        recording; images (N, H, W) uint8; or an iterable of images, one for each sequence.
     display : Display or str
         A display, or the URL of its board.
     config : RunConfig, optional
         Settings of the run.
     listeners : iterable of Listener or callable
-        Follow the run; a plain function is given each `StepResult`.
+        Listeners; a plain function receives each `StepResult`.
     force : ForceSource or str, optional
-        Finger force, or its URL; that of the source or board if not given. Where a finger may be on
-        the board, it must be measured, or stated as ``"fixed:0.9"`` or the profile's
+        Source of finger force, or its URL; by default the source or the board. If a finger may be
+        on the board, force must be measured, or stated as ``"fixed:0.9"``, here or in the profile's
         ``force.source``.
     imaging : callable, optional
-        Returns the activation, (3, E) in [0, 1], of a `Frame` for electrodes, in place of
-        binarization.
+        Function that converts a `Frame` to activation, (3, E) in [0, 1], instead of the built-in
+        imaging.
     stop : StopRequest, optional
-        Ends the run from elsewhere; so does `Display.stop`.
+        Request that ends the run, like `Display.stop`.
     **settings
-        Settings of `RunConfig` in place of those: ``mode``, ``seconds``, ``intensity`` …
+        Settings of `RunConfig` that replace those of ``config``: ``mode``, ``seconds``,
+        ``intensity`` …
 
     Raises
     ------
     SmartTouchError
-        Whatever keeps the run from beginning or going on; the display is at zero.
+        Any error that prevents or ends the run; the display is then at zero.
 
     Examples
     --------
@@ -346,9 +348,9 @@ def steps(
     kernels: KernelBank | None = None,
     **settings: Any,
 ) -> Iterator[Step]:
-    """Yield each frame of a source with its tactile image and sequence: no board, no clock.
+    """Yield each frame of a source with its tactile image and sequence, without board and clock.
 
-    Sequences are those for a board that keeps kernels, as ``emulator:`` and ``simulated:`` do.
+    Sequences are as for a board that stores kernels, such as ``emulator:`` and ``simulated:``.
 
     Parameters
     ----------
@@ -359,9 +361,9 @@ def steps(
     config : RunConfig, optional
         Settings of the run.
     kernels : KernelBank, optional
-        Those of the profile if not given.
+        By default the kernels of the profile.
     **settings
-        Settings of `RunConfig` in place of those; ``intensity`` is 1 if not given.
+        Settings of `RunConfig` that replace those of ``config``; ``intensity`` is 1 by default.
 
     Examples
     --------
@@ -395,20 +397,19 @@ def replay(
     stop: StopRequest | None = None,
     **settings: Any,
 ) -> RunStatistics:
-    """Run what a recording holds on a display once more, with its modes and levels.
+    """Play a recording on a display, with the recorded modes and levels.
 
     Parameters
     ----------
     path : Path or str
         The recording.
     display : Display
-        Its profile may be another than the recorded one. Where a finger may be on the board, the
-        recording lowers its limits, never raises them, and the recorded force opens no current.
+        Its profile may differ from the recorded one. If a finger may be on the board, the recording
+        only lowers limits, and the recorded force is not used.
     listeners, force, stop
         See `run`.
     **settings
-        Settings of `RunConfig` in place of the recorded ones; ``intensity`` is a part of the
-        recorded.
+        Settings of `RunConfig` that replace recorded ones; ``intensity`` scales the recorded one.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Steps of a run, from an input to the sequence sent, and whatever listens to them."""
+"""Steps of a run, from the input to the sent sequence, and their listeners."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
     from smarttouch.sources.source_contract import Source
 
 Measured = tuple[ScanSequence, NDArray[np.float32]]
-"""A sequence that was delivered, and what its source needed in each slot, (S,) V."""
+"""A delivered sequence, and the voltage of the source in each slot, (S,) V."""
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One input's way to a sequence, and all that it depended on.
+    """Input with its sequence, and everything that the sequence depended on.
 
-    ``input`` has the force that counted, ``sequence`` is as sent, ``level`` what the user asked
-    for, [0, 1]; ``restarted`` says that intensity began at zero here, ``asked_us`` the period that
-    was wanted, ``observed`` what the board had measured until then, ``allowed`` the strength that
-    its ramp allowed, None without a board.
+    ``input`` has the effective force. ``level``, in [0, 1], is the user's intensity. ``restarted``
+    is whether intensity restarted at zero. ``asked_us`` is the requested period. ``observed`` are
+    the measurements of the board before. ``allowed`` is the strength that the ramp allowed, None
+    without a board.
     """
 
     __repr__ = one_line
@@ -59,9 +59,9 @@ class FirstPulse:
     number : int
         The board's number of the sequence.
     latency_us : float, µs
-        From the taking of its image to its first pulse.
+        Time from the capture of its image to its first pulse.
     waited_us : float, µs
-        From its last byte written to its first pulse.
+        Time from its last byte written to its first pulse.
     """
 
     number: int
@@ -71,25 +71,25 @@ class FirstPulse:
 
 @dataclass(frozen=True, eq=False)
 class StepResult:
-    """One step, and how it was sent.
+    """Step, and how it was sent.
 
     Attributes
     ----------
     step : Step
     number : int or None
-        The board's number of its sequence; None if the board was lost with it.
+        Number of the sequence on its board; None if it was lost with the board.
     latency_us : float
         From the input in hand to the last byte written.
     work_us : float
-        Processor time that it took the loop.
+        Processor time of the loop.
     acknowledged, refused : int
-        Sequences that the board had begun to deliver, or declined, until then.
+        Numbers of sequences that the board had begun to deliver, and had refused.
     clock_ns : int
-        Real time since the start at which the loop began the step: later than that of its input by
-        all delays of the computer until then. -1 if unknown.
+        Real time since the start of the run at which the step began, including all delays; -1 if
+        unknown.
     first_pulse : FirstPulse or None
-        Of the newest sequence whose start the board has reported since the step before: one or two
-        before this. None for boards that never report it.
+        First pulse of the latest sequence whose start the board reported since the last step. None
+        if there is no report.
 
     Examples
     --------
@@ -114,7 +114,7 @@ class StepResult:
 
     @property
     def input(self) -> Input:
-        """Frame or stimulus that the step began with."""
+        """Frame or stimulus of the step."""
         return self.step.input
 
     @property
@@ -124,18 +124,18 @@ class StepResult:
 
     @property
     def sequence(self) -> ScanSequence:
-        """Sequence that was sent."""
+        """Sent sequence."""
         return self.step.sequence
 
     @property
     def delivered_ma(self) -> NDArray[np.float32]:
-        """Current at each point that is stimulated, (E,) mA; 0 where none is."""
+        """Current at each stimulated point, (E,) mA; 0 elsewhere."""
         sequence = self.step.sequence
         delivered_ma = np.zeros(sequence.electrodes, np.float32)
         current_ma = np.abs(sequence.current_ua.astype(np.float32)) / 1000
         delivered_ma[sequence.site] = current_ma.max(axis=1, initial=0)
         if sequence.points > sequence.slots:
-            # Several share a slot.
+            # Several points share a slot.
             points = np.flatnonzero(self.step.tactile.activation.any(axis=0))
             delivered_ma[points] = current_ma.max(axis=0)[points]
         return delivered_ma
@@ -143,9 +143,9 @@ class StepResult:
 
 @dataclass
 class RunContext:
-    """Parts of a run that its listeners may look at, and must not change.
+    """Parts of a run for its listeners, which must not change them.
 
-    ``settings`` is all that sequences depend on and where it came from, ready for JSON.
+    ``settings`` is everything that sequences depend on, for JSON.
     """
 
     source: "Source"
@@ -159,16 +159,16 @@ class RunContext:
 
 
 class Listener:
-    """Follows a run; each method does nothing unless it is overridden.
+    """Base of listeners, which follow a run; methods do nothing by default.
 
-    An exception in any of them ends the run, with the board at zero.
+    An exception in any method ends the run, with the board at zero.
 
     Attributes
     ----------
     notes : list of str
         Sentences for the user after the run.
     vibrates_pc : bool
-        Whether PC gets vibration from it, and so no current.
+        Whether this listener vibrates PC, which then receives no current.
 
     Examples
     --------
@@ -191,22 +191,22 @@ class Listener:
         self.notes = []
 
     def prepare(self, run: RunContext) -> None:
-        """Do all that takes long: the board is not open yet."""
+        """Do slow preparations before the board is opened."""
 
     def start(self, run: RunContext) -> None:
-        """Begin: the board is open, at zero."""
+        """Begin, with the board open and at zero."""
 
     def step(self, result: StepResult) -> None:
-        """Process a step; called by the loop, so it must be quick."""
+        """Process a step. The loop calls this, so it must be fast."""
 
     def event(self, event: Event) -> None:
-        """Process an event, also before the start; from any thread."""
+        """Process an event, from any thread, also before the start."""
 
     def finish(self, run: RunContext) -> None:
-        """Complete what only a run without a fault has: the board is closed."""
+        """Complete results after a run without a fault; the board is closed."""
 
     def close(self) -> None:
-        """Release everything, whatever has happened; a second call does nothing."""
+        """Release resources, in any case; a second call does nothing."""
 
 
 class OnStep(Listener):
@@ -232,9 +232,9 @@ class OnEvent(Listener):
 
 
 def as_listeners(followers: Iterable[Listener | Callable[[StepResult], object]]) -> list[Listener]:
-    """Return listeners; plain functions are called with each step.
+    """Convert functions of a step to listeners.
 
-    Raises a SmartTouchError for what is neither.
+    Raises SmartTouchError for other objects.
     """
     listeners = list(followers)
     for listener in listeners:

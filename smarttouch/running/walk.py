@@ -1,4 +1,4 @@
-"""Pulses on one electrode after another, while someone feels or watches."""
+"""Electrode sweep: pulses on one electrode after another, to feel or watch."""
 
 import math
 from collections.abc import Sequence
@@ -16,14 +16,14 @@ from smarttouch.running.runner import Runner
 
 
 class ElectrodeReached(Note):
-    """The walk reached an electrode."""
+    """The sweep reached an electrode."""
 
 
 class Walk(Program):
-    """Pulses on one electrode after another; on each, current rises from zero.
+    """Program that drives one electrode after another, with a current that rises from zero.
 
-    Each electrode gets ``current_ma`` against all others, for ``seconds`` or until `go_on`; masked
-    ones are left out.
+    Each electrode is driven with ``current_ma`` against all others, for ``seconds`` or until
+    `go_on`. Masked electrodes are left out.
     """
 
     fixed_mode: ClassVar[bool] = True
@@ -47,7 +47,7 @@ class Walk(Program):
         self._sites = range(len(profile.electrodes)) if sites is None else sites
 
     def go_on(self) -> None:
-        """Leave the present electrode; from any thread."""
+        """Go to the next electrode; from any thread."""
         self._leaves = True
 
     def program(self) -> None:
@@ -56,7 +56,7 @@ class Walk(Program):
         period_us = round(1e6 / self._profile.pulse.rate_hz)
         with self._turn():
             for site in self._sites:
-                # Not above what is comfortable there.
+                # Limit the current to the comfort level of the electrode.
                 most_ma = min(self._current_ma, float(self._profile.full_ma[site]))
                 masked = site in self._profile.output.masked
                 words = "masked" if masked else f"up to {most_ma:.4g} mA ({how})"
@@ -66,15 +66,15 @@ class Walk(Program):
                 activation, level = self._nothing.copy(), 0.0
                 activation[Afferent.RA, site] = 1
                 self._leaves, began_ns = False, self.now_ns
-                # By the time of what was sent: a computer that stood still has tried nothing.
+                # Count the time of sent sequences, not pauses of the computer.
                 while not level or (not self._leaves and self.now_ns - began_ns < each_ns):
                     self._count += 1
                     self._send(self._stimulus(activation, period_us, level))
-                    # From zero: intensity rises no faster than the ramp.
+                    # Intensity rises from zero, no faster than the ramp.
                     level = float(most_ma / self._profile.full_ma[site])
 
 
 def run_walk(walk: Walk, display: Display, **options: Any) -> None:
-    """Run a walk, whose strength is an argument of its own; the options are those of `Runner`."""
+    """Run a sweep at full intensity; ``options`` are those of `Runner`."""
     config = RunConfig(scan="points", intensity=1.0)
     Runner(walk, display, config, load_kernels=single_bank, **options).run()

@@ -1,1 +1,2 @@
-"""A tactile image becomes a scan sequence, proved safe before a board gets it."""
+"""Conversion of tactile images to scan sequences, which the safety gate proves before they are
+sent."""

@@ -1,8 +1,8 @@
-"""Adaptation to measured voltages: charge or energy held constant as impedance drifts.
+"""Impedance control: charge or energy stays constant while impedance drifts with sweat and
+pressure.
 
-The impedance of an electrode drifts with sweat and pressure. A source near its
-greatest voltage then delivers less than asked; and at the same current, more
-voltage is more energy (paper, Section IV-B, which holds that constant).
+A source near its compliance delivers less than requested. At constant current, more voltage means
+more energy, which the paper keeps constant (Section IV-B).
 """
 
 from typing import Literal
@@ -14,28 +14,27 @@ from smarttouch.profile import Profile
 from smarttouch.stimulation.scan_sequence import ScanSequence, round_charge_balanced
 from smarttouch.stimulation.slots import Slots
 
-NEAR = 0.92  # part of the compliance above which a source counts as saturated
+NEAR = 0.92  # share of the compliance above which a source counts as saturated
 FASTEST_FALL = 0.8
 FASTEST_RISE = 1.05
-"""Largest ratio of a site's current between observations; at 50 Hz, 0.3 s from half to full."""
+"""Largest ratio of a site's currents between observations: 0.3 s from half to full at 50 Hz."""
 RESERVED = 0.5
-"""Part of the current asked for with which energy is held from, so that it holds while impedance
-falls to a quarter, too: nothing may carry more than was asked for."""
+"""Initial share of the requested current when energy is held. It leaves room up to a quarter of the
+impedance, as currents never exceed the request."""
 FAINTEST_ENERGY = RESERVED / 4
-"""Least part of its current a site keeps to hold energy: 16 times the first impedance."""
-WORTHWHILE = 0.999  # factor above which a current is left as it is
+"""Smallest share of the current when energy is held, at 16 times the first impedance."""
+WORTHWHILE = 0.999  # factors above this are not applied
 
 Array = NDArray[np.float64]
-Hold = Literal["charge", "energy"]  # quantity held constant against drifting impedance
+Hold = Literal["charge", "energy"]  # quantity to keep constant
 
 
 class Adaptation:
-    """Estimates the impedance of every site, and adapts currents and widths to it.
+    """Estimates the impedance of each site, and adapts currents and widths.
 
-    To hold ``charge``, pulses become weaker and as much longer where the source is near its
-    compliance, which a board with one pulse width cannot do. To hold ``energy``, they begin with
-    `RESERVED` of the current and change by the square root of the change in impedance since the
-    first observation, either way; what was asked for is never exceeded.
+    To hold ``charge``, pulses near the compliance become weaker and longer; the board must allow a
+    width for each slot. To hold ``energy``, currents begin at `RESERVED`. They follow the square
+    root of the impedance ratio since the first observation, and never exceed the request.
     """
 
     def __init__(self, profile: Profile, hold: Hold, compliance_v: float) -> None:
@@ -45,7 +44,7 @@ class Adaptation:
         self._switched = profile.output.kind != "weighted"
         self._near_v = NEAR * compliance_v
         longest = profile.pulse.width_us / profile.limits.pulse_us
-        # Below this a limit would change nothing, and only take long to rise again.
+        # Below this a reduction has no effect, and would only take long to recover.
         self._least_ua = longest * np.asarray(profile.threshold_ma, np.float64) * 1000
         self._highest_ua = np.full(sites, np.inf)
         self._first_kohm = np.full(sites, np.nan)
@@ -54,11 +53,12 @@ class Adaptation:
 
     @property
     def limited(self) -> tuple[int, ...]:
-        """Sites whose pulses cannot become longer, or stronger: charge or energy is not held."""
+        """Sites at which charge or energy is not held, because pulses cannot become longer or
+        stronger."""
         return tuple(np.flatnonzero(self._limited).tolist())
 
     def observe(self, sequence: ScanSequence, volts: NDArray[np.float32]) -> None:
-        """Update by the source's voltages at the end of each pulse, (S,), of a sequence as sent."""
+        """Update the estimates from the source's voltage at the end of each pulse, (S,)."""
         peak_ua = _peak_ua(sequence.current_ua)
         known = (peak_ua > 0) & np.isfinite(volts) & (np.asarray(volts) > 0)
         site, peak_ua = sequence.site[known].astype(np.intp), peak_ua[known]
@@ -70,11 +70,11 @@ class Adaptation:
             self._first_kohm[site[first]] = kohm[first]
             wanted = RESERVED * np.sqrt(self._first_kohm[site] / kohm)
             self._limited[site] = wanted > 1 / WORTHWHILE
-            # Nothing comes on suddenly, not even where a lifted finger is back.
+            # Limit the rise, also after a lifted finger returns.
             wanted = np.fmin(wanted, FASTEST_RISE * self._factor[site])
             self._factor[site] = np.clip(wanted, FAINTEST_ENERGY, 1.0)
             return
-        # A saturated source shows only that less is needed, not how much: step from its last value.
+        # A saturated source does not show how much less is needed: reduce its last value stepwise.
         base_ua = np.where(near, peak_ua, self._highest_ua[site])
         ratio = peak_ua * self._near_v / needed_v / base_ua
         highest_ua = np.where(
@@ -83,9 +83,9 @@ class Adaptation:
         self._highest_ua[site] = np.maximum(highest_ua, self._least_ua[site])
 
     def apply(self, slots: Slots) -> Slots:
-        """Return the adapted slots, in whole µA that sum to zero in every slot and whole µs.
+        """Return adapted slots, in integer µA that sum to zero in each slot, and integer µs.
 
-        No electrode carries more than in the given ones, and no pulse more charge than the limit.
+        No electrode carries more current than before, and no pulse exceeds the charge limit.
         """
         current_ua, width_us, limits = slots.current_ua, slots.width_us, self._limits
         site, peak_ua = slots.site.astype(np.intp), _peak_ua(current_ua)
@@ -97,7 +97,7 @@ class Adaptation:
         else:
             factor = self._factor[site]
         if self._switched:
-            # Weaker ones would be insulated.
+            # Weaker currents would round to insulated electrodes.
             magnitude = np.abs(current_ua.astype(np.float64))
             least = 1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1)
             factor = np.maximum(factor, least)

@@ -1,9 +1,9 @@
-"""Charge balance: reversal of polarity, and a long weak recharge pulse in each scan.
+"""Charge balance by reversed polarity, or by a long weak recharge phase in each scan.
 
-Its current stays at or below a tenth of each electrode's threshold, so that nothing is felt of
-it. A long pulse needs less current than a short one, and neighbors add up: by Weiss's law and the
-shipped profiles the phase of a letter reaches at most 0.27 of what an afferent needs on the
-electric mouse, and 0.44 on the denser Optacon.
+The recharge current is at most a tenth of each electrode's threshold, so it cannot be felt. Long
+pulses need less current than short ones, and neighboring currents add up. By Weiss's law, the
+recharge phase of a letter reaches at most 0.27 of an afferent's threshold on the electric mouse,
+and 0.44 on the denser Optacon.
 """
 
 from dataclasses import dataclass, replace
@@ -27,11 +27,11 @@ _LOWEST = np.iinfo(np.int16).min
 
 
 class ChargeBalance:
-    """Sum of the charge of all sequences, electrode by electrode.
+    """Ledger of the net charge through each electrode.
 
-    It counts current times width of all that sources drive, recharge phases included; the current
-    that flows back through the short circuit after a pulse is unknown and not counted. `charge_pc`,
-    (E,) int64 positive cathodic, is exact.
+    It counts current times width of all pulses and recharge phases. Discharge through the short
+    circuit after a pulse is unknown and not counted. `charge_pc`, (E,) int64, positive cathodic, is
+    exact.
     """
 
     def __init__(self, electrodes: int) -> None:
@@ -39,7 +39,7 @@ class ChargeBalance:
 
     @property
     def charge_uc(self) -> NDArray[np.float64]:
-        """Net charge that has passed each electrode, (E,) µC, positive cathodic."""
+        """Net charge through each electrode, (E,) µC, positive cathodic."""
         return np.asarray(self.charge_pc * 1e-6)
 
     @property
@@ -48,29 +48,28 @@ class ChargeBalance:
         return float(np.abs(self.charge_uc).max(initial=0.0))
 
     def add(self, sequence: ScanSequence, times: int = 1) -> None:
-        """Add a sequence that is delivered a number of times."""
+        """Add a sequence that is delivered ``times`` times."""
         self.charge_pc += times * net_charge_pc(sequence)
 
     def balancing(self, sequence: ScanSequence) -> ScanSequence:
-        """Return a sequence or its reversed twin, whichever balances the charge better.
+        """Return a sequence or its reversal, whichever leaves the smaller sum of squared charges.
 
-        For boards that cannot recharge (`add_recharge`). The one that leaves the smaller sum of
-        squares is taken. The twin has the same sites and the opposite currents, so it keeps all
-        limits that the sequence keeps. **It drives the other class**: what reaches RA reaches SAI
-        when reversed, and vice versa (Fig. 10). It needs a board of both polarities, and has no
-        proof of selectivity. The sum stays as it is.
+        This is for boards without recharge phases (`add_recharge`), but with both polarities. The
+        reversal has the opposite currents at the same sites, so it keeps the same limits. **It
+        stimulates the other class**: currents for RA stimulate SAI when reversed, and vice versa
+        (Fig. 10). It has no proof of selectivity. The ledger is not changed.
         """
         if self.charge_uc @ (net_charge_pc(sequence) * 1e-6) <= 0:
             return sequence
         if sequence.current_ua.min() == _LOWEST:
-            # It has no positive twin in 16 bits; no profile allows 32 mA anyway.
+            # This value cannot be negated in 16 bits; no profile allows 32 mA anyway.
             return sequence
         return replace(sequence, current_ua=-sequence.current_ua, proof=None)
 
 
 def net_charge_pc(sequence: ScanSequence) -> NDArray[np.int64]:
     """Return the charge of one scan through each electrode, (E,) pC, positive cathodic."""
-    # Whole numbers far below 2**53: this product is exact, and faster than one of integers.
+    # Integers far below 2**53: this product is exact, and faster than with int64.
     widths = sequence.width_us.astype(np.float64)
     net = (widths @ sequence.current_ua.astype(np.float64)).astype(np.int64)
     if sequence.recharge_ua is not None:
@@ -79,17 +78,17 @@ def net_charge_pc(sequence: ScanSequence) -> NDArray[np.int64]:
 
 
 _PLANNED_UA = round(1000 * PLANNED * CEILING_MEAN_MA)
-"""Mean current up to which a recharge is planned."""
+"""Largest planned mean current of an electrode."""
 
 
 @dataclass(frozen=True, eq=False)
 class RechargeRules:
-    """Limits within which recharge phases are planned."""
+    """Limits of planned recharge phases."""
 
     most_ua: NDArray[np.int64]  # (E,) largest current of each electrode
-    total_ua: int  # largest current of all cathodes together
+    total_ua: int  # largest total current of all cathodes
     timing: ScanTiming
-    duty: float = CEILING_DUTY  # largest fraction of the time in which current flows
+    duty: float = CEILING_DUTY  # largest share of the time with current
 
     @classmethod
     def of(cls, profile: Profile, timing: ScanTiming) -> Self:
@@ -101,19 +100,19 @@ class RechargeRules:
 def add_recharge(
     sequence: ScanSequence, carried_pc: NDArray[np.int64], rules: RechargeRules
 ) -> ScanSequence:
-    """Return a sequence with the recharge phase that brings net charge (E,) pC back to zero.
+    """Add a recharge phase that returns the net charge, (E,) pC, to zero.
 
-    No electrode gets more than it returns: whole µA leave a rest of up to a µA times its width on
-    each electrode, their sum on the strongest, and the excess over the limits is left too. The
-    phase is as short as its limits allow, and the period grows where it does not fit. Slots stay as
-    they are; without slots so does the sequence.
+    No electrode returns more than it carries. By rounding to µA, each electrode may keep up to 1 µA
+    times the width, and the strongest one the sum of these; charge beyond the limits also stays.
+    The phase is as short as its limits allow; the period becomes longer if necessary. Slots do not
+    change, and a sequence without slots is returned unchanged.
     """
     wanted_pc = -(carried_pc + net_charge_pc(sequence))
     asked_pc = np.abs(wanted_pc)
     most_ua = rules.most_ua
     if not sequence.slots or not (asked_pc * most_ua).any():
         return sequence
-    # As long as the slowest electrode needs, or as it may have at all.
+    # The slowest electrode determines the width, up to the limit.
     able = most_ua > 0
     needed_us = -(-asked_pc[able] // most_ua[able])
     allowed_us = np.minimum(MOST_RECHARGE_PC // most_ua[able], MOST_RECHARGE_US)
@@ -126,7 +125,7 @@ def add_recharge(
     period_us = max(
         sequence.period_us,
         _fitting_us(sequence, width_us, rules),
-        # At which no electrode's mean current exceeds the planned one.
+        # the period at which no electrode exceeds the planned mean current
         rules.timing.shortest_period_us(min(BURST_US, -(-int(most_pc.max()) // _PLANNED_UA))),
     )
     room_pc = np.maximum(_PLANNED_UA * min(period_us, BURST_US) - passed_pc, 0)
@@ -140,24 +139,25 @@ def add_recharge(
 def _whole_ua(
     wanted_pc: NDArray[np.int64], most_ua: NDArray[np.int64], width_us: int, total_ua: int
 ) -> NDArray[np.int16]:
-    """Return currents in whole µA that sum to zero, none above its limit or what is wanted."""
+    """Return currents in integer µA that sum to zero, within their limits and the wanted charge."""
     within_ua = np.sign(wanted_pc) * np.minimum(np.abs(wanted_pc) // width_us, most_ua)
     surplus = int(within_ua.sum())
     larger = np.flatnonzero(within_ua * surplus > 0)
     if surplus and abs(surplus) <= len(larger):
-        # What rounding down has left over is a µA of those that it took the least of.
+        # Take the rounding remainder from the electrodes with the smallest rounding errors, 1 µA
+        # each.
         rest_pc = np.abs(wanted_pc - within_ua * width_us)[larger]
         within_ua[larger[np.argsort(rest_pc, kind="stable")[: abs(surplus)]]] -= np.sign(surplus)
     poles_ua = np.cumsum([np.maximum(within_ua, 0), np.maximum(-within_ua, 0)], axis=1)
     shared_ua = min(int(poles_ua[0, -1]), int(poles_ua[1, -1]), total_ua)
-    # Sums from electrode to electrode are scaled and rounded down, so that the last is exact and
-    # no electrode gets more than its own.
+    # Scale cumulative sums and round down: the last sum is exact, and no electrode gets more than
+    # before.
     cathodic, anodic = (pole * shared_ua // max(1, int(pole[-1])) for pole in poles_ua)
     return np.asarray(np.diff(cathodic - anodic, prepend=0), np.int16)
 
 
 def _fitting_us(sequence: ScanSequence, width_us: int, rules: RechargeRules) -> int:
-    """Return the shortest period with room for a recharge phase and a short circuit after it."""
+    """Return the shortest period that fits a recharge phase and a short circuit after it."""
     timing = rules.timing
     slots_us = timing.shortest_period_us(
         0,
@@ -171,5 +171,5 @@ def _fitting_us(sequence: ScanSequence, width_us: int, rules: RechargeRules) -> 
     all_us = pulses_us + int(sequence.discharge_us.sum(dtype=np.int64))
     busy_us = max(slots_us, all_us) + width_us + rest_us
     flowing_us = pulses_us + width_us
-    # A hair more: the duty is compared in whole numbers.
+    # Add a small margin, because the gate compares the duty in integers.
     return timing.shortest_period_us(max(busy_us, (flowing_us + 1e-6) / rules.duty))

@@ -1,5 +1,5 @@
-"""The safety gate, which validates every limit on a frozen copy of each scan sequence, and the
-ramp: how strong current may be, by what has flowed since it was zero."""
+"""The safety gate, which checks all limits on a frozen copy of each scan sequence; and the ramp,
+which limits the current by the pulses since zero intensity."""
 
 from contextlib import AbstractContextManager
 from copy import copy
@@ -20,17 +20,17 @@ __all__ = ["ProvedSequence", "Ramp", "SafetyGate", "SafetyLimits"]
 
 LEEWAY_PPB = 1000  # tolerance for rounding
 LEVEL_KEPT_NS = 15_000_000_000
-"""Time without current for which a level stays open: an experiment waits for an answer so long
-while the finger stays in contact."""
+"""Time without current for which a level is kept: an experiment waits for an answer meanwhile, with
+the finger in contact."""
 PLANNED_KEPT_NS = LEVEL_KEPT_NS - 1_000_000_000
-"""The same for planning: what is written a little later must find the level open."""
+"""The same for planning, shorter, because the sequence is written a little later."""
 FIRST_NS = 20_000_000
 MOST_STEP_NS = 80_000_000
-"""Part of the ramp at which the first pulses begin, unless that is too weak for any pulse; and the
-largest step from one sequence to the next."""
+"""Time on the ramp at which the first pulses begin, unless these would be too weak; and the largest
+step between sequences."""
 AHEAD_NS = 85_000_000
-"""Part of the ramp by which pulses may be planned stronger than what has flowed: 100 ms may be
-caught up, and a sequence may be written late."""
+"""Time on the ramp by which a planned pulse may be ahead of delivered ones: sequences may be late
+and catch up 100 ms."""
 
 _ARRAYS = (
     ("current_ua", np.dtype(np.int16), 2, True),
@@ -40,22 +40,23 @@ _ARRAYS = (
     ("vibration", np.dtype(np.float32), 1, False),
     ("recharge_ua", np.dtype(np.int16), 1, False),
 )
-"""Arrays of a sequence: type, dimensions, and whether they have a row for each slot; the others
-may be None."""
+"""Arrays of a sequence: type, number of dimensions, and whether they have a row for each slot;
+others may be None."""
 
 
 WAITS_NS = 5_000_000_000
-"""Longest wait of a sequence for its turn, beside four of its periods and its repetitions: a kit
-that has lost a command takes over 2 s to find the next one."""
+"""Longest wait of a sequence for its turn, in addition to four of its periods and its repetitions:
+a kit that lost a command needs more than 2 s to resynchronize."""
 
 
 class Ramp:
-    """Level that written sequences have opened, in whole parts per billion of full strength.
+    """Ramp: the largest allowed strength, by the sequences that were written, in integer ppb of
+    full strength.
 
-    Only the time of passes with current counts, no more of it than has gone by, and up to their
-    strength (`strength_ppb`). A level stays open for `LEVEL_KEPT_NS` after the last of it, and weak
-    current does not lower it. One late step may be caught up. From zero to full it takes
-    ``ramp_ns`` or longer. Times are of the ``clock``; without one, those that sequences claim.
+    The level rises only during passes with current, in real time, and up to their strength
+    (`strength_ppb`). From zero to full takes at least ``ramp_ns``; one late step may be caught up.
+    Without current the level is kept for `LEVEL_KEPT_NS`; weak current does not lower it. Times are
+    from ``clock``, or else as claimed by sequences.
     """
 
     def __init__(self, ramp_ns: int, clock: Clock | None = None) -> None:
@@ -66,7 +67,7 @@ class Ramp:
         self.restart()
 
     def restart(self) -> None:
-        """Restart at zero: the next sequence must be without current."""
+        """Restart at zero intensity."""
         self._begun = False
         self._level_ppb = self._strength_ppb = self._since_ns = self._left_ns = 0
         self._claimed_ppb = 0
@@ -74,17 +75,17 @@ class Ramp:
             self._newest_ns = -(2**63)
 
     def claim(self, ppb: int, strength_ppb: int, now_ns: int) -> None:
-        """Enter a sequence that is proved, and may not be written yet, for planning.
+        """Record a proved sequence for planning, although it may not be written yet.
 
-        The next intensity is planned from its own, 0 where a finger was lifted.
+        The next intensity is planned from this one, which is 0 after a lifted finger.
         """
         self._begun, self._newest_ns = True, now_ns
         self._claimed_ppb = ppb if strength_ppb else min(ppb, self._claimed_ppb)
 
     def open_at(self, claimed_ns: int, kept_ns: int = LEVEL_KEPT_NS) -> tuple[int, int]:
-        """Return the time of a sequence that is proved, planned or written now, and the level that
-        is open then, without what may be caught up."""
-        # A clock that falls counts as standing still.
+        """Return the time of a sequence now, and the level at that time, without the allowance for
+        catching up."""
+        # A clock that goes back counts as standing still.
         clock_ns = claimed_ns if self._clock is None else self._clock.now_ns()
         now_ns = max(clock_ns, self._newest_ns)
         gone_ns = now_ns - self._since_ns
@@ -95,27 +96,27 @@ class Ramp:
         return now_ns, max(self._level_ppb, min(self._strength_ppb, risen_ppb))
 
     def open_level(self, claimed_ns: int) -> float:
-        """Return the strength, in [0, 1], with which pulses may go on after a pause."""
+        """Return the strength, in [0, 1], allowed at once after a pause."""
         with self.lock:
             _, open_ppb = self.open_at(claimed_ns, PLANNED_KEPT_NS)
             return min(self._claimed_ppb, open_ppb) / PPB
 
     def allowed_level(self, claimed_ns: int) -> float:
-        """Return the strength, in [0, 1], to plan for a sequence that begins now."""
+        """Return the largest strength, in [0, 1], to plan for a sequence that begins now."""
         with self.lock:
             if not self._begun:
                 return 0.0
             now_ns, open_ppb = self.open_at(claimed_ns, PLANNED_KEPT_NS)
             if not open_ppb:
                 return FIRST_NS / self._ramp_ns
-            # Time counts while pulses flow.
+            # Only time with pulses counts.
             step_ns = min(now_ns - self._since_ns, self._left_ns, MOST_STEP_NS)
             step_ns = max(step_ns, 0 if self._claimed_ppb else FIRST_NS)
             risen_ppb = self._claimed_ppb + step_ns * PPB // self._ramp_ns
             return min(PPB, risen_ppb, open_ppb + AHEAD_NS * PPB // self._ramp_ns) / PPB
 
     def permits(self, strength_ppb: int, claimed_ns: int) -> bool:
-        """Return whether current of a strength may begin now: `LATE_NS` may be caught up."""
+        """Return whether a sequence of this strength may begin now; `LATE_NS` may be caught up."""
         with self.lock:
             most_ppb = LEEWAY_PPB
             if self._begun:
@@ -123,11 +124,11 @@ class Ramp:
             return strength_ppb <= most_ppb
 
     def note(self, ppb: int, strength_ppb: int, claimed_ns: int, lasting_ns: int) -> None:
-        """Enter a sequence whose bytes have just been written, by the intensity that it claims,
-        which lowers the level, its strength, above which it raises none, and the time of its
-        passes, all repetitions included."""
+        """Record a written sequence. A lower claimed intensity, ``ppb``, lowers the level. Its
+        strength limits the rise, and ``lasting_ns`` is the time of its passes, including
+        repetitions."""
         with self.lock:
-            # The board finishes its present pass, and of repetitions no more.
+            # The board finishes the current pass and drops repetitions.
             now_ns, open_ppb = self.open_at(claimed_ns)
             gone_ns = max(0, now_ns - self._since_ns)
             left_ns = self._left_ns - gone_ns
@@ -150,15 +151,15 @@ class ProvedSequence:
     sequence : ScanSequence
         The frozen copy that was proved.
     times : int
-        Number of passes, one period after another, unless a newer sequence comes.
+        Number of passes, unless a newer sequence arrives.
     number : int
         Number of the sequence on its board.
     due_ns, write_before_ns : int
-        Planned start, and the time after which it may no longer be written, by the board's clock.
+        Planned start, and latest time of writing, by the board's clock.
     session : int
-        Of the gate, in which it was proved.
+        Session of the gate in which it was proved.
     strength_ppb : int
-        By its strongest pulse; see `sequence_limits.strength_ppb`.
+        See `sequence_limits.strength_ppb`.
     """
 
     sequence: ScanSequence
@@ -174,23 +175,23 @@ class ProvedSequence:
 
 
 class SafetyGate:
-    """Validator of successive sequences, on the clock of the display that it guards.
+    """Proves successive sequences, by the clock of the display.
 
     Parameters
     ----------
     limits : SafetyLimits
         Limits of every sequence.
     clock : Clock, optional
-        The display's. Without one, for checks that reach no board, time is what each
-        sequence claims.
+        Clock of the display. Without it, for checks without a board, time is as claimed by
+        sequences.
     """
 
     def __init__(self, limits: SafetyLimits, clock: Clock | None = None) -> None:
         self.limits: SafetyLimits = limits
         self.ramp: Ramp = Ramp(limits.ramp_ns, clock)
-        """Of what was written; whoever plans a sequence, or is about to write one, asks it."""
+        """Ramp of written sequences, used for planning and before writing."""
         self.session: int = 0
-        """Number of the present session; what was proved in another one is not written."""
+        """Number of the session; sequences proved in another session are not written."""
         self._clock = clock
         self._exposure = Exposure(limits)
         self.restart()
@@ -206,10 +207,10 @@ class SafetyGate:
         return self._exposure.net_pc
 
     def restart(self) -> None:
-        """Restart the ramp; sequence time may start again at zero, the session continues."""
+        """Restart the ramp within the session; sequence time may start again at zero."""
         self.ramp.restart()
         self._time_ns: int | None = None
-        self._noted: ScanSequence | None = None  # the sequence that was written last
+        self._noted: ScanSequence | None = None  # last written sequence
         if self._clock is None:
             self._exposure.forget_second()
 
@@ -219,7 +220,7 @@ class SafetyGate:
             return 0 if self._clock is None else self._exposure.net_rest_ns(self._clock.now_ns())
 
     def begin_session(self) -> None:
-        """Start at intensity zero with a dose of zero; the last second still counts."""
+        """Start at zero intensity with zero dose; the last second still counts."""
         now_ns = None if self._clock is None else self._clock.now_ns()
         self._exposure.begin_session(now_ns)
         self.session += 1
@@ -234,7 +235,7 @@ class SafetyGate:
         due_ns: int = 0,
         late_ns: int = LATE_NS,
     ) -> ProvedSequence:
-        """Return a frozen copy of a sequence for its board, or raise if it breaks a limit.
+        """Prove a sequence for a board and return a frozen copy.
 
         Parameters
         ----------
@@ -242,21 +243,21 @@ class SafetyGate:
         times : int
             Number of passes.
         number : int
-            Of the sequence on its board.
+            Number of the sequence on its board.
         due_ns, late_ns : int
             Planned start by the board's clock, and the delay after which it is not sent.
 
         Raises
         ------
         SafetyError
-            Naming the limit, the slot and electrode, and by how much.
+            With the limit, slot, electrode and values.
         """
         with self.ramp.lock:
             times = times if type(times) is int else _whole(times, "times")
             if times < 1:
                 raise SafetyError(f"{times} repetitions: there must be one at least", limit="times")
             sequence = frozen(sequence)
-            # Beyond 0 to 1 it is refused.
+            # Other values are rejected below.
             ppb = parts_per_billion(sequence.intensity) if 0 <= sequence.intensity <= 1 else 0
             load = prove_sequence(sequence, self.limits, ppb)
             time_ns, strength_ppb = sequence.time_ns, load.strength_ppb
@@ -278,20 +279,19 @@ class SafetyGate:
             return proved
 
     def check(self, sequence: ScanSequence, times: int = 1) -> ScanSequence:
-        """Return a frozen copy of a sequence that reaches no board, or raise as `prove`; it counts
-        as written."""
+        """Prove a sequence without a board; it counts as written. Raises errors like `prove`."""
         proved = self.prove(sequence, times)
         self.note(proved)
         return proved.sequence
 
     def repeated(self, proved: ProvedSequence, due_ns: int) -> ProvedSequence:
-        """Return a proved sequence for a later start: a repetition that the host times, or a
-        sequence that had to wait for its turn on the board.
+        """Return a proved sequence with a later start: a repetition timed by the host, or a
+        sequence that waited for its turn.
 
         Raises
         ------
         SafetyError
-            If that is later than its repetitions and the longest wait can explain.
+            If the start is later than repetitions and the longest wait allow.
         """
         period_ns = 1000 * proved.sequence.period_us
         latest_ns = proved.due_ns + (proved.times + 4) * period_ns + WAITS_NS
@@ -305,8 +305,7 @@ class SafetyGate:
         return later
 
     def note(self, proved: ProvedSequence) -> None:
-        """Enter that the bytes of a proved sequence have just been written; its parts and
-        repetitions count once."""
+        """Record that a proved sequence was written; parts and repetitions count once."""
         sequence = proved.sequence
         if sequence is not self._noted:
             self._noted = sequence
@@ -315,15 +314,15 @@ class SafetyGate:
 
 
 def _whole(value: Any, name: str) -> int:
-    """Return a whole number as a plain one, or raise."""
+    """Convert an integer to int. Raises SafetyError for other values."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise SafetyError(f"{name} is {value!r}, must be a whole number", limit=name)
     return int(value)
 
 
 def frozen(sequence: ScanSequence) -> ScanSequence:
-    """Return an immutable copy: arrays backed by bytes, and plain whole numbers; raise a
-    SafetyError if a field has another type or shape than it should."""
+    """Return an immutable copy, with arrays backed by bytes and plain ints. Raises SafetyError if a
+    field has a wrong type or shape."""
     fields: dict[str, Any] = {"proof": sequence.proof, "sums": sequence.sums}
     slots: int | None = None
     for name, kind, dimensions, of_slots in _ARRAYS:
@@ -332,7 +331,7 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
             continue
         if not isinstance(values, np.ndarray):
             raise SafetyError(f"{name} is {type(values).__name__}, must be an array", limit=name)
-        # As a plain array: a foreign class may pretend to be another array.
+        # Convert subclasses to plain arrays, as they may behave differently.
         plain = np.asarray(values)
         fits = plain.dtype == kind and plain.ndim == dimensions
         if fits and of_slots:
@@ -344,7 +343,7 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
                 f"dimension(s), {slots} slots",
                 limit=name,
             )
-        # Nothing can write to an array that is backed by bytes.
+        # Arrays backed by bytes are read-only.
         fields[name] = np.frombuffer(plain.tobytes(), kind).reshape(plain.shape)
     for name in ("period_us", "time_ns", "recharge_us"):
         value = getattr(sequence, name)

@@ -1,4 +1,4 @@
-"""Limits of every scan sequence, in whole microamperes, picocoulombs and nanoseconds."""
+"""Limits of all scan sequences, in integer µA, pC and ns."""
 
 import math
 from dataclasses import dataclass, replace
@@ -29,10 +29,10 @@ from smarttouch.profile.ceilings import (
 )
 from smarttouch.profile.device import Output
 
-PPB = 1_000_000_000  # parts per billion in 1, the unit in which intensity is compared
+PPB = 1_000_000_000  # intensities are compared in parts per billion
 LONGEST_RAMP_S = 10.0
 RECHARGE_UA = 500
-"""Largest current of a recharge phase, whatever the threshold: a tenth of the 5 mA ceiling."""
+"""Largest current of a recharge phase, a tenth of the ceiling of 5 mA."""
 _DISC_MM2 = math.pi / 4
 
 Each = float | tuple[float, ...]  # one value for all electrodes, or one for each
@@ -46,38 +46,38 @@ class SafetyLimits:
     ----------
     electrodes : int
     current_ma, pulse_us, charge_uc : float
-        Of one pulse of one electrode.
+        Limits of one pulse of one electrode.
     rate_hz, duty : float
-        Sequences a second, and the share of the time in which current flows.
+        Sequences per second, and share of the time with current.
     ramp_s : float
-        Shortest time from zero intensity to full.
+        Shortest time from zero to full intensity.
     full_ma : float
-        The strongest current at intensity 1; intensity bounds current in proportion.
+        Strongest current at intensity 1; the bound scales with intensity.
     total_ma : float
-        Of all cathodes together in one slot.
+        Total current of all cathodes in one slot.
     electrode_ma : tuple of float, optional
-        Of each electrode by itself.
+        Current of each electrode.
     area_mm2 : float or tuple of float
-        Of the electrodes; a disc of 1 mm if not given.
+        Areas of electrodes; by default a disc of 1 mm.
     threshold_ma : float or tuple of float, optional
-        Detection thresholds, half of which makes a pulse count as felt; half of ``full_ma`` if
-        not given.
+        Detection thresholds; by default half of ``full_ma``. Pulses from half of the threshold
+        count as perceptible.
     density_uc_cm2 : float
-        Charge of a pulse over the electrode's area.
+        Charge of a pulse per area of the electrode.
     session_s, session_mc : float
-        Time with current and charge through an electrode, from opening a board to closing it.
+        Time with current, and charge through an electrode, from opening to closing the board.
     one_source : bool
-        Whether one source drives all electrodes: the whole current then counts as if it flowed
-        through one of them, since the others may have come off the skin.
+        Whether one source drives all electrodes. Then the total current must be safe for a single
+        electrode, as the others may lose contact.
     masked : tuple of int
-        Electrodes that carry no current at all.
+        Electrodes without current.
     width_us : float, optional
-        Of a full pulse; strength is a share of its charge. ``pulse_us`` if not given.
+        Width of a full pulse, to whose charge strength refers; by default ``pulse_us``.
 
     Raises
     ------
     SafetyError
-        If one of them is no positive number, or above the project's own ceilings.
+        If a limit is not a positive number, or above the project's ceilings.
     """
 
     __repr__ = one_line
@@ -150,7 +150,7 @@ class SafetyLimits:
         )  # fmt: skip
 
     def on(self, output: Output | None) -> "SafetyLimits":
-        """Return the same limits, on a board with such an output."""
+        """Return the limits on a board with this output."""
         if output is None or output.kind == "weighted" or self.one_source:
             return self
         return replace(self, one_source=True)
@@ -166,13 +166,14 @@ class SafetyLimits:
         return self._unmasked(np.array(limit_ua, np.float64))
 
     def _unmasked(self, values: NDArray[np.generic]) -> NDArray[Any]:
-        """Return limits of each electrode with those of masked ones set to zero."""
+        """Return limits of electrodes, with zero for masked ones."""
         values[list(self.masked)] = 0
         return values
 
     @cached_property
     def charge_pc(self) -> NDArray[np.float64]:
-        """Largest charge of a pulse of each electrode, (E,) pC: by itself, by area, by Shannon."""
+        """Largest charge of a pulse of each electrode, (E,) pC: the smallest of the limits of
+        charge, density and Shannon's k."""
         area = np.broadcast_to(np.asarray(self.area_mm2, np.float64), (self.electrodes,))
         charge = float(decimal(self.charge_uc) * 10**6)
         density = self.density_uc_cm2 * area * 1e4
@@ -181,7 +182,7 @@ class SafetyLimits:
 
     @cached_property
     def total_ua(self) -> int:
-        """Largest current of all cathodes of a slot, µA."""
+        """Largest total current of all cathodes in a slot, µA."""
         limit_ma = decimal(self.total_ma)
         return math.floor(
             1000 * (min(limit_ma, decimal(self.current_ma)) if self.one_source else limit_ma)
@@ -198,7 +199,7 @@ class SafetyLimits:
 
     @cached_property
     def duty_ratio(self) -> tuple[int, int]:
-        """Duty as a fraction of whole numbers."""
+        """Duty as a ratio of integers."""
         return decimal(self.duty).as_integer_ratio()
 
     @cached_property
@@ -207,7 +208,7 @@ class SafetyLimits:
 
     @cached_property
     def rounding_ua(self) -> Fraction:
-        """Largest shift, by rounding to whole µA, of the electrode that keeps the balance."""
+        """Largest rounding error of the electrode that balances the others."""
         return Fraction(self.electrodes, 2) + 1
 
     @cached_property
@@ -222,23 +223,23 @@ class SafetyLimits:
 
     @cached_property
     def full_ratio(self) -> tuple[int, int]:
-        """`full_ua` as a fraction of whole numbers."""
+        """`full_ua` as a ratio of integers."""
         return self.full_ua.as_integer_ratio()
 
     @cached_property
     def source_pc(self) -> float:
-        """Largest charge of one slot where one source drives all electrodes, pC."""
+        """Largest charge of a slot on a board with one source, pC."""
         return float(decimal(self.charge_uc) * 10**6)
 
     @cached_property
     def felt_ua(self) -> NDArray[np.float32]:
-        """Current from which a pulse of each electrode counts as felt, (E,) µA."""
+        """Current above which a pulse of each electrode counts as perceptible, (E,) µA."""
         felt_ua = [math.ceil(Fraction(threshold) * 500) for threshold in self._thresholds]
         return np.array(felt_ua, np.float32)
 
     @cached_property
     def faint_ua(self) -> NDArray[np.int64]:
-        """Limit of a recharge phase, (E,) µA: see `recharge_most_ua`."""
+        """Limit of the recharge current, (E,) µA, see `recharge_most_ua`."""
         return self._unmasked(recharge_most_ua(np.array(self._thresholds)))
 
     @property
@@ -248,13 +249,13 @@ class SafetyLimits:
 
 
 def _check(name: str, value: float, least: float, most: float) -> None:
-    """Raise unless a limit is a number in its range: above it where that begins at 0.0, and whole
-    where it begins with a whole number."""
+    """Raise SafetyError unless a limit is within its range. A range from 0.0 excludes 0; a range
+    from an int requires an integer."""
     if isinstance(least, int):
         fits = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
         fits, words = fits and least <= value <= most, "a whole number from"
     else:
-        # Every comparison with NaN is false, so it would never limit anything.
+        # Reject NaN: every comparison with it is false, so it would not limit anything.
         fits = (least <= value if least else value > 0) and value <= most < math.inf
         words = "from" if least else "above"
     if not fits:
@@ -265,14 +266,14 @@ def _check(name: str, value: float, least: float, most: float) -> None:
 
 
 def recharge_most_ua(threshold_ma: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Return the largest recharge current of each electrode, (E,) µA, by thresholds, (E,) mA: a
-    tenth of it, and `RECHARGE_UA` at most."""
+    """Return the largest recharge current of each electrode, (E,) µA: a tenth of its threshold,
+    (E,) mA, at most `RECHARGE_UA`."""
     tenths_ua = (math.floor(Fraction(float(threshold)) * 100) for threshold in threshold_ma)
     return np.array([min(RECHARGE_UA, tenth_ua) for tenth_ua in tenths_ua], np.int64)
 
 
 def rms_ma_cm2(profile: Profile) -> float:
-    """Return the root mean square density of the strongest electrode's own pulses, mA/cm²."""
+    """Return the r.m.s. current density of the strongest electrode's pulses, mA/cm²."""
     share = profile.pulse.width_us * 1e-6 * profile.pulse.rate_hz
     densest = float((profile.full_ma / (profile.electrodes.area_mm2 / 100)).max())
     return densest * math.sqrt(share)
@@ -280,7 +281,7 @@ def rms_ma_cm2(profile: Profile) -> float:
 
 @lru_cache(maxsize=256)
 def decimal(value: float) -> Fraction:
-    """Return a number by its decimal notation: 2.4 is 12/5, not its nearest binary."""
+    """Convert a number by its decimal notation: 2.4 is exactly 12/5."""
     return Fraction(repr(float(value)))
 
 
@@ -350,7 +351,7 @@ _LIMITS = {
     "recharge_ma": "total_ma", "takes_back": "recharge_ua", "passes": "rate_hz",
     "order": "time_ns",
 }  # fmt: skip
-"""Limits of sentences that have another name."""
+"""Names of limits that differ from the name of their message."""
 
 
 def refusal(
@@ -360,7 +361,7 @@ def refusal(
     slot: int | None = None,
     electrode: int | None = None,
 ) -> SafetyError:
-    """Return the error of a broken limit, by the name of its sentence."""
+    """Return the error for an exceeded limit, by the name of its message."""
     words = _SENTENCES[sentence].format(
         value=value, allowed=allowed, slot=slot, electrode=electrode
     )

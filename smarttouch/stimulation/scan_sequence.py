@@ -1,7 +1,7 @@
-"""The scan sequence: all pulses of one frame, as sums of kernels in whole numbers; scan timing.
+"""The scan sequence: all pulses of one frame, as sums of quantized kernels; and scan timing.
 
-A weight is an int16, 32,767 the largest of its kernel; an amplitude counts quarters of a µA. What
-flows is defined to the bit, by `KernelLists`.
+A weight is an int16, scaled so that the peak of its kernel is 32,767. Amplitudes are in quarters of
+a µA. `KernelLists` defines the resulting currents exactly.
 """
 
 import math
@@ -21,7 +21,7 @@ from smarttouch.profile import Profile
 
 
 class SlotPolicy(NamedTuple):
-    """Classes whose points share slots: sums of kernels of which no subset breaks a bound."""
+    """Classes whose points share slots."""
 
     afferents: tuple[Afferent, ...] = ()
 
@@ -30,7 +30,7 @@ NO_SHARING = SlotPolicy()
 
 
 def unsupported_reason(profile: Profile) -> str | None:
-    """Return why a profile's board shows only single points, with the key; None if it shares."""
+    """Return why points cannot share slots with a profile, naming the key; None if they can."""
     if (kind := profile.output.kind) != "weighted":
         return f"output.kind is {kind}, with one source for all electrodes"
     if not profile.shares:
@@ -42,24 +42,24 @@ PER_UA = 4  # amplitudes are in quarters of a µA
 PEAK = 32_767  # largest magnitude of a kernel's weights
 SHIFT = 17  # a weight of 2^15 times an amplitude of 4 is one µA: 2^17
 _HEAD = struct.Struct("<HH")
-_SHORTEST_GAP = 3  # zeros from which a new run is shorter than to write them out
-_ABOVE = 1 << 30  # above what any slot's electrodes carry together, µA; a multiple of 2^16
+_SHORTEST_GAP = 3  # number of zeros above which a new run is shorter
+_ABOVE = 1 << 30  # larger than the total current of any slot, µA; a multiple of 2^16
 
 Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
 
 
 @dataclass(frozen=True, eq=False)
 class KernelTable:
-    """Kernels of a run in whole numbers."""
+    """Quantized kernels of a run."""
 
     # (K, E) positive cathodic, peak `PEAK`, sum zero; rows of masked sites are zero
     weights: NDArray[np.int16]
-    site: NDArray[np.uint16]  # (K,) electrode of each
-    points: dict[Afferent, int]  # row of electrode 0 of each class
-    shared: dict[Afferent, int]  # first row of the kernels of each class that share slots
+    site: NDArray[np.uint16]  # (K,) site of each kernel
+    points: dict[Afferent, int]  # first row of the kernels for single points, by class
+    shared: dict[Afferent, int]  # first row of the kernels for shared slots, by class
 
     def __post_init__(self) -> None:
-        # Nothing can write to arrays that are backed by bytes.
+        # Arrays backed by bytes are read-only.
         weights = np.frombuffer(np.asarray(self.weights, np.int16).tobytes(), np.int16)
         object.__setattr__(self, "weights", weights.reshape(np.shape(self.weights)))
         site = np.frombuffer(np.asarray(self.site, np.uint16).tobytes(), np.uint16)
@@ -67,8 +67,8 @@ class KernelTable:
 
     @classmethod
     def of(cls, weights: Mapping[Afferent, NDArray[np.float64]], shared: Shared) -> "KernelTable":
-        """Return a bank's kernels, (E, E), and those that share slots, (A, E), and their sites
-        (A,), of any scale, in whole numbers."""
+        """Quantize the kernels of a bank, (E, E), and those for shared slots, (A, E), with sites
+        (A,)."""
         every = {
             afferent_class: (class_weights, np.arange(len(class_weights)))
             for afferent_class, class_weights in weights.items()
@@ -77,7 +77,7 @@ class KernelTable:
         sites: list[NDArray[np.intp]] = []
         points: dict[Afferent, int] = {}
         sharing: dict[Afferent, int] = {}
-        # Those in use first: a board may not have room for all.
+        # Kernels in use come first, as a board may not have space for all.
         for first, kernels in ((sharing, shared), (points, every)):
             for afferent in sorted(kernels):
                 first[afferent] = sum(map(len, parts))
@@ -88,42 +88,42 @@ class KernelTable:
 
     @cached_property
     def so_far_ua(self) -> NDArray[np.float64]:
-        """Current of each kernel summed from electrode 0 to each other, (K, E) µA, at amplitude 1.
+        """Cumulative sums of each kernel over electrodes, (K, E) µA, at amplitude 1.
 
-        It takes four times the memory of the weights.
+        They need four times the memory of the weights.
         """
-        # By a power of two: exact.
+        # Scaling by a power of two is exact.
         return np.cumsum(self.weights, axis=1, dtype=np.float64) * 2.0**-SHIFT
 
 
 @dataclass(frozen=True, eq=False)
 class KernelLists:
-    """Slots as lists of kernels with amplitudes, and the currents that these are.
+    """Slots as lists of kernels with amplitudes, and the resulting currents.
 
-    Of weights times amplitudes, added up, the sum from electrode 0 to each one is rounded to whole
-    µA, halves upward; an electrode gets the difference of two of these.
+    Weights times amplitudes are added. The cumulative sum over electrodes is rounded to µA, halves
+    upward. The current of an electrode is the difference of two rounded sums.
     """
 
     table: KernelTable
-    # (S + 1,) start of each slot's list, and the last one's end; none is empty
+    # (S + 1,) start of each slot's list, and end of the last; no list is empty
     first: NDArray[np.intp]
     kernel: NDArray[np.uint16]  # (N,) row in the table
-    amplitude: NDArray[np.uint16]  # (N,) in quarters of a µA; those of a slot sum to at most 65,535
+    amplitude: NDArray[np.uint16]  # (N,) in quarters of a µA; at most 65,535 in total per slot
     # (S, E) µA, positive cathodic, sum zero in each slot
     current_ua: NDArray[np.int16] = field(init=False)
-    site: NDArray[np.uint16] = field(init=False)  # (S,) that of each slot's first kernel
+    site: NDArray[np.uint16] = field(init=False)  # (S,) site of each slot's first kernel
 
     def __post_init__(self) -> None:
-        # What is sent must be what the currents were computed from: nothing can write to bytes.
+        # Copy to read-only bytes, so that the sent lists cannot differ from the computed currents.
         first = np.frombuffer(self.first.tobytes(), self.first.dtype)
         kernel = np.frombuffer(self.kernel.tobytes(), self.kernel.dtype)
         amplitude = np.frombuffer(self.amplitude.tobytes(), self.amplitude.dtype)
-        # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
+        # Double precision is exact: sums are multiples of 2^-17, far below 2^36.
         scaled = self.table.so_far_ua.take(kernel, axis=0)
         scaled *= amplitude.astype(np.float64)[:, None]
         if len(scaled) > len(first) - 1:
             scaled = np.add.reduceat(scaled, first[:-1], axis=0)
-        # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
+        # After the offset all values are positive, so truncation rounds down; bits above 16 cancel.
         scaled += _ABOVE + 0.5
         rounded = scaled.astype(np.int64).astype(np.int16)
         current_ua = rounded.copy()
@@ -136,9 +136,9 @@ class KernelLists:
 
 
 def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Return currents (S, E) in whole µA that sum to zero in every slot, like the given ones.
+    """Round currents, (S, E), to integer µA that sum to zero in each slot.
 
-    The rounding error is carried on from electrode to electrode, so that none is off by a whole µA.
+    The rounding error is carried to the next electrode, so that each error is below 1 µA.
     """
     carried = np.cumsum(current_ua, axis=1)
     np.rint(carried, out=carried)
@@ -149,12 +149,12 @@ def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
 
 
 def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Return kernels (K, E) as whole numbers, each row with sum zero; zero stays zero."""
+    """Quantize kernels, (K, E), so that each row sums to zero; zero stays zero."""
     peak = np.abs(kernels).max(axis=1, keepdims=True, initial=0)
     carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
     carried[:, -1:] = 0
-    # Halves upward: to even, the peak of (-0.5, 1, -0.5) would be 32,768. Sums of doubles are
-    # exact to far less than the sixth decimal.
+    # Round halves upward: rounding to even, the peak of (-0.5, 1, -0.5) would be 32,768. Errors of
+    # double precision are far below the sixth decimal.
     rounded = np.floor(carried.round(6) + 0.5)
     return np.diff(rounded, axis=1, prepend=0).astype(np.int16)
 
@@ -162,8 +162,8 @@ def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
 def kept_kernels(
     weights: NDArray[np.int16], sites: NDArray[np.uint16], room: float, most: int
 ) -> tuple[bytes, int]:
-    """Return kernels (K, E) and their sites (K,) as the bytes that a board keeps, and how many of
-    them there is room for, in bytes and in number."""
+    """Encode kernels, (K, E), and sites, (K,), for storage on a board. Return the bytes, and the
+    number of kernels that fit the board's capacity."""
     parts, size = [b""], _HEAD.size
     for record in _records(weights[:most], sites):
         if size + len(record) > room:
@@ -175,7 +175,7 @@ def kept_kernels(
 
 
 def _records(weights: NDArray[np.int16], sites: NDArray[np.uint16]) -> Iterator[bytes]:
-    """Yield each kernel as runs of weights; long gaps of zeros are left out."""
+    """Yield each kernel as runs of weights, without long gaps of zeros."""
     for kernel, site in zip(weights, sites.tolist(), strict=False):
         active = np.flatnonzero(kernel)
         if not len(active):
@@ -193,7 +193,7 @@ def _records(weights: NDArray[np.int16], sites: NDArray[np.uint16]) -> Iterator[
 def largest_amplitude(
     weights: NDArray[np.int16], most_ua: NDArray[np.float64]
 ) -> NDArray[np.uint16]:
-    """Return the largest amplitude of each kernel (K, E) that keeps whole limits (E,) µA."""
+    """Return the largest amplitude of each kernel, (K, E), within the limits, (E,) µA."""
     limit = np.floor(most_ua) * 2.0**SHIFT
     room = [(limit / np.maximum(np.abs(kernel.astype(np.float64)), 1)).min() for kernel in weights]
     return np.minimum(np.floor(room), 0xFFFF).astype(np.uint16)
@@ -201,21 +201,20 @@ def largest_amplitude(
 
 @dataclass(frozen=True, eq=False)
 class SelectivityReport:
-    """Selectivity of each slot: side effects of its finished currents.
+    """Selectivity of each slot.
 
-    Of several points computed from the currents as they are sent, after all rounding, or,
-    of kernels that are proved for all frames, what no sum of them is above; of a single
-    one that of its kernel. Activation is a ratio to that of the slot's
-    weakest target, scaled to level 1.
+    For shared slots it is computed from the sent currents after rounding, or it is the proved bound
+    for independent sites. For single points it is that of the kernel. Activation is relative to the
+    slot's weakest target, scaled to level 1.
 
     Attributes
     ----------
     points : ndarray, (S,) uint16
-        Number of points of each slot; 0 for slots without proof.
+        Number of points in each slot; 0 for slots without proof.
     off_target : ndarray, (S,) float32
-        Largest activation of any other class; NaN where nothing is proved.
+        Largest activation of any other class; NaN without proof.
     spill : ndarray, (S,) float32
-        Largest activation of the own class more than a pitch from every target.
+        Largest activation of the same class more than a pitch from every target.
     """
 
     points: NDArray[np.uint16]
@@ -232,42 +231,37 @@ class SelectivityReport:
 class ScanSequence:
     """One pass over the active points of a tactile image.
 
-    Slots follow one another without a gap; each is a pulse followed by a
-    short circuit of all electrodes. After the last slot comes the recharge phase, if
-    there is one: a long pulse that brings charge back and is too weak to be felt.
-    Then the electrodes stay shorted until ``period_us`` is over.
+    Slots follow each other without gaps. A slot is a pulse followed by a short circuit of all
+    electrodes. After the last slot an optional recharge phase, a long imperceptible pulse, returns
+    charge. Then electrodes are shorted until the end of the period.
 
     Attributes
     ----------
     current_ua : ndarray, (S, E) int16, µA
-        Current of every electrode in every slot; **positive is cathodic**,
-        negative anodic, zero insulated. On a board with one source it is the
-        nominal division of the source's current.
+        Current of each electrode in each slot; **positive is cathodic**, negative anodic, zero
+        insulated. On a board with one source, currents are nominal shares of the source.
     width_us : ndarray, (S,) uint16, µs
         Pulse width of each slot.
     discharge_us : ndarray, (S,) uint16, µs
-        Short circuit after each pulse.
+        Duration of the short circuit after each pulse.
     site : ndarray, (S,) uint16
-        Electrode whose point each slot stimulates.
+        Electrode of the point that each slot stimulates.
     period_us : int, µs
-        Length of the whole sequence.
+        Duration of the sequence.
     intensity : float, in [0, 1]
-        Pressure gate times soft start that the currents were scaled with.
+        Intensity by which currents were scaled.
     time_ns : int
-        Time of the frame it came from.
+        Time of the frame.
     vibration : ndarray, (E,) float32, in [0, 1], optional
-        Amplitude of mechanical vibration of the skin under each site, for a `Vibrator`
-        beside the board; none if not given.
+        Amplitude of mechanical vibration at each site, for a `Vibrator`.
     proof : SelectivityReport, optional
         Selectivity of shared slots.
     recharge_ua : ndarray, (E,) int16, µA, optional
-        Current of every electrode in the recharge phase, **positive cathodic**, sum zero;
-        none if not given.
+        Current of each electrode in the recharge phase, **positive cathodic**, with sum zero.
     recharge_us : int, µs
-        Length of the recharge phase; 0 without one.
+        Duration of the recharge phase; 0 without one.
     sums : KernelLists, optional
-        Kernels that the currents are sums of. No more than a hint: the currents are what is
-        proved and delivered.
+        Kernels whose sums the currents are. The gate proves the currents, not these lists.
     """
 
     __repr__ = one_line
@@ -291,12 +285,12 @@ class ScanSequence:
 
     @property
     def peak_pc(self) -> int:
-        """Largest charge of one pulse of one electrode, pC."""
+        """Largest charge of a pulse of any electrode, pC."""
         return peak_pc(self.current_ua, self.width_us)
 
     @property
     def points(self) -> int:
-        """Number of points that its slots stimulate."""
+        """Number of stimulated points."""
         if self.proof is None:
             return self.slots
         return int(np.maximum(self.proof.points, 1).sum(dtype=np.int64))
@@ -316,12 +310,12 @@ class ScanSequence:
 
     @property
     def source_ua(self) -> NDArray[np.int32]:
-        """Total current of all cathodes in each slot, (S,) µA: one source's current."""
+        """Total current of all cathodes in each slot, (S,) µA."""
         return np.asarray(np.abs(self.current_ua.astype(np.int32)).sum(axis=1) // 2)
 
 
 def peak_pc(current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
-    """Return the largest charge of one electrode in slots of (S, E) µA and (S,) µs, pC."""
+    """Return the largest charge of an electrode in slots of (S, E) µA and (S,) µs, pC."""
     if not current_ua.size:
         return 0
     longest_us = int(width_us.max())
@@ -333,16 +327,16 @@ def peak_pc(current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
 
 @dataclass(frozen=True)
 class ScanTiming:
-    """Scan timing fixed by a board; the defaults leave all to the host."""
+    """Timing constraints of a board; by default there are none."""
 
     width_us: int | None = None  # the only pulse width, if fixed
     discharge_us: int | None = None  # the only discharge time, if fixed
-    slot_extra_us: float = 0.0  # time of a slot beyond pulse and discharge
-    scan_us: float = 0.0  # time of a scan beyond its slots
-    every_electrode: bool = False  # whether idle electrodes take a slot too
+    slot_extra_us: float = 0.0  # additional time of a slot
+    scan_us: float = 0.0  # additional time of a scan
+    every_electrode: bool = False  # whether idle electrodes take a slot, too
     in_index_order: bool = False  # whether the board scans by electrode number
     own_widths: bool = True  # whether each slot may have its own pulse width
-    whole_hz: bool = False  # whether its rate is a whole number of hertz
+    whole_hz: bool = False  # whether the rate must be an integer, Hz
     load: float = 1.0  # share of the period that a scan may fill
 
     def shortest_period_us(
@@ -353,10 +347,11 @@ class ScanTiming:
         width_us: float = 0.0,
         discharge_us: float = 0.0,
     ) -> int:
-        """Return the shortest period possible on the board that is not below ``least_us``, nor
-        below what a scan takes, if its number of slots is given; times of slots are means, µs.
+        """Return the shortest possible period of at least ``least_us`` and, if ``slots`` is given,
+        of at least the duration of the scan.
 
-        A rate of f whole hertz is a period of 1e6/f rounded up: ``round(1e6 / period)`` gives f.
+        Times of slots are means, µs. An integer rate of f Hz is a period of 1e6/f, rounded up, so
+        that ``round(1e6 / period)`` is f.
         """
         if slots is not None:
             taken = electrodes if self.every_electrode else slots
@@ -365,7 +360,7 @@ class ScanTiming:
         period = math.ceil(least_us)
         if not self.whole_hz or period <= 1:
             return period
-        # The largest f whose period, rounded up, is no shorter.
+        # the largest f whose period is not shorter
         rate_hz = 999_999 // (period - 1)
         if not rate_hz:
             raise ScheduleError(
@@ -375,7 +370,7 @@ class ScanTiming:
         return -(-1_000_000 // rate_hz)
 
     def check(self, profile: Profile) -> None:
-        """Raise a ScheduleError unless a profile's pulses suit the board."""
+        """Raise ScheduleError unless the board can make the profile's pulses."""
         for key, fixed in (("width_us", self.width_us), ("discharge_us", self.discharge_us)):
             asked = getattr(profile.pulse, key)
             if fixed is not None and asked != fixed:

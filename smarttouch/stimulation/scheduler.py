@@ -1,7 +1,7 @@
-"""Tactile image times kernels times intensity: the slots of one frame, and their period.
+"""Scheduling of a tactile image: the slots of one frame, and their period.
 
-The period follows from the rates of the classes, finger force, the scan timing of the board, and
-the limits of pulses and charge.
+The period follows from the rates of classes, finger force, the board's scan timing, and the limits
+of pulses and charge.
 """
 
 import math
@@ -41,9 +41,9 @@ from smarttouch.stimulation.sequence_limits import (
 from smarttouch.stimulation.slots import FrameSlots, PointSlots, Slots, constant_us, joined
 
 WINDOW_US = 1_100_000
-"""Time over which net charge is planned: a board may count its second in tenths."""
+"""Window over which net charge is planned: boards may count a second in tenths."""
 GUARD_PC = 0.95 * NET_PC
-"""Net charge of any newest passes up to which a next one like the last is planned."""
+"""Largest planned net charge of any number of latest passes."""
 _MEAN_PC = PLANNED * NET_PC
 _FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC
@@ -53,17 +53,17 @@ Array = NDArray[np.float64]
 
 
 SLOWEST = 0.2
-"""Part of the full rate at the lightest touch of something hard: 10 of 50 Hz, the slowest pulses of
+"""Share of the full rate at the lightest touch of a hard object: 10 of 50 Hz, the slowest pulses in
 the paper's experiments (Section III-B.2)."""
-_ON_TIME = 0.25  # part of its interval: a class that is later than this starts a new grid
+_ON_TIME = 0.25  # share of its interval above which a late class restarts its time grid
 _SLOWEST_HZ = 0.1
 
 
 def force_gate(force_n: float, law: ForceLaw) -> float:
     """Return the intensity at a finger force, in [0, 1].
 
-    Zero below contact, one from full force on, rising linearly or with the logarithm of force in
-    between (paper, Section IV-B). A force of NaN is no contact.
+    Zero below contact and one above full force; in between linear or logarithmic (paper, Section
+    IV-B). NaN means no contact.
     """
     if not force_n > law.contact_n:
         return 0.0
@@ -75,11 +75,11 @@ def force_gate(force_n: float, law: ForceLaw) -> float:
 
 
 def rate_share(pressure: float, softness: float) -> float:
-    """Return the fraction of the full pulse rate at a finger pressure, in [0, 1] as `force_gate`.
+    """Return the share of the full pulse rate at a pressure, in [0, 1] as from `force_gate`.
 
-    SAI afferents encode pressure in their firing rate. Pressed on something hard they fire faster;
-    on something soft the rate hardly changes (paper, Section III-B.2, where a constant rate under a
-    moving finger felt soft). Softness 1 leaves the rate unchanged, 0 lets it follow force.
+    SAI afferents encode pressure in their firing rate, which rises on a hard object, but hardly on
+    a soft one. In the paper, a constant rate under a moving finger felt soft (Section III-B.2).
+    With softness 1 the rate is constant, with 0 it follows pressure.
     """
     return softness + (1 - softness) * max(SLOWEST, pressure)
 
@@ -87,12 +87,12 @@ def rate_share(pressure: float, softness: float) -> float:
 def rates_of(
     profile: Profile, afferents: tuple[Afferent, ...], rate_hz: float | None, timing: ScanTiming
 ) -> dict[Afferent, float]:
-    """Return the pulse rate of each class, Hz: `rate_hz` for one, the profile's for two, none for
-    all three, which are not due by themselves."""
+    """Return the pulse rate of each class, Hz: `rate_hz` for one class, the profile's rates for
+    two, none for three, whose stimuli set the time."""
     pulse, limits = profile.pulse, profile.limits
     rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
     if Afferent.PC in afferents and len(afferents) > 1:
-        # All three never pulse by themselves.
+        # In mode color stimuli set the times of pulses.
         rates_hz = {}
     elif len(afferents) > 1:
         rates_hz = {Afferent.RA: pulse.ra_rate_hz, Afferent.SAI: pulse.sai_rate_hz}
@@ -116,10 +116,10 @@ def rates_of(
 
 
 class PulseRates:
-    """Times of pulses: of one class at its rate, of several on time grids of their own.
+    """Times of pulses, on a time grid for each class.
 
-    Pulses of several classes with full rates in Hz are merged where they are due closer together
-    than `merge_us`, the shortest period of a sequence. The rate of SAI follows pressure, by
+    Pulses of several classes are merged if they are closer together than `merge_us`, the shortest
+    period of a sequence. Rates are full rates, Hz; the SAI rate follows pressure, depending on
     `softness`.
     """
 
@@ -136,7 +136,8 @@ class PulseRates:
         self._last_ns: dict[Afferent, float] = {}
 
     def due(self, time_ns: int, pressure: float = 1.0) -> tuple[tuple[Afferent, ...], int]:
-        """Return the classes that pulse now, by pressure in [0, 1], and the µs to the next."""
+        """Return the classes that pulse now, at a pressure in [0, 1], and the time to the next
+        pulses, µs."""
         now, merge_ns = [], 1000 * self._merge_us
         next_ns = []
         for afferent, rate_hz in self._rates_hz.items():
@@ -155,8 +156,7 @@ class PulseRates:
             next_ns.append(due_ns)
         if not next_ns:
             raise ScheduleError(
-                "mode color is for stimuli with periods of their own, and this source gives none: "
-                "choose RA"
+                "mode color needs stimuli with a period, and this source gives none: choose RA"
             )
         return tuple(now), max(self._merge_us, round((min(next_ns) - time_ns) / 1000))
 
@@ -166,7 +166,7 @@ class PulseRates:
 
 
 class _Pass(NamedTuple):
-    """Pass by the times of frames, with its net charge, (E,), and the largest of any electrode."""
+    """Pass, with times of frames, net charge, (E,), and the largest net charge."""
 
     end_us: float
     most_pc: float
@@ -174,23 +174,23 @@ class _Pass(NamedTuple):
 
 
 class NetPlan:
-    """Net charge of the last passes, by the times of their frames.
+    """Plans periods so that the net charge of a second stays below its limit.
 
-    Passes of one sign are spaced, as evenly as possible, once they have used half of a second's net
-    charge at a rate that would use more than all; after a change of the picture, as far as needed.
+    Passes with charge of one sign are slowed evenly if their rate would exceed the limit and half
+    of it is used. After a change of the picture, passes are delayed as much as needed.
     """
 
     def __init__(self, electrodes: int) -> None:
         self._passes: deque[_Pass] = deque()
         self._sum_pc = np.zeros(electrodes)
-        self._at_most_pc = self._newest_at_most_pc = 0.0  # bounds of all passes, and of the newest
+        self._at_most_pc = self._newest_at_most_pc = 0.0  # bounds of all passes, and of the latest
 
     def next_period_us(
         self, net_pc: Array, time_us: float, period_us: int, busy_us: int
     ) -> float | None:
-        """Enter a sequence with net charge (E,) pC and slots of `busy_us` that begins at a time;
-        return its shortest period, not below `period_us`, or None if it may not begin, since a
-        second would have too much of it."""
+        """Add a sequence with net charge, (E,) pC, and slots of `busy_us`, at a time. Return its
+        shortest period, at least `period_us`, or None if it would exceed the net charge of a
+        second."""
         passes = self._passes
         while passes and passes[0].end_us <= time_us - WINDOW_US:
             _, gone_pc, gone_net_pc = passes.popleft()
@@ -210,18 +210,19 @@ class NetPlan:
         count, needed_us = len(passes), float(period_us)
         carried_pc = float(np.abs(self._sum_pc).max())
         span_us = min(time_us + period_us - passes[0].end_us, WINDOW_US)
-        # Trains that are over before they fill a window keep their times, and so does what pauses.
+        # Do not slow short trains, nor trains with pauses.
         if carried_pc > _FREE_PC and carried_pc * WINDOW_US > _MEAN_PC * span_us:
             mean_pc = carried_pc / count
             if mean_pc < _MEAN_PC:
-                # So many of it as a window holds, and one more that it cuts.
+                # the passes within a window, and one that it cuts
                 needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
             if carried_pc + mean_pc < GUARD_PC:
-                # What there is room for comes evenly until the first of them leave.
+                # Spread the remaining charge evenly until the first passes leave the window.
                 left_us = WINDOW_US - span_us
                 needed_us = max(needed_us, left_us * mean_pc / (GUARD_PC - carried_pc))
         if self._newest_at_most_pc + most_pc > GUARD_PC:
-            # A next one like this must find room: wait until enough of the passes have left.
+            # Leave capacity for another pass like this: wait until enough passes have left the
+            # window.
             newest = self._newest(net_pc).max(axis=1)
             room = max(0, bisect_right(np.maximum.accumulate(newest).tolist(), GUARD_PC) - 1)
             if room < count:
@@ -230,32 +231,32 @@ class NetPlan:
         return needed_us
 
     def _newest(self, net_pc: Array) -> Array:
-        """Return the largest net charges (magnitude) of the newest passes and one more, (N + 1,)
-        by electrode."""
+        """Return the net charge (magnitude) of the latest passes plus one more, (N + 1, E)."""
         passes = (earlier.net_pc for earlier in reversed(self._passes))
         return np.asarray(np.abs(np.cumsum([net_pc, *passes], axis=0)))
 
 
 @dataclass
 class SchedulerContext:
-    """What the schedulers of one run have in common."""
+    """State shared by the schedulers of one run."""
 
     sharing: SlotPolicy = NO_SHARING
     makers: dict[Afferent, PointSlots | FrameSlots] = field(default_factory=dict)
-    """Makers of slots, of all schedulers."""
-    table: KernelTable | None = None  # kernels whose sums slots are, in whole numbers, if given
-    net: NetPlan | None = None  # bound of periods by net charge, unless recharge phases return it
+    """Makers of slots, by class."""
+    table: KernelTable | None = None  # quantized kernels, if slots are sums of them
+    net: NetPlan | None = None  # plan for net charge; None if recharge phases return it
 
 
 class ScanScheduler:
-    """Scheduler of one slot for each active point (paper, Section IV-A, Fig. 19), or fewer.
+    """Converts tactile images to sequences with one slot for each active point, or fewer (paper,
+    Section IV-A, Fig. 19).
 
-    Each of several classes has its own pulse rate; `rate_hz` is that of a single one. Softness, in
-    [0, 1], reduces the effect of force on the rate of SAI pulses. If `vibrated`, mechanical
-    vibrators stimulate PC, without current. `net_slowed` and `net_emptied` count sequences made
-    longer or left without slots for net charge; `asked_us` is the period of the last one if its
-    slots fit. An impossible rate, pulses that the board does not have, and a bank that drives a
-    masked electrode raise a ScheduleError.
+    `rate_hz` is the rate of a single class; several classes have their own rates. Softness, in [0,
+    1], reduces the effect of force on the SAI rate. If `vibrated`, mechanical vibrators stimulate
+    PC, without current. `net_slowed` and `net_emptied` count sequences that were slowed, or lost
+    their slots, to limit net charge. `asked_us` is the requested period of the last sequence.
+    Raises ScheduleError if the rate or the pulses are impossible, or if the bank drives a masked
+    electrode.
     """
 
     def __init__(
@@ -289,12 +290,12 @@ class ScanScheduler:
         self._least_us = math.ceil(1e6 / profile.limits.rate_hz)
         self._rates = PulseRates(rates_hz, self._least_us, softness, timing)
         self._electrodes, self._duty = len(profile.electrodes), profile.limits.duty
-        # At most one slot for each point of each class.
+        # There is at most one slot for each point and class.
         self._discharges_us = constant_us(self._electrodes * len(afferents), pulse.discharge_us)
         self._limits = SafetyLimits.of(profile)
         steps_ns = 0, 2 * FIRST_NS, MOST_STEP_NS
         self._steps = [step_ns / self._limits.ramp_ns for step_ns in steps_ns]
-        # Before anything is sent: the longest scan must be possible too.
+        # Check in advance that the longest scan is possible, too.
         all_us, count = self._electrodes * pulse.width_us, self._electrodes
         timing.shortest_period_us(
             all_us / self._duty, count, count, pulse.width_us, pulse.discharge_us
@@ -318,13 +319,12 @@ class ScanScheduler:
         allowed: float = 1.0,
         adaptation: Adaptation | None = None,
     ) -> ScanSequence:
-        """Return the sequence of one tactile image at an intensity and a pressure in [0, 1].
+        """Return the sequence for a tactile image at an intensity and a pressure in [0, 1].
 
-        Extends the period asked for if the slots do not fit. At intensity 0 there are none. The
-        rate of SAI pulses follows pressure. Intensity is lowered until strength
-        (`SafetyLimits.strength_ppb`) is at most ``allowed``, in [0, 1]. If the image has a period,
-        every active class pulses now, and not again before it has passed. One that the profile's
-        limits forbid, or a class that cannot be driven, raises a ScheduleError.
+        Extends the requested period if the slots do not fit. At zero intensity there are no slots.
+        Intensity is lowered until strength (`strength_ppb`) is at most ``allowed``, in [0, 1]. The
+        SAI rate follows pressure. If the image has a period, each active class pulses once in it.
+        Raises ScheduleError if the limits forbid that period, or if a class cannot be stimulated.
         """
         if image.period_us is None:
             due, self.asked_us = self._rates.due(image.time_ns, pressure)
@@ -337,7 +337,7 @@ class ScanScheduler:
         least_us, mean_us = max(self.asked_us, pulses_us / self._duty), 0.0
         if slots:
             sums = add_up(parts.current_ua, parts.width_us, self._limits.felt_ua)[0]
-            # The shortest period for what the sequence does to each electrode.
+            # the shortest period allowed by the limits of pulses and charge
             exposed_us = math.ceil(float(sums[:2].max()) / (PLANNED * MOST_PER_US))
             if exposed_us > BURST_US:
                 raise _overexposed(exposed_us)
@@ -368,7 +368,7 @@ class ScanScheduler:
         intensity: float,
         adaptation: Adaptation | None,
     ) -> Slots:
-        """Return the slots of all classes that are due; none of the first if none is."""
+        """Return the slots of all due classes, or empty slots."""
         parts = []
         for afferent in due or (self._first,):
             maker = self._makers[afferent]
@@ -385,13 +385,12 @@ class ScanScheduler:
         allowed: float,
         adaptation: Adaptation | None,
     ) -> tuple[Slots, float]:
-        """Return slots of no more strength than allowed, in place of those of the wanted intensity,
-        and their intensity."""
+        """Return slots with at most the allowed strength, and their intensity."""
         ppb, charge_pc = parts_per_billion(wanted), peak_pc(slots.current_ua, slots.width_us)
-        # Whole µA may be a little stronger than asked for.
+        # Rounding to µA may increase the strength slightly.
         planned_ppb = min(ppb, strength_ppb(self._limits, ppb, charge_pc))
         intensity = wanted if planned_ppb else allowed
-        # The first step may be too weak for any pulse.
+        # The first step of the ramp may be too weak for a pulse.
         for least in self._steps if allowed else self._steps[:1]:
             strongest = max(allowed, least)
             if planned_ppb <= strongest * PPB:
@@ -403,7 +402,7 @@ class ScanScheduler:
         return slots, intensity
 
     def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Afferent, ...]:
-        """Return the classes that an image with its own period lets pulse."""
+        """Return the active classes of an image with a period."""
         if period_us < self._least_us:
             raise ScheduleError(
                 f"pulses {period_us} µs apart are not possible: the profile's limit of "
@@ -420,7 +419,8 @@ class ScanScheduler:
         return tuple(active)
 
     def _require_exposure_of_all(self) -> None:
-        """Raise if all points that have slots of their own expose an electrode too much."""
+        """Raise ScheduleError if all points in separate slots exceed the limits of pulses and
+        charge."""
         sums = np.zeros((3, self._electrodes))
         for maker in self._makers.values():
             if isinstance(maker, PointSlots):

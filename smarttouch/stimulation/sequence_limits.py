@@ -1,4 +1,4 @@
-"""Limits of scan sequences in whole numbers: of each, of a second, and of a session."""
+"""Limits in integers: of a scan sequence, of a second, and of a session."""
 
 from bisect import bisect_right
 from collections import deque
@@ -22,38 +22,38 @@ from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, decimal, ref
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 STRENGTH = 4
-"""Intensity that a pulse counts for at most, in multiples of its share of a full pulse's charge.
-The faintest gray of the shipped kernels carries 0.39 of a full pulse: 3 would do for these, and 4
-leaves room for sites that are more sensitive than others."""
+"""Largest ratio of a pulse's strength to its charge relative to a full pulse. The faintest gray of
+the shipped kernels carries 0.39 of a full pulse: 3 would be sufficient, and 4 leaves a margin for
+sensitive sites."""
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62
-MOST_RECHARGE_US = 20_000  # one period of the usual 50 scans a second. Ours
-MOST_RECHARGE_PC = 2_000_000  # of one electrode: four of the strongest pulses. Ours
+MOST_RECHARGE_US = 20_000  # one period at 50 Hz (our choice)
+MOST_RECHARGE_PC = 2_000_000  # per electrode: four of the strongest pulses (our choice)
 BURST_US = round(1e6 * BURST_S)
 PER_PULSE = 1_000_000
 PER_PC = round(1000 * CEILING_PULSES_HZ / (1e6 * CEILING_MEAN_MA))
-"""Weights that give felt pulses and charge one limit, in whole numbers: 3 of it for 1 pC, a
-million for a pulse, and `MOST_PER_US` of either for each microsecond."""
+"""Integer weights that give perceptible pulses and charge the same limit: 3 per pC, a million per
+pulse, and at most `MOST_PER_US` of each per microsecond."""
 MOST_PER_US = round(CEILING_PULSES_HZ)
 NET_PC = round(1e9 * CEILING_NET_MA)  # largest net charge of an electrode in a second
 PLANNED = 0.9
-"""Part of the limit used by schedules, so that jittered steps keep the window of a second."""
+"""Share of the limit used by schedules, a margin for jitter."""
 
 WINDOW_NS = 1_000_000_000
 _LAST_NS = WINDOW_NS - 1
 
-Charge = NDArray[np.float64]  # (E,) pC with its sign: whole numbers below 2^53
+Charge = NDArray[np.float64]  # (E,) signed pC: integers below 2^53
 Sums = NDArray[np.float64]
-"""Felt pulses × `PER_PULSE`, charge in pC × `PER_PC`, and charge with its sign, positive cathodic,
-pC, of each electrode, (3, E): whole numbers, all far below 2^53, where doubles are exact."""
+"""(3, E): perceptible pulses × `PER_PULSE`; charge, pC, × `PER_PC`; and signed charge, pC, positive
+cathodic. All are integers far below 2^53, so double precision is exact."""
 
 
 def add_up(
     current_ua: NDArray[np.int16], width_us: NDArray[np.uint16], felt_ua: NDArray[np.float32]
 ) -> tuple[Sums, NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sums of slots, their currents (S, E) and the magnitudes of these, in doubles.
+    """Return the sums of slots, and their currents and magnitudes, (S, E) float64.
 
-    S > 0; widths are (S,), and pulses are felt from ``felt_ua``, (E,), on.
+    S > 0; widths are (S,). Pulses from ``felt_ua``, (E,), are perceptible.
     """
     currents, widths = current_ua.astype(np.float64), width_us.astype(np.float64)
     magnitudes = np.abs(currents)
@@ -63,11 +63,10 @@ def add_up(
 
 
 def strength_ppb(limits: SafetyLimits, ppb: int, peak_pc: int) -> int:
-    """Return the intensity that a sequence counts for by its strongest pulse, whose largest
-    charge of one electrode is ``peak_pc``, in parts per billion.
+    """Return the strength of a sequence in parts per billion.
 
-    What it claims, ``ppb``, up to `STRENGTH` times the pulse's share of a full one, and never less
-    than that share.
+    The share is ``peak_pc``, the largest charge of a pulse, relative to a full pulse. Strength is
+    the claimed intensity, ``ppb``, limited to one to `STRENGTH` times the share.
     """
     full, parts = limits.full_ratio
     share = -(-peak_pc * PPB * parts // (full * limits.width_whole_us))
@@ -77,16 +76,16 @@ def strength_ppb(limits: SafetyLimits, ppb: int, peak_pc: int) -> int:
 class PassLoad(NamedTuple):
     """Load of one pass of a sequence on each electrode."""
 
-    sums: Sums  # with its recharge phase
-    recharge_pc: NDArray[np.float64] | None  # (E,), of its recharge phase, positive cathodic
-    busy_us: int  # time of its slots and its recharge phase
-    strength_ppb: int  # see `strength_ppb`; 0 if no slot has current
+    sums: Sums  # including the recharge phase
+    recharge_pc: NDArray[np.float64] | None  # (E,), recharge phase, positive cathodic
+    busy_us: int  # duration of slots and recharge phase
+    strength_ppb: int  # see `strength_ppb`; 0 without current
 
 
 def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> PassLoad:
-    """Return the load of a frozen sequence with an intensity of ``ppb`` on each electrode.
+    """Check a frozen sequence with intensity ``ppb``, and return its load on each electrode.
 
-    Raise a SafetyError that names the limit, slot and electrode, and by how much.
+    Raises SafetyError with the limit, slot, electrode and values.
     """
     width_us, busy_us = sequence.width_us, _prove_numbers(sequence, limits)
     if not busy_us:
@@ -99,7 +98,7 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
     highest_ua, widest_us = magnitude_ua.max(axis=0), int(width_us.max())
     if (highest_ua > limits.current_ua).any():
         _prove_each("current_ma", magnitude_ua, limits.current_ua, 1000)
-    # In balance: what flows in is half of all that flows.
+    # Balanced: cathodes carry half of the sum of magnitudes.
     if total_ua.max() > 2 * limits.total_ua:
         slot = int(total_ua.argmax())
         raise refusal("total_ma", total_ua[slot] / 2000, limits.total_ma, slot)
@@ -109,13 +108,13 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
         charge_pc = magnitude_ua * width_us.astype(np.float64)[:, None]
         _prove_each("charge_uc", charge_pc, limits.charge_pc, 1_000_000)
         peak_pc = int(charge_pc.max())
-    # One electrode alone may have to carry each slot's charge.
+    # A single electrode may have to carry the complete charge of a slot.
     if limits.one_source and (total_ua * width_us).max() > 2 * limits.source_pc:
         slot = int((total_ua * width_us).argmax())
         source_uc = total_ua[slot] * float(width_us[slot]) / 2e6
         raise refusal("source", source_uc, limits.charge_uc, slot)
     full, parts = limits.full_ratio
-    room = (limits.electrodes + 2) * parts * PPB  # of the electrode that keeps the balance
+    room = (limits.electrodes + 2) * parts * PPB  # for the balancing electrode
     if peak_ua > (most_ua := (2 * full * ppb + room) // (2 * parts * PPB)):
         raise refusal("claimed_ma", peak_ua / 1000, most_ua / 1000)
     recharge_pc = None
@@ -127,9 +126,9 @@ def prove_sequence(sequence: ScanSequence, limits: SafetyLimits, ppb: int) -> Pa
 
 
 def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> int:
-    """Return the time of slots and recharge phase, µs.
+    """Return the duration of slots and recharge phase, µs.
 
-    Raise unless numbers and times are in their ranges and arrays have the right length.
+    Raises SafetyError unless numbers, times and lengths are within their ranges.
     """
     electrodes, period_us, recharge_us = limits.electrodes, sequence.period_us, sequence.recharge_us
     if sequence.recharge_ua is not None or recharge_us:
@@ -164,10 +163,10 @@ def _prove_numbers(sequence: ScanSequence, limits: SafetyLimits) -> int:
 
 
 def _prove_vibration(vibration: NDArray[np.float32], intensity: float, electrodes: int) -> None:
-    """Raise unless a vibration is one for each electrode, and not above the intensity."""
+    """Raise SafetyError unless there is a vibration for each electrode, not above the intensity."""
     if vibration.shape != (electrodes,):
         raise refusal("vibration", len(vibration), electrodes)
-    # In double precision, as the intensity is. Every comparison with NaN is false.
+    # Compare in double precision, like the intensity. Comparisons with NaN are false.
     wide = vibration.astype(np.float64)
     if not ((wide >= 0) & (wide <= intensity + 1e-6)).all():
         worst = wide[np.abs(wide - intensity / 2).argmax()]
@@ -175,7 +174,8 @@ def _prove_vibration(vibration: NDArray[np.float32], intensity: float, electrode
 
 
 def _prove_recharge(sequence: ScanSequence, limits: SafetyLimits) -> None:
-    """Raise if the recharge phase breaks a limit; `Exposure` checks that it returns charge."""
+    """Raise SafetyError if the recharge phase exceeds a limit; `Exposure` checks that it only
+    returns charge."""
     current_ua, width_us, most_ua = sequence.recharge_ua, sequence.recharge_us, limits.faint_ua
     if current_ua is None or current_ua.shape != most_ua.shape or not sequence.slots:
         raise refusal("recharge", np.nan, limits.electrodes)
@@ -196,7 +196,7 @@ def _prove_recharge(sequence: ScanSequence, limits: SafetyLimits) -> None:
 def _prove_each(
     limit: str, values: NDArray[np.float64], allowed: NDArray[np.float64], unit: int
 ) -> None:
-    """Raise if a value (S, E) is above what its electrode allows, (E,)."""
+    """Raise SafetyError if a value, (S, E), exceeds the limit of its electrode, (E,)."""
     if (values > allowed).any():
         slot, at = divmod(int((values - allowed).argmax()), values.shape[1])
         raise refusal(limit, values[slot, at] / unit, allowed[at] / unit, slot, at)
@@ -209,11 +209,11 @@ class Dose:
     Attributes
     ----------
     seconds : float
-        Of scans with current.
+        Total time of scans with current.
     charge_mc : tuple of float, (E,) mC
-        Through each electrode, magnitudes added.
+        Sum of the magnitudes of charge through each electrode.
     net_uc : tuple of float, (E,) µC
-        Sum of the charge through each electrode with its sign, positive cathodic.
+        Net charge through each electrode, positive cathodic.
     """
 
     seconds: float
@@ -236,11 +236,11 @@ class _Pass(NamedTuple):
     start_ns: int
     end_ns: int
     sums: Sums
-    most: float  # largest load: no electrode has more net charge (× `PER_PC`) than this
+    most: float  # bound of the net charge of any electrode (× `PER_PC`)
 
 
 class _Sent(NamedTuple):
-    """Sequence that was let through; its first pass is in the window."""
+    """Accepted sequence; its first pass is in the window."""
 
     first: _Pass
     period_ns: int
@@ -248,10 +248,10 @@ class _Sent(NamedTuple):
     flows: bool
 
     def cut_short(self, now_ns: int) -> tuple[int, list[_Pass], int]:
-        """Return when a new sequence begins that may begin now, after the pass that is under way;
-        the passes after the first that have begun, but for those of long ago; and the number of
-        those that never begin."""
-        # The first waits for its turn.
+        """End the repetitions when a new sequence arrives. Return the start of the new sequence,
+        after the current pass; the later passes that have begun, without old ones; and the number
+        of passes that will not begin."""
+        # the first pass still waits for its turn
         first, period_ns = self.first, self.period_ns
         begun = max(1, min(self.times, (now_ns - first.start_ns) // period_ns + 1))
         delays_ns = [
@@ -266,26 +266,26 @@ class _Sent(NamedTuple):
 
 
 class Exposure:
-    """Running sums over the last second and over the session, on the display's clock.
+    """Running sums over the last second and over the session, by the display's clock.
 
-    A board finishes a pass before the next begins: passes count at the times that this gives.
+    A board finishes a pass before the next begins, which determines the times of passes.
     """
 
     def __init__(self, limits: SafetyLimits) -> None:
         self._limits = limits
         self._most_of_session = limits.session_mc * 1e9 * PER_PC
         self._most_session_ns = floor(decimal(limits.session_s) * 10**9)
-        # From a second ago to what may be sent ahead by sequences that come late.
+        # passes within a second, and those that late sequences may send ahead
         rate_hz = decimal(limits.rate_hz)
         self._most_passes = ceil(rate_hz * (WINDOW_NS + LATE_NS) / WINDOW_NS) + 1
-        # Passes of which any part lies in the last second, or is still to come.
+        # passes with any part in the last second or in the future
         self._window: deque[_Pass] = deque()
         self.begin_session(None)
         self.forget_second()
 
     @property
     def dose(self) -> Dose:
-        """Dose of the session so far, with requested repetitions."""
+        """Dose of the session so far, including requested repetitions."""
         charge_mc = self._session[1] / (PER_PC * 1e9)
         net_uc = self._session[2] / 1e6
         return Dose(self._session_ns / 1e9, tuple(charge_mc.tolist()), tuple(net_uc.tolist()))
@@ -296,7 +296,7 @@ class Exposure:
         return np.asarray(self._session[2], np.int64)
 
     def begin_session(self, now_ns: int | None) -> None:
-        """Reset the session's dose; the last second still counts, with what repeated until now."""
+        """Reset the dose; the last second still counts, including repetitions up to now."""
         if now_ns is not None and self._last is not None:
             for scan in self._last.cut_short(now_ns)[1]:
                 self._window.append(scan)
@@ -307,18 +307,18 @@ class Exposure:
         self._session_ns = 0
 
     def forget_second(self) -> None:
-        """Reset the last second, where time restarts; the session continues."""
+        """Reset the last second because time restarts; the session continues."""
         self._last = None
         self._window.clear()
-        # Upper bounds of the load of the last second at any electrode, and of the net charge
-        # (× `PER_PC`) of the newest passes, however many: they save most sums.
+        # Upper bounds of the load of the last second, and of the net charge (× `PER_PC`) of any
+        # number of latest passes. They avoid most exact sums.
         self._second_at_most = self._net_at_most = 0.0
 
     def net_rest_ns(self, now_ns: int) -> int:
-        """Return the time until half of the net charge of a second is free for a new session.
+        """Return the time until half of a second's net charge is available for a new session.
 
-        With less than that, what is planned without knowledge of an earlier session could be
-        refused.
+        The new session plans without knowledge of the old one, so with less its sequences could be
+        rejected.
         """
         recent = [scan for scan in reversed(self._window) if scan.end_ns > now_ns - WINDOW_NS]
         if not recent or self._second_at_most <= PER_PC * NET_PC / 2:
@@ -328,13 +328,13 @@ class Exposure:
         return recent[over[0]].end_ns + WINDOW_NS - now_ns if len(over) else 0
 
     def enter(self, now_ns: int, period_us: int, times: int, load: PassLoad, flows: bool) -> None:
-        """Enter passes of a sequence that may begin now, which is never before the last call; it
-        ends the repetitions of the one before. Their time counts to the session if it ``flows``.
+        """Add the passes of a sequence that may begin now, not before the last call. It ends the
+        repetitions of the sequence before. If it ``flows``, its time counts toward the session.
 
         Raises
         ------
         SafetyError
-            Naming the limit and the electrode.
+            With the limit and the electrode.
         """
         sums, period_ns, last, window = load.sums, 1000 * period_us, self._last, self._window
         burst_us, largest = min(period_us, BURST_US), float(np.maximum.reduce(sums[:2], axis=None))
@@ -347,7 +347,7 @@ class Exposure:
             start_ns = max(now_ns, last.first.start_ns + last.period_ns)
             if last.times > 1:
                 start_ns, repeated, left = last.cut_short(now_ns)
-                # They were counted, and are not delivered.
+                # These passes were counted, but will not be delivered.
                 session_ns -= left * last.period_ns * last.flows
                 session -= left * last.first.sums
         if load.recharge_pc is not None:
@@ -355,7 +355,7 @@ class Exposure:
             carried_pc = session[2] - times * sums[2] + slots_pc
             _check_recharge(carried_pc, load.recharge_pc, sums[2], times)
         first = _Pass(start_ns, start_ns + 1000 * load.busy_us, sums, largest)
-        # Until the first of its passes has left the second, each adds to what is in it.
+        # Check passes until the first one leaves the window.
         judged = min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
         net_at_most = min(self._net_at_most, self._second_at_most)
         most = judged * largest + (len(repeated) * repeated[0].most if repeated else 0)
@@ -371,7 +371,7 @@ class Exposure:
             at = int(session[1].argmax())
             charge_mc = session[1, at] / (PER_PC * 1e9)
             raise refusal("session_mc", charge_mc, self._limits.session_mc, electrode=at)
-        # From here on nothing is refused.
+        # The sequence is accepted.
         self._net_at_most = net_at_most
         for scan in (*repeated, first):
             window.append(scan)
@@ -385,15 +385,15 @@ class Exposure:
     def _check_second(
         self, now_ns: int, first: _Pass, judged: int, period_ns: int, repeated: list[_Pass]
     ) -> float:
-        """Raise if any second would hold too many passes, or too much of what they bring: of
-        ``judged`` passes a period apart, and of those of the sequence before that are not in the
-        window yet. Returns a bound of the net charge (× `PER_PC`) of the newest passes before."""
+        """Raise SafetyError if any second would exceed a limit with ``judged`` new passes, one
+        period apart, and with repeated passes of the sequence before. Return a bound of the net
+        charge (× `PER_PC`) of the latest earlier passes."""
         recent = [scan for scan in (*self._window, *repeated) if scan.end_ns > now_ns - WINDOW_NS]
         passes = sum(scan.start_ns > now_ns - WINDOW_NS for scan in recent) + 1
         if passes > self._most_passes:
             raise refusal("passes", passes, self._most_passes)
         ends_ns = [scan.end_ns for scan in recent]
-        # Of the newest passes, from each of them on.
+        # sums of the latest passes, starting at each of them
         nothing = np.zeros_like(first.sums)
         sums = np.cumsum([nothing, *(scan.sums for scan in reversed(recent))], axis=0)
         nets = sums[:, 2]
@@ -413,10 +413,10 @@ class Exposure:
 
 
 def _check_recharge(before_pc: Charge, recharge_pc: Charge, net_pc: Charge, times: int) -> None:
-    """Raise unless a recharge phase takes back charge that its electrodes carry, before the first
-    of its passes and, as each leaves net charge, before the last; all (E,) pC."""
+    """Raise SafetyError unless a recharge phase only returns charge that its electrodes carry, both
+    in the first and in the last pass; all (E,) pC."""
     for carried_pc in (before_pc, before_pc + (times - 1) * net_pc)[: min(times, 2)]:
-        # At most all of it, and of the other sign.
+        # It may return at most the carried charge, with the opposite sign.
         over_pc = np.abs(carried_pc + recharge_pc) + np.abs(recharge_pc) - np.abs(carried_pc)
         if over_pc.any():
             at = int(over_pc.argmax())
@@ -424,7 +424,7 @@ def _check_recharge(before_pc: Charge, recharge_pc: Charge, net_pc: Charge, time
 
 
 def _too_much(load: Sums, time_us: int) -> SafetyError:
-    """Return the error of too many felt pulses, or too much charge, of either sign."""
+    """Return the error for too many perceptible pulses, or for too much charge or net charge."""
     kind, at = divmod(int(load.argmax()), load.shape[1])
     limit, unit = ("mean_ma", PER_PC * 1_000_000) if kind else ("pulses_hz", PER_PULSE)
     return refusal(limit, load[kind, at] / unit, MOST_PER_US * time_us / unit, electrode=at)

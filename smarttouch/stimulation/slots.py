@@ -1,4 +1,4 @@
-"""Slots of one afferent class: kernels scaled by activation, one or several in each slot."""
+"""Slots of one afferent class: kernels scaled by activation, one or several per slot."""
 
 import math
 from functools import lru_cache
@@ -40,26 +40,25 @@ class Slots(NamedTuple):
     current_ua: NDArray[np.int16]  # (S, E)
     width_us: NDArray[np.uint16]  # (S,)
     proof: SelectivityReport | None = None  # of shared slots
-    sums: KernelLists | None = None  # kernels that the currents are sums of
+    sums: KernelLists | None = None  # kernels whose sums the currents are
 
 
 _JUDGED_MM = 0.5
-"""Least distance of places at which sets are proved, 25 times as fast as .1 mm, where what is
-proved of all frames of a shipped array is no larger (tests/kernels/test_proved_sets.py)."""
+"""Smallest node spacing for proofs of sets: 25 times faster than 0.1 mm, with the same results for
+shipped arrays."""
 
 _NONE = np.empty(0, np.intp)
 _ROUNDING = 0.99
-"""Part of a bound that proofs keep, so that whole µA keep all of it down to `certain_from`."""
+"""Share of a bound used by proofs, a margin for rounding down to `certain_from`."""
 
 
 class FrameSlots:
-    """Slots of one class; points whose currents do not interfere share one.
+    """Maker of slots in which independent sites share a slot.
 
-    A slot is a sum of kernels of which no subset breaks the profile's bounds on what it does to
-    other classes, and to its own class elsewhere; a point of which nothing is proved has a slot of
-    its own. So has each at intensities below `certain_from`, where nothing is felt and rounding may
-    break a bound. A board without a current of its own for every electrode, or a profile where
-    total current is not limited, raises a ScheduleError.
+    A shared slot is a sum of kernels, of which each subset keeps the profile's bounds on off-target
+    and spill. Points without proof have separate slots. So do all points at intensities below
+    `certain_from`, where nothing is felt and rounding could exceed a bound. Raises ScheduleError if
+    the board has a single source, or if the profile does not limit total current.
     """
 
     def __init__(self, profile: Profile, bank: KernelBank, afferent: Afferent) -> None:
@@ -70,7 +69,7 @@ class FrameSlots:
             _coarse(profile), afferent, full_wish(profile, kernels, bank.receptor[afferent])
         )
         frames, count = profile.frames, len(kernels)
-        # Slots aim a little low, which saves current.
+        # Aim slightly low, which saves current.
         self._aim = 1 - AIM * frames.uneven
         faintest = profile.threshold_ma / profile.full_ma
         sets = proved_sets(
@@ -83,7 +82,7 @@ class FrameSlots:
         self.certain_from: float = self._certain.least(
             FrameBounds(frames.other, frames.spill, frames.uneven)
         )
-        """Intensity from which no sum breaks a bound, whatever rounding to whole numbers does."""
+        """Intensity above which all sums keep the bounds, including rounding."""
         self._figures = lru_cache(maxsize=1)(self._certain.figures)
         self._most_ma = profile.total_ma - self._certain.total_ua / 1000
         self._shared_ma = np.concatenate(
@@ -93,7 +92,7 @@ class FrameSlots:
         self._owner = np.repeat(np.arange(len(sets)), [len(proved.sites) for proved in sets])
         self._totals_ma = np.concatenate([np.empty(0), *(proved.totals_ma for proved in sets)])
         points_ma = kernels * np.minimum(profile.full_ma, judge.full_ma)[:, None]
-        # Kernels that share slots, and then each point's own.
+        # kernels for shared slots, then those for single points
         self._kernels_ma = np.concatenate([self._shared_ma, points_ma])
         self._kernel_sites = np.concatenate([self._sites, np.arange(count)])
         self._peaks_ma = np.abs(self._kernels_ma).max(axis=1)
@@ -107,27 +106,27 @@ class FrameSlots:
         self._table: KernelTable | None = None
 
     def kernels(self) -> tuple[Array, NDArray[np.intp]]:
-        """Return the kernels by which slots are shared, (A, E) mA, and their sites (A,)."""
+        """Return the kernels for shared slots, (A, E) mA, and their sites, (A,)."""
         return self._shared_ma, self._sites
 
     def use_table(self, table: KernelTable) -> None:
-        """Make slots as sums of kernels in whole numbers from now on."""
+        """Use quantized kernels from now on."""
         shared = table.shared[self._afferent] + np.arange(len(self._sites))
         points = table.points[self._afferent] + np.arange(len(self._widths_us))
         self._table, self._rows = table, np.concatenate([shared, points]).astype(np.uint16)
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
-        """Return slots, with proof, of one class's activation (E,) at an intensity.
+        """Return slots, with proof, for the activation of one class, (E,), at an intensity.
 
-        An active point is activated as its own kernel would, with its threshold current times
-        intensity at the faintest activation and its strongest comfortable current times intensity
-        at full activation, but for the unevenness that the profile allows. Currents are whole µA
-        that sum to zero in every slot. A masked electrode has no slot.
+        A point receives the activation of its single kernel, within the unevenness that the profile
+        allows: threshold current times intensity at the faintest activation, comfort level times
+        intensity at full activation. Currents are integer µA that sum to zero in each slot. Masked
+        electrodes have no slot.
         """
         asked = activation if intensity > 0 else 0 * activation
         if self._perceived_at is not None:
             asked = np.append(asked, np.float32(0))[self._perceived_at]
-        # The faintest would not be felt at the aim.
+        # At the lower aim the faintest points would not be felt.
         level = (self._range * asked + self._faintest) * (asked > 0) / self._aim
         level = np.minimum(level, 1.0, out=level)
         kernel, points = self._shared(level) if intensity >= self.certain_from else (_NONE, _NONE)
@@ -157,16 +156,15 @@ class FrameSlots:
         do = np.empty((2, count), np.float32)
         owner = self._owner.take(kernel.take(first[:shared]))
         do[:, :shared] = self._figures(intensity).take(owner, axis=1)
-        # A faint point does so much less: figures are scaled to level 1.
+        # Scale the figures of faint points to level 1.
         np.multiply(self._points_do[:, alone], alone_level, out=do[:, shared:])
         site = self._kernel_sites.take(kernel.take(first[:-1])).astype(np.uint16)
         proof = SelectivityReport(points.astype(np.uint16), *do)
         return Slots(site, current_ua, self._widths_us[:count], proof, sums)
 
     def _shared(self, level: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the kernels of slots of several points, one slot after another, and the number of
-        each slot's. Set after set, slots are filled in the order of strength as far as total
-        current allows."""
+        """Return the kernels of shared slots, slot after slot, and the number of kernels in each
+        slot. Slots are filled set by set, in order of strength, as far as total current allows."""
         wanted = level.take(self._sites)
         active = wanted.nonzero()[0]
         totals_ma = self._aim * wanted.take(active) * self._totals_ma.take(active)
@@ -193,7 +191,7 @@ class FrameSlots:
 
 
 def _coarse(profile: Profile) -> Profile:
-    """Return a profile with places at `_JUDGED_MM` or farther apart."""
+    """Return a profile with a node spacing of at least `_JUDGED_MM`."""
     if profile.skin.node_spacing_mm >= _JUDGED_MM:
         return profile
     skin = profile.skin.model_copy(update={"node_spacing_mm": _JUDGED_MM})
@@ -201,7 +199,7 @@ def _coarse(profile: Profile) -> Profile:
 
 
 class PointSlots:
-    """Factory of the slots of one class, one kernel each; with a `table` in whole numbers."""
+    """Maker of slots with one kernel each, with a `table` from quantized kernels."""
 
     def __init__(
         self,
@@ -221,7 +219,7 @@ class PointSlots:
         self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
         magnitude = np.abs(self._kernels_ua)
         total_ma = magnitude.sum(axis=1) / 2000
-        # In single precision; the gate proves what is sent in whole numbers.
+        # Tolerate errors of single precision; the gate checks exact values.
         if total_ma.max() > profile.total_ma * (1 + 1e-6):
             site = int(total_ma.argmax())
             raise ScheduleError(
@@ -243,11 +241,11 @@ class PointSlots:
             self._base = table.points[afferent]
             site_weights = table.weights[self._base : self._base + count]
             self._largest = largest_amplitude(site_weights, np.floor(1000 * most_ma + 1e-6))
-            # The table's rows all have the same peak.
+            # All rows of the table have the same peak.
             self._full = np.asarray(PER_UA * magnitude.max(axis=1), np.float32)
         self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
         self._range = 1 - self._faintest
-        # Level of each site below which a switched electrode would round to insulated.
+        # level of each site below which a switched electrode would round to insulated
         self._weakest_level = np.zeros(count, np.float32)
         if profile.output.kind != "weighted":
             least_ua = np.where(magnitude > 0, magnitude, np.inf).min(axis=1)
@@ -259,16 +257,16 @@ class PointSlots:
         self._in_index_order = in_index_order
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
-        """Return the slots of a row (E,) of a tactile image, in [0, 1], at an intensity in [0, 1].
+        """Return the slots for the activation of one class, (E,) in [0, 1], at an intensity in [0,
+        1].
 
-        An active point gets its threshold current times intensity at the faintest activation and
-        its strongest comfortable current times intensity at full activation. Currents are whole µA
-        that sum to zero in every slot: the remainder of rounding goes to the strongest electrode of
-        the kernel, or is carried on from electrode to electrode where that would be above its
-        limit. A masked electrode has no slot.
+        A point receives its threshold current times intensity at the faintest activation, and its
+        comfort level times intensity at full activation. Currents are integer µA that sum to zero
+        in each slot. The rounding remainder goes to the strongest electrode or, if that would
+        exceed its limit, is carried from electrode to electrode. Masked electrodes have no slot.
         """
         if self._perceived_at is not None:
-            # The last one stands for nowhere.
+            # The additional last entry means "perceived nowhere".
             activation = np.append(activation, np.float32(0))[self._perceived_at]
         site = activation.nonzero()[0] if intensity > 0 else np.empty(0, np.intp)
         if not self._in_index_order:
@@ -296,8 +294,9 @@ class PointSlots:
         return Slots(site.astype(np.uint16), current_ua, width_us, None, sums)
 
     def _rounded(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
-        """Return each kernel times its level in whole µA, (S, E); the strongest takes the rest."""
-        # Whole numbers far below 2^24: exact in single precision.
+        """Return kernels times levels in integer µA, (S, E); the strongest electrode takes the
+        remainder."""
+        # Integers far below 2^24 are exact in single precision.
         whole_ua = np.rint(self._kernels_ua[site] * level[:, None])
         current_ua: NDArray[np.int16] = whole_ua.astype(np.int16)
         rows = np.arange(len(site)), self._strongest.take(site)
@@ -307,9 +306,9 @@ class PointSlots:
         return current_ua
 
     def _carried(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
-        """Return slots with the imbalance spread: each under a µA, within its limit, (S, E)."""
+        """Return slots, (S, E), with the remainder spread over electrodes, below 1 µA each."""
         exact_ua = self._kernels_ua[site].astype(np.float64) * level[:, None]
-        # A little below the limit, which is whole: what is carried cannot lift it above.
+        # Stay slightly below the integer limit, so that the carry cannot exceed it.
         peak_ua = np.abs(exact_ua).max(axis=1)
         exact_ua *= np.minimum(1, (self._most_ua[site] - 1e-3) / peak_ua)[:, None]
         return round_charge_balanced(exact_ua)
@@ -317,10 +316,9 @@ class PointSlots:
 
 @lru_cache(maxsize=4096)
 def spread_order(count: int) -> NDArray[np.intp]:
-    """Return an order of ``count`` points that keeps successive ones apart.
+    """Return an order of ``count`` points in which successive points are far apart.
 
-    It steps through the row-by-row list by about the golden section of its length, the stride whose
-    neighbors in time are evenly far in the list.
+    The stride is about the golden section of the length of the list.
     """
     stride = round(count * 0.382)
     while stride > 1 and math.gcd(stride, count) > 1:
@@ -329,8 +327,8 @@ def spread_order(count: int) -> NDArray[np.intp]:
 
 
 def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:
-    """Return the electrode at which each electrode's point is perceived, (E,), E if at none; None
-    without ``perception.pc_shift_mm`` and the like (paper, Section III-B.4)."""
+    """Return the electrode at which each point is perceived, (E,), or E if outside of the array;
+    None if the profile shifts no class (paper, Section III-B.4)."""
     shifts = profile.perception
     shift_mm = (shifts.ra_shift_mm, shifts.sai_shift_mm, shifts.pc_shift_mm)[afferent]
     if not any(shift_mm):
@@ -338,21 +336,21 @@ def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | Non
     place_mm = profile.electrodes.position_mm
     away_mm = np.abs(place_mm[:, None] + shift_mm - place_mm)
     nearest = np.hypot(*away_mm.transpose(2, 0, 1)).argmin(axis=1)
-    # Half a cell away it is still that electrode's.
+    # Places up to half a cell away belong to that electrode.
     half_mm = np.array(profile.electrodes.cell_mm) / 2 + 1e-9
     here = (away_mm[np.arange(len(nearest)), nearest] <= half_mm).all(axis=1)
     return np.asarray(np.where(here, nearest, len(nearest)), np.intp)
 
 
 def constant_us(count: int, time_us: int) -> NDArray[np.uint16]:
-    """Return the same time for many slots, (count,): frames use the first of it unchanged."""
+    """Return a read-only array of equal times, (count,), of which frames use slices."""
     times = np.full(count, time_us, np.uint16)
     times.setflags(write=False)
     return times
 
 
 def joined(parts: list[Slots]) -> Slots:
-    """Return the slots of several classes one after another."""
+    """Join the slots of several classes."""
     site, current_ua, width_us = (
         np.concatenate([part[index] for part in parts]) for index in range(3)
     )
